@@ -1,0 +1,60 @@
+"""Array types and the one check of shape and finiteness."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import InputError, Unquoted
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+
+def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
+    """Read-only float64 copy of `values`, checked.
+
+    Parameters
+    ----------
+    values : array_like
+        What to copy.
+    shape : tuple of int
+        Shape that is expected; -1 allows any length along that axis.
+    name : str
+        Name for the error message.
+
+    Returns
+    -------
+    array : (*shape) float
+        Finite, not writeable.
+
+    Raises
+    ------
+    InputError
+        The shape differs, or a value is not a finite number.
+
+    Examples
+    --------
+    >>> float_array([1, 2, 3], (3,), "position_m")
+    array([1., 2., 3.])
+    """
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(name, values, f"numbers of shape {shape}") from None
+    if array.ndim != len(shape) or any(
+        want not in (-1, have) for want, have in zip(shape, array.shape, strict=True)
+    ):
+        raise InputError(name, Unquoted(f"shape {array.shape}"), f"shape {shape}")
+    if not np.isfinite(array).all():
+        raise InputError(name, array.tolist(), "finite numbers")
+    array.setflags(write=False)
+    return array
+
+
+def freeze(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only view of `array`."""
+    view = array.view()
+    view.setflags(write=False)
+    return view

@@ -1,0 +1,79 @@
+"""World frame to and from CARLA's and geographic coordinates. Only this file flips a sign."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .arrays import FloatArray
+from .poses import Pose, wrap_deg
+
+_FLIP_NORTH = np.array([1.0, -1.0, 1.0])
+
+
+def from_carla_points(points_carla_m: ArrayLike) -> FloatArray:
+    """Points from CARLA's left-handed frame (x east, y south) to the world (ENU).
+
+    Parameters
+    ----------
+    points_carla_m : (..., 2) or (..., 3) float
+        CARLA frame. [m]
+
+    Returns
+    -------
+    points_m : same shape, float
+        World frame. [m]
+
+    Examples
+    --------
+    >>> from_carla_points([1.0, 2.0])
+    array([ 1., -2.])
+    """
+    points = np.asarray(points_carla_m, dtype=np.float64)
+    flipped: FloatArray = points * _FLIP_NORTH[: points.shape[-1]]
+    return flipped
+
+
+def to_carla_points(points_m: ArrayLike) -> FloatArray:
+    """Points from the world (ENU) to CARLA's left-handed frame; its own inverse."""
+    return from_carla_points(points_m)
+
+
+def from_carla_yaw(yaw_carla_deg: ArrayLike) -> FloatArray:
+    """Yaw clockwise from east (CARLA) to counter-clockwise from east, in (-180, 180]."""
+    return wrap_deg(-np.asarray(yaw_carla_deg, dtype=np.float64))
+
+
+def to_carla_yaw(yaw_deg: ArrayLike) -> FloatArray:
+    """Yaw counter-clockwise from east to clockwise from east (CARLA), in (-180, 180]."""
+    return from_carla_yaw(yaw_deg)
+
+
+def from_carla_pose(*, position_m: ArrayLike, yaw_deg: float, pitch_deg: float) -> Pose:
+    """Pose from CARLA's frame to the world. Pitch is positive up in both."""
+    return Pose(
+        position_m=from_carla_points(position_m),
+        yaw_deg=float(from_carla_yaw(yaw_deg)),
+        pitch_deg=pitch_deg,
+    )
+
+
+def to_geographic(points_m: ArrayLike, crs: str) -> FloatArray:
+    """Points of the world frame as longitude and latitude (WGS 84).
+
+    Parameters
+    ----------
+    points_m : (n, 2) or (n, 3) float
+        East, north(, up) in the coordinate reference system `crs`. [m]
+    crs : str
+        Anything that pyproj accepts.
+
+    Returns
+    -------
+    lon_lat_deg : (n, 2) float
+        Longitude, latitude: GeoJSON's order. [deg]
+    """
+    from pyproj import Transformer
+
+    points = np.asarray(points_m, dtype=np.float64)
+    transformer = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    longitude_deg, latitude_deg = transformer.transform(points[:, 0], points[:, 1])
+    return np.stack([longitude_deg, latitude_deg], axis=1)

@@ -1,0 +1,96 @@
+"""Boxes in pixels: x_min, y_min, x_max, y_max. A box without area is empty."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .arrays import FloatArray
+
+
+def box_height_px(boxes_px: ArrayLike) -> FloatArray:
+    """Height of boxes, (..., 4) -> (...,), in pixels."""
+    boxes = np.asarray(boxes_px, dtype=np.float64)
+    height: FloatArray = boxes[..., 3] - boxes[..., 1]
+    return height
+
+
+def clip_boxes(boxes_px: ArrayLike, *, width_px: int, height_px: int) -> FloatArray:
+    """Clip boxes to the image.
+
+    Parameters
+    ----------
+    boxes_px : (..., 4) float
+        Boxes. [px]
+    width_px, height_px : int
+        Image size.
+
+    Returns
+    -------
+    clipped_px : (..., 4) float
+        The part inside the image; no area where nothing is inside.
+    """
+    boxes = np.asarray(boxes_px, dtype=np.float64)
+    limit = np.array([width_px, height_px, width_px, height_px], dtype=np.float64)
+    return np.clip(boxes, 0.0, limit)
+
+
+def iou(boxes_a_px: ArrayLike, boxes_b_px: ArrayLike) -> FloatArray:
+    """Intersection over union of boxes, pairwise along the leading axes.
+
+    Parameters
+    ----------
+    boxes_a_px, boxes_b_px : (..., 4) float
+        Boxes; shapes broadcast. [px]
+
+    Returns
+    -------
+    iou : (...,) float
+        In [0, 1]; 0 where either box is empty.
+
+    Examples
+    --------
+    >>> float(iou([0, 0, 2, 2], [1, 0, 3, 2]).round(4))
+    0.3333
+    """
+    a = np.asarray(boxes_a_px, dtype=np.float64)
+    b = np.asarray(boxes_b_px, dtype=np.float64)
+    low = np.maximum(a[..., :2], b[..., :2])
+    high = np.minimum(a[..., 2:], b[..., 2:])
+    intersection = np.clip(high - low, 0.0, None).prod(axis=-1)
+    area_a = np.clip(a[..., 2:] - a[..., :2], 0.0, None).prod(axis=-1)
+    area_b = np.clip(b[..., 2:] - b[..., :2], 0.0, None).prod(axis=-1)
+    union = area_a + area_b - intersection
+    ratio: FloatArray = np.divide(
+        intersection, union, out=np.zeros_like(intersection), where=union > 0.0
+    )
+    return ratio
+
+
+def mask_box(mask: ArrayLike, *, x_min_px: int = 0, y_min_px: int = 0) -> FloatArray:
+    """Box around the set pixels of a mask.
+
+    Parameters
+    ----------
+    mask : (h, w) bool
+        Pixels; pixel (row, column) covers the unit square from (column, row).
+    x_min_px, y_min_px : int
+        Where the mask's first pixel lies in the image.
+
+    Returns
+    -------
+    box_px : (4,) float
+        Zeros if no pixel is set.
+    """
+    pixels = np.asarray(mask, dtype=bool)
+    rows = np.flatnonzero(pixels.any(axis=1))
+    columns = np.flatnonzero(pixels.any(axis=0))
+    if rows.size == 0:
+        return np.zeros(4)
+    return np.array(
+        [
+            x_min_px + columns[0],
+            y_min_px + rows[0],
+            x_min_px + columns[-1] + 1,
+            y_min_px + rows[-1] + 1,
+        ],
+        dtype=np.float64,
+    )

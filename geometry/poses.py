@@ -1,0 +1,125 @@
+"""Poses in the world frame and the rotations that belong to them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .arrays import FloatArray, float_array
+
+# Columns: the camera frame's axes (x right, y down, z ahead) seen from the body frame
+# (x ahead, y left, z up).
+R_BODY_CAMERA: FloatArray = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+R_BODY_CAMERA.setflags(write=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pose:
+    """A position and a direction without roll, world frame.
+
+    Attributes
+    ----------
+    position_m : (3,) float
+        East, north, up. [m]
+    yaw_deg : float
+        Counter-clockwise from east. [deg]
+    pitch_deg : float
+        Positive up. [deg]
+    """
+
+    position_m: FloatArray
+    yaw_deg: float
+    pitch_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position_m", float_array(self.position_m, (3,), "position_m"))
+        object.__setattr__(self, "yaw_deg", float(float_array(self.yaw_deg, (), "yaw_deg")))
+        object.__setattr__(self, "pitch_deg", float(float_array(self.pitch_deg, (), "pitch_deg")))
+
+
+def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
+    """Rotation that takes body coordinates (x ahead, y left, z up) to the world.
+
+    Parameters
+    ----------
+    yaw_deg : (...,) float
+        Counter-clockwise from east. [deg]
+    pitch_deg : (...,) float
+        Positive up. [deg]
+
+    Returns
+    -------
+    R_world_body : (..., 3, 3) float
+        Columns: ahead, left, up.
+
+    Examples
+    --------
+    >>> body_rotation(90.0)[:, 0].round(12) + 0.0  # looking north
+    array([0., 1., 0.])
+    """
+    yaw, pitch = np.broadcast_arrays(
+        np.radians(np.asarray(yaw_deg, dtype=np.float64)),
+        np.radians(np.asarray(pitch_deg, dtype=np.float64)),
+    )
+    cos_yaw, sin_yaw = np.cos(yaw), np.sin(yaw)
+    cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
+    zero = np.zeros_like(yaw)
+    rows = [
+        [cos_pitch * cos_yaw, -sin_yaw, -sin_pitch * cos_yaw],
+        [cos_pitch * sin_yaw, cos_yaw, -sin_pitch * sin_yaw],
+        [sin_pitch, zero, cos_pitch],
+    ]
+    rotation: FloatArray = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return rotation
+
+
+def camera_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
+    """Rotation that takes camera coordinates (x right, y down, z ahead) to the world.
+
+    Parameters
+    ----------
+    yaw_deg, pitch_deg : (...,) float
+        Direction of the optical axis. [deg]
+
+    Returns
+    -------
+    R_world_camera : (..., 3, 3) float
+        Columns: right, down, ahead.
+    """
+    rotation: FloatArray = body_rotation(yaw_deg, pitch_deg) @ R_BODY_CAMERA
+    return rotation
+
+
+def to_world(points_body_m: ArrayLike, pose: Pose) -> FloatArray:
+    """Points of a body in the world frame.
+
+    Parameters
+    ----------
+    points_body_m : (n, 3) float
+        Body frame. [m]
+    pose : Pose
+        Where the body is.
+
+    Returns
+    -------
+    points_m : (n, 3) float
+        World frame. [m]
+    """
+    points: FloatArray = (
+        np.asarray(points_body_m, dtype=np.float64)
+        @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
+        + pose.position_m
+    )
+    return points
+
+
+def wrap_deg(angle_deg: ArrayLike) -> FloatArray:
+    """Angles in (-180, 180].
+
+    Examples
+    --------
+    >>> wrap_deg([190.0, -180.0, 0.0])
+    array([-170.,  180.,    0.])
+    """
+    wrapped: FloatArray = 180.0 - (180.0 - np.asarray(angle_deg, dtype=np.float64)) % 360.0
+    return wrapped

@@ -1,0 +1,228 @@
+"""Rays against triangles: Open3D's RaycastingScene, or trimesh's embreex. Both are Embree."""
+
+import warnings
+from functools import cache
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .arrays import BoolArray
+from .errors import InputError
+
+FloatRays = NDArray[np.float32]
+
+
+class RayCaster(Protocol):
+    """Rays against one fixed set of triangles; safe to use from several threads."""
+
+    def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        """Whether anything lies between each origin and origin + vector.
+
+        Parameters
+        ----------
+        origins_m, vectors_m : (n, 3) float32
+            Starts, and the way from there to the ends. [m]
+
+        Returns
+        -------
+        blocked : (n,) bool
+            True where a triangle is hit on the way.
+        """
+
+    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+        """How far along each vector the first triangle is.
+
+        Parameters
+        ----------
+        origins_m, vectors_m : (n, 3) float32
+            Starts and directions, of any length. [m]
+
+        Returns
+        -------
+        share : (n,) float32
+            Hit at origin + share * vector; infinite where nothing is hit.
+        """
+
+
+class Open3dCaster:
+    """Rays by Open3D's RaycastingScene."""
+
+    name = "open3d"
+
+    def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike) -> None:
+        o3d = _open3d()
+        self._tensor = o3d.core.Tensor
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        vertices, faces = _checked(vertices_m, triangles)
+        if len(faces):
+            self._scene.add_triangles(
+                self._tensor(vertices), self._tensor(faces.astype(np.uint32))
+            )
+        self._is_empty = len(faces) == 0
+
+    def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        """See :class:`RayCaster`."""
+        if self._is_empty or len(origins_m) == 0:
+            return np.zeros(len(origins_m), dtype=bool)
+        rays = self._tensor(_rays(origins_m, vectors_m))
+        blocked: BoolArray = self._scene.test_occlusions(
+            rays, tnear=0.0, tfar=1.0, nthreads=1
+        ).numpy()
+        return blocked
+
+    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+        """See :class:`RayCaster`."""
+        if self._is_empty or len(origins_m) == 0:
+            return np.full(len(origins_m), np.inf, dtype=np.float32)
+        rays = self._tensor(_rays(origins_m, vectors_m))
+        share: FloatRays = self._scene.cast_rays(rays, nthreads=1)["t_hit"].numpy()
+        return share
+
+
+class EmbreexCaster:
+    """Rays by embreex, the Embree binding that trimesh uses."""
+
+    name = "embreex"
+    # Embree stops at the end of a ray; "nothing hit" is read off that end.
+    _FAR = np.float32(1.0e6)
+
+    def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike) -> None:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        vertices, faces = _checked(vertices_m, triangles)
+        self._scene = EmbreeScene()
+        self._is_empty = len(faces) == 0
+        if not self._is_empty:
+            self._mesh = TriangleMesh(self._scene, vertices, faces)
+            # The first query commits the scene, which must not happen in two threads at once.
+            self.first_hit(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+
+    def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        """See :class:`RayCaster`."""
+        if self._is_empty or len(origins_m) == 0:
+            return np.zeros(len(origins_m), dtype=bool)
+        ends = np.ones(len(origins_m), dtype=np.float32)
+        hits = self._scene.run(
+            *_contiguous(origins_m, vectors_m), dists=ends, query="OCCLUDED"
+        )
+        blocked: BoolArray = hits != -1
+        return blocked
+
+    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+        """See :class:`RayCaster`."""
+        if self._is_empty or len(origins_m) == 0:
+            return np.full(len(origins_m), np.inf, dtype=np.float32)
+        ends = np.full(len(origins_m), self._FAR, dtype=np.float32)
+        share: FloatRays = self._scene.run(
+            *_contiguous(origins_m, vectors_m), dists=ends, query="DISTANCE"
+        )
+        share[share >= self._FAR] = np.inf
+        return share
+
+
+CASTERS: dict[str, type[Open3dCaster] | type[EmbreexCaster]] = {
+    Open3dCaster.name: Open3dCaster,
+    EmbreexCaster.name: EmbreexCaster,
+}
+
+
+def caster_name() -> str:
+    """Name of the library that casts rays here: "open3d", or "embreex" where that cannot load."""
+    return Open3dCaster.name if _open3d_or_reason()[0] is not None else EmbreexCaster.name
+
+
+def open3d_problem() -> str | None:
+    """Why Open3D is not used, in one line with the remedy; None where it is used."""
+    return _open3d_or_reason()[1]
+
+
+def build_caster(
+    vertices_m: ArrayLike, triangles: ArrayLike, *, library: str | None = None
+) -> RayCaster:
+    """Prepare triangles for rays.
+
+    Parameters
+    ----------
+    vertices_m : (n, 3) float
+        World or body frame, near the origin: rays are cast in single precision. [m]
+    triangles : (m, 3) int
+        Vertex indices; none at all is allowed.
+    library : str, optional
+        "open3d" or "embreex"; by default :func:`caster_name`.
+
+    Returns
+    -------
+    caster : RayCaster
+        Ready for rays from any thread.
+
+    Raises
+    ------
+    InputError
+        A vertex is not finite, or a triangle points outside the vertices.
+    """
+    return CASTERS[library or caster_name()](vertices_m, triangles)
+
+
+def _checked(
+    vertices_m: ArrayLike, triangles: ArrayLike
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    vertices = np.ascontiguousarray(vertices_m, dtype=np.float32).reshape(-1, 3)
+    faces = np.ascontiguousarray(triangles, dtype=np.int32).reshape(-1, 3)
+    if not np.isfinite(vertices).all():
+        raise InputError("vertices_m", "a vertex that is not finite", "finite coordinates")
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise InputError(
+            "triangles", int(faces.max()), f"vertex indices from 0 to {len(vertices) - 1}"
+        )
+    return vertices, faces
+
+
+def _rays(origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+    rays = np.empty((len(origins_m), 6), dtype=np.float32)
+    rays[:, :3] = origins_m
+    rays[:, 3:] = vectors_m
+    return rays
+
+
+def _contiguous(origins_m: FloatRays, vectors_m: FloatRays) -> tuple[FloatRays, FloatRays]:
+    return (
+        np.ascontiguousarray(origins_m, dtype=np.float32),
+        np.ascontiguousarray(vectors_m, dtype=np.float32),
+    )
+
+
+def _open3d() -> Any:
+    module, reason = _open3d_or_reason()
+    if module is None:
+        raise ImportError(reason)
+    return module
+
+
+@cache
+def _open3d_or_reason() -> tuple[Any, str | None]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # those of Open3D's own imports
+            import open3d
+    except (ImportError, OSError) as error:
+        library = str(error).split(":")[0]
+        package = _DEBIAN_PACKAGES.get(library)
+        remedy = (
+            f"apt-get install {package}" if package else "pip install open3d-cpu, or open3d"
+        )
+        return None, (
+            f"Open3D cannot load ({library} is missing): rays are cast by embreex instead. "
+            f"Same results; to use Open3D: {remedy}"
+        )
+    return open3d, None
+
+
+# Libraries that Open3D's wheels expect from the system, and Debian's packages that hold them.
+_DEBIAN_PACKAGES = {
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libX11.so.6": "libx11-6",
+}

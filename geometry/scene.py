@@ -1,0 +1,167 @@
+"""A junction as it stands: triangles that hide things, and sites that carry sensors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arrays import FloatArray, float_array, freeze
+from .errors import InputError
+
+CLASS_NAMES = (
+    "ground",
+    "building",
+    "wall",
+    "vegetation",
+    "parked vehicle",
+    "lamp post",
+    "traffic light",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Site:
+    """A place where sensors can be mounted.
+
+    Attributes
+    ----------
+    id : str
+        Name.
+    position_m : (3,) float
+        Foot of the pole, or the point of the road below the mount. World frame. [m]
+    kind : str
+        "lamp post", "traffic light" or "mast arm".
+    height_range_m : (2,) float
+        Lowest and highest mount above the road. [m]
+    capacity_units : int
+        How many units it can carry.
+    """
+
+    id: str
+    position_m: FloatArray
+    kind: str
+    height_range_m: FloatArray
+    capacity_units: int
+
+    def __post_init__(self) -> None:
+        where = f"site {self.id}"
+        object.__setattr__(
+            self, "position_m", float_array(self.position_m, (3,), f"{where}.position_m")
+        )
+        height = float_array(self.height_range_m, (2,), f"{where}.height_range_m")
+        if not 0.0 < height[0] <= height[1]:
+            raise InputError(
+                f"{where}.height_range_m",
+                height.tolist(),
+                "[low, high] in metres, 0 < low <= high",
+            )
+        object.__setattr__(self, "height_range_m", height)
+        capacity = self.capacity_units
+        if not isinstance(capacity, int) or isinstance(capacity, bool) or capacity < 1:
+            raise InputError(f"{where}.capacity_units", capacity, "a whole number, at least 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Instance:
+    """One thing of a scene.
+
+    Attributes
+    ----------
+    id : str
+        Name, unique in the scene.
+    class_name : str
+        One of ``CLASS_NAMES``.
+    """
+
+    id: str
+    class_name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """Everything that stands still.
+
+    Attributes
+    ----------
+    name : str
+        Name of the junction.
+    vertices_m : (n_vertices, 3) float
+        World frame. [m]
+    triangles : (n_triangles, 3) int32
+        Vertex indices.
+    triangle_instance : (n_triangles,) int32
+        Index into `instances`.
+    instances : tuple of Instance
+        Things of the scene.
+    sites : tuple of Site
+        Where sensors can be mounted.
+    outline_m : (n, 2) float
+        Outline of the junction's road surface. World frame. [m]
+    lanes : tuple of Lane
+        Lanes of the junction's arms.
+    crs : str
+        Coordinate reference system in which the world frame lies, for pyproj.
+    """
+
+    name: str
+    vertices_m: FloatArray
+    triangles: NDArray[np.int32]
+    triangle_instance: NDArray[np.int32]
+    instances: tuple[Instance, ...]
+    sites: tuple[Site, ...]
+    outline_m: FloatArray
+    lanes: "tuple[Lane, ...]"
+    crs: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "vertices_m", float_array(self.vertices_m, (-1, 3), f"{self.name}: vertices_m")
+        )
+        object.__setattr__(
+            self, "outline_m", float_array(self.outline_m, (-1, 2), f"{self.name}: outline_m")
+        )
+        for field in ("triangles", "triangle_instance"):
+            array = np.array(getattr(self, field), dtype=np.int32)
+            object.__setattr__(self, field, freeze(array))
+        for kind, ids in (
+            ("site", [site.id for site in self.sites]),
+            ("instance", [instance.id for instance in self.instances]),
+        ):
+            repeated = sorted({name for name in ids if ids.count(name) > 1})
+            if repeated:
+                raise InputError(f"{self.name}: {kind}s", repeated[0], "every id once")
+
+    def __repr__(self) -> str:
+        return (
+            f"Scene({self.name!r}, {len(self.triangles)} triangles, "
+            f"{len(self.instances)} instances, {len(self.sites)} sites)"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lane:
+    """One lane of an arm.
+
+    Attributes
+    ----------
+    id : str
+        Name in the source.
+    kind : str
+        "driving" or "parking".
+    width_m : float
+        Full width. [m]
+    centreline_m : (n, 2) float
+        In driving direction. World frame. [m]
+    """
+
+    id: str
+    kind: str
+    width_m: float
+    centreline_m: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self,
+            "centreline_m",
+            float_array(self.centreline_m, (-1, 2), f"lane {self.id}.centreline_m"),
+        )

@@ -1,0 +1,142 @@
+"""Camera models: intrinsics, projection, field of view."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .arrays import FloatArray
+from .errors import InputError
+from .poses import Pose, camera_rotation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraModel:
+    """An ideal pinhole camera with square pixels and a centred principal point.
+
+    Attributes
+    ----------
+    name : str
+        Name in the catalogue.
+    width_px, height_px : int
+        Resolution.
+    horizontal_fov_deg : float
+        Full angle across the width, more than 0 and less than 180. [deg]
+    frame_rate_hz : float
+        Images per second. [Hz]
+    near_m : float
+        What is nearer than this to the lens is not drawn: the housing, the bracket and the pole
+        that carries the camera. [m]
+    price_eur : float
+        Price of one unit. [EUR]
+    """
+
+    name: str
+    width_px: int
+    height_px: int
+    horizontal_fov_deg: float
+    frame_rate_hz: float
+    near_m: float
+    price_eur: float
+
+    def __post_init__(self) -> None:
+        for field in ("width_px", "height_px"):
+            value = getattr(self, field)
+            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+                raise InputError(f"{self.name}.{field}", value, "a whole number of pixels, > 0")
+        if not 0.0 < self.horizontal_fov_deg < 180.0:
+            raise InputError(
+                f"{self.name}.horizontal_fov_deg", self.horizontal_fov_deg, "0 < degrees < 180"
+            )
+        for field in ("frame_rate_hz", "near_m"):
+            value = getattr(self, field)
+            if not (math.isfinite(value) and value > 0.0):
+                raise InputError(f"{self.name}.{field}", value, "a positive number")
+        if not (math.isfinite(self.price_eur) and self.price_eur >= 0.0):
+            raise InputError(f"{self.name}.price_eur", self.price_eur, "a number, at least 0")
+
+    @property
+    def focal_length_px(self) -> float:
+        """Focal length in pixels."""
+        return 0.5 * self.width_px / math.tan(math.radians(0.5 * self.horizontal_fov_deg))
+
+    @property
+    def vertical_fov_deg(self) -> float:
+        """Full angle across the height, in degrees."""
+        return math.degrees(2.0 * math.atan(0.5 * self.height_px / self.focal_length_px))
+
+    @property
+    def diagonal_fov_deg(self) -> float:
+        """Full angle across the diagonal, in degrees: the image lies within this cone."""
+        half_diagonal_px = 0.5 * math.hypot(self.width_px, self.height_px)
+        return math.degrees(2.0 * math.atan(half_diagonal_px / self.focal_length_px))
+
+
+def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> FloatArray:
+    """Project points of the world frame into the image.
+
+    Parameters
+    ----------
+    points_m : (n, 3) float
+        World frame. [m]
+    pose : Pose
+        Where the camera is and looks.
+    camera : CameraModel
+        Intrinsics.
+
+    Returns
+    -------
+    projected : (n, 3) float
+        Column and row in pixels (the centre of the first pixel is (0.5, 0.5)) and the depth along
+        the optical axis in metres; column and row are NaN where the depth is not positive.
+
+    References
+    ----------
+    .. [1] R. Hartley, A. Zisserman, "Multiple View Geometry", section 6.1 (pinhole camera).
+    """
+    offsets = np.asarray(points_m, dtype=np.float64) - pose.position_m
+    in_camera = offsets @ camera_rotation(pose.yaw_deg, pose.pitch_deg)
+    depth = in_camera[:, 2]
+    safe = np.where(depth > 0.0, depth, np.nan)
+    return np.stack(
+        [
+            0.5 * camera.width_px + camera.focal_length_px * in_camera[:, 0] / safe,
+            0.5 * camera.height_px + camera.focal_length_px * in_camera[:, 1] / safe,
+            depth,
+        ],
+        axis=1,
+    )
+
+
+def pixel_rays(
+    columns_px: ArrayLike, rows_px: ArrayLike, pose: Pose, camera: CameraModel
+) -> FloatArray:
+    """Directions through pixel centres, scaled so that one unit is one metre of depth.
+
+    Parameters
+    ----------
+    columns_px, rows_px : (n,) int
+        Pixel indices.
+    pose : Pose
+        Where the camera is and looks.
+    camera : CameraModel
+        Intrinsics.
+
+    Returns
+    -------
+    directions : (n, 3) float
+        World frame; not normalised: the component along the optical axis is 1.
+    """
+    columns = np.asarray(columns_px, dtype=np.float64) + 0.5
+    rows = np.asarray(rows_px, dtype=np.float64) + 0.5
+    in_camera = np.stack(
+        [
+            (columns - 0.5 * camera.width_px) / camera.focal_length_px,
+            (rows - 0.5 * camera.height_px) / camera.focal_length_px,
+            np.ones_like(columns),
+        ],
+        axis=1,
+    )
+    directions: FloatArray = in_camera @ camera_rotation(pose.yaw_deg, pose.pitch_deg).T
+    return directions

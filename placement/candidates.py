@@ -1,0 +1,111 @@
+"""Candidate poses: every site x height x camera x yaw x pitch."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import FloatArray
+from geometry.errors import InputError, Unquoted
+from geometry.poses import Pose
+from geometry.scene import Scene
+from geometry.sensors import CameraModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CandidatePose:
+    """A camera that could be mounted.
+
+    Attributes
+    ----------
+    id : str
+        Unique name.
+    site_id : str
+        Site of the scene that carries it; empty for a pose that belongs to no known site.
+    pose : Pose
+        Where it is and looks. World frame.
+    camera : CameraModel
+        What is mounted.
+    """
+
+    id: str
+    site_id: str
+    pose: Pose
+    camera: CameraModel
+
+    def __repr__(self) -> str:
+        return f"CandidatePose({self.id!r})"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CandidateGrid:
+    """Which poses are tried at every site.
+
+    Attributes
+    ----------
+    heights_m : (n,) float
+        Above the road; at a site with a smaller range the nearest height in its range. [m]
+    yaw_step_deg : float
+        Yaws are the multiples of this all around. [deg]
+    pitches_deg : (n,) float
+        Positive up. [deg]
+    cameras : tuple of CameraModel
+        Models to choose from.
+    """
+
+    heights_m: FloatArray
+    yaw_step_deg: float
+    pitches_deg: FloatArray
+    cameras: tuple[CameraModel, ...]
+
+
+def build_candidates(
+    scene: Scene, grid: CandidateGrid, *, extra: Sequence[CandidatePose] = ()
+) -> tuple[CandidatePose, ...]:
+    """Every site x height x camera x yaw x pitch, and some more by name.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its sites are used.
+    grid : CandidateGrid
+        What is tried at each.
+    extra : sequence of CandidatePose
+        Added behind, such as the poses of an existing layout.
+
+    Returns
+    -------
+    candidates : tuple of CandidatePose
+        Ids are unique.
+
+    Raises
+    ------
+    InputError
+        There is no site, or two ids are equal.
+    """
+    if not scene.sites:
+        raise InputError(f"{scene.name}: sites", Unquoted("none"), "at least one mount site")
+    yaws_deg = np.arange(-180.0 + grid.yaw_step_deg, 180.0 + 1e-9, grid.yaw_step_deg)
+    candidates = [
+        CandidatePose(
+            id=f"{site.id}/{height_m:g}m/{yaw_deg:g}/{pitch_deg:g}/{camera.name}",
+            site_id=site.id,
+            pose=Pose(
+                position_m=site.position_m + [0.0, 0.0, height_m],
+                yaw_deg=yaw_deg,
+                pitch_deg=pitch_deg,
+            ),
+            camera=camera,
+        )
+        for site in scene.sites
+        for height_m in np.unique(np.clip(grid.heights_m, *site.height_range_m))
+        for camera in grid.cameras
+        for yaw_deg in yaws_deg
+        for pitch_deg in grid.pitches_deg
+    ]
+    candidates += extra
+    ids = [candidate.id for candidate in candidates]
+    if len(set(ids)) < len(ids):
+        repeated = next(name for name in ids if ids.count(name) > 1)
+        raise InputError("candidates", repeated, "every id once")
+    return tuple(candidates)

@@ -1,0 +1,106 @@
+"""Verdicts of a layout by full perception + AEB."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, freeze
+from scenarios.runs import FrameAxis
+
+from .layout import Layout
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Verdict:
+    """What one sensing party achieves: a unit, the VUT, or several fused.
+
+    Attributes
+    ----------
+    detected : (n_frames,) bool
+        Frames in which the VRU is detected.
+    confirmation_time_s : (n_runs,) float
+        First confirmation, relative to the impact; infinite if there is none. [s]
+    is_avoided : (n_runs,) bool
+        Whether braking after it avoids the impact.
+    """
+
+    detected: BoolArray
+    confirmation_time_s: FloatArray
+    is_avoided: BoolArray
+
+    def __post_init__(self) -> None:
+        for field in ("detected", "confirmation_time_s", "is_avoided"):
+            object.__setattr__(self, field, freeze(getattr(self, field)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evaluation:
+    """A layout's verdicts.
+
+    Attributes
+    ----------
+    layout : Layout
+        What was evaluated.
+    axis : FrameAxis
+        Runs and frames.
+    vut : Verdict
+        The VUT's own camera alone.
+    units : mapping of str to Verdict
+        Each unit of the layout alone, by id, in the layout's order.
+    rsu_all : Verdict
+        All units fused: in each frame any of them may be the detector.
+    vut_and_rsus : Verdict
+        The same with the VUT's camera.
+    """
+
+    layout: Layout
+    axis: FrameAxis
+    vut: Verdict
+    units: Mapping[str, Verdict]
+    rsu_all: Verdict
+    vut_and_rsus: Verdict
+
+    def __repr__(self) -> str:
+        return (
+            f"Evaluation({self.layout.name!r}: APR {apr(self.rsu_all, self.axis):.4f} with "
+            f"{len(self.units)} units, {apr(self.vut, self.axis):.4f} by the VUT alone)"
+        )
+
+
+def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) -> float:
+    """Accident prevention ratio: weight of avoided runs / weight of all.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Whose.
+    axis : FrameAxis
+        Runs and their weights.
+    run_mask : (n_runs,) bool, optional
+        Count these runs only.
+
+    Returns
+    -------
+    apr : float
+        0 .. 1; NaN if the runs counted have no weight.
+    """
+    weight = axis.weight if run_mask is None else axis.weight * run_mask
+    total = float(weight.sum())
+    if total == 0.0:
+        return float("nan")
+    # Clipped: sums of shares can exceed 1 by rounding.
+    return min(1.0, float(weight[verdict.is_avoided].sum()) / total)
+
+
+def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
+    """Accident prevention ratio per case, in the order in which the cases first appear."""
+    cases = np.array(axis.cases)
+    return {case: apr(verdict, axis, cases == case) for case in dict.fromkeys(axis.cases)}
+
+
+def detected_share(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) -> float:
+    """Share of the frames of some runs in which the VRU is detected, 0 .. 1."""
+    n_frames = np.diff(axis.run_start)
+    frames = np.ones(axis.n_frames, dtype=bool) if run_mask is None else run_mask.repeat(n_frames)
+    return float(verdict.detected[frames].mean())

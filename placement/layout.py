@@ -1,0 +1,195 @@
+"""Layouts (what is mounted) and certificates (how good they are proven to be)."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geometry.catalogue import pick_camera
+from geometry.errors import InputError, Unquoted
+from geometry.poses import Pose
+
+from .candidates import CandidatePose
+
+SCHEMA = "place-rsus/layout/1"
+_NUMBERS = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Layout:
+    """Units that are mounted together.
+
+    Attributes
+    ----------
+    name : str
+        Name.
+    units : tuple of CandidatePose
+        The units; ids are unique.
+    """
+
+    name: str
+    units: tuple[CandidatePose, ...]
+
+    def __post_init__(self) -> None:
+        if not self.units:
+            raise InputError(f"layout {self.name}", Unquoted("no unit"), "at least one unit")
+        ids = [unit.id for unit in self.units]
+        if len(set(ids)) < len(ids):
+            repeated = next(name for name in ids if ids.count(name) > 1)
+            raise InputError(f"layout {self.name}: id", repeated, "every id once")
+
+    def __repr__(self) -> str:
+        return f"Layout({self.name!r}, {[unit.id for unit in self.units]})"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stage:
+    """One of the objectives that are optimised in order, each holding those before it.
+
+    Attributes
+    ----------
+    name : str
+        "apr", "apr_one_failed", "smallest_margin_s" or "mean_margin_s".
+    objective, bound : float
+        Value of the layout, and what no layout can exceed.
+    gap : float
+        (bound - objective) / |objective| as HiGHS defines it; 0 = proven optimal.
+    seconds : float
+        Time spent. [s]
+    """
+
+    name: str
+    objective: float
+    bound: float
+    gap: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Certificate:
+    """How good a layout is proven to be, on the detection table.
+
+    Attributes
+    ----------
+    stages : tuple of Stage
+        In order; the first is the APR.
+    solver : str
+        Name and version.
+    """
+
+    stages: tuple[Stage, ...]
+    solver: str
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether every stage's gap is closed."""
+        return all(stage.gap == 0.0 for stage in self.stages)
+
+
+def relative_gap(objective: float, bound: float) -> float:
+    """Relative distance of objective and bound as HiGHS defines it; 0 where they agree.
+
+    Examples
+    --------
+    >>> relative_gap(0.5, 0.6)
+    0.2
+    """
+    distance = abs(bound - objective)
+    if distance <= 1.0e-9 * max(1.0, abs(objective)):
+        return 0.0
+    return round(distance / abs(objective), 12) if objective != 0.0 else math.inf
+
+
+def layout_records(layout: Layout) -> list[dict[str, Any]]:
+    """Units as plain records: id, site, x_m, y_m, z_m, yaw_deg, pitch_deg, camera."""
+    return [
+        {
+            "id": unit.id,
+            "site": unit.site_id,
+            "x_m": float(unit.pose.position_m[0]),
+            "y_m": float(unit.pose.position_m[1]),
+            "z_m": float(unit.pose.position_m[2]),
+            "yaw_deg": unit.pose.yaw_deg,
+            "pitch_deg": unit.pose.pitch_deg,
+            "camera": unit.camera.name,
+        }
+        for unit in layout.units
+    ]
+
+
+def layout_from_records(name: str, records: Sequence[Any], where: str) -> Layout:
+    """Layout from plain records, checked field by field.
+
+    Parameters
+    ----------
+    name : str
+        Name of the layout.
+    records : sequence of mapping
+        As :func:`layout_records` writes them; "site" may be missing.
+    where : str
+        What is being read, for error messages.
+
+    Raises
+    ------
+    InputError
+        A field is missing or not of its kind, an id is repeated, a camera is unknown.
+    """
+    units = []
+    for index, record in enumerate(records):
+        here = f"{where}: layout[{index}]"
+        if not isinstance(record, Mapping):
+            raise InputError(here, record, "an object with the fields of a unit")
+        for key in ("id", "camera", *_NUMBERS):
+            if key not in record:
+                raise InputError(f"{here}.{key}", Unquoted("nothing"), "a value")
+        for key in ("id", "camera"):
+            if not isinstance(record[key], str) or not record[key]:
+                raise InputError(f"{here}.{key}", record[key], "text")
+        for key in _NUMBERS:
+            value = record[key]
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not is_number or not math.isfinite(value):
+                raise InputError(f"{here}.{key}", value, "a finite number")
+        if not -90.0 <= record["pitch_deg"] <= 90.0:
+            raise InputError(f"{here}.pitch_deg", record["pitch_deg"], "-90 .. 90 degrees")
+        site = record.get("site", "")
+        if not isinstance(site, str):
+            raise InputError(f"{here}.site", site, "text")
+        units.append(
+            CandidatePose(
+                id=record["id"],
+                site_id=site,
+                pose=Pose(
+                    position_m=np.array([record["x_m"], record["y_m"], record["z_m"]]),
+                    yaw_deg=record["yaw_deg"],
+                    pitch_deg=record["pitch_deg"],
+                ),
+                camera=pick_camera(record["camera"], f"{here}.camera"),
+            )
+        )
+    return Layout(name=name, units=tuple(units))
+
+
+def load_layout(path: Path) -> Layout:
+    """Layout from a JSON file: an object with the key "layout", a list of units.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not JSON, or a field is wrong.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
+    if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
+        raise InputError(
+            str(path), Unquoted("no list 'layout'"), 'an object {"layout": [units]}'
+        )
+    return layout_from_records(str(document.get("name", path.stem)), document["layout"], str(path))
