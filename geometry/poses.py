@@ -106,8 +106,7 @@ def to_world(points_body_m: ArrayLike, pose: Pose) -> FloatArray:
         World frame. [m]
     """
     points: FloatArray = (
-        np.asarray(points_body_m, dtype=np.float64)
-        @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
+        np.asarray(points_body_m, dtype=np.float64) @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
         + pose.position_m
     )
     return points

@@ -56,9 +56,7 @@ class Open3dCaster:
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         vertices, faces = _checked(vertices_m, triangles)
         if len(faces):
-            self._scene.add_triangles(
-                self._tensor(vertices), self._tensor(faces.astype(np.uint32))
-            )
+            self._scene.add_triangles(self._tensor(vertices), self._tensor(faces.astype(np.uint32)))
         self._is_empty = len(faces) == 0
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
@@ -104,9 +102,7 @@ class EmbreexCaster:
         if self._is_empty or len(origins_m) == 0:
             return np.zeros(len(origins_m), dtype=bool)
         ends = np.ones(len(origins_m), dtype=np.float32)
-        hits = self._scene.run(
-            *_contiguous(origins_m, vectors_m), dists=ends, query="OCCLUDED"
-        )
+        hits = self._scene.run(*_contiguous(origins_m, vectors_m), dists=ends, query="OCCLUDED")
         blocked: BoolArray = hits != -1
         return blocked
 
@@ -209,9 +205,7 @@ def _open3d_or_reason() -> tuple[Any, str | None]:
     except (ImportError, OSError) as error:
         library = str(error).split(":")[0]
         package = _DEBIAN_PACKAGES.get(library)
-        remedy = (
-            f"apt-get install {package}" if package else "pip install open3d-cpu, or open3d"
-        )
+        remedy = f"apt-get install {package}" if package else "pip install open3d-cpu, or open3d"
         return None, (
             f"Open3D cannot load ({library} is missing): rays are cast by embreex instead. "
             f"Same results; to use Open3D: {remedy}"

@@ -33,7 +33,9 @@ def load_toml(source: Path | Traversable) -> dict[str, Any]:
     try:
         return tomllib.loads(source.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(str(source), Unquoted(error.strerror or error), "a readable file") from None
+        raise InputError(
+            str(source), Unquoted(error.strerror or error), "a readable file"
+        ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(str(source), Unquoted(error), "valid TOML in UTF-8") from None
 

@@ -62,9 +62,7 @@ class DetectionTable:
         return f"DetectionTable({self.n_poses} poses, {self.axis.n_frames} frames)"
 
 
-def pack_table(
-    pose_ids: tuple[str, ...], axis: FrameAxis, detected: BoolArray
-) -> DetectionTable:
+def pack_table(pose_ids: tuple[str, ...], axis: FrameAxis, detected: BoolArray) -> DetectionTable:
     """Detection table from an array of booleans, (n_poses, n_frames)."""
     return DetectionTable(
         pose_ids=pose_ids, axis=axis, packed=np.packbits(detected, axis=1, bitorder="little")

@@ -189,7 +189,5 @@ def load_layout(path: Path) -> Layout:
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
-        raise InputError(
-            str(path), Unquoted("no list 'layout'"), 'an object {"layout": [units]}'
-        )
+        raise InputError(str(path), Unquoted("no list 'layout'"), 'an object {"layout": [units]}')
     return layout_from_records(str(document.get("name", path.stem)), document["layout"], str(path))

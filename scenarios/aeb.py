@@ -320,6 +320,4 @@ def is_in_time(
 
 
 def _footprints(actor: Actor, position_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
-    return footprint_corners(
-        position_m, yaw_deg, length_m=actor.length_m, width_m=actor.width_m
-    )
+    return footprint_corners(position_m, yaw_deg, length_m=actor.length_m, width_m=actor.width_m)

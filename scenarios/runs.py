@@ -341,5 +341,3 @@ def _build_parked(body: dict[str, Any], where: str) -> PlacedActor:
             pitch_deg=0.0,
         ),
     )
-
-
