@@ -121,4 +121,5 @@ def wrap_deg(angle_deg: ArrayLike) -> FloatArray:
     array([-170.,  180.,    0.])
     """
     wrapped: FloatArray = 180.0 - (180.0 - np.asarray(angle_deg, dtype=np.float64)) % 360.0
-    return wrapped
+    turned: FloatArray = wrapped + 360.0 * (wrapped <= -180.0)  # the remainder may round to 360
+    return turned

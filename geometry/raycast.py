@@ -169,8 +169,9 @@ def _checked(
     if not np.isfinite(vertices).all():
         raise InputError("vertices_m", "a vertex that is not finite", "finite coordinates")
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        outside = faces[(faces < 0) | (faces >= len(vertices))]
         raise InputError(
-            "triangles", int(faces.max()), f"vertex indices from 0 to {len(vertices) - 1}"
+            "triangles", int(outside[0]), f"vertex indices from 0 to {len(vertices) - 1}"
         )
     return vertices, faces
 
@@ -205,9 +206,10 @@ def _open3d_or_reason() -> tuple[Any, str | None]:
     except (ImportError, OSError) as error:
         library = str(error).split(":")[0]
         package = _DEBIAN_PACKAGES.get(library)
+        cause = f"{library} is missing" if package else " ".join(str(error).split())
         remedy = f"apt-get install {package}" if package else "pip install open3d-cpu, or open3d"
         return None, (
-            f"Open3D cannot load ({library} is missing): rays are cast by embreex instead. "
+            f"Open3D cannot load ({cause}): rays are cast by embreex instead. "
             f"Same results; to use Open3D: {remedy}"
         )
     return open3d, None

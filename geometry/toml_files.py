@@ -1,6 +1,6 @@
 """Reading TOML: every problem names the file, the field and what is expected."""
 
-import math
+import sys
 import tomllib
 from collections.abc import Mapping
 from importlib.resources.abc import Traversable
@@ -56,7 +56,8 @@ def take(table: Table, key: str, where: str) -> Any:
 def take_number(table: Table, key: str, where: str) -> float:
     """Finite number of a key that must be there."""
     value = take(table, key, where)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and abs(value) <= sys.float_info.max):
         raise InputError(f"{where}.{key}", value, "a finite number")
     return float(value)
 

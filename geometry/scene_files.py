@@ -1,0 +1,224 @@
+"""Scenes from disk: a TOML file with boxes, walls, poles and rows of parked cars."""
+
+from collections.abc import Iterator
+from functools import cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .actors import pick_actor
+from .arrays import FloatArray, float_array
+from .errors import InputError
+from .frames import from_carla_points, from_carla_yaw
+from .poses import Pose, to_world
+from .scene import Instance, Lane, Scene, Site
+from .toml_files import Table, load_toml, take, take_list, take_number, take_text
+
+_FRAMES = ("carla-left-handed",)
+_POLE_SECTIONS = 10
+
+# One thing of the scene: instance, vertices (world frame) and triangles.
+_Body = tuple[Instance, FloatArray, Any]
+
+
+@cache
+def load_study_scene() -> Scene:
+    """The junction of the CarlaNCAP study, from ``data/town05.toml``."""
+    return load_scene(files(__package__) / "data" / "town05.toml")
+
+
+def load_scene(source: Path | Traversable) -> Scene:
+    """Read a scene and build its mesh.
+
+    Parameters
+    ----------
+    source : Path or Traversable
+        A TOML file, laid out as ``geometry/data/town05.toml``.
+
+    Returns
+    -------
+    scene : Scene
+        World frame: right-handed east-north-up.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a field is missing or not of its kind.
+    """
+    table = load_toml(source)
+    where = source.name
+    frame = take_text(table, "frame", where)
+    if frame not in _FRAMES:
+        raise InputError(f"{where}: frame", frame, "one of " + ", ".join(_FRAMES))
+    bodies = [
+        body
+        for key, build in _BUILDERS.items()
+        for entry, here in _entries(table, key, where)
+        for body in build(entry, here)
+    ]
+    n_vertices = np.cumsum([0, *(len(vertices) for _, vertices, _ in bodies)])
+    return Scene(
+        name=take_text(table, "name", where),
+        vertices_m=np.concatenate([vertices for _, vertices, _ in bodies]),
+        triangles=np.concatenate(
+            [
+                triangles + first
+                for (_, _, triangles), first in zip(bodies, n_vertices[:-1], strict=True)
+            ]
+        ),
+        triangle_instance=np.repeat(
+            np.arange(len(bodies)), [len(triangles) for _, _, triangles in bodies]
+        ),
+        instances=tuple(instance for instance, _, _ in bodies),
+        sites=tuple(
+            _build_site(entry, here, end)
+            for key, end in (("poles", "position_m"), ("mast_arms", "to_m"))
+            for entry, here in _entries(table, key, where)
+        ),
+        outline_m=from_carla_points(take_list(table, "outline_m", where)),
+        lanes=tuple(_build_lane(entry, here) for entry, here in _entries(table, "lanes", where)),
+        crs=take_text(table, "crs", where),
+    )
+
+
+def _entries(table: Table, key: str, where: str) -> Iterator[tuple[Table, str]]:
+    if key == "ground":
+        yield take(table, key, where), f"{where}: {key}"
+        return
+    for index, entry in enumerate(table.get(key, [])):
+        yield entry, f"{where}: {key}[{index}]"
+
+
+def _build_lane(entry: Table, where: str) -> Lane:
+    return Lane(
+        id=take_text(entry, "id", where),
+        kind=take_text(entry, "kind", where),
+        width_m=_positive(entry, "width_m", where),
+        centreline_m=from_carla_points(take_list(entry, "centreline_m", where)),
+    )
+
+
+def _build_site(entry: Table, where: str, end: str) -> Site:
+    return Site(
+        id=take_text(entry, "id", where),
+        position_m=np.append(_point(entry, end, where), 0.0),
+        kind=entry.get("kind", "mast arm"),
+        height_range_m=float_array(
+            take_list(entry, "height_range_m", where), (2,), f"{where}.height_range_m"
+        ),
+        capacity_units=take(entry, "capacity_units", where),
+    )
+
+
+def _build_box(entry: Table, where: str) -> Iterator[_Body]:
+    yield _box(
+        Instance(id=take_text(entry, "id", where), class_name="building"),
+        middle_m=_point(entry, "position_m", where),
+        yaw_deg=float(from_carla_yaw(take_number(entry, "yaw_deg", where))),
+        size_m=[_positive(entry, f"{side}_m", where) for side in ("length", "width", "height")],
+    )
+
+
+def _build_wall(entry: Table, where: str) -> Iterator[_Body]:
+    start, end = _point(entry, "from_m", where), _point(entry, "to_m", where)
+    east, north = end - start
+    thickness_m = _positive(entry, "thickness_m", where)
+    yield _box(
+        Instance(id=take_text(entry, "id", where), class_name="wall"),
+        middle_m=0.5 * (start + end),
+        yaw_deg=float(np.degrees(np.arctan2(north, east))),
+        # Half a thickness longer at both ends: walls that meet at a corner close it.
+        size_m=[
+            float(np.hypot(east, north)) + thickness_m,
+            thickness_m,
+            _positive(entry, "height_m", where),
+        ],
+    )
+
+
+def _build_row(entry: Table, where: str) -> Iterator[_Body]:
+    name = take_text(entry, "id", where)
+    yaw_deg = float(from_carla_yaw(take_number(entry, "yaw_deg", where)))
+    backwards = -np.array([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))])
+    bumper = _point(entry, "first_m", where)
+    for index, actor_name in enumerate(take_list(entry, "actors", where)):
+        actor = pick_actor(actor_name, f"{where}.actors[{index}]")
+        middle = bumper + 0.5 * actor.length_m * backwards
+        pose = Pose(position_m=np.append(middle, 0.0), yaw_deg=yaw_deg)
+        instance = Instance(id=f"{name}-{index + 1}", class_name="parked vehicle")
+        yield instance, to_world(actor.vertices_m, pose), actor.triangles
+        bumper = bumper + (actor.length_m + take_number(entry, "gap_m", where)) * backwards
+
+
+def _build_pole(entry: Table, where: str) -> Iterator[_Body]:
+    foot = np.append(_point(entry, "position_m", where), 0.0)
+    yield _cylinder(
+        Instance(id=take_text(entry, "id", where), class_name=take_text(entry, "kind", where)),
+        start_m=foot,
+        end_m=foot + [0.0, 0.0, _positive(entry, "height_m", where)],
+        radius_m=_positive(entry, "radius_m", where),
+    )
+
+
+def _build_arm(entry: Table, where: str) -> Iterator[_Body]:
+    height_m = _positive(entry, "height_m", where)
+    yield _cylinder(
+        Instance(id=take_text(entry, "id", where), class_name="traffic light"),
+        start_m=np.append(_point(entry, "from_m", where), height_m),
+        end_m=np.append(_point(entry, "to_m", where), height_m),
+        radius_m=_positive(entry, "radius_m", where),
+    )
+
+
+def _build_ground(entry: Table, where: str) -> Iterator[_Body]:
+    half = _positive(entry, "half_size_m", where)
+    middle = _point(entry, "position_m", where)
+    corners = middle + half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    yield (
+        Instance(id="ground", class_name="ground"),
+        np.column_stack([corners, np.zeros(4)]),
+        np.array([[0, 1, 2], [0, 2, 3]]),
+    )
+
+
+_BUILDERS = {
+    "ground": _build_ground,
+    "buildings": _build_box,
+    "walls": _build_wall,
+    "parked_rows": _build_row,
+    "poles": _build_pole,
+    "mast_arms": _build_arm,
+}
+
+
+def _box(instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: list[float]) -> _Body:
+    import trimesh
+
+    box = trimesh.creation.box(extents=size_m)
+    pose = Pose(position_m=np.append(middle_m, 0.5 * size_m[2]), yaw_deg=yaw_deg)
+    return instance, to_world(box.vertices, pose), box.faces
+
+
+def _cylinder(
+    instance: Instance, *, start_m: FloatArray, end_m: FloatArray, radius_m: float
+) -> _Body:
+    import trimesh
+
+    cylinder = trimesh.creation.cylinder(
+        radius=radius_m, segment=[start_m, end_m], sections=_POLE_SECTIONS
+    )
+    return instance, cylinder.vertices, cylinder.faces
+
+
+def _point(entry: Table, key: str, where: str) -> FloatArray:
+    return from_carla_points(float_array(take_list(entry, key, where), (2,), f"{where}.{key}"))
+
+
+def _positive(entry: Table, key: str, where: str) -> float:
+    value = take_number(entry, key, where)
+    if value <= 0.0:
+        raise InputError(f"{where}.{key}", value, "a number > 0")
+    return value

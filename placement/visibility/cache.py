@@ -1,0 +1,135 @@
+"""Detection tables on disk, under a hash of everything that went into them."""
+
+import hashlib
+import logging
+import zipfile
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from geometry.actors import Actor
+from geometry.atomic_files import write_atomically
+from geometry.scene import Scene
+from scenarios.runs import FrameAxis, Run
+
+from ..candidates import CandidatePose
+from ..detection_table import DetectionTable
+from ..detector import Detector
+from . import build
+
+_FORMAT = "place-rsus/table/1"  # raise it whenever the same inputs give another table
+_log = logging.getLogger(__name__)
+
+
+def table_fingerprint(
+    scene: Scene,
+    candidates: Sequence[CandidatePose],
+    runs: Sequence[Run],
+    detector: Detector,
+) -> str:
+    """Hash of all that a detection table depends on.
+
+    Parameters
+    ----------
+    scene, candidates, runs, detector
+        As given to :func:`placement.visibility.build.build_detection_table`.
+
+    Returns
+    -------
+    fingerprint : str
+        32 hexadecimal digits.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+
+    def add(*values: object) -> None:
+        for value in values:
+            if isinstance(value, np.ndarray):
+                digest.update(f"{value.dtype}{value.shape}".encode())
+                digest.update(np.ascontiguousarray(value).tobytes())
+            else:
+                digest.update(repr(value).encode())
+            digest.update(b"\0")
+
+    def add_actor(actor: Actor) -> None:
+        add(actor.name, actor.vertices_m, actor.triangles)
+
+    add(_FORMAT, build.N_POINTS, build.SEED, asdict(detector))
+    add(scene.vertices_m, scene.triangles, scene.outline_m)
+    for camera in dict.fromkeys(candidate.camera for candidate in candidates):
+        add(asdict(camera))
+    add([(candidate.id, candidate.camera.name) for candidate in candidates])
+    add(np.array([candidate.pose.position_m for candidate in candidates]))
+    add(np.array([(c.pose.yaw_deg, c.pose.pitch_deg) for c in candidates]))
+    for actor in dict.fromkeys(
+        actor for run in runs for actor in (run.encounter.vut, run.encounter.vru)
+    ):
+        add_actor(actor)
+    for run in runs:
+        add(run.id, run.encounter.vut.name, run.encounter.vru.name, run.time_s)
+        add(run.vut_position_m, run.vut_yaw_deg, run.vru_position_m, run.vru_yaw_deg)
+        for parked in run.obstruction:
+            add_actor(parked.actor)
+            add(parked.pose.position_m, parked.pose.yaw_deg)
+    return digest.hexdigest()
+
+
+def save_table(path: Path, table: DetectionTable, *, fingerprint: str) -> None:
+    """Write a table, whole or not at all; a folder that cannot be written to is only logged.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its folder is made.
+    table : DetectionTable
+        What to keep.
+    fingerprint : str
+        Of the table's inputs.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(
+            path,
+            lambda file: np.savez(
+                file, format=_FORMAT, fingerprint=fingerprint, packed=table.packed
+            ),
+        )
+    except OSError as error:
+        _log.warning("detection table not cached: %s: %s", path, error.strerror or error)
+
+
+def load_table(
+    path: Path, *, fingerprint: str, candidates: Sequence[CandidatePose], axis: FrameAxis
+) -> DetectionTable | None:
+    """Read a table; a damaged or foreign file is logged and not used.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    fingerprint : str
+        What the table must have been made from.
+    candidates, axis
+        Rows and columns of the table.
+
+    Returns
+    -------
+    table : DetectionTable or None
+        None if there is no such file, or it cannot be trusted.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            if str(stored["format"]) != _FORMAT or str(stored["fingerprint"]) != fingerprint:
+                raise ValueError("made from other inputs")
+            return DetectionTable(
+                pose_ids=tuple(candidate.id for candidate in candidates),
+                axis=axis,
+                packed=stored["packed"],
+            )
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        _log.warning("cached detection table not used, made anew: %s: %s", path, error)
+        return None

@@ -1,0 +1,349 @@
+"""Rays from a mount position to the VRU's points: once per position and unique VRU pose.
+
+A ray does not depend on where the camera looks, and the VRU's pose depends on the time to impact
+only, not on the VUT's speed. What moves needs no scene of its own: the rays are taken into the
+frame of the VRU, or of the VUT, and cast against one fixed scene each.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.actors import Actor, PlacedActor
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.poses import body_rotation, to_world
+from geometry.raycast import FloatRays, RayCaster, build_caster
+from geometry.scene import Scene
+from scenarios.runs import Run
+
+from .surface import Surface, build_surface
+
+_OFF_SURFACE_M = 1.0e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VruViews:
+    """Every distinct (body, pose, static world) in which a VRU is looked at.
+
+    Attributes
+    ----------
+    position_m : (n_views, 2) float
+        Middle of the footprint, relative to the origin of `World`. [m]
+    yaw_deg : (n_views,) float
+        Heading. [deg]
+    surface_index, static_index : (n_views,) int
+        Into the surfaces and static casters of `World`.
+    points_m : (n_views, n_points, 3) float32
+        The body's points, relative to the origin of `World`. [m]
+    view_of_frame : (n_frames,) int
+        Which view each frame of the frame axis shows.
+    """
+
+    position_m: FloatArray
+    yaw_deg: FloatArray
+    surface_index: IntArray
+    static_index: IntArray
+    points_m: FloatRays
+    view_of_frame: IntArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class World:
+    """All that rays are cast against, and all that they are cast to.
+
+    Attributes
+    ----------
+    origin_m : (3,) float
+        Subtracted from every coordinate: rays are cast in single precision. [m]
+    static : tuple of RayCaster
+        The scene with each distinct obstruction.
+    surfaces : tuple of Surface
+        Each distinct VRU body, and its caster in `bodies`.
+    bodies : tuple of RayCaster
+        VRU bodies in their own frame.
+    vut : Actor
+        The vehicle under test, and its caster in its own frame.
+    vut_body : RayCaster
+        See `vut`.
+    vut_position_m, vut_yaw_deg : (n_frames, 2), (n_frames,) float
+        Relative to `origin_m`. [m], [deg]
+    views : VruViews
+        What is looked at.
+    """
+
+    origin_m: FloatArray
+    static: tuple[RayCaster, ...]
+    surfaces: tuple[Surface, ...]
+    bodies: tuple[RayCaster, ...]
+    vut: Actor
+    vut_body: RayCaster
+    vut_position_m: FloatArray
+    vut_yaw_deg: FloatArray
+    views: VruViews
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sight:
+    """What one mount position sees of the VRU, whatever the camera's direction.
+
+    Attributes
+    ----------
+    view_index : (n,) int
+        View of each entry.
+    is_visible : (n, n_points) bool
+        Points that the rays reach.
+    is_whole : (n,) bool
+        Nothing but the VRU itself hides any of its points.
+    entry_of_frame : (n_frames,) int
+        Entry that a frame shows; -1 where nothing of the VRU is seen.
+    """
+
+    view_index: IntArray
+    is_visible: BoolArray
+    is_whole: BoolArray
+    entry_of_frame: IntArray
+
+
+def build_world(scene: Scene, runs: Sequence[Run], *, n_points: int, seed: int) -> World:
+    """Prepare scenes, bodies and views for rays.
+
+    Parameters
+    ----------
+    scene : Scene
+        What stands still.
+    runs : sequence of Run
+        All with the same VUT.
+    n_points : int
+        Points per VRU.
+    seed : int
+        Of the points.
+
+    Returns
+    -------
+    world : World
+        Ready for :func:`cast_sight`, from any thread.
+    """
+    origin = np.append(scene.outline_m.mean(axis=0), 0.0)
+    actors = list(dict.fromkeys(run.encounter.vru for run in runs))
+    obstructions = list(dict.fromkeys(run.obstruction for run in runs))
+    vut = runs[0].encounter.vut
+    surfaces = tuple(build_surface(actor, n_points=n_points, seed=seed) for actor in actors)
+    return World(
+        origin_m=origin,
+        static=tuple(_static_caster(scene, parked, origin) for parked in obstructions),
+        surfaces=surfaces,
+        bodies=tuple(build_caster(actor.vertices_m, actor.triangles) for actor in actors),
+        vut=vut,
+        vut_body=build_caster(vut.vertices_m, vut.triangles),
+        vut_position_m=np.concatenate([run.vut_position_m for run in runs]) - origin[:2],
+        vut_yaw_deg=np.concatenate([run.vut_yaw_deg for run in runs]),
+        views=_build_views(runs, surfaces, actors, obstructions, origin),
+    )
+
+
+def _static_caster(
+    scene: Scene, obstruction: tuple[PlacedActor, ...], origin_m: FloatArray
+) -> RayCaster:
+    vertices, triangles = [scene.vertices_m], [np.asarray(scene.triangles)]
+    for parked in obstruction:
+        triangles.append(np.asarray(parked.actor.triangles + sum(map(len, vertices))))
+        vertices.append(to_world(parked.actor.vertices_m, parked.pose))
+    return build_caster(np.concatenate(vertices) - origin_m, np.concatenate(triangles))
+
+
+def _build_views(
+    runs: Sequence[Run],
+    surfaces: tuple[Surface, ...],
+    actors: list[Actor],
+    obstructions: list[tuple[PlacedActor, ...]],
+    origin_m: FloatArray,
+) -> VruViews:
+    rows = np.concatenate(
+        [
+            np.column_stack(
+                [
+                    run.vru_position_m - origin_m[:2],
+                    run.vru_yaw_deg,
+                    np.full(len(run.time_s), actors.index(run.encounter.vru)),
+                    np.full(len(run.time_s), obstructions.index(run.obstruction)),
+                ]
+            )
+            for run in runs
+        ]
+    )
+    # Rounded to a tenth of a millimetre: the same pose at another speed differs in the last bits.
+    _, first, view_of_frame = np.unique(
+        rows.round(4), axis=0, return_index=True, return_inverse=True
+    )
+    unique = rows[first]
+    surface_index = unique[:, 3].astype(np.int64)
+    body_points = np.stack([surface.points_m for surface in surfaces])[surface_index]
+    points = body_points @ np.swapaxes(body_rotation(unique[:, 2]), 1, 2)
+    points[..., :2] += unique[:, None, :2]
+    return VruViews(
+        position_m=unique[:, :2],
+        yaw_deg=unique[:, 2],
+        surface_index=surface_index,
+        static_index=unique[:, 4].astype(np.int64),
+        points_m=points.astype(np.float32),
+        view_of_frame=view_of_frame.ravel(),
+    )
+
+
+def cast_sight(
+    world: World, position_m: FloatArray, *, near_m: float, max_distance_m: float
+) -> Sight:
+    """Cast all rays of one mount position.
+
+    Parameters
+    ----------
+    world : World
+        What is looked at and what is in the way.
+    position_m : (3,) float
+        Mount position, world frame. [m]
+    near_m : float
+        What is nearer than this to the lens hides nothing. [m]
+    max_distance_m : float
+        VRUs farther than this are not looked at. [m]
+
+    Returns
+    -------
+    sight : Sight
+        Entries without any visible point are left out.
+    """
+    views = world.views
+    eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
+    ground_distance = np.hypot(*(views.position_m - eye[:2]).T)
+    near_views = np.flatnonzero(np.hypot(ground_distance, eye[2]) <= max_distance_m)
+    faces_eye = _is_self_visible(world, eye, near_views)
+    is_visible = faces_eye & ~_is_blocked_by_static(
+        world, eye, near_views, faces_eye, near_m=near_m
+    )
+
+    entry_of_view = np.full(len(views.yaw_deg), -1)
+    is_seen = is_visible.any(axis=1)
+    entry_of_view[near_views[is_seen]] = np.arange(int(is_seen.sum()))
+    near_views, is_visible, faces_eye = (
+        near_views[is_seen],
+        is_visible[is_seen],
+        faces_eye[is_seen],
+    )
+    entry_of_frame = entry_of_view[views.view_of_frame]
+
+    frames = _frames_behind_vut(world, eye, entry_of_frame)
+    entries = entry_of_frame[frames]
+    behind_vut = _is_blocked_by_vut(
+        world, eye, frames, near_views[entries], is_visible[entries], near_m=near_m
+    )
+    is_hit = behind_vut.any(axis=1)
+    frames, entries, behind_vut = frames[is_hit], entries[is_hit], behind_vut[is_hit]
+    left_visible = is_visible[entries] & ~behind_vut
+    is_left = left_visible.any(axis=1)
+    entry_of_frame[frames] = -1
+    entry_of_frame[frames[is_left]] = len(near_views) + np.arange(int(is_left.sum()))
+    return Sight(
+        view_index=np.concatenate([near_views, near_views[entries[is_left]]]),
+        is_visible=np.concatenate([is_visible, left_visible[is_left]]),
+        is_whole=np.concatenate(
+            [(is_visible == faces_eye).all(axis=1), np.zeros(int(is_left.sum()), dtype=bool)]
+        ),
+        entry_of_frame=entry_of_frame,
+    )
+
+
+def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
+    """Points that the VRU's own body does not hide, (n, n_points)."""
+    views = world.views
+    n_points = views.points_m.shape[1]
+    visible = np.empty((len(view_index), n_points), dtype=bool)
+    offset = np.column_stack(
+        [eye_m[:2] - views.position_m[view_index], np.full(len(view_index), eye_m[2])]
+    )
+    # Row vectors times R_world_body = coordinates in the body frame.
+    eye_body = np.einsum("ni,nij->nj", offset, body_rotation(views.yaw_deg[view_index]))
+    for index, (surface, body) in enumerate(zip(world.surfaces, world.bodies, strict=True)):
+        rows = np.flatnonzero(views.surface_index[view_index] == index)
+        origins = np.repeat(eye_body[rows].astype(np.float32), n_points, axis=0)
+        vectors = np.tile(surface.points_m.astype(np.float32), (len(rows), 1)) - origins
+        end = 1.0 - _OFF_SURFACE_M / np.linalg.norm(eye_body[rows], axis=1)
+        vectors *= np.repeat(end.astype(np.float32), n_points)[:, None]
+        visible[rows] = ~body.is_blocked(origins, vectors).reshape(len(rows), n_points)
+    return visible
+
+
+def _is_blocked_by_static(
+    world: World,
+    eye_m: FloatArray,
+    view_index: IntArray,
+    is_asked: BoolArray,
+    *,
+    near_m: float,
+) -> BoolArray:
+    """Points hidden by the scene or the case's obstruction, (n, n_points)."""
+    views = world.views
+    blocked = np.zeros(is_asked.shape, dtype=bool)
+    for index, caster in enumerate(world.static):
+        rows = np.flatnonzero(views.static_index[view_index] == index)
+        asked = is_asked[rows]
+        vectors = views.points_m[view_index[rows]][asked] - eye_m.astype(np.float32)
+        part = np.zeros(asked.shape, dtype=bool)
+        part[asked] = caster.is_blocked(
+            *_shorten(np.broadcast_to(eye_m.astype(np.float32), vectors.shape), vectors, near_m)
+        )
+        blocked[rows] = part
+    return blocked
+
+
+def _frames_behind_vut(world: World, eye_m: FloatArray, entry_of_frame: IntArray) -> IntArray:
+    """Frames in which the VUT may stand between eye and VRU: a conservative sieve."""
+    frames = np.flatnonzero(entry_of_frame >= 0)
+    target = world.views.position_m[world.views.view_of_frame[frames]]
+    way = target - eye_m[:2]
+    to_vut = world.vut_position_m[frames] - eye_m[:2]
+    share = np.clip((to_vut * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-9), 0.0, 1.0)
+    beside_m = np.hypot(*(to_vut - share[:, None] * way).T)
+    reach_m = 0.5 * np.hypot(world.vut.length_m, world.vut.width_m) + max(
+        0.5 * np.hypot(surface.actor.length_m, surface.actor.width_m) for surface in world.surfaces
+    )
+    # Highest ray over the near end of the VUT: from the eye down to the road below the VRU.
+    reach_share = reach_m / np.maximum(np.hypot(*way.T), 1e-9)
+    lowest_m = eye_m[2] * (1.0 - np.minimum(share + reach_share, 1.0))
+    kept: IntArray = frames[(beside_m <= reach_m) & (lowest_m <= world.vut.height_m)]
+    return kept
+
+
+def _is_blocked_by_vut(
+    world: World,
+    eye_m: FloatArray,
+    frames: IntArray,
+    view_index: IntArray,
+    is_asked: BoolArray,
+    *,
+    near_m: float,
+) -> BoolArray:
+    """Points hidden by the VUT, by rays in its frame, (n, n_points)."""
+    blocked = np.zeros(is_asked.shape, dtype=bool)
+    if len(frames) == 0:
+        return blocked
+    rotation = body_rotation(world.vut_yaw_deg[frames])
+    vut_position = np.column_stack([world.vut_position_m[frames], np.zeros(len(frames))])
+    eye_vut = np.einsum("ni,nij->nj", eye_m - vut_position, rotation)
+    points = world.views.points_m[view_index] - vut_position[:, None, :]
+    points_vut = (points @ rotation).astype(np.float32)
+    row = np.repeat(np.arange(len(frames)), is_asked.sum(axis=1))
+    origins = eye_vut.astype(np.float32)[row]
+    vectors = points_vut[is_asked] - origins
+    blocked[is_asked] = world.vut_body.is_blocked(*_shorten(origins, vectors, near_m))
+    return blocked
+
+
+def _shorten(
+    origins_m: NDArray[np.float32], vectors_m: NDArray[np.float32], near_m: float
+) -> tuple[FloatRays, FloatRays]:
+    """Rays that start `near_m` from the eye and end a millimetre before the point."""
+    length = np.sqrt(np.einsum("ij,ij->i", vectors_m, vectors_m))
+    start = (np.float32(near_m) / length)[:, None]
+    rest = ((length - np.float32(near_m + _OFF_SURFACE_M)) / length)[:, None]
+    return origins_m + start * vectors_m, vectors_m * rest
