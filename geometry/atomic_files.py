@@ -29,8 +29,8 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
         # mkstemp makes files private; a result is as readable as any other new file.
         mask = os.umask(0)
         os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
+        Path(temporary).chmod(0o666 & ~mask)
+        Path(temporary).replace(path)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import BoolArray
-from .errors import InputError
+from .errors import InputError, Unquoted
 
 FloatRays = NDArray[np.float32]
 
@@ -167,7 +167,9 @@ def _checked(
     vertices = np.ascontiguousarray(vertices_m, dtype=np.float32).reshape(-1, 3)
     faces = np.ascontiguousarray(triangles, dtype=np.int32).reshape(-1, 3)
     if not np.isfinite(vertices).all():
-        raise InputError("vertices_m", "a vertex that is not finite", "finite coordinates")
+        raise InputError(
+            "vertices_m", Unquoted("a vertex that is not finite"), "finite coordinates"
+        )
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
         outside = faces[(faces < 0) | (faces >= len(vertices))]
         raise InputError(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, float_array, freeze
 from .errors import InputError
@@ -165,3 +165,48 @@ class Lane:
             "centreline_m",
             float_array(self.centreline_m, (-1, 2), f"lane {self.id}.centreline_m"),
         )
+
+
+_SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")
+
+
+def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
+    """The building, wall, plant or parked vehicle that a point lies in.
+
+    Parameters
+    ----------
+    scene : Scene
+        Where to look. Posts and masts carry sensors and are not looked at.
+    position_m : (3,) float
+        World frame. [m]
+
+    Returns
+    -------
+    instance : Instance or None
+        None in the open air.
+
+    References
+    ----------
+    .. [1] A. van Oosterom, J. Strackee, "The solid angle of a plane triangle", 1983: the triangles
+       of a closed mesh that surrounds a point fill the whole sphere around it.
+    """
+    point = float_array(position_m, (3,), "position_m")
+    for index, instance in enumerate(scene.instances):
+        if instance.class_name not in _SOLID_CLASSES:
+            continue
+        corners = scene.vertices_m[scene.triangles[scene.triangle_instance == index]] - point
+        if (corners.min(axis=(0, 1)) > 0.0).any() or (corners.max(axis=(0, 1)) < 0.0).any():
+            continue
+        a, b, c = np.swapaxes(corners, 0, 1)
+        length_a, length_b, length_c = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+        volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+        product = (
+            length_a * length_b * length_c
+            + np.einsum("ij,ij->i", a, b) * length_c
+            + np.einsum("ij,ij->i", b, c) * length_a
+            + np.einsum("ij,ij->i", c, a) * length_b
+        )
+        solid_angle = 2.0 * np.arctan2(volume, product).sum()
+        if abs(solid_angle) > 2.0 * np.pi:
+            return instance
+    return None

@@ -2,14 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 
 import numpy as np
 
-from geometry.arrays import FloatArray
+from geometry.arrays import FloatArray, float_array
+from geometry.catalogue import pick_camera
 from geometry.errors import InputError, Unquoted
 from geometry.poses import Pose
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
+from geometry.toml_files import load_toml, take_list, take_number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,3 +113,23 @@ def build_candidates(
         repeated = next(name for name in ids if ids.count(name) > 1)
         raise InputError("candidates", repeated, "every id once")
     return tuple(candidates)
+
+
+@cache
+def load_candidate_grid() -> CandidateGrid:
+    """The default grid, from ``data/candidates.toml``."""
+    where = "candidates.toml"
+    table = load_toml(files(__package__) / "data" / where)
+    yaw_step_deg = take_number(table, "yaw_step_deg", where)
+    if not 0.0 < yaw_step_deg <= 360.0:
+        raise InputError(f"{where}: yaw_step_deg", yaw_step_deg, "0 < degrees <= 360")
+    return CandidateGrid(
+        heights_m=float_array(take_list(table, "heights_m", where), (-1,), f"{where}: heights_m"),
+        yaw_step_deg=yaw_step_deg,
+        pitches_deg=float_array(
+            take_list(table, "pitches_deg", where), (-1,), f"{where}: pitches_deg"
+        ),
+        cameras=tuple(
+            pick_camera(name, f"{where}: cameras") for name in take_list(table, "cameras", where)
+        ),
+    )

@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError, Unquoted
 from geometry.poses import Pose
+from geometry.scene import Scene, containing_instance
 
 from .candidates import CandidatePose
 
@@ -152,7 +154,7 @@ def layout_from_records(name: str, records: Sequence[Any], where: str) -> Layout
         for key in _NUMBERS:
             value = record[key]
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not is_number or not math.isfinite(value):
+            if not (is_number and abs(value) <= sys.float_info.max):
                 raise InputError(f"{here}.{key}", value, "a finite number")
         if not -90.0 <= record["pitch_deg"] <= 90.0:
             raise InputError(f"{here}.pitch_deg", record["pitch_deg"], "-90 .. 90 degrees")
@@ -191,3 +193,37 @@ def load_layout(path: Path) -> Layout:
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
         raise InputError(str(path), Unquoted("no list 'layout'"), 'an object {"layout": [units]}')
     return layout_from_records(str(document.get("name", path.stem)), document["layout"], str(path))
+
+
+def check_layout(layout: Layout, scene: Scene) -> None:
+    """Check that every unit hangs in the open air above the road, at a site that exists.
+
+    Parameters
+    ----------
+    layout : Layout
+        What is to be mounted.
+    scene : Scene
+        Where.
+
+    Raises
+    ------
+    InputError
+        A unit is underground or inside something, or names an unknown site.
+    """
+    sites = {site.id for site in scene.sites}
+    for unit in layout.units:
+        where = f"layout {layout.name}: {unit.id}"
+        height_m = float(unit.pose.position_m[2])
+        if height_m <= 0.0:
+            raise InputError(f"{where}.z_m", height_m, "a height above the road, > 0 m")
+        around = containing_instance(scene, unit.pose.position_m)
+        if around is not None:
+            raise InputError(
+                where,
+                Unquoted(f"a pose inside {around.class_name} {around.id}"),
+                "a pose in the open air",
+            )
+        if unit.site_id and unit.site_id not in sites:
+            raise InputError(
+                f"{where}.site", unit.site_id, f"a site of {scene.name}, or an empty text"
+            )

@@ -210,6 +210,7 @@ def last_brake_time_s(encounter: Encounter, *, deceleration_mps2: float) -> floa
         touches = (
             smallest_separation_m(encounter, onsets, deceleration_mps2=deceleration_mps2) <= 0.0
         )
+        touches[-1] = True  # seen before, perhaps only by the other time step
         late = int(np.argmax(touches))
         low, high = onsets[max(late - 1, 0)], onsets[late]
     return float(low)

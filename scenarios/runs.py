@@ -282,9 +282,8 @@ def _build_placement(entry: Table, where: str) -> CasePlacement:
         raise InputError(f"{where}.approach", approach, "one of " + ", ".join(APPROACHES))
     vut_path = _build_path(entry, "vut", where)
     vru_path = _build_path(entry, "vru", where)
-    collision = from_carla_points(
-        float_array(take_list(entry, "collision_point_m", where), (2,), f"{where}.collision_point")
-    )
+    point = take_list(entry, "collision_point_m", where)
+    collision = from_carla_points(float_array(point, (2,), f"{where}.collision_point_m"))
     if case.kind == "crossing":
         vut_meeting, vru_meeting = _crossing_distances(vut_path, vru_path, where)
     else:
@@ -294,9 +293,7 @@ def _build_placement(entry: Table, where: str) -> CasePlacement:
     east, north = collision - met_m
     beside_m = abs(vut_path.direction[0] * north - vut_path.direction[1] * east)
     if beside_m > _ON_LINE_TOLERANCE_M:
-        raise InputError(
-            f"{where}.collision_point_m", collision.tolist(), "a point on the VUT's path"
-        )
+        raise InputError(f"{where}.collision_point_m", point, "a point on the VUT's path")
     if not (vut_meeting > 0.0 and vru_meeting > 0.0):
         raise InputError(
             where, Unquoted("paths that meet behind a start"), "starts before the meeting point"

@@ -82,8 +82,8 @@ def build_detection_table(
 def max_distance_m(camera: CameraModel, detector: Detector, *, vru_height_m: float) -> float:
     """Distance beyond which no VRU is high enough in the image to be detected.
 
-    A body of height h at distance d from the lens spans at most h / d * f / cos^2(e) pixels, e being
-    the largest angle off the optical axis.
+    A body of height h at distance d from the lens spans at most h / d * f / cos^2(e) pixels, where
+    e is the largest angle off the optical axis.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def max_distance_m(camera: CameraModel, detector: Detector, *, vru_height_m: flo
     if detector.min_box_height_px == 0.0:
         return np.inf
     stretch = 1.0 / np.cos(np.radians(0.5 * camera.diagonal_fov_deg)) ** 2
-    return vru_height_m * camera.focal_length_px * stretch / detector.min_box_height_px
+    return float(vru_height_m * camera.focal_length_px * stretch / detector.min_box_height_px)
 
 
 def _group_by_mount(candidates: Sequence[CandidatePose]) -> list[IntArray]:

@@ -1,0 +1,59 @@
+"""The CarlaNCAP study: its setting and its layout of 12 cameras."""
+
+from functools import cache
+from importlib.resources import files
+
+from geometry.actors import pick_actor
+from geometry.arrays import float_array
+from geometry.catalogue import pick_camera
+from geometry.frames import from_carla_pose
+from geometry.scene_files import load_study_scene
+from geometry.toml_files import load_toml, take_list, take_number, take_text
+from placement.candidates import CandidatePose
+from placement.detector import load_detector
+from placement.layout import Layout
+from placement.setting import Setting
+from scenarios.aeb import load_aeb_rule
+from scenarios.exposure import weight_per_run
+from scenarios.runs import build_frame_axis, build_runs, load_placements
+
+BASELINE_NAME = "carlancap-12"
+
+
+def build_study_setting() -> Setting:
+    """The study's junction, cases, braking rule and detector, every run with equal weight."""
+    rule = load_aeb_rule()
+    runs = build_runs(load_placements(), vut=pick_actor("vut", "vut"), rule=rule)
+    return Setting(
+        scene=load_study_scene(),
+        runs=runs,
+        axis=build_frame_axis(runs, weight_per_run(runs)),
+        rule=rule,
+        detector=load_detector(),
+    )
+
+
+@cache
+def load_carlancap_layout() -> Layout:
+    """The study's 12 roadside cameras, from ``data/carla_ncap_layout.toml``."""
+    where = "carla_ncap_layout.toml"
+    table = load_toml(files(__package__) / "data" / where)
+    camera = pick_camera(take_text(table, "camera", where), f"{where}: camera")
+    units = []
+    for index, entry in enumerate(take_list(table, "units", where)):
+        here = f"{where}: units[{index}]"
+        units.append(
+            CandidatePose(
+                id=take_text(entry, "id", here),
+                site_id=take_text(entry, "site", here),
+                pose=from_carla_pose(
+                    position_m=float_array(
+                        take_list(entry, "position_m", here), (3,), f"{here}.position_m"
+                    ),
+                    yaw_deg=take_number(entry, "yaw_deg", here),
+                    pitch_deg=take_number(entry, "pitch_deg", here),
+                ),
+                camera=camera,
+            )
+        )
+    return Layout(name=take_text(table, "name", where), units=tuple(units))
