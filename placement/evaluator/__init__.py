@@ -1,0 +1,30 @@
+"""Layout -> Evaluation, by rendering every frame: independent of the detection table.
+
+Tour: ``surroundings`` holds everything there is to see; ``render`` casts one ray per pixel and
+gives instances and depths; ``perceive`` derives the visible and the amodal box of the VRU in
+every frame, for roadside cameras and for the one that ``vut_camera`` places on the VUT;
+``evaluate`` detects, confirms, brakes and looks for contact.
+"""
+
+from .evaluate import evaluate_layout, evaluate_layouts
+from .perceive import Boxes, perceive_from_roadside, perceive_from_vut
+from .render import STATIC, VRU, VUT, View
+from .surroundings import Surroundings, build_surroundings, render_frame
+from .vut_camera import VutCamera, load_vut_camera
+
+__all__ = [
+    "STATIC",
+    "VRU",
+    "VUT",
+    "Boxes",
+    "Surroundings",
+    "View",
+    "VutCamera",
+    "build_surroundings",
+    "evaluate_layout",
+    "evaluate_layouts",
+    "load_vut_camera",
+    "perceive_from_roadside",
+    "perceive_from_vut",
+    "render_frame",
+]

@@ -17,7 +17,6 @@ from ..detector import Detector
 from .casting import Sight, World, build_world, cast_sight
 
 N_POINTS = 160  # per VRU: neighbouring points are about 10 cm apart
-SEED = 0
 _MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outside the image
 
 Progress = Callable[[int, int], None]
@@ -30,6 +29,7 @@ def build_detection_table(
     axis: FrameAxis,
     *,
     detector: Detector,
+    seed: int = 0,
     workers: int = 1,
     on_progress: Progress | None = None,
 ) -> DetectionTable:
@@ -47,6 +47,8 @@ def build_detection_table(
         Of `runs`: the columns of the table.
     detector : Detector
         What counts as a detection.
+    seed : int
+        Of the points on the VRUs.
     workers : int
         Threads.
     on_progress : callable, optional
@@ -57,7 +59,7 @@ def build_detection_table(
     table : DetectionTable
         V[c, f].
     """
-    world = build_world(scene, runs, n_points=N_POINTS, seed=SEED)
+    world = build_world(scene, runs, n_points=N_POINTS, seed=seed)
     mounts = _group_by_mount(candidates)
     packed = np.zeros((len(candidates), -(-axis.n_frames // 8)), dtype=np.uint8)
 

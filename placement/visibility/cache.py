@@ -29,12 +29,14 @@ def table_fingerprint(
     candidates: Sequence[CandidatePose],
     runs: Sequence[Run],
     detector: Detector,
+    *,
+    seed: int,
 ) -> str:
     """Hash of all that a detection table depends on.
 
     Parameters
     ----------
-    scene, candidates, runs, detector
+    scene, candidates, runs, detector, seed
         As given to :func:`placement.visibility.build.build_detection_table`.
 
     Returns
@@ -56,7 +58,7 @@ def table_fingerprint(
     def add_actor(actor: Actor) -> None:
         add(actor.name, actor.vertices_m, actor.triangles)
 
-    add(_FORMAT, build.N_POINTS, build.SEED, asdict(detector))
+    add(_FORMAT, build.N_POINTS, seed, asdict(detector))
     add(scene.vertices_m, scene.triangles, scene.outline_m)
     for camera in dict.fromkeys(candidate.camera for candidate in candidates):
         add(asdict(camera))

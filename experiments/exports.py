@@ -1,0 +1,282 @@
+"""Layouts and verdicts in the formats of others: CSV, GeoJSON, CARLA, tables."""
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from geometry.arrays import BoolArray, FloatArray
+from geometry.errors import InputError
+from geometry.frames import to_carla_points, to_carla_yaw, to_geographic
+from placement.candidates import CandidatePose
+from placement.evaluation import Evaluation, Verdict, apr
+from placement.layout import SCHEMA, Layout, layout_records
+from scenarios.aeb import AebRule
+from scenarios.runs import FrameAxis
+
+ALL = "all"
+
+
+def to_csv(layout: Layout) -> str:
+    """Layout as CSV: one row per unit, in full precision."""
+    text: str = pd.DataFrame(layout_records(layout)).to_csv(index=False, lineterminator="\n")
+    return text
+
+
+def to_json(layout: Layout) -> str:
+    """Layout as the JSON file that :func:`placement.layout.load_layout` reads."""
+    return to_json_text({"schema": SCHEMA, "name": layout.name, "layout": layout_records(layout)})
+
+
+def to_geojson(layout: Layout, crs: str) -> str:
+    """Layout as GeoJSON: points in WGS 84, with the fields of the layout as properties.
+
+    Parameters
+    ----------
+    layout : Layout
+        What to write.
+    crs : str
+        Coordinate reference system of the world frame, for pyproj.
+
+    Returns
+    -------
+    text : str
+        A FeatureCollection. Coordinates are longitude, latitude [deg] and the height above the
+        road [m]; x_m and y_m among the properties stay in the world frame.
+
+    Raises
+    ------
+    InputError
+        pyproj does not know `crs`, or the layout lies outside of where it is defined.
+
+    References
+    ----------
+    .. [1] RFC 7946, "The GeoJSON Format", sections 3.1.1 (positions) and 4 (WGS 84).
+    """
+    positions = np.array([unit.pose.position_m for unit in layout.units])
+    features = [
+        {
+            "type": "Feature",
+            "id": record["id"],
+            "geometry": {
+                "type": "Point",
+                "coordinates": [float(longitude), float(latitude), record["z_m"]],
+            },
+            "properties": record,
+        }
+        for record, (longitude, latitude) in zip(
+            layout_records(layout), _longitude_latitude(positions, crs), strict=True
+        )
+    ]
+    return to_json_text({"type": "FeatureCollection", "name": layout.name, "features": features})
+
+
+def to_carla(layout: Layout) -> str:
+    """Layout as a JSON list of cameras to spawn in CARLA.
+
+    Parameters
+    ----------
+    layout : Layout
+        What to write.
+
+    Returns
+    -------
+    text : str
+        Per unit: id, blueprint, its attributes as text (as ``ActorBlueprint.set_attribute`` takes
+        them) and the transform. CARLA's left-handed frame, in metres and degrees.
+    """
+    return to_json_text([_carla_record(unit) for unit in layout.units])
+
+
+def to_json_text(document: object) -> str:
+    r"""JSON of plain values; numbers that JSON lacks (NaN, infinite) become null.
+
+    Examples
+    --------
+    >>> to_json_text({"gap": math.inf, "apr": 0.1})
+    '{\n  "gap": null,\n  "apr": 0.1\n}\n'
+    """
+    text = json.dumps(_finite(document), indent=2, ensure_ascii=False, allow_nan=False)
+    return text + "\n"
+
+
+FORMATS: Mapping[str, Callable[[Layout, str], str]] = {
+    "csv": lambda layout, crs: to_csv(layout),
+    "geojson": to_geojson,
+    "carla": lambda layout, crs: to_carla(layout),
+}
+"""By name: layout and the scene's CRS to text."""
+
+
+def parties(evaluation: Evaluation) -> dict[str, Verdict]:
+    """Every sensing party of an evaluation: "vut", each unit's id, "rsu_all", "vut_and_rsus"."""
+    return {
+        "vut": evaluation.vut,
+        **evaluation.units,
+        "rsu_all": evaluation.rsu_all,
+        "vut_and_rsus": evaluation.vut_and_rsus,
+    }
+
+
+def margin_s(verdict: Verdict, axis: FrameAxis, rule: AebRule) -> FloatArray:
+    """Last brake time minus (confirmation + latency), per run.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Whose.
+    axis : FrameAxis
+        Runs.
+    rule : AebRule
+        Its latency counts.
+
+    Returns
+    -------
+    margin_s : (n_runs,) float
+        Negative: too late. Minus infinity: never confirmed, or no braking avoids. [s]
+    """
+    # At most one infinity of each sign: a confirmation is never -inf, so this is never NaN.
+    margin: FloatArray = axis.last_brake_time_s - (verdict.confirmation_time_s + rule.latency_s)
+    return margin
+
+
+def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
+    """Accident prevention ratios of every party, by case and approach.
+
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By the layout's display name.
+
+    Returns
+    -------
+    table : DataFrame
+        Columns layout, party, case, approach, apr, n_runs, n_avoided. "all" stands for every
+        case or every approach.
+    """
+    return pd.DataFrame(
+        [
+            {
+                "layout": name,
+                "party": party,
+                "case": case,
+                "approach": approach,
+                "apr": apr(verdict, evaluation.axis, mask),
+                "n_runs": int(mask.sum()),
+                "n_avoided": int((verdict.is_avoided & mask).sum()),
+            }
+            for name, evaluation in evaluations.items()
+            for party, verdict in parties(evaluation).items()
+            for case in (ALL, *dict.fromkeys(evaluation.axis.cases))
+            for approach in (ALL, *dict.fromkeys(evaluation.axis.approaches))
+            for mask in [_run_mask(evaluation.axis, case, approach)]
+            if mask.any()
+        ]
+    )
+
+
+def runs_table(evaluations: Mapping[str, Evaluation], rule: AebRule) -> pd.DataFrame:
+    """Every run's outcome for every party.
+
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By the layout's display name.
+    rule : AebRule
+        Its latency counts in the margin.
+
+    Returns
+    -------
+    table : DataFrame
+        One row per layout, party and run. Times that do not exist (never confirmed, no braking
+        avoids) are missing.
+    """
+    tables = []
+    for name, evaluation in evaluations.items():
+        axis = evaluation.axis
+        for party, verdict in parties(evaluation).items():
+            tables.append(
+                pd.DataFrame(
+                    {
+                        "layout": name,
+                        "party": party,
+                        "run": axis.run_ids,
+                        "case": axis.cases,
+                        "approach": axis.approaches,
+                        "vut_speed_kmh": axis.vut_speed_kmh,
+                        "weight": axis.weight,
+                        "last_brake_time_s": _missing(axis.last_brake_time_s),
+                        "confirmation_time_s": _missing(verdict.confirmation_time_s),
+                        "margin_s": _missing(margin_s(verdict, axis, rule)),
+                        "is_avoided": verdict.is_avoided,
+                        "detected_share": np.add.reduceat(verdict.detected, axis.run_start[:-1])
+                        / np.diff(axis.run_start),
+                    }
+                )
+            )
+    return pd.concat(tables, ignore_index=True)
+
+
+def _longitude_latitude(positions_m: FloatArray, crs: str) -> FloatArray:
+    from pyproj.exceptions import CRSError, ProjError
+
+    try:
+        lon_lat_deg = to_geographic(positions_m, crs)
+    except (CRSError, ProjError):
+        raise InputError("crs", crs, "a coordinate reference system that pyproj knows") from None
+    if not np.isfinite(lon_lat_deg).all():
+        raise InputError("crs", crs, "a coordinate reference system that contains the layout")
+    return lon_lat_deg
+
+
+def _carla_record(unit: CandidatePose) -> dict[str, Any]:
+    camera, pose = unit.camera, unit.pose
+    # Adding zero turns -0.0 into 0.0.
+    x_m, y_m, z_m = (to_carla_points(pose.position_m) + 0.0).tolist()
+    return {
+        "id": unit.id,
+        "blueprint": "sensor.camera.rgb",
+        "attributes": {
+            "image_size_x": str(camera.width_px),
+            "image_size_y": str(camera.height_px),
+            "fov": str(camera.horizontal_fov_deg),
+            "sensor_tick": str(1.0 / camera.frame_rate_hz),
+        },
+        "transform": {
+            "location": {"x": x_m, "y": y_m, "z": z_m},
+            "rotation": {
+                "pitch": pose.pitch_deg,
+                "yaw": float(to_carla_yaw(pose.yaw_deg)) + 0.0,
+                "roll": 0.0,
+            },
+        },
+    }
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return _finite(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _run_mask(axis: FrameAxis, case: str, approach: str) -> BoolArray:
+    cases, approaches = np.array(axis.cases), np.array(axis.approaches)
+    mask: BoolArray = np.ones(axis.n_runs, dtype=bool)
+    if case != ALL:
+        mask &= cases == case
+    if approach != ALL:
+        mask &= approaches == approach
+    return mask
+
+
+def _missing(times_s: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(times_s), times_s, np.nan)

@@ -1,0 +1,325 @@
+"""Figures of evaluations: APR by case, heatmaps. Built without pyplot's global state."""
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from geometry.arrays import BoolArray
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_case
+from placement.layout import Layout
+
+# M. Okabe, K. Ito, "Color Universal Design" (2008): told apart with any colour vision.
+BLUE, SKY, GREEN, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#F0E442"
+ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
+_LAYOUT_STYLES = ((BLUE, ""), (SKY, "///"), (ORANGE, "..."), (PINK, "ooo"), (YELLOW, "***"))
+_VUT_STYLE, _TOGETHER_STYLE = (GREY, "xxx"), (GREEN, "\\\\\\")
+_RED = "#CC0000"
+
+WIDTH_IN = 6.8
+_DPI = 160
+_MAX_LABEL_LENGTH = 8
+
+
+def unit_labels(layout: Layout) -> dict[str, str]:
+    """Short labels for figures, by unit id: the id where it is short, else its number.
+
+    Parameters
+    ----------
+    layout : Layout
+        Whose units.
+
+    Returns
+    -------
+    labels : dict of str to str
+        In the layout's order. All are ids, or all are "#1", "#2" and so on.
+    """
+    ids = [unit.id for unit in layout.units]
+    if all(len(unit_id) <= _MAX_LABEL_LENGTH for unit_id in ids):
+        return {unit_id: unit_id for unit_id in ids}
+    return {unit_id: f"#{number}" for number, unit_id in enumerate(ids, start=1)}
+
+
+def percent(share: float) -> str:
+    """A share of 1 in print, with one digit: what is not quite all or none is never shown as it.
+
+    NaN (no run counts) is shown as a dash.
+
+    Examples
+    --------
+    >>> percent(0.5), percent(0.99999), percent(0.00001)
+    ('50.0 %', '>99.9 %', '<0.1 %')
+    """
+    if math.isnan(share):
+        return "\N{EN DASH}"
+    if 0.9995 <= share < 1.0 - 1.0e-9:
+        return ">99.9 %"
+    if 1.0e-9 < share < 0.0005:
+        return "<0.1 %"
+    return f"{100.0 * share:.1f} %"
+
+
+def literal(name: str) -> str:
+    """A name for matplotlib to draw letter by letter: no mathematics, and never left out."""
+    escaped = name.replace("$", r"\$")
+    return f" {escaped}" if escaped.startswith("_") else escaped
+
+
+def plot_apr_by_case(evaluations: Mapping[str, Evaluation]) -> Figure:
+    """Accident prevention ratio by case and over all runs, as grouped bars.
+
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By display name; the first one is the subject. Shown are all RSUs together of each, the
+        VUT alone, and the VUT with the subject's RSUs.
+
+    Returns
+    -------
+    figure : Figure
+        Bars from 0 to 100 %, each with its value.
+    """
+    bars = _apr_bars(evaluations)
+    groups = list(next(iter(bars.values()))[0])
+    pitch = 1.0 / (len(bars) + 1.0)
+    figure, axes = build_figure(WIDTH_IN, 1.5 + 0.19 * len(groups) * (len(bars) + 1))
+    for index, (name, (shares, (colour, hatch))) in enumerate(bars.items()):
+        rows = np.arange(len(groups)) + (index - 0.5 * (len(bars) - 1)) * pitch
+        values = [shares[group] for group in groups]
+        axes.barh(
+            rows,
+            100.0 * np.nan_to_num(values),
+            height=0.86 * pitch,
+            color=colour,
+            edgecolor="black",
+            linewidth=0.6,
+            hatch=hatch,
+            label=literal(name),
+        )
+        for row, value in zip(rows, values, strict=True):
+            place = 1.0 if math.isnan(value) else 1.0 + 100.0 * value
+            axes.text(place, row, percent(value), va="center", ha="left", fontsize=8)
+    axes.set_yticks(np.arange(len(groups)), [literal(group) for group in groups])
+    axes.tick_params(axis="y", length=0)
+    axes.set_ylim(len(groups) - 0.5, -0.5)
+    axes.set_xlim(0.0, 113.0)
+    axes.set_xticks(np.arange(0, 101, 20))
+    axes.set_xlabel(
+        "accident prevention ratio: share of the runs that end without contact (%)", fontsize=9
+    )
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(axis="x", color="#d0d0d0", linewidth=0.6)
+    axes.set_axisbelow(True)
+    figure.legend(loc="outside upper center", ncols=2, fontsize=8, frameon=False)
+    return figure
+
+
+def plot_heatmap(evaluation: Evaluation, run_index: int) -> Figure:
+    """Who detects the VRU when, in one run; see :func:`plot_heatmaps`."""
+    return plot_heatmaps(evaluation, [run_index])
+
+
+def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> Figure:
+    """Who detects the VRU when, one pair of axes per run.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Of a layout.
+    run_indices : sequence of int
+        Which runs, at least one.
+
+    Returns
+    -------
+    figure : Figure
+        Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before the
+        impact. The dashed red line is the last brake time; a diamond is a confirmation.
+    """
+    rows = _heatmap_rows(evaluation)
+    height = 0.75 + len(run_indices) * (0.85 + 0.21 * len(rows))
+    figure = Figure(figsize=(WIDTH_IN, height), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(run_indices), 1, squeeze=False)[:, 0]
+    for axes, run_index in zip(panels, run_indices, strict=True):
+        _draw_heatmap(axes, evaluation, rows, run_index)
+    panels[-1].set_xlabel("time before the impact without braking (s)", fontsize=9)
+    figure.legend(
+        handles=_heatmap_legend(), loc="outside lower center", ncols=4, fontsize=8, frameon=False
+    )
+    return figure
+
+
+def to_png(figure: Figure) -> bytes:
+    """A figure as a PNG file; equal figures give equal bytes."""
+    buffer = BytesIO()
+    with warnings.catch_warnings():
+        # A name in a script that the font lacks is drawn as boxes; the report spells it out.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def build_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
+    """An empty figure with one pair of axes, drawn by Agg; sizes in inches."""
+    figure = Figure(figsize=(width_in, height_in), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.add_subplot()
+
+
+# ---------------------------------------------------------------- bars
+
+
+_Style = tuple[str, str]
+
+
+def _apr_bars(
+    evaluations: Mapping[str, Evaluation],
+) -> dict[str, tuple[dict[str, float], _Style]]:
+    subject_name, subject = next(iter(evaluations.items()))
+    verdicts: dict[str, tuple[Evaluation, Verdict, _Style]] = {
+        f"{name}: {_n_cameras(evaluation)}": (evaluation, evaluation.rsu_all, style)
+        for index, (name, evaluation) in enumerate(evaluations.items())
+        for style in [_LAYOUT_STYLES[index % len(_LAYOUT_STYLES)]]
+    }
+    verdicts["car (VUT) alone"] = (subject, subject.vut, _VUT_STYLE)
+    verdicts[f"car (VUT) and {subject_name}"] = (subject, subject.vut_and_rsus, _TOGETHER_STYLE)
+    return {
+        name: (
+            {
+                **apr_by_case(verdict, evaluation.axis),
+                "all runs": apr(verdict, evaluation.axis),
+            },
+            style,
+        )
+        for name, (evaluation, verdict, style) in verdicts.items()
+    }
+
+
+def _n_cameras(evaluation: Evaluation) -> str:
+    n_units = len(evaluation.units)
+    return "1 camera" if n_units == 1 else f"{n_units} cameras together"
+
+
+# ---------------------------------------------------------------- heatmaps
+
+
+_DETECTED, _MISSED = BLUE, "#e6e6e6"
+_DASHES = (0, (3.0, 1.5))
+
+
+def _heatmap_rows(evaluation: Evaluation) -> dict[str, Verdict]:
+    labels = unit_labels(evaluation.layout)
+    return {
+        "VUT": evaluation.vut,
+        **{labels[unit_id]: verdict for unit_id, verdict in evaluation.units.items()},
+        "all RSUs": evaluation.rsu_all,
+    }
+
+
+def _draw_heatmap(
+    axes: Axes, evaluation: Evaluation, rows: Mapping[str, Verdict], run_index: int
+) -> None:
+    axis = evaluation.axis
+    frames = axis.frames_of(run_index)
+    times = axis.time_s[frames]
+    step = float(times[1] - times[0]) if len(times) > 1 else 0.1
+    detected: BoolArray = np.array([verdict.detected[frames] for verdict in rows.values()])
+    axes.imshow(
+        detected.astype(np.uint8),
+        cmap=ListedColormap([_MISSED, _DETECTED]),
+        vmin=0,
+        vmax=1,
+        aspect="auto",
+        interpolation="nearest",
+        extent=(times[0] - 0.5 * step, times[-1] + 0.5 * step, len(rows) - 0.5, -0.5),
+    )
+    axes.hlines(
+        np.arange(len(rows) - 1) + 0.5, *axes.get_xlim(), colors="white", linewidth=2.0, zorder=2
+    )
+    axes.set_yticks(range(len(rows)), [literal(row) for row in rows], fontsize=8)
+    axes.tick_params(axis="both", length=0, labelsize=8)
+    axes.spines[:].set_visible(False)
+    confirmations = [verdict.confirmation_time_s[run_index] for verdict in rows.values()]
+    axes.plot(confirmations, range(len(rows)), zorder=5, clip_on=False, **_CONFIRMATION_STYLE)
+    outcomes = axes.secondary_yaxis("right")
+    outcomes.set_yticks(
+        range(len(rows)), [_outcome(verdict, run_index) for verdict in rows.values()], fontsize=8
+    )
+    outcomes.tick_params(axis="y", length=0)
+    outcomes.spines[:].set_visible(False)
+    _draw_last_moment(axes, float(axis.last_brake_time_s[run_index]), len(rows))
+    avoided = "avoided" if evaluation.rsu_all.is_avoided[run_index] else "not avoided"
+    axes.set_title(
+        literal(
+            f"{axis.cases[run_index]} from the {axis.approaches[run_index]} at "
+            f"{axis.vut_speed_kmh[run_index]:g} km/h: {avoided} by all RSUs together"
+        ),
+        fontsize=9,
+        fontweight="bold",
+        loc="left",
+        pad=18.0,
+    )
+
+
+def _outcome(verdict: Verdict, run_index: int) -> str:
+    if verdict.is_avoided[run_index]:
+        return "avoided"
+    return "too late" if np.isfinite(verdict.confirmation_time_s[run_index]) else "never confirmed"
+
+
+def _draw_last_moment(axes: Axes, last_brake_s: float, n_rows: int) -> None:
+    first_s, last_s = axes.get_xlim()
+    if last_brake_s < first_s:
+        axes.annotate(
+            "no braking in this run comes early enough",
+            xy=(0.0, 1.0),
+            xytext=(0.0, 3.0),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            fontsize=8,
+            color=_RED,
+        )
+        return
+    # White below the gaps between the dashes: it stands out from dark cells without colour, too.
+    axes.axvline(last_brake_s, color="white", linewidth=3.2, zorder=4)
+    axes.axvline(
+        last_brake_s, color=_RED, linestyle=_DASHES, linewidth=1.8, zorder=4, gid="last brake time"
+    )
+    is_right = last_brake_s > 0.5 * (first_s + last_s)
+    axes.annotate(
+        f"last moment to brake: {last_brake_s:.2f} s".replace("-", "\N{MINUS SIGN}"),
+        xy=(last_brake_s, -0.5),
+        xytext=(4.0 if not is_right else -4.0, 3.0),
+        textcoords="offset points",
+        ha="right" if is_right else "left",
+        va="bottom",
+        fontsize=8,
+        color=_RED,
+    )
+
+
+_CONFIRMATION_STYLE: dict[str, Any] = {
+    "marker": "D",
+    "markersize": 5.0,
+    "markerfacecolor": "white",
+    "markeredgecolor": "black",
+    "linestyle": "none",
+}
+
+
+def _heatmap_legend() -> list[Any]:
+    return [
+        Patch(facecolor=_DETECTED, label="detected"),
+        Patch(facecolor=_MISSED, label="not detected"),
+        Line2D([], [], label="confirmed", **_CONFIRMATION_STYLE),
+        Line2D([], [], color=_RED, linestyle=_DASHES, linewidth=1.8, label="last moment"),
+    ]

@@ -1,0 +1,367 @@
+"""Plan of the junction: where the units are, and what ground they look at."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon
+from matplotlib.patheffects import withStroke
+from scipy.spatial import ConvexHull
+
+from geometry.arrays import FloatArray
+from geometry.poses import camera_rotation
+from geometry.scene import Lane, Scene
+from placement.candidates import CandidatePose
+from placement.layout import Layout
+from placement.setting import Setting
+from scenarios.runs import Run
+
+from .figures import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PINK,
+    SKY,
+    VERMILION,
+    WIDTH_IN,
+    build_figure,
+    literal,
+    unit_labels,
+)
+
+_UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
+_LINE_STYLES = ("-", "--", "-.", ":")
+_HALO = withStroke(linewidth=3.0, foreground="white")
+_CLASS_STYLES: dict[str, dict[str, Any]] = {
+    "building": {"facecolor": "#c9c4bb", "edgecolor": "#8d887f", "linewidth": 0.8},
+    "wall": {"facecolor": "#5b5b5b", "edgecolor": "#5b5b5b", "linewidth": 1.2},
+    "vegetation": {"facecolor": "#b7d3ae", "edgecolor": "#7d9c73", "linewidth": 0.6},
+    "parked vehicle": {"facecolor": "#a9a9a9", "edgecolor": "#6e6e6e", "linewidth": 0.6},
+    "traffic light": {"facecolor": "#7a7a7a", "edgecolor": "#7a7a7a", "linewidth": 0.8},
+}
+
+
+def ground_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
+    """What a unit's image shows of the road plane, if nothing stood on it.
+
+    Parameters
+    ----------
+    unit : CandidatePose
+        Camera and pose.
+    max_range_m : float
+        No farther than this from the foot of the camera. [m]
+
+    Returns
+    -------
+    corners_m : (n, 2) float
+        A convex polygon, counter-clockwise; empty if the camera sees no ground there. World
+        frame. [m]
+    """
+    position, camera = unit.pose.position_m, unit.camera
+    angles = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
+    corners = position[:2] + max_range_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    half_width, half_height = 0.5 * camera.width_px, 0.5 * camera.height_px
+    focal = camera.focal_length_px
+    # Inward normals of the planes through the lens and the image's four sides. Camera frame.
+    normals_camera = np.array(
+        [
+            [focal, 0.0, half_width],
+            [-focal, 0.0, half_width],
+            [0.0, focal, half_height],
+            [0.0, -focal, half_height],
+        ]
+    )
+    R_world_camera = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg)
+    for normal in normals_camera @ R_world_camera.T:
+        inside = (corners - position[:2]) @ normal[:2] - position[2] * normal[2]
+        corners = _clip(corners, inside)
+    return corners
+
+
+def plot_plan(
+    setting: Setting,
+    layout: Layout,
+    *,
+    others: Sequence[Layout] = (),
+    half_size_m: float = 45.0,
+    max_range_m: float = 35.0,
+) -> Figure:
+    """Plan of the junction with a layout: where its units are and what ground they look at.
+
+    Parameters
+    ----------
+    setting : Setting
+        Junction and runs.
+    layout : Layout
+        Drawn with labels and fields of view.
+    others : sequence of Layout
+        Drawn lighter, without fields of view.
+    half_size_m : float
+        Half the side of the square that is shown, around the middle of the junction. [m]
+    max_range_m : float
+        Fields of view end here; the camera itself sees farther. [m]
+
+    Returns
+    -------
+    figure : Figure
+        One pair of axes, in metres, north up.
+    """
+    figure, axes = build_figure(WIDTH_IN, WIDTH_IN + 1.0)
+    scene = setting.scene
+    outline = scene.outline_m
+    middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    _draw_scene(axes, scene)
+    _draw_paths(axes, setting.runs)
+    for other in others:
+        _draw_other(axes, other)
+    _draw_units(axes, layout, max_range_m)
+    axes.set_aspect("equal")
+    axes.set_xlim(middle[0] - half_size_m, middle[0] + half_size_m)
+    axes.set_ylim(middle[1] - half_size_m, middle[1] + half_size_m)
+    axes.set_xlabel("east (m)")
+    axes.set_ylabel("north (m)")
+    _draw_compass(axes, middle, half_size_m)
+    figure.legend(
+        handles=_plan_legend(setting, layout, others),
+        loc="outside lower center",
+        ncols=2,
+        fontsize=8,
+        frameon=False,
+    )
+    return figure
+
+
+def _clip(corners: FloatArray, inside: FloatArray) -> FloatArray:
+    """Part of a convex polygon where `inside`, a linear function at its corners, is positive."""
+    kept: list[FloatArray] = []
+    for index in range(len(corners)):
+        here, there = inside[index - 1], inside[index]
+        if (here > 0.0) != (there > 0.0):
+            share = here / (here - there)
+            kept.append(corners[index - 1] + share * (corners[index] - corners[index - 1]))
+        if there > 0.0:
+            kept.append(corners[index])
+    return np.array(kept).reshape(-1, 2)
+
+
+def _draw_scene(axes: Axes, scene: Scene) -> None:
+    axes.set_facecolor("#f4f2ee")
+    for lane in scene.lanes:
+        is_parking = lane.kind == "parking"
+        axes.add_patch(
+            Polygon(
+                _lane_polygon(lane),
+                facecolor="#ececec" if is_parking else "#dedede",
+                edgecolor="white",
+                linewidth=0.8,
+                zorder=1,
+            )
+        )
+    axes.add_patch(Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1))
+    for index, instance in enumerate(scene.instances):
+        if instance.class_name in _CLASS_STYLES:
+            triangles = scene.triangles[scene.triangle_instance == index]
+            points = scene.vertices_m[np.unique(triangles), :2]
+            hull = points[ConvexHull(points).vertices]
+            axes.add_patch(Polygon(hull, zorder=6.5, **_CLASS_STYLES[instance.class_name]))
+    sites = np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
+    axes.plot(*sites.T, linestyle="none", zorder=5, **_SITE_STYLE)
+
+
+_SITE_STYLE: dict[str, Any] = {
+    "marker": "o",
+    "markersize": 4.0,
+    "markerfacecolor": "white",
+    "markeredgecolor": "#444444",
+    "markeredgewidth": 0.9,
+}
+
+
+def _lane_polygon(lane: Lane) -> FloatArray:
+    direction = np.gradient(lane.centreline_m, axis=0)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    left = 0.5 * lane.width_m * np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    polygon: FloatArray = np.concatenate(
+        [lane.centreline_m + left, (lane.centreline_m - left)[::-1]]
+    )
+    return polygon
+
+
+_PATH_STYLES: dict[str, tuple[str, dict[str, Any]]] = {
+    "vut": ("car under test (VUT)", {"color": "black", "linestyle": "-", "linewidth": 1.3}),
+    "pedestrian": (
+        "pedestrian, to the collision point",
+        {"color": "black", "linestyle": (0, (1.2, 1.2)), "linewidth": 1.8},
+    ),
+    "cyclist": (
+        "cyclist, to the collision point",
+        {"color": "black", "linestyle": (0, (5.0, 2.0)), "linewidth": 1.2},
+    ),
+}
+
+
+def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
+    firsts = {(run.case.name, run.approach): run for run in reversed(runs)}
+    for run in firsts.values():
+        for body, positions in (
+            ("vut", run.vut_position_m),
+            (run.case.vru.class_name, run.vru_position_m),
+        ):
+            _, style = _PATH_STYLES.get(body, _PATH_STYLES["pedestrian"])
+            axes.plot(*positions.T, zorder=3, **style)
+        axes.plot(*run.vru_position_m[-1], zorder=4, **_IMPACT_STYLE)
+
+
+_IMPACT_STYLE: dict[str, Any] = {
+    "marker": "X",
+    "markersize": 7.0,
+    "markerfacecolor": "black",
+    "markeredgecolor": "white",
+    "linestyle": "none",
+}
+
+
+def _draw_units(axes: Axes, layout: Layout, max_range_m: float) -> None:
+    labels = unit_labels(layout)
+    for index, unit in enumerate(layout.units):
+        colour = _UNIT_COLOURS[index % len(_UNIT_COLOURS)]
+        position = unit.pose.position_m[:2]
+        corners = ground_footprint(unit, max_range_m=max_range_m)
+        if len(corners):
+            axes.add_patch(
+                Polygon(corners, facecolor=colour, alpha=0.6 / (len(labels) + 3.0), zorder=2.5)
+            )
+            style = _LINE_STYLES[index % len(_LINE_STYLES)]
+            axes.add_patch(
+                Polygon(
+                    corners,
+                    facecolor="none",
+                    edgecolor=colour,
+                    linestyle=style,
+                    linewidth=1.3,
+                    zorder=6,
+                )
+            )
+        axes.plot(
+            *position,
+            **_camera_marker(unit),
+            markersize=13.0,
+            markerfacecolor=colour,
+            markeredgecolor="black",
+            zorder=8,
+            gid=f"unit:{unit.id}",
+        )
+        # Beside the camera, on the side where it looks: cameras on one pole look apart.
+        yaw = math.radians(unit.pose.yaw_deg)
+        east, north = math.cos(yaw), math.sin(yaw)
+        axes.annotate(
+            literal(labels[unit.id]),
+            xy=(position[0], position[1]),
+            xytext=(10.0 * east, 13.0 * north),
+            textcoords="offset points",
+            ha="center" if abs(east) < 0.3 else "left" if east > 0.0 else "right",
+            va="center",
+            fontsize=9,
+            fontweight="bold",
+            path_effects=[_HALO],
+            zorder=9,
+            annotation_clip=True,
+        )
+
+
+def _draw_other(axes: Axes, layout: Layout) -> None:
+    for unit in layout.units:
+        axes.plot(
+            *unit.pose.position_m[:2],
+            **_camera_marker(unit),
+            markersize=10.0,
+            markerfacecolor="white",
+            markeredgecolor="#555555",
+            zorder=7,
+        )
+
+
+def _camera_marker(unit: CandidatePose) -> dict[str, Any]:
+    """A triangle whose tip looks where the camera does."""
+    return {"marker": (3, 0, unit.pose.yaw_deg - 90.0), "linestyle": "none"}
+
+
+def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
+    east, north = middle_m + half_size_m * np.array([0.91, 0.76])
+    axes.annotate(
+        "N",
+        xy=(east, north + 0.18 * half_size_m),
+        xytext=(east, north),
+        ha="center",
+        va="center",
+        fontsize=11,
+        fontweight="bold",
+        arrowprops={"arrowstyle": "-|>", "facecolor": "black", "linewidth": 1.4},
+        path_effects=[_HALO],
+        zorder=10,
+    )
+    length_m = 10.0
+    start = middle_m - 0.95 * half_size_m
+    axes.plot(
+        [start[0], start[0] + length_m],
+        [start[1]] * 2,
+        color="black",
+        linewidth=4.0,
+        solid_capstyle="butt",
+        path_effects=[withStroke(linewidth=6.0, foreground="white")],
+        zorder=11,
+    )
+    axes.text(
+        start[0] + 0.5 * length_m,
+        start[1] + 1.2,
+        f"{length_m:g} m",
+        ha="center",
+        va="bottom",
+        fontsize=9,
+        path_effects=[_HALO],
+        zorder=11,
+    )
+
+
+def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> list[Any]:
+    bodies = ["vut", *dict.fromkeys(run.case.vru.class_name for run in setting.runs)]
+    paths = [
+        Line2D([], [], label=label, **style)
+        for body, (label, style) in _PATH_STYLES.items()
+        if body in bodies
+    ]
+    camera: dict[str, Any] = {"marker": (3, 0, 0.0), "linestyle": "none", "markersize": 9.0}
+    units = [
+        Line2D(
+            [],
+            [],
+            label=literal(f"{layout.name}: camera, and the ground it looks at"),
+            markerfacecolor=BLUE,
+            markeredgecolor="black",
+            **camera,
+        ),
+        *(
+            Line2D(
+                [],
+                [],
+                label=literal(f"{name}: camera"),
+                markerfacecolor="white",
+                markeredgecolor="#555555",
+                **camera,
+            )
+            for name in dict.fromkeys(other.name for other in others)
+        ),
+    ]
+    present = {instance.class_name for instance in setting.scene.instances}
+    things = [
+        Patch(label=name, **style)
+        for name, style in _CLASS_STYLES.items()
+        if name in present and name != "traffic light"
+    ]
+    site = Line2D([], [], label="pole or mast: possible site", linestyle="none", **_SITE_STYLE)
+    impact = Line2D([], [], label="collision point", **_IMPACT_STYLE)
+    return [*units, *paths, impact, site, *things]

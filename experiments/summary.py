@@ -1,0 +1,177 @@
+"""The numbers of a result as one plain object: what ``--json`` prints and the report shows."""
+
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from geometry.raycast import caster_name
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_case
+from placement.layout import layout_records
+from placement.optimiser.problem import apr_one_failed, run_margins_s
+from placement.pipeline import Placement
+
+_PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
+_RAY_PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "embreex": ("embreex",)}
+
+
+def summarise_evaluation(evaluation: Evaluation) -> dict[str, Any]:
+    """APR of every sensing party, over all runs and by case.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Verdicts.
+
+    Returns
+    -------
+    summary : dict
+        ``{"vut": {"all": p, "by_case": {case: p}}, "rsu_all", "vut_and_rsus", "units": {id: ..}}``
+    """
+
+    def ratios(verdict: Verdict) -> dict[str, Any]:
+        axis = evaluation.axis
+        return {"all": apr(verdict, axis), "by_case": apr_by_case(verdict, axis)}
+
+    return {
+        "vut": ratios(evaluation.vut),
+        "rsu_all": ratios(evaluation.rsu_all),
+        "vut_and_rsus": ratios(evaluation.vut_and_rsus),
+        "units": {name: ratios(verdict) for name, verdict in evaluation.units.items()},
+    }
+
+
+def summarise_placement(
+    placement: Placement,
+    *,
+    found: Evaluation,
+    greedy: Evaluation,
+    baseline: Evaluation,
+    seconds: Mapping[str, float],
+) -> dict[str, Any]:
+    """The main job's result.
+
+    Parameters
+    ----------
+    placement : Placement
+        What the optimiser found.
+    found, greedy, baseline : Evaluation
+        Of the layout found, the greedy one and the study's.
+    seconds : mapping
+        Time per stage. [s]
+
+    Returns
+    -------
+    summary : dict
+        Ready for JSON; ratios are 0 .. 1.
+    """
+    certificate, problem = placement.certificate, placement.problem
+    first = certificate.stages[0]
+    return {
+        **summarise_layout(found, seconds=seconds),
+        "budget": problem.budget_units,
+        "fusion": problem.fusion,
+        "candidates": problem.table.n_poses,
+        "apr": first.objective,
+        "bound": first.bound,
+        "gap": first.gap,
+        "apr_without_worst_unit": apr_one_failed(problem, placement.pose_index),
+        "stages": [
+            {
+                "name": stage.name,
+                "objective": stage.objective,
+                "bound": stage.bound,
+                "gap": stage.gap,
+                "seconds": stage.seconds,
+            }
+            for stage in certificate.stages
+        ],
+        "solver": certificate.solver,
+        "baseline": summarise_evaluation(baseline),
+        "greedy": {"layout": layout_records(greedy.layout), **summarise_evaluation(greedy)},
+        "surrogate_disagreement": float(np.mean(disagreeing_runs(placement, found))),
+    }
+
+
+def summarise_layout(evaluation: Evaluation, *, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """One layout's result: the keys that every command prints.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Of the layout.
+    seconds : mapping
+        Time per stage. [s]
+    """
+    return {
+        "name": evaluation.layout.name,
+        "layout": layout_records(evaluation.layout),
+        "runs": evaluation.axis.n_runs,
+        "evaluation": summarise_evaluation(evaluation),
+        "seconds": {stage: round(value, 3) for stage, value in seconds.items()},
+        "versions": versions(),
+    }
+
+
+def summarise_comparison(
+    subject: Evaluation, baseline: Evaluation, *, seconds: Mapping[str, float]
+) -> dict[str, Any]:
+    """Two layouts on the same runs: the second is the baseline.
+
+    Parameters
+    ----------
+    subject, baseline : Evaluation
+        On the same runs.
+    seconds : mapping
+        Time per stage. [s]
+    """
+    ours, theirs = subject.rsu_all.is_avoided, baseline.rsu_all.is_avoided
+    runs = np.array(subject.axis.run_ids)
+    return {
+        **summarise_layout(subject, seconds=seconds),
+        "baseline_name": baseline.layout.name,
+        "baseline_layout": layout_records(baseline.layout),
+        "baseline": summarise_evaluation(baseline),
+        "runs_gained": runs[ours & ~theirs].tolist(),
+        "runs_lost": runs[theirs & ~ours].tolist(),
+    }
+
+
+def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> "np.ndarray[Any, Any]":
+    """Runs on which detection table and evaluator disagree about the layout found.
+
+    Parameters
+    ----------
+    placement : Placement
+        The layout on the table.
+    evaluation : Evaluation
+        The same layout by full perception.
+
+    Returns
+    -------
+    disagrees : (n_runs,) bool
+        Under the placement's own fusion.
+    """
+    on_table = np.isfinite(run_margins_s(placement.problem, placement.pose_index))
+    if placement.problem.fusion == "any":
+        evaluated = evaluation.rsu_all.is_avoided
+    else:
+        evaluated = np.any([unit.is_avoided for unit in evaluation.units.values()], axis=0)
+    disagrees: np.ndarray[Any, Any] = on_table != evaluated
+    return disagrees
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers depend on."""
+    rays = caster_name()
+    found = {"place-rsus": version("place-rsus"), "python": platform.python_version()}
+    found |= {name: version(name) for name in _PACKAGES}
+    for package in _RAY_PACKAGES[rays]:
+        try:
+            found[f"rays: {rays}"] = version(package)
+            break
+        except ModuleNotFoundError:
+            continue
+    return found

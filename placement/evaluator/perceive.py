@@ -1,0 +1,330 @@
+"""Visible and amodal box of the VRU in every frame, from pixels.
+
+Each unit is a camera that is fixed to something: an RSU to the world, the VUT's camera to the
+VUT. Seen from there many instants look the same but for the VUT: such a sight is rendered once.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.image_boxes import mask_box
+from geometry.poses import Pose
+from geometry.raycast import FloatRays
+from geometry.sensors import CameraModel
+
+from .render import Lens, Solid, build_lens, cast_crops, crop_boxes
+from .surroundings import Surroundings, relative_road_poses
+from .vut_camera import VutCamera
+
+_MAX_RAYS = 1 << 17  # per cast: large enough for numpy's overhead, small enough for the cache
+_LARGE_PX = 1 << 13  # from this area on, only the edges of a crop are looked at first
+_EDGE_PX = 4  # the VRU begins one to two pixels inside its crop
+_POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Boxes:
+    """Boxes of the VRU in a unit's image, frame by frame; zeros where there is none.
+
+    Attributes
+    ----------
+    amodal_px : (n_frames, 4) float
+        Of the whole VRU inside the image. [px]
+    visible_px : (n_frames, 4) float
+        Of the part that is seen. [px]
+    """
+
+    amodal_px: FloatArray
+    visible_px: FloatArray
+
+    def __post_init__(self) -> None:
+        for field in ("amodal_px", "visible_px"):
+            object.__setattr__(self, field, freeze(getattr(self, field)))
+
+
+def perceive_from_roadside(
+    surroundings: Surroundings, pose: Pose, camera: CameraModel, *, min_height_px: float = 0.0
+) -> Boxes:
+    """Boxes that a fixed camera sees.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        What there is.
+    pose : Pose
+        Where the camera is and looks. World frame.
+    camera : CameraModel
+        What is mounted.
+    min_height_px : float
+        Where the VRU's box cannot be this high nothing is cast, and boxes are zeros. [px]
+
+    Returns
+    -------
+    boxes : Boxes
+        One row per frame.
+    """
+    return _perceive(
+        surroundings,
+        build_lens(pose, camera),
+        static_poses=surroundings.static_poses,
+        vru_poses=surroundings.vru_poses,
+        vut_poses=surroundings.vut_poses,
+        min_height_px=min_height_px,
+    )
+
+
+def perceive_from_vut(
+    surroundings: Surroundings, vut_camera: VutCamera, *, min_height_px: float = 0.0
+) -> Boxes:
+    """Boxes that the VUT's own camera sees; the VUT itself is not drawn.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        What there is.
+    vut_camera : VutCamera
+        The camera and its place on the VUT.
+    min_height_px : float
+        As in :func:`perceive_from_roadside`. [px]
+
+    Returns
+    -------
+    boxes : Boxes
+        One row per frame.
+    """
+    vut_poses = surroundings.vut_poses
+    return _perceive(
+        surroundings,
+        build_lens(vut_camera.pose_on(surroundings.vut_actor), vut_camera.camera),
+        static_poses=relative_road_poses(surroundings.static_poses, vut_poses),
+        vru_poses=relative_road_poses(surroundings.vru_poses, vut_poses),
+        vut_poses=None,
+        min_height_px=min_height_px,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Sights:
+    """Frames that differ in more than the VUT, of one static world and one VRU's body."""
+
+    lens: Lens
+    static: Solid
+    vru: Solid
+    static_poses: FloatArray  # (n, 3)
+    vru_poses: FloatArray  # (n, 3)
+    crops: IntArray  # (n, 4): where to look for the VRU; zeros: nowhere
+
+    def take(self, indices: IntArray, crops: IntArray) -> "_Sights":
+        return replace(
+            self,
+            static_poses=self.static_poses[indices],
+            vru_poses=self.vru_poses[indices],
+            crops=crops,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Glimpse:
+    """The VRU in one sight."""
+
+    amodal_mask: BoolArray  # (h, w)
+    visible_mask: BoolArray  # (h, w)
+    depth_m: FloatRays  # of the visible pixels
+
+
+def _perceive(
+    surroundings: Surroundings,
+    lens: Lens,
+    *,
+    static_poses: FloatArray,
+    vru_poses: FloatArray,
+    vut_poses: FloatArray | None,
+    min_height_px: float,
+) -> Boxes:
+    """Boxes from poses relative to the frame in which the lens stands."""
+    n_frames = len(vru_poses)
+    amodal, visible = np.zeros((n_frames, 4)), np.zeros((n_frames, 4))
+    kinds = np.stack([surroundings.static_index, surroundings.vru_index], axis=1)
+    for static_index, vru_index in np.unique(kinds, axis=0):
+        frames = np.flatnonzero((kinds == [static_index, vru_index]).all(axis=1))
+        poses = np.concatenate([static_poses[frames], vru_poses[frames]], axis=1)
+        _, first, sight_of_frame = np.unique(
+            poses.round(_POSE_DECIMALS) + 0.0, axis=0, return_index=True, return_inverse=True
+        )
+        sights = _find_sights(
+            lens,
+            surroundings.statics[static_index],
+            surroundings.vrus[vru_index],
+            poses[first],
+            min_height_px,
+        )
+        vut = None if vut_poses is None else (surroundings.vut, vut_poses[frames])
+        amodal[frames], visible[frames] = _boxes(sights, sight_of_frame, vut)
+    return Boxes(amodal_px=amodal, visible_px=visible)
+
+
+def _find_sights(
+    lens: Lens, static: Solid, vru: Solid, poses: FloatArray, min_height_px: float
+) -> _Sights:
+    crops, _ = crop_boxes(lens, vru.hull_m, poses[:, 3:])
+    crops[crops[:, 3] - crops[:, 1] < min_height_px] = 0
+    return _Sights(
+        lens=lens,
+        static=static,
+        vru=vru,
+        static_poses=poses[:, :3],
+        vru_poses=poses[:, 3:],
+        crops=crops,
+    )
+
+
+def _boxes(
+    sights: _Sights, sight_of_frame: IntArray, vut: tuple[Solid, FloatArray] | None
+) -> tuple[FloatArray, FloatArray]:
+    """Amodal and visible box per frame."""
+    n_sights = len(sights.crops)
+    amodal, visible = np.zeros((n_sights, 4)), np.zeros((n_sights, 4))
+    before = (
+        np.empty(0, dtype=np.int64)
+        if vut is None
+        else _frames_with_vut_before(sights, sight_of_frame, *vut)
+    )
+    is_behind_vut = np.zeros(n_sights, dtype=bool)
+    is_behind_vut[sight_of_frame[before]] = True
+    areas = _areas(sights.crops)
+
+    is_open = areas > 0
+    large = np.flatnonzero((areas >= _LARGE_PX) & ~is_behind_vut)
+    for batch in _batches(large, np.full(n_sights, _LARGE_PX)):
+        boxes, is_settled = _boxes_from_edges(sights.take(batch, sights.crops[batch]))
+        amodal[batch[is_settled]] = visible[batch[is_settled]] = boxes[is_settled]
+        is_open[batch[is_settled]] = False
+
+    glimpses: dict[int, _Glimpse] = {}
+    for batch in _batches(np.flatnonzero(is_open), areas):
+        taken = sights.take(batch, sights.crops[batch])
+        for sight, crop, glimpse in zip(batch.tolist(), taken.crops, _look(taken), strict=True):
+            amodal[sight] = _box(glimpse.amodal_mask, crop)
+            visible[sight] = _box(glimpse.visible_mask, crop)
+            if is_behind_vut[sight]:
+                glimpses[sight] = glimpse
+
+    visible = visible[sight_of_frame]
+    if vut is not None:
+        _hide_behind_vut(visible, sights, sight_of_frame, before, vut, glimpses)
+    return amodal[sight_of_frame], visible
+
+
+def _look(sights: _Sights) -> Iterator[_Glimpse]:
+    """Cast every pixel of every crop."""
+    lens, crops = sights.lens, sights.crops
+    vru_depths = cast_crops(lens, sights.vru, sights.vru_poses, crops)
+    masks = [
+        np.isfinite(depth).reshape(y_max - y_min, x_max - x_min)
+        for depth, (x_min, y_min, x_max, y_max) in zip(vru_depths, crops.tolist(), strict=True)
+    ]
+    static_depths = cast_crops(lens, sights.static, sights.static_poses, crops, masks)
+    for mask, vru_depth, static_depth in zip(masks, vru_depths, static_depths, strict=True):
+        depth = vru_depth[mask.ravel()]
+        is_nearer = depth < static_depth
+        yield _Glimpse(
+            amodal_mask=mask, visible_mask=_thin(mask, is_nearer), depth_m=depth[is_nearer]
+        )
+
+
+def _boxes_from_edges(sights: _Sights) -> tuple[FloatArray, BoolArray]:
+    """Boxes of VRUs that are seen on all four sides: only the edges of the crops are cast.
+
+    Where a pixel of the VRU's outermost row or column is seen on each side, the visible box is
+    the amodal one, whatever is between: a large part of all rays is saved.
+
+    Returns
+    -------
+    boxes_px : (n, 4) float
+        Visible and amodal box where settled.
+    is_settled : (n,) bool
+        Otherwise the whole crop must be looked at.
+    """
+    n_sights = len(sights.crops)
+    x_min, y_min, x_max, y_max = sights.crops.T
+    edges = np.stack(  # in the order of a box's numbers: left, top, right, bottom
+        [
+            np.stack([x_min, y_min, np.minimum(x_min + _EDGE_PX, x_max), y_max], axis=1),
+            np.stack([x_min, y_min, x_max, np.minimum(y_min + _EDGE_PX, y_max)], axis=1),
+            np.stack([np.maximum(x_max - _EDGE_PX, x_min), y_min, x_max, y_max], axis=1),
+            np.stack([x_min, np.maximum(y_max - _EDGE_PX, y_min), x_max, y_max], axis=1),
+        ],
+        axis=1,
+    ).reshape(-1, 4)
+    strips = sights.take(np.repeat(np.arange(n_sights), 4), edges)
+    amodal, visible = np.empty((len(edges), 4)), np.empty((len(edges), 4))
+    for index, glimpse in enumerate(_look(strips)):
+        amodal[index] = _box(glimpse.amodal_mask, edges[index])
+        visible[index] = _box(glimpse.visible_mask, edges[index])
+    # Of each strip's box the number on the strip's own side.
+    boxes = np.diagonal(amodal.reshape(-1, 4, 4), axis1=1, axis2=2)
+    is_equal = boxes == np.diagonal(visible.reshape(-1, 4, 4), axis1=1, axis2=2)
+    is_seen = (visible[:, 2] > visible[:, 0]).reshape(-1, 4)
+    return boxes, (is_seen & is_equal).all(axis=1)
+
+
+def _frames_with_vut_before(
+    sights: _Sights, sight_of_frame: IntArray, vut: Solid, vut_poses: FloatArray
+) -> IntArray:
+    """Frames in which the VUT may hide a part of the VRU."""
+    vut_crops, vut_depth = crop_boxes(sights.lens, vut.hull_m, vut_poses)
+    _, vru_depth = crop_boxes(sights.lens, sights.vru.hull_m, sights.vru_poses)
+    crops = sights.crops[sight_of_frame]
+    low = np.maximum(crops[:, :2], vut_crops[:, :2])
+    high = np.minimum(crops[:, 2:], vut_crops[:, 2:])
+    is_before = vut_depth[:, 0] < vru_depth[sight_of_frame, 1]
+    return np.flatnonzero((low < high).all(axis=1) & is_before)
+
+
+def _hide_behind_vut(
+    visible: FloatArray,
+    sights: _Sights,
+    sight_of_frame: IntArray,
+    frames: IntArray,
+    vut: tuple[Solid, FloatArray],
+    glimpses: dict[int, _Glimpse],
+) -> None:
+    """Shrink the visible boxes of the frames in which the VUT may stand before the VRU."""
+    n_rays = np.zeros(len(sights.crops), dtype=np.int64)
+    for sight, glimpse in glimpses.items():
+        n_rays[sight] = len(glimpse.depth_m)
+    frames = frames[n_rays[sight_of_frame[frames]] > 0]
+    for batch in _batches(frames, n_rays[sight_of_frame]):
+        shown = sight_of_frame[batch].tolist()
+        masks = [glimpses[sight].visible_mask for sight in shown]
+        depths = cast_crops(sights.lens, vut[0], vut[1][batch], sights.crops[shown], masks)
+        for frame, sight, depth in zip(batch.tolist(), shown, depths, strict=True):
+            glimpse = glimpses[sight]
+            seen = _thin(glimpse.visible_mask, glimpse.depth_m < depth)
+            visible[frame] = _box(seen, sights.crops[sight])
+
+
+def _thin(mask: BoolArray, keep: BoolArray) -> BoolArray:
+    """Keep some of the pixels of a mask."""
+    left = mask.copy()
+    left[mask] = keep
+    return left
+
+
+def _box(mask: BoolArray, crop: IntArray) -> FloatArray:
+    return mask_box(mask, x_min_px=int(crop[0]), y_min_px=int(crop[1]))
+
+
+def _areas(crops: IntArray) -> IntArray:
+    areas: IntArray = (crops[:, 2] - crops[:, 0]) * (crops[:, 3] - crops[:, 1])
+    return areas
+
+
+def _batches(indices: IntArray, areas: IntArray) -> Iterator[IntArray]:
+    """Split `indices` so that the areas of a batch sum to about `_MAX_RAYS` at most."""
+    if len(indices):
+        which = np.cumsum(areas[indices]) // _MAX_RAYS
+        yield from np.split(indices, np.flatnonzero(np.diff(which)) + 1)

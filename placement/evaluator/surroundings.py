@@ -1,0 +1,194 @@
+"""Everything that can be seen in the frames of some runs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.actors import Actor, PlacedActor
+from geometry.arrays import FloatArray, IntArray
+from geometry.errors import InputError
+from geometry.poses import Pose, body_rotation, wrap_deg
+from geometry.scene import Scene
+from geometry.sensors import CameraModel
+from scenarios.runs import Run
+
+from .render import Solid, View, build_body, build_lens, build_static, render_view
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surroundings:
+    """Everything that can be seen in the frames of some runs, laid end to end.
+
+    Attributes
+    ----------
+    statics, vrus : tuple of Solid
+        Distinct static worlds (one per obstruction) and bodies of VRUs.
+    vut : Solid
+        Body of the VUT.
+    vut_actor : Actor
+        The VUT.
+    static_index, vru_index : (n_frames,) int
+        Which of them is there.
+    static_poses, vru_poses, vut_poses : (n_frames, 3) float
+        Road poses: east, north, yaw. World frame. [m], [deg]
+    """
+
+    statics: tuple[Solid, ...]
+    vrus: tuple[Solid, ...]
+    vut: Solid
+    vut_actor: Actor
+    static_index: IntArray
+    vru_index: IntArray
+    static_poses: FloatArray
+    vru_poses: FloatArray
+    vut_poses: FloatArray
+
+    def take(self, frames: IntArray) -> "Surroundings":
+        """Keep some frames, by index."""
+        return replace(
+            self,
+            static_index=self.static_index[frames],
+            vru_index=self.vru_index[frames],
+            static_poses=self.static_poses[frames],
+            vru_poses=self.vru_poses[frames],
+            vut_poses=self.vut_poses[frames],
+        )
+
+
+def build_surroundings(
+    scene: Scene, runs: Sequence[Run], *, library: str | None = None
+) -> Surroundings:
+    """Prepare a scene and runs for rendering.
+
+    Parameters
+    ----------
+    scene : Scene
+        The junction.
+    runs : sequence of Run
+        At least one; all with the same VUT.
+    library : str, optional
+        Ray library, see :func:`geometry.raycast.build_caster`.
+
+    Returns
+    -------
+    surroundings : Surroundings
+        Frames of the runs in order.
+
+    Raises
+    ------
+    InputError
+        There is more than one VUT.
+    """
+    vuts = {run.encounter.vut.name: run.encounter.vut for run in runs}
+    if len(vuts) != 1:
+        raise InputError("runs: VUT", sorted(vuts), "the same vehicle in all runs")
+    vut_actor = next(iter(vuts.values()))
+    vrus = {run.encounter.vru.name: run.encounter.vru for run in runs}
+    obstructions = {_obstruction_key(run): run.obstruction for run in runs}
+    vru_poses = np.concatenate([_road_poses(run.vru_position_m, run.vru_yaw_deg) for run in runs])
+    middle_m = 0.5 * (vru_poses[:, :2].min(axis=0) + vru_poses[:, :2].max(axis=0))
+    n_frames = [len(run.time_s) for run in runs]
+    return Surroundings(
+        statics=tuple(
+            build_static(scene, obstruction, middle_m=middle_m, library=library)
+            for obstruction in obstructions.values()
+        ),
+        vrus=tuple(build_body(vru, library=library) for vru in vrus.values()),
+        vut=build_body(vut_actor, library=library),
+        vut_actor=vut_actor,
+        static_index=np.repeat(
+            [list(obstructions).index(_obstruction_key(run)) for run in runs], n_frames
+        ),
+        vru_index=np.repeat([list(vrus).index(run.encounter.vru.name) for run in runs], n_frames),
+        static_poses=np.tile([*middle_m, 0.0], (sum(n_frames), 1)),
+        vru_poses=vru_poses,
+        vut_poses=np.concatenate(
+            [_road_poses(run.vut_position_m, run.vut_yaw_deg) for run in runs]
+        ),
+    )
+
+
+def render_frame(
+    surroundings: Surroundings,
+    frame_index: int,
+    pose: Pose,
+    camera: CameraModel,
+    *,
+    with_vut: bool = True,
+    crop_px: tuple[int, int, int, int] | None = None,
+) -> View:
+    """Render one frame.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        What there is.
+    frame_index : int
+        When.
+    pose : Pose
+        Where the camera is and looks. World frame.
+    camera : CameraModel
+        What is mounted.
+    with_vut : bool
+        Whether the VUT is drawn; the VUT's own camera does not see it.
+    crop_px : tuple of int, optional
+        Part of the image, see :func:`placement.evaluator.render.render_view`. [px]
+
+    Returns
+    -------
+    view : View
+        Instances and depths.
+    """
+    vut = (surroundings.vut, surroundings.vut_poses[frame_index])
+    return render_view(
+        build_lens(pose, camera),
+        static=(
+            surroundings.statics[surroundings.static_index[frame_index]],
+            surroundings.static_poses[frame_index],
+        ),
+        vru=(
+            surroundings.vrus[surroundings.vru_index[frame_index]],
+            surroundings.vru_poses[frame_index],
+        ),
+        vut=vut if with_vut else None,
+        crop_px=crop_px,
+    )
+
+
+def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> FloatArray:
+    """Road poses as seen from a carrier.
+
+    Parameters
+    ----------
+    road_poses, carrier_poses : (n, 3) float
+        East, north, yaw in one frame. [m], [deg]
+
+    Returns
+    -------
+    relative : (n, 3) float
+        Ahead, left, yaw in the carrier's frame. [m], [deg]
+
+    Examples
+    --------
+    >>> relative_road_poses(np.array([[0.0, 5.0, 90.0]]), np.array([[0.0, 2.0, 90.0]])).round(9)
+    array([[3., 0., 0.]])
+    """
+    rotations = body_rotation(carrier_poses[:, 2])[:, :2, :2]
+    relative = np.empty_like(road_poses)
+    offsets = road_poses[:, None, :2] - carrier_poses[:, None, :2]
+    relative[:, :2] = (offsets @ rotations)[:, 0]
+    relative[:, 2] = wrap_deg(road_poses[:, 2] - carrier_poses[:, 2])
+    return relative
+
+
+def _road_poses(position_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
+    return np.concatenate([position_m, yaw_deg[:, None]], axis=1)
+
+
+def _obstruction_key(run: Run) -> tuple[tuple[str, bytes, float], ...]:
+    return tuple(map(_placed_key, run.obstruction))
+
+
+def _placed_key(body: PlacedActor) -> tuple[str, bytes, float]:
+    return (body.actor.name, body.pose.position_m.tobytes(), body.pose.yaw_deg)

@@ -1,0 +1,140 @@
+"""Values of many sets of poses at once, on the bits of the reduced problem."""
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+
+from .presolve import ReducedProblem, WordArray, unpack_words
+from .problem import TOLERANCE
+
+_BLOCK_BYTES = 1 << 25
+
+
+def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
+    """Margins of all runs, given which frames are seen.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        Windows and runs.
+    unions : (n_sets, n_words) uint64
+        Frames seen, as bits.
+
+    Returns
+    -------
+    margin_s : (n_sets, n_runs) float
+        Minus infinity where a run is not avoided. [s]
+    """
+    margin = np.empty((len(unions), len(reduced.weight)))
+    size = max(reduced.n_frames, len(reduced.window_frames), 1)
+    block = max(1, _BLOCK_BYTES // size)
+    for start in range(0, len(unions), block):
+        rows = slice(start, start + block)
+        seen = unpack_words(unions[rows], reduced.n_frames)
+        is_whole = seen[:, reduced.window_frames[:, 0]]
+        for frames in reduced.window_frames.T[1:]:
+            is_whole &= seen[:, frames]
+        margin[rows] = _first_margins_s(reduced, is_whole)
+    return margin
+
+
+def _first_margins_s(reduced: ReducedProblem, is_whole: BoolArray) -> FloatArray:
+    margin = np.empty((len(is_whole), len(reduced.weight)))
+    for chain in range(reduced.n_chains):
+        runs = np.flatnonzero(reduced.run_chain == chain)
+        seen = is_whole[:, reduced.chain(chain)]
+        first = np.where(seen.any(axis=1), seen.argmax(axis=1), seen.shape[1])
+        margin[:, runs] = reduced.margin_s[runs][:, first].T
+    return margin
+
+
+def union_apr(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
+    """Accident prevention ratio given which frames are seen, (n_sets,)."""
+    share: FloatArray = (union_margins_s(reduced, unions) > -np.inf) @ reduced.weight
+    return share
+
+
+def unions_of(reduced: ReducedProblem, sets: IntArray) -> WordArray:
+    """Frames that sets of poses see.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        Its poses.
+    sets : (n_sets, n_units) int
+        Poses of the reduced problem.
+
+    Returns
+    -------
+    unions : (n_sets, n_words) uint64
+        Bits; none for a set without units.
+    """
+    unions = np.zeros((len(sets), reduced.words.shape[1]), dtype=np.uint64)
+    for units in sets.T:
+        unions |= reduced.words[units]
+    return unions
+
+
+def set_values(reduced: ReducedProblem, sets: IntArray) -> FloatArray:
+    """Values of sets of poses: the four objectives.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        Windows and runs.
+    sets : (n_sets, n_units) int
+        Poses of the reduced problem.
+
+    Returns
+    -------
+    values : (n_sets, 4) float
+        As :class:`placement.optimiser.problem.PlacementValue`.
+    """
+    margin = union_margins_s(reduced, unions_of(reduced, sets))
+    is_avoided = margin > -np.inf
+    share = is_avoided @ reduced.weight
+    total = np.where(is_avoided, margin, 0.0) @ reduced.weight
+    some = share > 0.0
+    values = np.zeros((len(sets), 4))
+    values[:, 0] = share
+    values[:, 1] = one_failed_apr(reduced, sets)
+    values[:, 2] = np.where(is_avoided, margin, np.inf).min(axis=1, initial=np.inf)
+    values[~some, 2] = 0.0
+    values[some, 3] = total[some] / share[some]
+    return values
+
+
+def one_failed_apr(reduced: ReducedProblem, sets: IntArray) -> FloatArray:
+    """Smallest accident prevention ratio when one unit fails, (n_sets,)."""
+    n_units = sets.shape[1]
+    smallest = np.full(len(sets), np.inf if n_units else 0.0)
+    for failed in range(n_units):
+        left = np.delete(sets, failed, axis=1)
+        smallest = np.minimum(smallest, union_apr(reduced, unions_of(reduced, left)))
+    return smallest
+
+
+def best_set(reduced: ReducedProblem, sets: IntArray) -> IntArray:
+    """First set of poses whose value no other one exceeds.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        Windows and runs.
+    sets : (n_sets, n_units) int
+        At least one. Poses of the reduced problem.
+
+    Returns
+    -------
+    units : (n_units,) int
+        A row of `sets`.
+    """
+    share = union_apr(reduced, unions_of(reduced, sets))
+    # Failures are costly to go through: only sets with the best APR need it.
+    sets = sets[share >= share.max() - TOLERANCE]
+    values = set_values(reduced, sets)
+    rows = np.arange(len(sets))
+    for column in values.T:
+        rows = rows[column[rows] >= column[rows].max() - TOLERANCE]
+    best: IntArray = sets[rows[0]]
+    return best

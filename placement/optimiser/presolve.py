@@ -1,0 +1,363 @@
+"""What does not matter drops out: frames, windows, runs and poses; and the way back.
+
+Both kinds of fusion become one problem here. With "any", a frame is seen if a chosen pose
+detects in it, and a window needs all its frames. With "single", the frames of the reduced problem
+are the statements "this pose alone has confirmed by then", and each window needs one of them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from scenarios.aeb import is_in_time
+
+from .problem import PlacementProblem
+
+WordArray = NDArray[np.uint64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PresolveStatistics:
+    """Sizes before and after.
+
+    Attributes
+    ----------
+    n_poses, n_frames, n_windows, n_runs : tuple of int
+        Before, after. Windows count once per run before, once if they need the same frames after;
+        runs are left out if nothing avoids them or they have no weight.
+    """
+
+    n_poses: tuple[int, int]
+    n_frames: tuple[int, int]
+    n_windows: tuple[int, int]
+    n_runs: tuple[int, int]
+
+    def __str__(self) -> str:
+        return ", ".join(
+            f"{before} -> {after} {noun}"
+            for noun, (before, after) in (
+                ("poses", self.n_poses),
+                ("frames", self.n_frames),
+                ("windows", self.n_windows),
+                ("runs", self.n_runs),
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReducedProblem:
+    """A placement problem without what does not matter.
+
+    A chain is a sequence of windows in the order of time. Runs that go through the same windows,
+    to different ends, share one.
+
+    Attributes
+    ----------
+    pose_index : (n_poses,) int
+        Rows of the detection table: the way back.
+    site_index : (n_poses,) int
+        Site of every pose, as in the full problem.
+    site_capacity : (n_sites,) int
+        As in the full problem.
+    budget_units : int
+        As in the full problem.
+    run_index : (n_runs,) int
+        Runs of the full problem that some pose avoids.
+    weight : (n_runs,) float
+        Of these runs, as in the full problem.
+    n_frames : int
+        Merged frames.
+    words : (n_poses, n_words) uint64
+        Bits V[c, f] along the merged frames, lowest bit first.
+    window_frames : (n_windows, n_confirmations or 1) int
+        Merged frames that each window needs; one may stand there twice.
+    chain_window : (n_links,) int
+        The windows of all chains, chain after chain.
+    chain_start : (n_chains + 1,) int
+        Links of chain g are chain_start[g] .. chain_start[g + 1] - 1.
+    run_chain : (n_runs,) int
+        Chain of every run.
+    margin_s : (n_runs, longest chain + 1) float
+        Margin if the first window seen is the k-th of the chain; minus infinity from the first
+        one that is too late for this run. [s]
+    statistics : PresolveStatistics
+        Sizes before and after.
+    """
+
+    pose_index: IntArray
+    site_index: IntArray
+    site_capacity: IntArray
+    budget_units: int
+    run_index: IntArray
+    weight: FloatArray
+    n_frames: int
+    words: WordArray
+    window_frames: IntArray
+    chain_window: IntArray
+    chain_start: IntArray
+    run_chain: IntArray
+    margin_s: FloatArray
+    statistics: PresolveStatistics
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses that are left."""
+        return len(self.pose_index)
+
+    @property
+    def n_chains(self) -> int:
+        """Number of chains."""
+        return len(self.chain_start) - 1
+
+    def chain(self, chain_index: int) -> IntArray:
+        """Windows of a chain."""
+        return self.chain_window[self.chain_start[chain_index] : self.chain_start[chain_index + 1]]
+
+    def detected(self) -> BoolArray:
+        """V[c, f] on the merged frames, (n_poses, n_frames)."""
+        return unpack_words(self.words, self.n_frames)
+
+    def __repr__(self) -> str:
+        return f"ReducedProblem({self.statistics})"
+
+
+def pack_words(bits: BoolArray) -> WordArray:
+    """Bits along the last axis as 64-bit words, lowest bit first."""
+    n_words = -(-bits.shape[-1] // 64)
+    packed = np.zeros((*bits.shape[:-1], n_words * 8), dtype=np.uint8)
+    packed[..., : -(-bits.shape[-1] // 8)] = np.packbits(bits, axis=-1, bitorder="little")
+    return packed.view("<u8")
+
+
+def unpack_words(words: WordArray, n_bits: int) -> BoolArray:
+    """Bits of 64-bit words, lowest bit first: (..., n_words) -> (..., n_bits)."""
+    packed = np.ascontiguousarray(words).view(np.uint8)
+    return np.unpackbits(packed, axis=-1, count=n_bits, bitorder="little").view(np.bool_)
+
+
+def presolve(problem: PlacementProblem) -> ReducedProblem:
+    """Reduce a placement problem without changing the best value of any stage.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        To reduce.
+
+    Returns
+    -------
+    reduced : ReducedProblem
+        At least one best set of poses of the full problem is left in it.
+
+    Notes
+    -----
+    Repeated until no pose drops out:
+
+    * Runs without weight, windows that end too late, windows with a frame that nobody sees and
+      frames of no window cannot change any value.
+    * Frames that the same poses see are one frame.
+    * A window is dominated if an earlier window of its run needs no other frames.
+    * Dominated poses, see :func:`is_dominated`.
+    """
+    windows = _Windows(problem)
+    usable = problem.site_capacity[problem.site_index] > 0
+    while True:
+        poses = np.flatnonzero(usable)
+        reduced = windows.reduce(poses)
+        is_needless: BoolArray = np.logical_and.reduce(reduced.words == 0, axis=1)
+        left = np.flatnonzero(~is_needless)
+        is_needless[left] = is_dominated(
+            reduced.words[left],
+            problem.site_index[poses[left]],
+            problem.site_capacity,
+            problem.budget_units,
+        )
+        if not is_needless.any():
+            return reduced
+        usable[poses[is_needless]] = False
+
+
+def is_dominated(
+    words: WordArray, site_index: IntArray, site_capacity: IntArray, budget_units: int
+) -> BoolArray:
+    """Poses without which some best set remains, whatever the stage.
+
+    Parameters
+    ----------
+    words : (n_poses, n_words) uint64
+        What each pose sees.
+    site_index : (n_poses,) int
+        Site of every pose.
+    site_capacity : (n_sites,) int
+        Units per site, at least 1 where a pose is.
+    budget_units : int
+        Units in all.
+
+    Returns
+    -------
+    is_dominated : (n_poses,) bool
+        May be dropped, all together.
+
+    Notes
+    -----
+    Pose d dominates pose c if it sees all that c sees; among equal poses the earlier one
+    dominates. Every stage is monotone in what each unit sees: where d can take the place of c, no
+    value gets worse. So c may go if in every feasible set S with c one of its dominators is
+    outside S and finds room. Who wants to prevent that has the other K - 1 units of S to
+
+    * fill a site, or choose all the dominators that stand there: min(capacity, dominators)
+      units at least;
+    * at the site of c, which has room once c is gone: choose all dominators there, beside c;
+      this fails if there are as many of them as the site's capacity.
+
+    If that takes more than K - 1 units, c may go. Dominators that are dropped themselves count:
+    the replacement is replaced in turn, each time by a pose earlier in one fixed order (more
+    seen, then index), which ends.
+    """
+    count = np.bitwise_count(words).sum(axis=1, dtype=np.int64)
+    order = np.argsort(-count, kind="stable")
+    columns = np.ascontiguousarray(~words[order].T)
+    sites = site_index[order]
+    result = np.zeros(len(words), dtype=bool)
+    for rank, pose in enumerate(order):
+        row = words[pose]
+        # The fullest words first: they leave the fewest.
+        fullest = np.argsort(-np.bitwise_count(row).astype(np.int64), kind="stable")
+        dominators = np.flatnonzero((columns[fullest[0], :rank] & row[fullest[0]]) == 0)
+        for word in fullest[1:]:
+            if len(dominators) == 0 or row[word] == 0:
+                break
+            dominators = dominators[(columns[word, dominators] & row[word]) == 0]
+        at_site = np.bincount(sites[dominators], minlength=len(site_capacity))
+        own = site_index[pose]
+        result[pose] = (
+            at_site[own] >= site_capacity[own]
+            or np.minimum(at_site, site_capacity).sum() > budget_units - 1
+        )
+    return result
+
+
+class _Windows:
+    """Windows of a problem that end in time, as columns over the poses."""
+
+    def __init__(self, problem: PlacementProblem) -> None:
+        self.problem = problem
+        axis, rule = problem.table.axis, problem.rule
+        run_of_frame = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
+        position = np.arange(axis.n_frames) - axis.run_start[run_of_frame]
+        last_brake = axis.last_brake_time_s[run_of_frame]
+        counts = (
+            (position >= rule.n_confirmations - 1)
+            & is_in_time(axis.time_s, last_brake, latency_s=rule.latency_s)
+            & (axis.weight[run_of_frame] > 0.0)
+        )
+        self.end = np.flatnonzero(counts)
+        self.run = run_of_frame[self.end]
+        self.margin_s = last_brake[self.end] - (axis.time_s[self.end] + rule.latency_s)
+        frames = self.end[:, None] + np.arange(1 - rule.n_confirmations, 1)
+        used, self.frames = np.unique(frames, return_inverse=True)
+        detected = problem.table.detected(slice(None))
+        self.columns = np.packbits(detected[:, used].T, axis=1, bitorder="little")
+        if problem.fusion == "single":
+            self.columns = np.bitwise_and.reduce(self.columns[self.frames], axis=1)
+            for run in np.unique(self.run):
+                of_run = slice(*np.searchsorted(self.run, [run, run + 1]))
+                np.bitwise_or.accumulate(self.columns[of_run], axis=0, out=self.columns[of_run])
+            self.frames = np.arange(len(self.end))[:, None]
+
+    def reduce(self, poses: IntArray) -> ReducedProblem:
+        """The problem on some poses, all of them kept."""
+        problem = self.problem
+        is_pose = np.zeros(problem.table.n_poses, dtype=bool)
+        is_pose[poses] = True
+        columns = self.columns & np.packbits(is_pose, bitorder="little")
+        merged, frame = _unique_rows(columns)
+        is_seen: BoolArray = np.logical_or.reduce(merged != 0, axis=1)
+
+        frames = frame[self.frames]
+        alive = np.flatnonzero(is_seen[frames].all(axis=1))
+        alive = alive[~_is_late_window(_as_sets(frames[alive]), self.run[alive])]
+        sets, window = np.unique(_as_sets(frames[alive]), axis=0, return_inverse=True)
+        kept, window_frames = np.unique(sets, return_inverse=True)
+        window_frames = window_frames.reshape(sets.shape)
+        bits = np.unpackbits(merged[kept], axis=1, count=len(is_pose), bitorder="little")
+        words = pack_words(np.ascontiguousarray(bits[:, poses].T).view(np.bool_))
+
+        run_index, start = np.unique(self.run[alive], return_index=True)
+        chain_window, chain_start, run_chain = _share_chains(np.split(window, start)[1:])
+        margin_s = np.full((len(run_index), np.diff(chain_start).max(initial=0) + 1), -np.inf)
+        for run, margin in enumerate(np.split(self.margin_s[alive], start)[1:]):
+            margin_s[run, : len(margin)] = margin
+        axis = problem.table.axis
+        return ReducedProblem(
+            pose_index=poses,
+            site_index=problem.site_index[poses],
+            site_capacity=problem.site_capacity,
+            budget_units=problem.budget_units,
+            run_index=run_index,
+            weight=axis.weight[run_index],
+            n_frames=len(kept),
+            words=words,
+            window_frames=window_frames,
+            chain_window=chain_window,
+            chain_start=chain_start,
+            run_chain=run_chain,
+            margin_s=margin_s,
+            statistics=PresolveStatistics(
+                n_poses=(problem.table.n_poses, len(poses)),
+                n_frames=(axis.n_frames, len(kept)),
+                n_windows=(
+                    int(
+                        np.maximum(
+                            np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0
+                        ).sum()
+                    ),
+                    len(sets),
+                ),
+                n_runs=(axis.n_runs, len(run_index)),
+            ),
+        )
+
+
+def _unique_rows(rows: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], IntArray]:
+    """Distinct rows, and which of them each row is."""
+    whole = np.ascontiguousarray(rows).view(np.dtype((np.void, rows.shape[1])))[:, 0]
+    _, first, inverse = np.unique(whole, return_index=True, return_inverse=True)
+    return rows[first], inverse
+
+
+def _as_sets(frames: IntArray) -> IntArray:
+    """Rows sorted, the repeated entries last: equal as sets if and only if equal."""
+    frames = np.sort(frames, axis=1)
+    repeated = np.zeros(frames.shape, dtype=bool)
+    repeated[:, 1:] = frames[:, 1:] == frames[:, :-1]
+    return np.sort(np.where(repeated, frames[:, -1:], frames), axis=1)
+
+
+def _is_late_window(frames: IntArray, run: IntArray) -> BoolArray:
+    """Whether an earlier window of the same run needs no frame that this one does not need."""
+    is_late = np.zeros(len(frames), dtype=bool)
+    starts = np.flatnonzero(np.diff(run, prepend=-1))
+    for of_run in np.split(np.arange(len(frames)), starts)[1:]:
+        mine = frames[of_run]
+        is_subset = (mine[:, None, :, None] == mine[None, :, None, :]).any(axis=3).all(axis=2)
+        is_late[of_run] = np.triu(is_subset, k=1).any(axis=0)
+    return is_late
+
+
+def _share_chains(sequences: list[IntArray]) -> tuple[IntArray, IntArray, IntArray]:
+    """Chains such that every sequence is the beginning of one: windows, starts, chain of each."""
+    chains: list[IntArray] = []
+    beginnings: dict[bytes, int] = {}
+    sequence_chain = np.zeros(len(sequences), dtype=np.int64)
+    for index in sorted(range(len(sequences)), key=lambda index: -len(sequences[index])):
+        sequence = sequences[index]
+        key = sequence.tobytes()
+        if key not in beginnings:
+            for length in range(1, len(sequence) + 1):
+                beginnings[sequence[:length].tobytes()] = len(chains)
+            chains.append(sequence)
+        sequence_chain[index] = beginnings[key]
+    start = np.cumsum([0, *map(len, chains)])
+    return np.concatenate([*chains, np.empty(0, dtype=np.int64)]), start, sequence_chain

@@ -1,0 +1,256 @@
+"""Candidates -> detection table -> optimiser -> layout, in one call."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from geometry.errors import InputError
+from geometry.scene import Scene
+
+from .candidates import CandidatePose
+from .detection_table import DetectionTable
+from .layout import Certificate, Layout
+from .optimiser import PlacementProblem, PresolveStatistics, Solution, solve_greedy, solve_placement
+from .optimiser.problem import Fusion
+from .setting import Setting
+from .visibility import build_detection_table, load_table, save_table, table_fingerprint
+
+# Called with the stage, and how much of how much is done; 0 of 0 where that is not known.
+StageProgress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Placement:
+    """What the optimiser found, and what it was found in.
+
+    Attributes
+    ----------
+    layout : Layout
+        The best layout.
+    greedy : Layout
+        The layout of the same size that plain greedy search finds.
+    certificate : Certificate
+        Proof of `layout`.
+    presolve : PresolveStatistics
+        What was left of the problem before any solver started.
+    problem : PlacementProblem
+        The problem, with the detection table.
+    pose_index : tuple of int
+        Rows of the table that make `layout`.
+    seconds : mapping of str to float
+        Time per stage. [s]
+    """
+
+    layout: Layout
+    greedy: Layout
+    certificate: Certificate
+    presolve: PresolveStatistics
+    problem: PlacementProblem
+    pose_index: tuple[int, ...]
+    seconds: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        proof = "proven" if self.certificate.is_proven else "not proven"
+        return f"Placement({self.layout!r}, {proof})"
+
+
+def check_budget(scene: Scene, budget_units: int) -> None:
+    """Check a budget against what the sites can carry, before anything is computed.
+
+    Raises
+    ------
+    InputError
+        Less than 1, not a whole number, or more than the sites can carry.
+    """
+    capacity = sum(site.capacity_units for site in scene.sites)
+    is_whole = isinstance(budget_units, int) and not isinstance(budget_units, bool)
+    if not is_whole or not 1 <= budget_units <= capacity:
+        raise InputError(
+            "--budget",
+            budget_units,
+            f"a whole number of units, 1 to {capacity} (what {scene.name}'s sites can carry)",
+        )
+
+
+def place(
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    *,
+    budget_units: int,
+    fusion: Fusion = "any",
+    seed: int = 0,
+    workers: int = 1,
+    cache_folder: Path | None = None,
+    time_limit_s: float = 60.0,
+    on_progress: StageProgress | None = None,
+) -> Placement:
+    """Find the best layout of a size.
+
+    Parameters
+    ----------
+    setting : Setting
+        Scene, runs, braking rule, detector.
+    candidates : sequence of CandidatePose
+        Poses to choose from.
+    budget_units : int
+        How many units.
+    fusion : str
+        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
+    seed : int
+        Of the points on the VRUs.
+    workers : int
+        Threads.
+    cache_folder : Path, optional
+        Where detection tables are kept; by default nowhere.
+    time_limit_s : float
+        For the optimiser, all stages together. [s]
+    on_progress : callable, optional
+        See ``StageProgress``.
+
+    Returns
+    -------
+    placement : Placement
+        With its certificate.
+
+    Raises
+    ------
+    InputError
+        The budget or the fusion cannot be.
+    """
+    check_budget(setting.scene, budget_units)
+    report = on_progress or _ignore
+    started = time.perf_counter()
+    table = obtain_table(
+        setting,
+        candidates,
+        seed=seed,
+        workers=workers,
+        cache_folder=cache_folder,
+        on_progress=report,
+    )
+    table_done = time.perf_counter()
+    problem = build_problem(setting, candidates, table, budget_units=budget_units, fusion=fusion)
+    report("optimise", 0, 0)
+    solution: Solution = solve_placement(
+        problem,
+        time_limit_s=time_limit_s,
+        on_stage=lambda stage: report(f"optimise: {stage}", 0, 0),
+    )
+    optimised = time.perf_counter()
+    report("greedy", 0, 0)
+    greedy_index = solve_greedy(problem)
+    return Placement(
+        layout=_pick(candidates, solution.pose_index, f"best-{budget_units}"),
+        greedy=_pick(candidates, greedy_index, f"greedy-{budget_units}"),
+        certificate=solution.certificate,
+        presolve=solution.presolve,
+        problem=problem,
+        pose_index=solution.pose_index,
+        seconds={
+            "detection_table": table_done - started,
+            "optimise": optimised - table_done,
+            "greedy": time.perf_counter() - optimised,
+        },
+    )
+
+
+def obtain_table(
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    *,
+    seed: int,
+    workers: int,
+    cache_folder: Path | None,
+    on_progress: StageProgress,
+) -> DetectionTable:
+    """Detection table of a setting, from the cache or built anew.
+
+    Parameters
+    ----------
+    setting, candidates, seed, workers, cache_folder
+        As for :func:`place`.
+    on_progress : callable
+        See ``StageProgress``.
+
+    Returns
+    -------
+    table : DetectionTable
+        V[c, f].
+    """
+    if cache_folder is not None:
+        fingerprint = table_fingerprint(
+            setting.scene, candidates, setting.runs, setting.detector, seed=seed
+        )
+        path = cache_folder / f"table-{fingerprint}.npz"
+        cached = load_table(
+            path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis
+        )
+        if cached is not None:
+            on_progress("detection table (cached)", 0, 0)
+            return cached
+    on_progress("detection table", 0, 0)
+    table = build_detection_table(
+        setting.scene,
+        candidates,
+        setting.runs,
+        setting.axis,
+        detector=setting.detector,
+        seed=seed,
+        workers=workers,
+        on_progress=lambda done, total: on_progress("detection table", done, total),
+    )
+    if cache_folder is not None:
+        save_table(path, table, fingerprint=fingerprint)
+    return table
+
+
+def build_problem(
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    table: DetectionTable,
+    *,
+    budget_units: int,
+    fusion: Fusion,
+) -> PlacementProblem:
+    """The optimiser's problem: a pose of no site of the scene stands alone on one of its own.
+
+    Parameters
+    ----------
+    setting, candidates, budget_units, fusion
+        As for :func:`place`.
+    table : DetectionTable
+        Its rows are `candidates`.
+
+    Returns
+    -------
+    problem : PlacementProblem
+        Checked.
+    """
+    capacity = {site.id: site.capacity_units for site in setting.scene.sites}
+    keys = [c.site_id if c.site_id in capacity else ("own", c.id) for c in candidates]
+    order = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+    return PlacementProblem(
+        table=table,
+        site_index=np.array([order[key] for key in keys]),
+        site_capacity=np.array([capacity.get(key, 1) for key in order]),  # type: ignore[call-overload]
+        budget_units=budget_units,
+        fusion=fusion,
+        rule=setting.rule,
+    )
+
+
+def _pick(candidates: Sequence[CandidatePose], pose_index: Sequence[int], name: str) -> Layout:
+    """Layout of some candidates; poses of the grid get short names."""
+    units = []
+    for number, index in enumerate(pose_index, start=1):
+        candidate = candidates[index]
+        is_of_grid = "/" in candidate.id
+        units.append(replace(candidate, id=f"U{number}") if is_of_grid else candidate)
+    return Layout(name=name, units=tuple(units))
+
+
+def _ignore(stage: str, done: int, total: int) -> None:
+    """Take no notice of progress."""

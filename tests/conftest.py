@@ -1,0 +1,50 @@
+"""Values that many tests start from."""
+
+import numpy as np
+import pytest
+
+from geometry.actors import load_actors
+from geometry.catalogue import load_cameras
+from scenarios.aeb import load_aeb_rule
+from scenarios.runs import FrameAxis, build_runs, load_placements
+
+
+@pytest.fixture(scope="session")
+def actors():
+    return load_actors()
+
+
+@pytest.fixture(scope="session")
+def camera():
+    return load_cameras()["carla-ncap-rgb"]
+
+
+@pytest.fixture(scope="session")
+def rule():
+    return load_aeb_rule()
+
+
+@pytest.fixture(scope="session")
+def placements():
+    return load_placements()
+
+
+@pytest.fixture(scope="session")
+def runs(placements, actors, rule):
+    """All runs at the study's junction."""
+    return build_runs(placements, vut=actors["vut"], rule=rule)
+
+
+@pytest.fixture
+def frame_axis():
+    """Three runs of 3, 5 and 2 frames with weights 1/2, 1/4, 1/4."""
+    return FrameAxis(
+        run_ids=("A/north/20", "A/north/30", "B/north/20"),
+        cases=("A", "A", "B"),
+        approaches=("north", "north", "north"),
+        vut_speed_kmh=np.array([20.0, 30.0, 20.0]),
+        weight=np.array([0.5, 0.25, 0.25]),
+        last_brake_time_s=np.array([-0.1, -0.2, -np.inf]),
+        run_start=np.array([0, 3, 8, 10]),
+        time_s=np.array([-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, -0.1, 0.0]),
+    )

@@ -1,0 +1,240 @@
+import csv
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from pyproj import Transformer
+
+from experiments.exports import (
+    FORMATS,
+    apr_table,
+    margin_s,
+    parties,
+    runs_table,
+    to_carla,
+    to_csv,
+    to_geojson,
+    to_json,
+    to_json_text,
+)
+from experiments.study import load_carlancap_layout
+from geometry.errors import InputError
+from geometry.frames import from_carla_pose
+from geometry.poses import Pose
+from geometry.scene_files import load_study_scene
+from placement.candidates import CandidatePose
+from placement.evaluation import Evaluation, Verdict, apr
+from placement.layout import Layout, layout_records, load_layout
+from scenarios.aeb import confirmation_time_s, is_in_time
+
+CRS = load_study_scene().crs
+
+
+@pytest.fixture
+def layout(camera):
+    """Two units with numbers that no short decimal equals, and one at the origin."""
+    poses = (
+        Pose(position_m=[-115.1 / 3.0, 8.7 / 7.0, 7.0], yaw_deg=100.0 / 3.0, pitch_deg=-20.0 / 3.0),
+        Pose(position_m=[0.1 + 0.2, -1.0e-7, 5.5], yaw_deg=180.0, pitch_deg=-90.0),
+        Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0, pitch_deg=0.0),
+    )
+    return Layout(
+        name='two, "quoted"',
+        units=tuple(
+            CandidatePose(id=f"pole, {index}/ü", site_id=f"site-{index}", pose=pose, camera=camera)
+            for index, pose in enumerate(poses)
+        ),
+    )
+
+
+@pytest.fixture
+def evaluation(layout, frame_axis, rule):
+    rng = np.random.default_rng(5)
+
+    def verdict(detected):
+        confirmation = np.array(
+            [
+                confirmation_time_s(
+                    detected[frame_axis.frames_of(index)],
+                    frame_axis.time_s[frame_axis.frames_of(index)],
+                    n_confirmations=2,
+                )
+                for index in range(frame_axis.n_runs)
+            ]
+        )
+        return Verdict(
+            detected=detected,
+            confirmation_time_s=confirmation,
+            is_avoided=is_in_time(
+                confirmation, frame_axis.last_brake_time_s, latency_s=rule.latency_s
+            ),
+        )
+
+    detected = rng.random((4, frame_axis.n_frames)) < 0.7
+    detected[1] = False
+    return Evaluation(
+        layout=layout,
+        axis=frame_axis,
+        vut=verdict(detected[3]),
+        units={unit.id: verdict(detected[index]) for index, unit in enumerate(layout.units)},
+        rsu_all=verdict(detected[:3].any(axis=0)),
+        vut_and_rsus=verdict(detected.any(axis=0)),
+    )
+
+
+def test_csv_reads_back_bit_by_bit(layout, tmp_path):
+    path = tmp_path / "layout.csv"
+    path.write_text(to_csv(layout), encoding="utf-8")
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row, record in zip(rows, layout_records(layout), strict=True):
+        assert {key: type(record[key])(value) for key, value in row.items()} == record
+    # pandas' own parser may be off by the last bit.
+    by_pandas = pd.read_csv(path)
+    pd.testing.assert_frame_equal(by_pandas, pd.DataFrame(layout_records(layout)), rtol=1e-15)
+
+
+def test_layout_json_reads_back_bit_by_bit(layout, tmp_path):
+    path = tmp_path / "layout.json"
+    path.write_text(to_json(layout), encoding="utf-8")
+    again = load_layout(path)
+    assert again.name == layout.name
+    assert layout_records(again) == layout_records(layout)
+
+
+def test_geojson_lies_in_the_world_frame_within_a_centimetre():
+    layout = load_carlancap_layout()
+    document = json.loads(to_geojson(layout, CRS))
+    assert document["type"] == "FeatureCollection"
+    to_local = Transformer.from_crs("EPSG:4326", CRS, always_xy=True)
+    for unit, feature in zip(layout.units, document["features"], strict=True):
+        assert feature["geometry"]["type"] == "Point"
+        longitude, latitude, height = feature["geometry"]["coordinates"]
+        back = [*to_local.transform(longitude, latitude), height]
+        np.testing.assert_allclose(back, unit.pose.position_m, atol=0.01, rtol=0.0)
+        # West of 8 degrees east: the study's junction has negative x.
+        assert 7.99 < longitude < 8.0
+        assert 48.99 < latitude < 49.01
+    assert [feature["properties"] for feature in document["features"]] == layout_records(layout)
+
+
+@pytest.mark.parametrize("crs", ["no such system", ""])
+def test_geojson_says_which_crs_is_unknown(layout, crs):
+    with pytest.raises(InputError) as caught:
+        to_geojson(layout, crs)
+    assert str(caught.value) == (
+        f"crs: got {crs!r}; expected a coordinate reference system that pyproj knows"
+    )
+
+
+def test_geojson_refuses_a_layout_outside_its_crs(layout, camera):
+    far = CandidatePose(
+        id="far", site_id="", pose=Pose(position_m=[1.0e12, 0.0, 7.0], yaw_deg=0.0), camera=camera
+    )
+    with pytest.raises(InputError) as caught:
+        to_geojson(Layout(name="far", units=(far,)), CRS)
+    assert str(caught.value) == (
+        f"crs: got {CRS!r}; expected a coordinate reference system that contains the layout"
+    )
+
+
+@pytest.mark.parametrize("build", [load_carlancap_layout, None])
+def test_carla_transforms_come_back_as_the_poses(layout, build):
+    layout = build() if build else layout
+    records = json.loads(to_carla(layout))
+    assert [record["id"] for record in records] == [unit.id for unit in layout.units]
+    for unit, record in zip(layout.units, records, strict=True):
+        location, rotation = (record["transform"][key] for key in ("location", "rotation"))
+        pose = from_carla_pose(
+            position_m=[location["x"], location["y"], location["z"]],
+            yaw_deg=rotation["yaw"],
+            pitch_deg=rotation["pitch"],
+        )
+        np.testing.assert_array_equal(pose.position_m, unit.pose.position_m)
+        assert pose.yaw_deg == pytest.approx(unit.pose.yaw_deg, abs=1e-12)
+        assert pose.pitch_deg == unit.pose.pitch_deg
+        assert rotation["roll"] == 0.0
+        assert record["blueprint"] == "sensor.camera.rgb"
+        assert record["attributes"] == {
+            "image_size_x": "1920",
+            "image_size_y": "1080",
+            "fov": "110.0",
+            "sensor_tick": "0.1",
+        }
+
+
+def test_carla_has_no_minus_zero(layout):
+    assert "-0.0" not in to_carla(Layout(name="origin", units=layout.units[2:]))
+
+
+def test_every_format_is_text_of_the_whole_layout(layout):
+    assert set(FORMATS) == {"csv", "geojson", "carla"}
+    for export in FORMATS.values():
+        text = export(layout, CRS)
+        assert all(unit.id in text for unit in layout.units)
+        assert text.endswith("\n")
+
+
+def test_json_text_has_null_for_what_json_lacks():
+    document = {
+        "a": [np.inf, -np.inf, np.nan, 1.0],
+        "b": {"c": np.float64("nan")},
+        "d": np.int64(3),
+    }
+    text = to_json_text(document | {"e": (np.array([0.5, np.inf]), True, None, "Inf")})
+    assert json.loads(text) == {
+        "a": [None, None, None, 1.0],
+        "b": {"c": None},
+        "d": 3,
+        "e": [[0.5, None], True, None, "Inf"],
+    }
+
+
+def test_apr_table_agrees_with_the_evaluation(evaluation):
+    table = apr_table({"mine": evaluation})
+    assert list(table.columns) == [
+        "layout", "party", "case", "approach", "apr", "n_runs", "n_avoided",
+    ]  # fmt: skip
+    for party, verdict in parties(evaluation).items():
+        rows = table[(table.party == party) & (table.approach == "all")].set_index("case")
+        assert rows.loc["all", "apr"] == apr(verdict, evaluation.axis)
+        assert rows.loc["all", "n_runs"] == 3
+        assert rows.loc["all", "n_avoided"] == verdict.is_avoided.sum()
+        assert rows.loc["A", "apr"] == apr(verdict, evaluation.axis, np.array([True, True, False]))
+        assert rows.loc["B", "n_avoided"] == verdict.is_avoided[2]
+
+
+def test_runs_table_has_one_row_per_party_and_run(evaluation, rule, tmp_path):
+    table = runs_table({"mine": evaluation, "again": evaluation}, rule)
+    axis = evaluation.axis
+    assert len(table) == 2 * 6 * axis.n_runs
+    assert not np.isinf(table.select_dtypes("number").to_numpy()).any()
+    for party, verdict in parties(evaluation).items():
+        rows = table[(table.layout == "mine") & (table.party == party)]
+        assert rows.run.tolist() == list(axis.run_ids)
+        assert rows.is_avoided.tolist() == verdict.is_avoided.tolist()
+        assert rows.weight.tolist() == axis.weight.tolist()
+        np.testing.assert_array_equal(
+            rows.confirmation_time_s.isna(), np.isinf(verdict.confirmation_time_s)
+        )
+        np.testing.assert_allclose(
+            rows.detected_share,
+            [verdict.detected[axis.frames_of(index)].mean() for index in range(axis.n_runs)],
+        )
+        timely = rows[rows.margin_s.notna()]
+        assert (timely.is_avoided == (timely.margin_s >= -1e-9)).all()
+        assert not rows[rows.margin_s.isna()].is_avoided.any()
+    path = tmp_path / "runs.parquet"
+    table.to_parquet(path)
+    pd.testing.assert_frame_equal(pd.read_parquet(path), table)
+
+
+def test_margin_is_minus_infinity_where_nothing_is_confirmed_or_nothing_helps(evaluation, rule):
+    for verdict in parties(evaluation).values():
+        margin = margin_s(verdict, evaluation.axis, rule)
+        hopeless = np.isinf(verdict.confirmation_time_s) | np.isinf(
+            evaluation.axis.last_brake_time_s
+        )
+        np.testing.assert_array_equal(np.isneginf(margin), hopeless)
+        assert np.isfinite(margin[~hopeless]).all()

@@ -1,0 +1,171 @@
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from experiments.figures import (
+    percent,
+    plot_apr_by_case,
+    plot_heatmap,
+    plot_heatmaps,
+    to_png,
+    unit_labels,
+)
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_case
+from placement.layout import Layout
+
+matplotlib.use("agg")
+RED = "#CC0000"
+
+
+def build_evaluation(axis, camera, *, name="mine", ids=("RSU0", "RSU1"), seed=3):
+    """Random detections and verdicts that need not belong together."""
+    rng = np.random.default_rng(seed)
+
+    def verdict():
+        confirmation = rng.choice([np.inf, -0.1, -0.2], axis.n_runs)
+        return Verdict(
+            detected=rng.random(axis.n_frames) < 0.5,
+            confirmation_time_s=confirmation,
+            is_avoided=rng.random(axis.n_runs) < 0.5,
+        )
+
+    pose = Pose(position_m=[1.0, 2.0, 7.0], yaw_deg=30.0, pitch_deg=-20.0)
+    units = tuple(
+        CandidatePose(id=unit_id, site_id="s", pose=pose, camera=camera) for unit_id in ids
+    )
+    return Evaluation(
+        layout=Layout(name=name, units=units),
+        axis=axis,
+        vut=verdict(),
+        units={unit_id: verdict() for unit_id in ids},
+        rsu_all=verdict(),
+        vut_and_rsus=verdict(),
+    )
+
+
+@pytest.fixture
+def evaluation(frame_axis, camera):
+    return build_evaluation(frame_axis, camera)
+
+
+def texts(figure):
+    return [text.get_text() for text in figure.findobj(matplotlib.text.Text)]
+
+
+def test_heatmap_cells_are_the_detections(evaluation):
+    figure = plot_heatmaps(evaluation, [0, 1, 2])
+    for run_index, axes in enumerate(figure.axes):
+        (image,) = axes.get_images()
+        frames = evaluation.axis.frames_of(run_index)
+        rows = [evaluation.vut, *evaluation.units.values(), evaluation.rsu_all]
+        np.testing.assert_array_equal(
+            np.asarray(image.get_array()), [row.detected[frames] for row in rows]
+        )
+        labels = [label.get_text() for label in axes.get_yticklabels()]
+        assert labels == ["VUT", "RSU0", "RSU1", "all RSUs"]
+
+
+def test_heatmap_cells_are_centred_on_their_frames(evaluation):
+    for run_index in range(evaluation.axis.n_runs):
+        (axes,) = plot_heatmap(evaluation, run_index).axes
+        times = evaluation.axis.time_s[evaluation.axis.frames_of(run_index)]
+        left, right, bottom, top = axes.get_images()[0].get_extent()
+        edges = np.linspace(left, right, len(times) + 1)
+        np.testing.assert_allclose(0.5 * (edges[1:] + edges[:-1]), times, atol=1e-12)
+        assert (bottom, top) == (3.5, -0.5)
+
+
+def test_heatmap_draws_the_last_brake_time_as_a_dashed_red_line(evaluation):
+    for run_index, last_brake_s in enumerate(evaluation.axis.last_brake_time_s[:2]):
+        (axes,) = plot_heatmap(evaluation, run_index).axes
+        (line,) = [line for line in axes.get_lines() if line.get_gid() == "last brake time"]
+        assert list(line.get_xdata()) == [last_brake_s] * 2
+        assert line.get_color() == RED
+        assert line.is_dashed()
+
+
+def test_heatmap_says_so_where_no_braking_helps(evaluation):
+    figure = plot_heatmap(evaluation, 2)  # its last brake time is minus infinity
+    assert not [line for line in figure.axes[0].get_lines() if line.get_gid() == "last brake time"]
+    assert any("no braking" in text for text in texts(figure))
+
+
+def test_heatmap_marks_confirmations_and_names_outcomes(evaluation):
+    for run_index in range(evaluation.axis.n_runs):
+        (axes,) = plot_heatmap(evaluation, run_index).axes
+        (marks,) = [line for line in axes.get_lines() if line.get_marker() == "D"]
+        rows = [evaluation.vut, *evaluation.units.values(), evaluation.rsu_all]
+        times = [row.confirmation_time_s[run_index] for row in rows]
+        assert list(marks.get_xdata()) == times
+        (outcomes,) = axes.child_axes
+        for label, row, time_s in zip(outcomes.get_yticklabels(), rows, times, strict=True):
+            late = "too late" if np.isfinite(time_s) else "never confirmed"
+            assert label.get_text() == ("avoided" if row.is_avoided[run_index] else late)
+
+
+def test_bars_are_as_long_as_the_aprs(frame_axis, camera):
+    evaluations = {
+        name: build_evaluation(frame_axis, camera, name=name, seed=seed)
+        for seed, name in enumerate(["found", "greedy", "carlancap-12"])
+    }
+    (axes,) = plot_apr_by_case(evaluations).axes
+    found = evaluations["found"]
+    verdicts = [*(item.rsu_all for item in evaluations.values()), found.vut, found.vut_and_rsus]
+    assert len(axes.containers) == len(verdicts)
+    for bars, verdict in zip(axes.containers, verdicts, strict=True):
+        expected = [*apr_by_case(verdict, frame_axis).values(), apr(verdict, frame_axis)]
+        np.testing.assert_allclose([bar.get_width() for bar in bars], 100.0 * np.array(expected))
+    groups = [label.get_text() for label in axes.get_yticklabels()]
+    assert groups == ["A", "B", "all runs"]
+    values = [text.get_text() for text in axes.texts]
+    assert len(values) == 15
+    assert values[2] == percent(apr(found.rsu_all, frame_axis))
+
+
+def test_bars_of_one_figure_differ_without_colour(frame_axis, camera):
+    evaluations = {
+        name: build_evaluation(frame_axis, camera, name=name) for name in ("a", "b", "c")
+    }
+    (axes,) = plot_apr_by_case(evaluations).axes
+    hatches = [bars.patches[0].get_hatch() for bars in axes.containers]
+    assert len(set(hatches)) == len(hatches)
+
+
+def test_figures_are_the_same_bytes_each_time(evaluation):
+    assert to_png(plot_heatmap(evaluation, 0)) == to_png(plot_heatmap(evaluation, 0))
+
+
+def test_figures_leave_no_trace_in_pyplot(evaluation):
+    import matplotlib.pyplot as plt
+
+    assert isinstance(plot_heatmap(evaluation, 0), Figure)
+    assert plt.get_fignums() == []
+
+
+@pytest.mark.parametrize("name", ["$x^{", "_hidden", "雪", "a\\b", "%s {}"])
+def test_any_name_can_be_drawn(frame_axis, camera, name):
+    evaluation = build_evaluation(frame_axis, camera, name=name, ids=(name, f"{name}2"))
+    assert to_png(plot_apr_by_case({name: evaluation})).startswith(b"\x89PNG")
+    assert to_png(plot_heatmap(evaluation, 0)).startswith(b"\x89PNG")
+
+
+def test_unit_labels_are_ids_only_where_all_are_short(frame_axis, camera):
+    short = build_evaluation(frame_axis, camera).layout
+    assert unit_labels(short) == {"RSU0": "RSU0", "RSU1": "RSU1"}
+    long = build_evaluation(frame_axis, camera, ids=("RSU0", "corner-ne/7m/45")).layout
+    assert unit_labels(long) == {"RSU0": "#1", "corner-ne/7m/45": "#2"}
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(1.0, "100.0 %"), (0.9996, ">99.9 %"), (0.9994, "99.9 %"), (0.0, "0.0 %"), (0.0004, "<0.1 %")],
+)
+def test_percent_never_rounds_to_all_or_nothing(share, text):
+    assert percent(share) == text
+
+
+def test_percent_of_nothing_is_a_dash():
+    assert percent(float("nan")) == "\N{EN DASH}"

@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from oracles import overlap_area, polygon_area, polygon_distance, rectangle_polygon
+from strategies import Rectangle, angles_deg, coordinates_m, numbers, rectangles
+
+from geometry.footprints import footprint_corners, footprint_separation
+
+
+def _corners(rectangle: Rectangle) -> np.ndarray:
+    return footprint_corners(
+        rectangle.centre_m,
+        rectangle.yaw_deg,
+        length_m=rectangle.length_m,
+        width_m=rectangle.width_m,
+    )
+
+
+def _polygon(rectangle: Rectangle) -> list[tuple[float, float]]:
+    return rectangle_polygon(
+        rectangle.centre_m, rectangle.yaw_deg, rectangle.length_m, rectangle.width_m
+    )
+
+
+@given(rectangles())
+def test_corners_go_counter_clockwise_around_the_declared_area(rectangle):
+    corners = _corners(rectangle)
+    assert corners.mean(axis=0) == pytest.approx(rectangle.centre_m, abs=1e-12)
+    area = polygon_area([tuple(corner) for corner in corners])
+    assert area == pytest.approx(rectangle.length_m * rectangle.width_m, rel=1e-9)
+    assert corners == pytest.approx(np.array(_polygon(rectangle)), abs=1e-9)
+
+
+def test_first_corner_is_front_left():
+    corners = footprint_corners([10.0, 20.0], 90.0, length_m=4.0, width_m=2.0)  # heads north
+    assert corners == pytest.approx(
+        np.array([[9.0, 22.0], [9.0, 18.0], [11.0, 18.0], [11.0, 22.0]]), abs=1e-12
+    )
+
+
+@given(rectangles(), rectangles())
+def test_separation_is_symmetric(a, b):
+    assert footprint_separation(_corners(a), _corners(b)) == pytest.approx(
+        float(footprint_separation(_corners(b), _corners(a))), abs=1e-9
+    )
+
+
+@given(rectangles(), rectangles(), angles_deg, coordinates_m, coordinates_m)
+def test_separation_does_not_change_when_both_move_together(a, b, turn_deg, east_m, north_m):
+    turn = np.radians(turn_deg)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    moved = [_corners(r) @ rotation.T + [east_m, north_m] for r in (a, b)]
+    assert footprint_separation(*moved) == pytest.approx(
+        float(footprint_separation(_corners(a), _corners(b))), abs=1e-9
+    )
+
+
+@given(rectangles(), rectangles())
+def test_separation_is_negative_exactly_where_clipping_finds_a_common_area(a, b):
+    separation = float(footprint_separation(_corners(a), _corners(b)))
+    area = overlap_area(_polygon(a), _polygon(b))
+    if separation < -1e-6:
+        assert area > 0.0
+    elif separation > 1e-6:
+        assert area == 0.0
+
+
+@given(rectangles(), rectangles())
+def test_separation_of_rectangles_apart_is_between_the_distance_and_its_half(a, b):
+    separation = float(footprint_separation(_corners(a), _corners(b)))
+    if separation > 1e-6:
+        distance = polygon_distance(_polygon(a), _polygon(b))
+        # One of a rectangle's two normals is within 45 degrees of any direction.
+        assert distance / np.sqrt(2.0) - 1e-9 <= separation <= distance + 1e-9
+
+
+@given(
+    rectangles(),
+    numbers(-8.0, 8.0),
+    numbers(-8.0, 8.0),
+    numbers(0.2, 6.0),
+    numbers(0.2, 6.0),
+)
+def test_separation_of_parallel_rectangles_is_the_larger_gap(a, ahead_m, left_m, length_m, width_m):
+    yaw = np.radians(a.yaw_deg)
+    rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    b = Rectangle(
+        centre_m=tuple(np.array(a.centre_m) + rotation @ [ahead_m, left_m]),
+        yaw_deg=a.yaw_deg,
+        length_m=length_m,
+        width_m=width_m,
+    )
+    expected = max(
+        abs(ahead_m) - 0.5 * (a.length_m + length_m), abs(left_m) - 0.5 * (a.width_m + width_m)
+    )
+    assert footprint_separation(_corners(a), _corners(b)) == pytest.approx(expected, abs=1e-9)
+
+
+def test_separation_of_a_corner_that_faces_a_side():
+    square = footprint_corners([0.0, 0.0], 0.0, length_m=2.0, width_m=2.0)
+    diamond = footprint_corners([5.0, 0.0], 45.0, length_m=2.0, width_m=2.0)
+    assert footprint_separation(square, diamond) == pytest.approx(5.0 - 1.0 - np.sqrt(2.0))
+
+
+def test_separation_broadcasts_over_leading_axes():
+    a = footprint_corners(np.zeros((4, 1, 2)), np.zeros((4, 1)), length_m=2.0, width_m=2.0)
+    east = np.stack([np.arange(5.0), np.zeros(5)], axis=-1)
+    b = footprint_corners(east, np.zeros(5), length_m=2.0, width_m=2.0)
+    separation = footprint_separation(a, b)
+    assert separation.shape == (4, 5)
+    assert separation[3] == pytest.approx([-2.0, -1.0, 0.0, 1.0, 2.0])

@@ -1,0 +1,237 @@
+import builtins
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import slab_hits
+
+from geometry import raycast
+from geometry.errors import InputError
+from geometry.raycast import build_caster, caster_name, open3d_problem
+
+_OPEN3D_PROBLEM = open3d_problem()
+needs_open3d = pytest.mark.skipif(_OPEN3D_PROBLEM is not None, reason=str(_OPEN3D_PROBLEM))
+LIBRARIES = [pytest.param("open3d", marks=needs_open3d), "embreex"]
+
+BOX_M = np.array([2.0, 3.0, 4.0])
+BOX = trimesh.creation.box(extents=2.0 * BOX_M)
+
+
+def _wall(library, x_m=10.0):
+    """A wall across the x axis."""
+    vertices = [[x_m, -5, -5], [x_m, 5, -5], [x_m, 5, 5], [x_m, -5, 5]]
+    return build_caster(vertices, [[0, 1, 2], [0, 2, 3]], library=library)
+
+
+def _random_rays(rng, n, reach_m):
+    origins = rng.uniform(-reach_m, reach_m, (n, 3)).astype(np.float32)
+    return origins, (rng.uniform(-reach_m, reach_m, (n, 3)) - origins).astype(np.float32)
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=20)
+def test_rays_against_a_box_are_those_of_the_slab_formula(library, seed):
+    origins, vectors = _random_rays(np.random.default_rng(seed), 500, 8.0)
+    caster = build_caster(BOX.vertices, BOX.faces, library=library)
+    entry, leave = slab_hits(origins.astype(float), vectors.astype(float), -BOX_M, BOX_M)
+    margin = 1e-3  # rays along an edge or from the surface may go either way
+    is_inside = (entry < -margin) & (leave > margin)
+    is_hit = (entry > margin) & (leave > entry + margin)
+    is_missed = (entry > leave + margin) | (leave < -margin)
+    assert (is_inside | is_hit | is_missed).mean() > 0.9
+    share = caster.first_hit(origins, vectors)
+    assert share[is_hit] == pytest.approx(entry[is_hit], rel=1e-4, abs=1e-5)
+    assert share[is_inside] == pytest.approx(leave[is_inside], rel=1e-4, abs=1e-5)
+    assert np.isposinf(share[is_missed]).all()
+    first = np.where(is_inside, leave, entry)
+    is_clear = (is_inside | is_hit) & (np.abs(first - 1.0) > margin)
+    blocked = caster.is_blocked(origins, vectors)
+    assert np.array_equal(blocked[is_clear], first[is_clear] < 1.0)
+    assert not blocked[is_missed].any()
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_segment_ends_where_it_ends(library, side):
+    caster = _wall(library)
+    origins = np.array([[10.0 - 10.0 * side, 0.3, 0.2]] * 3, dtype=np.float32)
+    ways = np.array([[9.999 * side, 0, 0], [10.001 * side, 0, 0], [-9.0 * side, 0, 0]])
+    blocked = caster.is_blocked(origins, ways.astype(np.float32))
+    assert blocked.tolist() == [False, True, False]  # just before, just after, away from it
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_the_nearest_of_several_triangles_is_hit_at_its_share_of_the_vector(library):
+    walls = [
+        np.array([[x, -5, -5], [x, 5, -5], [x, 5, 5], [x, -5, 5]], dtype=float) for x in (9, 3, 6)
+    ]
+    faces = np.concatenate([[[i, i + 1, i + 2], [i, i + 2, i + 3]] for i in (0, 4, 8)])
+    caster = build_caster(np.concatenate(walls), faces, library=library)
+    origins = np.array([[0, 0.1, 0.2]] * 3 + [[4, 0.1, 0.2]], dtype=np.float32)
+    vectors = np.array([[1, 0, 0], [12, 0, 0], [-1, 0, 0], [0.5, 0, 0]], dtype=np.float32)
+    assert caster.first_hit(origins, vectors) == pytest.approx([3.0, 0.25, np.inf, 4.0], rel=1e-6)
+
+
+@needs_open3d
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=15)
+def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
+    rng = np.random.default_rng(seed)
+    vertices = rng.uniform(-50.0, 50.0, (90, 3))
+    triangles = rng.integers(0, 90, (60, 3))
+    origins, vectors = _random_rays(rng, 4000, 60.0)
+    one, other = (build_caster(vertices, triangles, library=name) for name in raycast.CASTERS)
+    assert np.array_equal(one.is_blocked(origins, vectors), other.is_blocked(origins, vectors))
+    hits = one.first_hit(origins, vectors)
+    assert np.isfinite(hits).any()
+    np.testing.assert_allclose(hits, other.first_hit(origins, vectors), rtol=1e-5)
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=15)
+def test_blocked_means_that_the_first_hit_comes_before_the_end(library, seed):
+    rng = np.random.default_rng(seed)
+    caster = build_caster(
+        rng.uniform(-50.0, 50.0, (90, 3)), rng.integers(0, 90, (60, 3)), library=library
+    )
+    origins, vectors = _random_rays(rng, 2000, 60.0)
+    share = caster.first_hit(origins, vectors)
+    is_clear = np.abs(share - 1.0) > 1e-5
+    assert np.array_equal(caster.is_blocked(origins, vectors)[is_clear], (share <= 1.0)[is_clear])
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_nothing_is_hit_where_nothing_is(library):
+    caster = build_caster(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), library=library)
+    origins, vectors = _random_rays(np.random.default_rng(0), 10, 5.0)
+    assert not caster.is_blocked(origins, vectors).any()
+    assert np.isposinf(caster.first_hit(origins, vectors)).all()
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_no_rays_give_no_answers(library):
+    none = np.zeros((0, 3), dtype=np.float32)
+    assert _wall(library).is_blocked(none, none).shape == (0,)
+    assert _wall(library).first_hit(none, none).shape == (0,)
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_answers_have_the_declared_types_and_rays_may_be_strided(library):
+    caster = _wall(library)
+    rays = np.zeros((4, 6), dtype=np.float32)
+    rays[:, 3] = [20.0, 5.0, 20.0, 5.0]
+    blocked = caster.is_blocked(rays[:, :3], rays[:, 3:])
+    assert blocked.dtype == np.bool_
+    assert blocked.tolist() == [True, False, True, False]
+    share = caster.first_hit(rays[:, :3], rays[:, 3:])
+    assert share.dtype == np.float32
+    assert share == pytest.approx([0.5, 2.0, 0.5, 2.0])
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_two_threads_get_the_answers_of_one(library):
+    rng = np.random.default_rng(7)
+    vertices, triangles = rng.uniform(-50, 50, (300, 3)), rng.integers(0, 300, (200, 3))
+    batches = [_random_rays(rng, 20_000, 60.0) for _ in range(8)]
+    alone = build_caster(vertices, triangles, library=library)
+    expected = [(alone.is_blocked(*rays), alone.first_hit(*rays)) for rays in batches]
+    shared = build_caster(vertices, triangles, library=library)
+    with ThreadPoolExecutor(2) as pool:
+        blocked = list(pool.map(lambda rays: shared.is_blocked(*rays), batches))
+        share = list(pool.map(lambda rays: shared.first_hit(*rays), batches))
+    for (one_blocked, one_share), two_blocked, two_share in zip(
+        expected, blocked, share, strict=True
+    ):
+        assert np.array_equal(one_blocked, two_blocked)
+        assert np.array_equal(one_share, two_share)
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_a_vertex_that_is_not_finite_is_refused(library):
+    vertices = np.eye(3)
+    vertices[1, 1] = np.nan
+    with pytest.raises(InputError) as caught:
+        build_caster(vertices, [[0, 1, 2]], library=library)
+    assert str(caught.value) == (
+        "vertices_m: got a vertex that is not finite; expected finite coordinates"
+    )
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+@pytest.mark.parametrize(("triangle", "index"), [([0, 1, 3], 3), ([0, -1, 2], -1)])
+def test_a_triangle_outside_the_vertices_is_refused(library, triangle, index):
+    with pytest.raises(InputError) as caught:
+        build_caster(np.eye(3), [triangle], library=library)
+    assert str(caught.value) == f"triangles: got {index}; expected vertex indices from 0 to 2"
+
+
+@pytest.fixture
+def break_open3d(monkeypatch):
+    """Let ``import open3d`` fail with a given error, and forget that afterwards."""
+    real_import = builtins.__import__
+
+    def apply(error):
+        def fail(name, *arguments, **options):
+            if name == "open3d":
+                raise error
+            return real_import(name, *arguments, **options)
+
+        raycast._open3d_or_reason.cache_clear()
+        monkeypatch.setattr(builtins, "__import__", fail)
+
+    yield apply
+    monkeypatch.undo()
+    raycast._open3d_or_reason.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("error", "cause", "remedy"),
+    [
+        (
+            OSError(f"{library}: cannot open shared object file: No such file or directory"),
+            f"{library} is missing",
+            f"apt-get install {package}",
+        )
+        for library, package in [
+            ("libusb-1.0.so.0", "libusb-1.0-0"),
+            ("libGL.so.1", "libgl1"),
+            ("libEGL.so.1", "libegl1"),
+            ("libX11.so.6", "libx11-6"),
+        ]
+    ]
+    + [
+        (
+            ModuleNotFoundError("No module named 'open3d'"),
+            "No module named 'open3d'",
+            "pip install open3d-cpu, or open3d",
+        ),
+        (
+            ImportError("DLL load failed:\n  not a valid application"),
+            "DLL load failed: not a valid application",
+            "pip install open3d-cpu, or open3d",
+        ),
+    ],
+)
+def test_where_open3d_cannot_load_embreex_casts_and_one_line_says_why(
+    break_open3d, error, cause, remedy
+):
+    break_open3d(error)
+    assert open3d_problem() == (
+        f"Open3D cannot load ({cause}): rays are cast by embreex instead. "
+        f"Same results; to use Open3D: {remedy}"
+    )
+    assert caster_name() == "embreex"
+    assert isinstance(build_caster(BOX.vertices, BOX.faces), raycast.EmbreexCaster)
+    with pytest.raises(ImportError, match="Open3D cannot load"):
+        build_caster(BOX.vertices, BOX.faces, library="open3d")
+
+
+@needs_open3d
+def test_open3d_casts_where_it_loads():
+    assert caster_name() == "open3d"
+    assert isinstance(build_caster(BOX.vertices, BOX.faces), raycast.Open3dCaster)

@@ -1,0 +1,124 @@
+"""Tiny worlds: boxes for buildings, a block for the VRU, runs given frame by frame."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from geometry.actors import Actor, PlacedActor, pick_actor
+from geometry.scene import Instance, Scene
+from geometry.sensors import CameraModel
+from scenarios.aeb import Encounter, load_aeb_rule
+from scenarios.cases import load_cases
+from scenarios.paths import Motion, StraightPath
+from scenarios.runs import Run, build_runs, load_placements
+
+Box = tuple[Sequence[float], Sequence[float]]  # lowest and highest corner
+
+
+def _block(name: str, size_m: Sequence[float]) -> Actor:
+    mesh = trimesh.creation.box(size_m)
+    return Actor(
+        name=name,
+        class_name="pedestrian",
+        length_m=size_m[0],
+        width_m=size_m[1],
+        height_m=size_m[2],
+        vertices_m=mesh.vertices + [0.0, 0.0, 0.5 * size_m[2]],
+        triangles=mesh.faces,
+    )
+
+
+@pytest.fixture(scope="session")
+def block() -> Actor:
+    return _block("block", (0.5, 1.0, 1.8))
+
+
+@pytest.fixture(scope="session")
+def vut() -> Actor:
+    return pick_actor("vut", "test")
+
+
+@pytest.fixture(scope="session")
+def camera() -> CameraModel:
+    return CameraModel(
+        name="small",
+        width_px=320,
+        height_px=180,
+        horizontal_fov_deg=90.0,
+        frame_rate_hz=10.0,
+        near_m=0.35,
+        price_eur=0.0,
+    )
+
+
+@pytest.fixture(scope="session")
+def build_scene() -> Callable[..., Scene]:
+    def build(*boxes: Box) -> Scene:
+        meshes = [trimesh.creation.box(bounds=np.array(box)) for box in boxes]
+        # One triangle far below the road, so that there is a mesh even without boxes.
+        vertices = [np.array([[0.0, 0.0, -9.0], [1.0, 0.0, -9.0], [0.0, 1.0, -9.0]])]
+        faces = [np.array([[0, 1, 2]])]
+        for mesh in meshes:
+            faces.append(mesh.faces + sum(map(len, vertices)))
+            vertices.append(mesh.vertices)
+        triangles = np.concatenate(faces)
+        return Scene(
+            name="test",
+            vertices_m=np.concatenate(vertices),
+            triangles=triangles,
+            triangle_instance=np.zeros(len(triangles)),
+            instances=(Instance(id="boxes", class_name="building"),),
+            sites=(),
+            outline_m=np.empty((0, 2)),
+            lanes=(),
+            crs="EPSG:32633",
+        )
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def build_run(vut: Actor) -> Callable[..., Run]:
+    """Frames as given; the motions of the encounter are of no account."""
+
+    def build(
+        vru: Actor,
+        vru_poses: Sequence[Sequence[float]],
+        vut_poses: Sequence[Sequence[float]] | None = None,
+        obstruction: tuple[PlacedActor, ...] = (),
+    ) -> Run:
+        vru_array = np.array(vru_poses, dtype=np.float64)
+        far = np.tile([-90.0, 90.0, 0.0], (len(vru_array), 1))
+        vut_array = far if vut_poses is None else np.array(vut_poses, dtype=np.float64)
+        motion = Motion(
+            path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0), speed_mps=1.0, start_time_s=0.0
+        )
+        return Run(
+            id="test",
+            case=load_cases()["CPNC-50"],
+            approach="east",
+            vut_speed_kmh=20.0,
+            encounter=Encounter(vut=vut, vut_motion=motion, vru=vru, vru_motion=motion),
+            time_s=np.arange(1.0 - len(vru_array), 1.0) / 10.0,
+            vut_position_m=vut_array[:, :2],
+            vut_yaw_deg=vut_array[:, 2],
+            vru_position_m=vru_array[:, :2],
+            vru_yaw_deg=vru_array[:, 2],
+            obstruction=obstruction,
+            last_brake_time_s=0.0,
+        )
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def study_runs(vut: Actor) -> tuple[Run, ...]:
+    """Three approaches of the study, at two speeds each."""
+    placements = [
+        replace(placement, case=replace(placement.case, vut_speeds_kmh=(30.0, 60.0)))
+        for placement in load_placements()[::4][:3]
+    ]
+    return build_runs(placements, vut=vut, rule=load_aeb_rule())

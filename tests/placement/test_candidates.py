@@ -1,0 +1,128 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geometry.catalogue import load_cameras
+from geometry.errors import InputError
+from geometry.poses import Pose
+from geometry.scene import Scene, Site
+from placement.candidates import CandidateGrid, CandidatePose, build_candidates
+
+CAMERAS = tuple(load_cameras().values())[:2]
+
+
+def _scene(*height_ranges_m) -> Scene:
+    return Scene(
+        name="junction",
+        vertices_m=np.zeros((0, 3)),
+        triangles=np.zeros((0, 3)),
+        triangle_instance=np.zeros(0),
+        instances=(),
+        sites=tuple(
+            Site(
+                id=f"pole-{index}",
+                position_m=[10.0 * index, -5.0, 0.5],
+                kind="lamp post",
+                height_range_m=height_range,
+                capacity_units=2,
+            )
+            for index, height_range in enumerate(height_ranges_m)
+        ),
+        outline_m=np.zeros((0, 2)),
+        lanes=(),
+        crs="EPSG:25832",
+    )
+
+
+def _grid(**changes) -> CandidateGrid:
+    fields = {
+        "heights_m": np.array([6.0, 8.0]),
+        "yaw_step_deg": 30.0,
+        "pitches_deg": np.array([-30.0, -20.0, -10.0]),
+        "cameras": CAMERAS,
+    }
+    return CandidateGrid(**{**fields, **changes})
+
+
+def test_every_combination_is_there_once():
+    candidates = build_candidates(_scene([5, 9], [5, 9], [5, 9]), _grid())
+    keys = {
+        (c.site_id, c.pose.position_m[2], c.pose.yaw_deg, c.pose.pitch_deg, c.camera.name)
+        for c in candidates
+    }
+    assert len(candidates) == len(keys) == 3 * 2 * 12 * 3 * len(CAMERAS)
+    assert len({c.id for c in candidates}) == len(candidates)
+
+
+@given(st.sampled_from([1, 2, 3, 4, 6, 8, 9, 12, 24, 36, 48, 72]))
+def test_yaws_go_all_around_once(n_yaws):
+    step_deg = 360.0 / n_yaws
+    candidates = build_candidates(
+        _scene([5, 9]),
+        _grid(
+            heights_m=np.array([6.0]),
+            pitches_deg=np.array([-20.0]),
+            cameras=CAMERAS[:1],
+            yaw_step_deg=step_deg,
+        ),
+    )
+    yaws = np.sort([c.pose.yaw_deg for c in candidates])
+    assert len(yaws) == n_yaws
+    assert (yaws > -180.0).all()
+    assert (yaws <= 180.0).all()
+    around = np.diff(np.append(yaws, yaws[0] + 360.0))
+    assert around == pytest.approx(step_deg, abs=1e-9)
+    assert 180.0 in yaws
+
+
+def test_heights_are_brought_into_the_sites_range_and_count_once():
+    candidates = build_candidates(_scene([5, 9], [7, 9], [6.5, 7.5], [4, 5]), _grid())
+    heights = {
+        f"pole-{index}": sorted(
+            # The foot of the pole is at 0.5 m.
+            {float(c.pose.position_m[2] - 0.5) for c in candidates if c.site_id == f"pole-{index}"}
+        )
+        for index in range(4)
+    }
+    assert heights == {
+        "pole-0": [6.0, 8.0],
+        "pole-1": [7.0, 8.0],
+        "pole-2": [6.5, 7.5],
+        "pole-3": [5.0],
+    }
+    assert len({c.id for c in candidates}) == len(candidates)
+
+
+def test_candidates_stand_above_their_site():
+    for candidate in build_candidates(_scene([5, 9], [5, 9]), _grid()):
+        index = int(candidate.site_id.removeprefix("pole-"))
+        assert candidate.pose.position_m[:2].tolist() == [10.0 * index, -5.0]
+
+
+def _extra(pose_id: str) -> CandidatePose:
+    return CandidatePose(
+        id=pose_id,
+        site_id="",
+        pose=Pose(position_m=[0, 0, 7], yaw_deg=0.0),
+        camera=CAMERAS[0],
+    )
+
+
+def test_poses_by_name_come_last():
+    extra = (_extra("RSU0"), _extra("RSU1"))
+    candidates = build_candidates(_scene([5, 9]), _grid(), extra=extra)
+    assert candidates[-2:] == extra
+    assert repr(candidates[-1]) == "CandidatePose('RSU1')"
+
+
+def test_a_repeated_id_is_named():
+    with pytest.raises(InputError) as caught:
+        build_candidates(_scene([5, 9]), _grid(), extra=(_extra("RSU0"), _extra("RSU0")))
+    assert str(caught.value) == "candidates: got 'RSU0'; expected every id once"
+
+
+def test_a_scene_without_sites_is_refused():
+    with pytest.raises(InputError) as caught:
+        build_candidates(_scene(), _grid())
+    assert str(caught.value) == "junction: sites: got none; expected at least one mount site"

@@ -1,0 +1,93 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import frame_axes
+
+from geometry.catalogue import load_cameras
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share
+from placement.layout import Layout
+
+
+def _verdict(is_avoided, detected=()) -> Verdict:
+    return Verdict(
+        detected=np.array(detected, dtype=bool),
+        confirmation_time_s=np.full(len(is_avoided), np.inf),
+        is_avoided=np.array(is_avoided, dtype=bool),
+    )
+
+
+def test_apr_is_the_weight_of_the_avoided_runs(frame_axis):
+    # Weights 1/2, 1/4 (case A) and 1/4 (case B).
+    assert apr(_verdict([True, False, True]), frame_axis) == 0.75
+    assert apr(_verdict([False, True, False]), frame_axis) == 0.25
+    assert apr_by_case(_verdict([True, False, True]), frame_axis) == {
+        "A": pytest.approx(2.0 / 3.0),
+        "B": 1.0,
+    }
+
+
+def test_apr_of_some_runs_counts_only_those(frame_axis):
+    verdict = _verdict([True, False, True])
+    mask = np.array([False, True, True])
+    assert apr(verdict, frame_axis, mask) == 0.5
+    assert math.isnan(apr(verdict, frame_axis, np.zeros(3, dtype=bool)))
+
+
+@given(frame_axes(), st.data())
+def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, data):
+    avoided = data.draw(st.lists(st.booleans(), min_size=axis.n_runs, max_size=axis.n_runs))
+    verdict = _verdict(avoided)
+    total = apr(verdict, axis)
+    assert 0.0 <= total <= 1.0
+    share = {
+        case: sum(w for w, name in zip(axis.weight, axis.cases, strict=True) if name == case)
+        for case in axis.cases
+    }
+    by_case = apr_by_case(verdict, axis)
+    assert list(by_case) == list(dict.fromkeys(axis.cases))
+    assert sum(share[case] * value for case, value in by_case.items()) == pytest.approx(total)
+    assert apr(_verdict([True] * axis.n_runs), axis) == pytest.approx(1.0)
+    assert apr(_verdict([False] * axis.n_runs), axis) == 0.0
+
+
+def test_detected_share_counts_frames_of_the_chosen_runs(frame_axis):
+    detected = [True, False, True] + [True] * 4 + [False] + [False, False]
+    verdict = _verdict([False] * 3, detected)
+    assert detected_share(verdict, frame_axis) == pytest.approx(0.6)
+    for index, expected in enumerate([2.0 / 3.0, 0.8, 0.0]):
+        mask = np.arange(3) == index
+        assert detected_share(verdict, frame_axis, mask) == pytest.approx(expected)
+    assert detected_share(verdict, frame_axis, np.array([True, False, True])) == pytest.approx(0.4)
+
+
+def test_a_verdict_cannot_be_changed(frame_axis):
+    verdict = _verdict([True, False, True], [True] * 10)
+    for field in ("detected", "confirmation_time_s", "is_avoided"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(verdict, field)[0] = 0
+
+
+def test_an_evaluation_shows_its_aprs(frame_axis):
+    unit = CandidatePose(
+        id="A",
+        site_id="",
+        pose=Pose(position_m=[0, 0, 7], yaw_deg=0.0),
+        camera=load_cameras()["carla-ncap-rgb"],
+    )
+    blind, sighted = _verdict([False, True, False]), _verdict([True, True, True])
+    evaluation = Evaluation(
+        layout=Layout(name="mine", units=(unit,)),
+        axis=frame_axis,
+        vut=blind,
+        units={"A": sighted},
+        rsu_all=sighted,
+        vut_and_rsus=sighted,
+    )
+    assert (
+        repr(evaluation) == "Evaluation('mine': APR 1.0000 with 1 units, 0.2500 by the VUT alone)"
+    )

@@ -1,0 +1,236 @@
+import copy
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import points_m, poses
+
+from geometry.catalogue import load_cameras
+from geometry.errors import InputError
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.layout import (
+    Certificate,
+    Layout,
+    Stage,
+    layout_from_records,
+    layout_records,
+    load_layout,
+    relative_gap,
+)
+
+GOOD = [
+    {
+        "id": "A",
+        "site": "pole-1",
+        "x_m": 1.0,
+        "y_m": -2.0,
+        "z_m": 7.5,
+        "yaw_deg": 90.0,
+        "pitch_deg": -25.0,
+        "camera": "carla-ncap-rgb",
+    },
+    {
+        "id": "B",
+        "x_m": 5,
+        "y_m": 6,
+        "z_m": 7,
+        "yaw_deg": 0,
+        "pitch_deg": 0,
+        "camera": "carla-ncap-rgb-90",
+    },
+]
+
+
+def _message(function, *arguments) -> str:
+    with pytest.raises(InputError) as caught:
+        function(*arguments)
+    return str(caught.value)
+
+
+def _changed(**changes):
+    records = copy.deepcopy(GOOD)
+    for key, value in changes.items():
+        records[1][key] = value
+    return records
+
+
+@st.composite
+def _layouts(draw) -> Layout:
+    ids = draw(st.lists(st.text(min_size=1, max_size=8), min_size=1, max_size=5, unique=True))
+    names = sorted(load_cameras())
+    return Layout(
+        name=draw(st.text(max_size=8)),
+        units=tuple(
+            CandidatePose(
+                id=unit_id,
+                site_id=draw(st.sampled_from(["", "pole-1", "pole-2"])),
+                pose=draw(poses()),
+                camera=load_cameras()[draw(st.sampled_from(names))],
+            )
+            for unit_id in ids
+        ),
+    )
+
+
+@given(_layouts())
+def test_a_layout_comes_back_from_its_records_bit_by_bit(layout):
+    text = json.dumps(layout_records(layout), allow_nan=False)
+    back = layout_from_records(layout.name, json.loads(text), "f.json")
+    assert back.name == layout.name
+    for unit, other in zip(layout.units, back.units, strict=True):
+        assert (unit.id, unit.site_id) == (other.id, other.site_id)
+        assert np.array_equal(unit.pose.position_m, other.pose.position_m)
+        assert (unit.pose.yaw_deg, unit.pose.pitch_deg) == (
+            other.pose.yaw_deg,
+            other.pose.pitch_deg,
+        )
+        assert unit.camera is other.camera
+    assert layout_records(back) == layout_records(layout)
+
+
+def test_a_layout_is_read_from_a_file(tmp_path):
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps({"layout": GOOD}), encoding="utf-8")
+    layout = load_layout(path)
+    assert layout.name == "mine"
+    assert [unit.id for unit in layout.units] == ["A", "B"]
+    assert layout.units[0].pose.position_m.tolist() == [1.0, -2.0, 7.5]
+    assert [unit.site_id for unit in layout.units] == ["pole-1", ""]
+    path.write_text(json.dumps({"name": "ours", "layout": GOOD, "more": 1}), encoding="utf-8")
+    assert load_layout(path).name == "ours"
+
+
+@pytest.mark.parametrize("key", ["id", "camera", "x_m", "y_m", "z_m", "yaw_deg", "pitch_deg"])
+def test_a_missing_field_is_named(key):
+    records = _changed()
+    del records[1][key]
+    assert _message(layout_from_records, "l", records, "f.json") == (
+        f"f.json: layout[1].{key}: got nothing; expected a value"
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"x_m": math.nan}, "layout[1].x_m: got nan; expected a finite number"),
+        ({"y_m": math.inf}, "layout[1].y_m: got inf; expected a finite number"),
+        ({"z_m": "7"}, "layout[1].z_m: got '7'; expected a finite number"),
+        ({"yaw_deg": True}, "layout[1].yaw_deg: got True; expected a finite number"),
+        ({"x_m": None}, "layout[1].x_m: got None; expected a finite number"),
+        ({"x_m": 10**400}, f"layout[1].x_m: got {10**400}; expected a finite number"),
+        ({"pitch_deg": -90.5}, "layout[1].pitch_deg: got -90.5; expected -90 .. 90 degrees"),
+        ({"pitch_deg": 91}, "layout[1].pitch_deg: got 91; expected -90 .. 90 degrees"),
+        ({"id": 3}, "layout[1].id: got 3; expected text"),
+        ({"id": ""}, "layout[1].id: got ''; expected text"),
+        ({"camera": ["x"]}, "layout[1].camera: got ['x']; expected text"),
+        ({"site": 7}, "layout[1].site: got 7; expected text"),
+    ],
+)
+def test_a_field_of_the_wrong_kind_is_named(changes, message):
+    assert _message(layout_from_records, "l", _changed(**changes), "f.json") == (
+        f"f.json: {message}"
+    )
+
+
+def test_a_unit_that_is_no_object_is_named():
+    assert _message(layout_from_records, "l", [5], "f.json") == (
+        "f.json: layout[0]: got 5; expected an object with the fields of a unit"
+    )
+
+
+def test_an_unknown_camera_lists_the_known_ones():
+    known = ", ".join(sorted(load_cameras()))
+    records = _changed(camera="periscope")
+    assert _message(layout_from_records, "l", records, "f.json") == (
+        f"f.json: layout[1].camera: got 'periscope'; expected one of {known}"
+    )
+
+
+def test_a_repeated_id_is_named():
+    assert _message(layout_from_records, "l", _changed(id="A"), "f.json") == (
+        "layout l: id: got 'A'; expected every id once"
+    )
+
+
+def test_a_layout_without_units_is_refused():
+    assert _message(layout_from_records, "l", [], "f.json") == (
+        "layout l: got no unit; expected at least one unit"
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"{", "got Expecting property name enclosed in double quotes: line 1 column 2 (char 1); "),
+        (b"not JSON", "got Expecting value: line 1 column 1 (char 0); "),
+        (b"\xff", "got 'utf-8' codec can't decode byte 0xff in position 0: invalid start byte; "),
+    ],
+)
+def test_a_file_that_is_not_json_is_named(tmp_path, content, message):
+    path = tmp_path / "a.json"
+    path.write_bytes(content)
+    assert _message(load_layout, path) == f"{path}: {message}expected JSON in UTF-8"
+
+
+@pytest.mark.parametrize("content", ["[]", "{}", '{"layout": {}}', "null"])
+def test_a_file_without_a_list_of_units_is_named(tmp_path, content):
+    path = tmp_path / "a.json"
+    path.write_text(content, encoding="utf-8")
+    assert _message(load_layout, path) == (
+        f"{path}: got no list 'layout'; expected an object {{\"layout\": [units]}}"
+    )
+
+
+def test_a_missing_file_is_named(tmp_path):
+    path = tmp_path / "gone.json"
+    assert _message(load_layout, path) == (
+        f"{path}: got No such file or directory; expected a readable file"
+    )
+
+
+def test_a_field_error_names_the_file(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"layout": _changed(x_m=math.nan)}), encoding="utf-8")
+    assert _message(load_layout, path) == (
+        f"{path}: layout[1].x_m: got nan; expected a finite number"
+    )
+
+
+@given(points_m)
+def test_a_layout_shows_its_name_and_units(point):
+    unit = CandidatePose(
+        id="A",
+        site_id="",
+        pose=Pose(position_m=point, yaw_deg=0.0),
+        camera=load_cameras()["carla-ncap-rgb"],
+    )
+    assert repr(Layout(name="l", units=(unit,))) == "Layout('l', ['A'])"
+
+
+# Certificates
+
+
+@given(st.floats(0.01, 1.0), st.floats(0.0, 1.0))
+def test_the_gap_is_the_distance_as_a_share_of_the_objective(objective, more):
+    gap = relative_gap(objective, objective + more)
+    assert gap >= 0.0
+    assert gap == pytest.approx(more / objective, rel=1e-6, abs=2e-7)
+
+
+def test_the_gap_is_zero_where_objective_and_bound_agree_and_infinite_above_nothing():
+    assert relative_gap(0.3, 0.1 + 0.2) == 0.0
+    assert relative_gap(0.0, 0.0) == 0.0
+    assert relative_gap(0.0, 0.5) == math.inf
+    assert relative_gap(-0.5, -0.4) == pytest.approx(0.2)
+
+
+def test_a_certificate_is_proven_when_every_gap_is_closed():
+    def stage(gap):
+        return Stage(name="apr", objective=1.0, bound=1.0 + gap, gap=gap, seconds=0.1)
+
+    assert Certificate(stages=(stage(0.0), stage(0.0)), solver="HiGHS").is_proven
+    assert not Certificate(stages=(stage(0.0), stage(1e-6)), solver="HiGHS").is_proven
