@@ -75,7 +75,14 @@ class StageProgress:
         if self._has_terminal:
             self._bar.update(self._task, description=stage, completed=done, total=total or None)
 
+    def finish(self) -> dict[str, float]:
+        """End the last stage; seconds of every stage and of all together."""
+        self._end_stage()
+        total_s = sum(self.seconds.values())
+        return {name: round(value, 3) for name, value in (*self.seconds.items(), ("total", total_s))}
+
     def _end_stage(self) -> None:
         now_s = time.perf_counter()
-        self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + now_s - self._began_s
+        stage = self.stage.split(":")[0]
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now_s - self._began_s
         self._began_s = now_s

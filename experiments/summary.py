@@ -1,7 +1,6 @@
 """The numbers of a result as one plain object: what ``--json`` prints and the report shows."""
 
 import platform
-from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
@@ -49,7 +48,6 @@ def summarise_placement(
     found: Evaluation,
     greedy: Evaluation,
     baseline: Evaluation,
-    seconds: Mapping[str, float],
 ) -> dict[str, Any]:
     """The main job's result.
 
@@ -59,8 +57,6 @@ def summarise_placement(
         What the optimiser found.
     found, greedy, baseline : Evaluation
         Of the layout found, the greedy one and the study's.
-    seconds : mapping
-        Time per stage. [s]
 
     Returns
     -------
@@ -70,7 +66,7 @@ def summarise_placement(
     certificate, problem = placement.certificate, placement.problem
     first = certificate.stages[0]
     return {
-        **summarise_layout(found, seconds=seconds),
+        **summarise_layout(found),
         "budget": problem.budget_units,
         "fusion": problem.fusion,
         "candidates": problem.table.n_poses,
@@ -95,42 +91,36 @@ def summarise_placement(
     }
 
 
-def summarise_layout(evaluation: Evaluation, *, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """One layout's result: the keys that every command prints.
+def summarise_layout(evaluation: Evaluation) -> dict[str, Any]:
+    """One layout's result: the keys that every command prints; "seconds" is filled in at the end.
 
     Parameters
     ----------
     evaluation : Evaluation
         Of the layout.
-    seconds : mapping
-        Time per stage. [s]
     """
     return {
         "name": evaluation.layout.name,
         "layout": layout_records(evaluation.layout),
         "runs": evaluation.axis.n_runs,
         "evaluation": summarise_evaluation(evaluation),
-        "seconds": {stage: round(value, 3) for stage, value in seconds.items()},
+        "seconds": {},
         "versions": versions(),
     }
 
 
-def summarise_comparison(
-    subject: Evaluation, baseline: Evaluation, *, seconds: Mapping[str, float]
-) -> dict[str, Any]:
+def summarise_comparison(subject: Evaluation, baseline: Evaluation) -> dict[str, Any]:
     """Two layouts on the same runs: the second is the baseline.
 
     Parameters
     ----------
     subject, baseline : Evaluation
         On the same runs.
-    seconds : mapping
-        Time per stage. [s]
     """
     ours, theirs = subject.rsu_all.is_avoided, baseline.rsu_all.is_avoided
     runs = np.array(subject.axis.run_ids)
     return {
-        **summarise_layout(subject, seconds=seconds),
+        **summarise_layout(subject),
         "baseline_name": baseline.layout.name,
         "baseline_layout": layout_records(baseline.layout),
         "baseline": summarise_evaluation(baseline),

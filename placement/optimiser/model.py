@@ -226,13 +226,16 @@ def solve_milp(
     with warnings.catch_warnings():
         # cvxpy calls a solution inaccurate when the time was up.
         warnings.filterwarnings("ignore", "Solution may be inaccurate")
-        problem.solve(
-            solver=cp.HIGHS,
-            time_limit=max(time_limit_s, 0.0),
-            mip_rel_gap=0.0,
-            mip_abs_gap=0.0,
-        )
-    if problem.status == cp.INFEASIBLE:
+        try:
+            problem.solve(
+                solver=cp.HIGHS,
+                time_limit=max(time_limit_s, 0.0),
+                mip_rel_gap=0.0,
+                mip_abs_gap=0.0,
+            )
+        except cp.SolverError:  # nothing is known then, and nothing is lost
+            return MilpResult(units=None, bound=np.inf, is_finished=False)
+    if problem.status in (cp.INFEASIBLE, cp.settings.INFEASIBLE_OR_UNBOUNDED):  # all is bounded
         return MilpResult(units=None, bound=-np.inf, is_finished=True)
     info = problem.solver_stats.extra_stats
     is_found = info.primal_solution_status == 2  # kSolutionStatusFeasible

@@ -17,6 +17,7 @@ from .model import Cut, avoided_weights, last_links, margin_weights, solve_milp
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import TOLERANCE, PlacementProblem, PlacementValue, is_better, placement_value
 
+_SOLVER = f"HiGHS {version('highspy')} through cvxpy {version('cvxpy')}"
 _HIGHS_TOLERANCE = 1.0e-6  # rows, whole numbers and gaps are met up to this
 
 
@@ -96,7 +97,7 @@ def solve_placement(
             Stage(
                 name=name,
                 objective=objective,
-                bound=objective if gap == 0.0 else bound,
+                bound=objective if gap == 0.0 else max(bound, objective),
                 gap=gap,
                 seconds=spent_s,
             )
@@ -105,7 +106,7 @@ def solve_placement(
         pose_index=pose_index,
         certificate=Certificate(
             stages=tuple(stages),
-            solver=f"HiGHS {version('highspy')} through cvxpy {version('cvxpy')}",
+            solver=_SOLVER if search.has_used_solver else "none needed: simple bounds meet it",
         ),
         presolve=reduced.statistics,
     )
@@ -121,11 +122,12 @@ class _Search:
         self.value = self._value_of(self.units)
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
         self.margin_limit_s = union_margins_s(reduced, everything)[0]
+        self.has_used_solver = False
         self.cuts: dict[float, list[Cut]] = {}  # by the APR that is asked for when one unit fails
 
     def bound_apr(self) -> float:
         """No layout has a higher APR."""
-        self.apr_limit = float(self.reduced.weight.sum())
+        self.apr_limit = min(1.0, float(self.reduced.weight.sum()))
         if self.value.apr < self.apr_limit - TOLERANCE:
             bound = self._look_for(Demand(), avoided_weights(self.reduced))
             self.apr_limit = _settle(self.value.apr, bound, self.apr_limit)
@@ -141,6 +143,7 @@ class _Search:
             return limit
         # What is left when a unit fails is a layout with one unit less.
         fewer = replace(self.reduced, budget_units=n_units - 1)
+        self.has_used_solver = True
         result = solve_milp(fewer, avoided_weights(fewer), time_limit_s=self._left_s())
         limit = _settle(self.value.apr_one_failed, result.bound, limit)
         all_runs = float(self.reduced.weight.sum())
@@ -224,6 +227,7 @@ class _Search:
         cuts = self.cuts.setdefault(demand.apr_one_failed, first_cuts(self.reduced, demand))
         bound = np.inf
         while self._left_s() > 0.0:
+            self.has_used_solver = True
             result = solve_milp(
                 self.reduced,
                 objective,

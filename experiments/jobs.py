@@ -1,0 +1,228 @@
+"""What each command does, from layouts to a folder of results."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from geometry.scene_files import load_study_scene
+from placement.candidates import build_candidates, load_candidate_grid
+from placement.evaluation import Evaluation
+from placement.evaluator import evaluate_layouts
+from placement.layout import Layout, check_layout
+from placement.pipeline import check_budget, place
+from placement.setting import Setting
+
+from . import exports
+from .figures import plot_apr_by_case, plot_heatmap, to_png
+from .plan import plot_plan
+from .progress import StageProgress
+from .report import GREEDY, write_report
+from .result_folder import MARKER, check_result_folder, new_result_folder
+from .study import build_study_setting, load_carlancap_layout
+from .summary import summarise_comparison, summarise_layout, summarise_placement
+
+# One run of each case, at the speeds at which the study shows its heatmaps or near them.
+_HEATMAP_RUNS = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
+
+
+def run_placement(
+    *,
+    budget_units: int,
+    fusion: Any,
+    out: Path,
+    seed: int,
+    workers: int,
+    includes_study_poses: bool,
+    time_limit_s: float,
+    cache_folder: Path | None,
+    command: str,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Find, prove, evaluate and compare a layout, and write everything to `out`.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`experiments.summary.summarise_placement`.
+
+    Raises
+    ------
+    InputError
+        The budget is more than the sites can carry, or `out` cannot be written.
+    """
+    check_result_folder(out)
+    progress("setting", 0, 0)
+    setting = build_study_setting()
+    check_budget(setting.scene, budget_units)
+    study = load_carlancap_layout()
+    candidates = build_candidates(
+        setting.scene,
+        load_candidate_grid(),
+        extra=study.units if includes_study_poses else (),
+    )
+    placement = place(
+        setting,
+        candidates,
+        budget_units=budget_units,
+        fusion=fusion,
+        seed=seed,
+        workers=workers,
+        cache_folder=cache_folder,
+        time_limit_s=time_limit_s,
+        on_progress=progress,
+    )
+    found, greedy, baseline = _evaluate(
+        [placement.layout, placement.greedy, study], setting, workers, progress
+    )
+    summary = summarise_placement(placement, found=found, greedy=greedy, baseline=baseline)
+    evaluations = {found.layout.name: found, GREEDY: greedy, baseline.layout.name: baseline}
+    _write_results(out, summary, setting, evaluations, command=command, progress=progress)
+    return summary
+
+
+def run_evaluation(
+    *,
+    layout: Layout,
+    out: Path | None,
+    workers: int,
+    command: str,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Evaluate a layout, and write a report if asked to.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`experiments.summary.summarise_layout`.
+
+    Raises
+    ------
+    InputError
+        A unit hangs underground or inside something, or `out` cannot be written.
+    """
+    return _judge([layout], out=out, workers=workers, command=command, progress=progress)
+
+
+def run_comparison(
+    *,
+    subject: Layout,
+    baseline: Layout,
+    out: Path | None,
+    workers: int,
+    command: str,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Compare two layouts on the same runs, and write a report if asked to.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`experiments.summary.summarise_comparison`.
+
+    Raises
+    ------
+    InputError
+        A unit hangs underground or inside something, or `out` cannot be written.
+    """
+    return _judge(
+        [subject, baseline], out=out, workers=workers, command=command, progress=progress
+    )
+
+
+def export_layout(layout: Layout, format_name: str) -> str:
+    """A layout as text in another program's format, see :data:`experiments.exports.FORMATS`."""
+    scene = load_study_scene()
+    check_layout(layout, scene)
+    return exports.FORMATS[format_name](layout, scene.crs)
+
+
+def _judge(
+    layouts: Sequence[Layout],
+    *,
+    out: Path | None,
+    workers: int,
+    command: str,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Evaluate one layout, or compare two."""
+    if out is not None:
+        check_result_folder(out)
+    progress("setting", 0, 0)
+    setting = build_study_setting()
+    for layout in layouts:
+        check_layout(layout, setting.scene)
+    verdicts = _evaluate(layouts, setting, workers, progress)
+    summary = summarise_layout(*verdicts) if len(verdicts) == 1 else summarise_comparison(*verdicts)
+    evaluations = dict(zip(_distinct_names(layouts), verdicts, strict=True))
+    if out is not None:
+        _write_results(out, summary, setting, evaluations, command=command, progress=progress)
+    else:
+        summary["seconds"] = progress.finish()
+    return summary
+
+
+def _distinct_names(layouts: Sequence[Layout]) -> list[str]:
+    """Names of layouts; a second one of the same name gets a number."""
+    names: list[str] = []
+    for layout in layouts:
+        n_before = sum(layout.name == other.name for other in layouts[: len(names)])
+        names.append(f"{layout.name} ({n_before + 1})" if n_before else layout.name)
+    return names
+
+
+def _evaluate(
+    layouts: Sequence[Layout], setting: Setting, workers: int, progress: StageProgress
+) -> list[Evaluation]:
+    progress("evaluate", 0, 0)
+    return evaluate_layouts(
+        layouts,
+        setting.scene,
+        setting.runs,
+        setting.axis,
+        rule=setting.rule,
+        detector=setting.detector,
+        workers=workers,
+        on_progress=lambda done, total: progress("evaluate", done, total),
+    )
+
+
+def _write_results(
+    folder: Path,
+    summary: dict[str, Any],
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    command: str,
+    progress: StageProgress,
+) -> None:
+    """Fill the result folder; the times of all stages but the writing go into the summary."""
+    progress("write results", 0, 0)
+    summary["seconds"] = progress.seconds.copy()
+    subject = next(iter(evaluations.values()))
+    others = [item.layout for name, item in evaluations.items() if name != GREEDY][1:]
+    with new_result_folder(folder) as new:
+        _write_text(new / "layout.json", exports.to_json(subject.layout))
+        _write_text(new / "layout.csv", exports.to_csv(subject.layout))
+        _write_text(
+            new / "layout.geojson", exports.to_geojson(subject.layout, setting.scene.crs)
+        )
+        exports.apr_table(evaluations).to_csv(new / "apr.csv", index=False)
+        exports.runs_table(evaluations, setting.rule).to_parquet(new / "runs.parquet")
+        figures = {
+            "plan": plot_plan(setting, subject.layout, others=others),
+            "apr_by_case": plot_apr_by_case(evaluations),
+        }
+        for run_id in _HEATMAP_RUNS:
+            index = setting.axis.run_ids.index(run_id)
+            figures[f"heatmap_{run_id.replace('/', '_')}"] = plot_heatmap(subject, index)
+        for name, figure in figures.items():
+            (new / f"{name}.png").write_bytes(to_png(figure))
+        write_report(
+            new, summary, setting, evaluations, command=command, heatmap_runs=_HEATMAP_RUNS
+        )
+        summary["seconds"] = progress.finish()
+        _write_text(new / MARKER, exports.to_json_text(summary))
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")

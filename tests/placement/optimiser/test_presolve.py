@@ -1,0 +1,74 @@
+from collections.abc import Callable, Iterable
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placement.optimiser import (
+    PlacementProblem,
+    PlacementValue,
+    PresolveStatistics,
+    placement_value,
+    presolve,
+)
+from placement.optimiser.bitsets import set_values
+from placement.optimiser.presolve import is_dominated, pack_words, unpack_words
+
+ANY_PROBLEM = st.from_type(PlacementProblem)
+BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]
+
+
+@given(problem=ANY_PROBLEM)
+@settings(deadline=None, max_examples=300)
+def test_presolve_changes_no_best_value(problem: PlacementProblem, best_value: BestValue) -> None:
+    reduced = presolve(problem)
+    everywhere = best_value(problem, range(problem.table.n_poses))
+    assert best_value(problem, reduced.pose_index.tolist()) == pytest.approx(everywhere, abs=1e-9)
+
+
+@given(problem=ANY_PROBLEM)
+@settings(deadline=None, max_examples=200)
+def test_reduced_problem_values_every_set_as_the_table_does(problem: PlacementProblem) -> None:
+    reduced = presolve(problem)
+    n_units = min(problem.budget_units, reduced.n_poses)
+    sets = np.array(list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64)
+    sets = sets.reshape(-1, n_units) if n_units else np.empty((1, 0), dtype=np.int64)
+    expected = [placement_value(problem, reduced.pose_index[units].tolist()) for units in sets]
+    np.testing.assert_allclose(set_values(reduced, sets), np.array(expected), atol=1e-9)
+
+
+@given(st.integers(0, 200), st.integers(0, 2**32 - 1))
+def test_packing_words_loses_nothing(n_bits: int, seed: int) -> None:
+    bits = np.random.default_rng(seed).random((3, n_bits)) < 0.5
+    np.testing.assert_array_equal(unpack_words(pack_words(bits), n_bits), bits)
+
+
+def test_dominated_pose_stays_while_its_dominators_can_be_used_up() -> None:
+    words = pack_words(np.array([[1, 1], [1, 0]], dtype=bool))
+    site, capacity = np.array([0, 1]), np.array([1, 1])
+    # With one unit the first pose does it; with two, the second pose is wanted beside it.
+    assert is_dominated(words, site, capacity, 1).tolist() == [False, True]
+    assert is_dominated(words, site, capacity, 2).tolist() == [False, False]
+
+
+def test_dominated_pose_goes_when_its_own_site_has_room_for_the_dominator_alone() -> None:
+    words = pack_words(np.array([[1, 0], [1, 1]], dtype=bool))
+    assert is_dominated(words, np.array([0, 0]), np.array([1]), 3).tolist() == [True, False]
+    assert is_dominated(words, np.array([0, 0]), np.array([2]), 3).tolist() == [False, False]
+
+
+def test_of_equal_poses_the_earlier_stays() -> None:
+    words = pack_words(np.ones((3, 1), dtype=bool))
+    site, capacity = np.zeros(3, dtype=np.int64), np.array([1])
+    assert is_dominated(words, site, capacity, 1).tolist() == [False, True, True]
+
+
+def test_statistics_read_as_sizes_before_and_after() -> None:
+    statistics = PresolveStatistics(
+        n_poses=(8640, 384), n_frames=(11668, 497), n_windows=(11436, 534), n_runs=(116, 104)
+    )
+    assert str(statistics) == (
+        "8640 -> 384 poses, 11668 -> 497 frames, 11436 -> 534 windows, 116 -> 104 runs"
+    )
