@@ -229,13 +229,13 @@ def build_problem(
     problem : PlacementProblem
         Checked.
     """
-    capacity = {site.id: site.capacity_units for site in setting.scene.sites}
+    capacity: dict[object, int] = {s.id: s.capacity_units for s in setting.scene.sites}
     keys = [c.site_id if c.site_id in capacity else ("own", c.id) for c in candidates]
     order = {key: index for index, key in enumerate(dict.fromkeys(keys))}
     return PlacementProblem(
         table=table,
         site_index=np.array([order[key] for key in keys]),
-        site_capacity=np.array([capacity.get(key, 1) for key in order]),  # type: ignore[call-overload]
+        site_capacity=np.array([capacity.get(key, 1) for key in order]),
         budget_units=budget_units,
         fusion=fusion,
         rule=setting.rule,

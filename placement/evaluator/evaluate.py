@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
@@ -93,7 +94,8 @@ def evaluate_layouts(
     _check(runs, axis, workers)
     surroundings = build_surroundings(scene, runs)
     units = {_unit_key(unit): unit for layout in layouts for unit in layout.units}
-    detected = _detect(units, surroundings, detector, workers, on_progress)
+    with threadpool_limits(1):  # one BLAS thread per worker: idle ones spin
+        detected = _detect(units, surroundings, detector, workers, on_progress)
     judge = _Judge(runs, axis, rule)
     return [_evaluate(layout, detected, judge) for layout in layouts]
 

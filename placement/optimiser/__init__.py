@@ -1,8 +1,9 @@
 """From a detection table to the best poses, proven.
 
 problem.py says what is asked and what a set of poses is worth; presolve.py drops what does not
-matter; greedy.py finds good sets quickly; model.py and cuts.py state what HiGHS solves, and
-solve.py goes through the stages: APR, APR when one unit fails, smallest margin, mean margin.
+matter; greedy.py finds good sets quickly; model.py and cuts.py state what HiGHS solves;
+enumeration.py goes through all sets of few units; solve.py takes the stages in order: APR, APR
+when one unit fails, smallest margin, mean margin.
 """
 
 from .greedy import solve_greedy

@@ -75,7 +75,9 @@ def unions_of(reduced: ReducedProblem, sets: IntArray) -> WordArray:
     return unions
 
 
-def set_values(reduced: ReducedProblem, sets: IntArray) -> FloatArray:
+def set_values(
+    reduced: ReducedProblem, sets: IntArray, one_failed: FloatArray | None = None
+) -> FloatArray:
     """Values of sets of poses: the four objectives.
 
     Parameters
@@ -84,6 +86,8 @@ def set_values(reduced: ReducedProblem, sets: IntArray) -> FloatArray:
         Windows and runs.
     sets : (n_sets, n_units) int
         Poses of the reduced problem.
+    one_failed : (n_sets,) float, optional
+        Their APR when one unit fails, where that is known.
 
     Returns
     -------
@@ -97,7 +101,7 @@ def set_values(reduced: ReducedProblem, sets: IntArray) -> FloatArray:
     some = share > 0.0
     values = np.zeros((len(sets), 4))
     values[:, 0] = share
-    values[:, 1] = one_failed_apr(reduced, sets)
+    values[:, 1] = one_failed_apr(reduced, sets) if one_failed is None else one_failed
     values[:, 2] = np.where(is_avoided, margin, np.inf).min(axis=1, initial=np.inf)
     values[~some, 2] = 0.0
     values[some, 3] = total[some] / share[some]
@@ -132,9 +136,13 @@ def best_set(reduced: ReducedProblem, sets: IntArray) -> IntArray:
     share = union_apr(reduced, unions_of(reduced, sets))
     # Failures are costly to go through: only sets with the best APR need it.
     sets = sets[share >= share.max() - TOLERANCE]
-    values = set_values(reduced, sets)
-    rows = np.arange(len(sets))
+    best: IntArray = sets[best_row(set_values(reduced, sets))]
+    return best
+
+
+def best_row(values: FloatArray) -> int:
+    """First row that no other one exceeds, compared from left to right."""
+    rows = np.arange(len(values))
     for column in values.T:
         rows = rows[column[rows] >= column[rows].max() - TOLERANCE]
-    best: IntArray = sets[rows[0]]
-    return best
+    return int(rows[0])

@@ -12,12 +12,15 @@ from geometry.arrays import FloatArray, IntArray
 from ..layout import Certificate, Stage, relative_gap
 from .bitsets import set_values, union_margins_s
 from .cuts import Demand, first_cuts, violated_cuts
+from .enumeration import best_of_all
 from .greedy import extend_greedily, improve, solve_heuristically, to_full
 from .model import Cut, avoided_weights, last_links, margin_weights, solve_milp
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import TOLERANCE, PlacementProblem, PlacementValue, is_better, placement_value
 
 _SOLVER = f"HiGHS {version('highspy')} through cvxpy {version('cvxpy')}"
+_SETS_PER_SECOND = 100_000  # enumeration; measured: two to three times as many
+_MAX_SETS = 400_000  # beyond, MILPs are quicker
 _HIGHS_TOLERANCE = 1.0e-6  # rows, whole numbers and gaps are met up to this
 
 
@@ -106,7 +109,7 @@ def solve_placement(
         pose_index=pose_index,
         certificate=Certificate(
             stages=tuple(stages),
-            solver=_SOLVER if search.has_used_solver else "none needed: simple bounds meet it",
+            solver=search.solver,
         ),
         presolve=reduced.statistics,
     )
@@ -123,7 +126,15 @@ class _Search:
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
         self.margin_limit_s = union_margins_s(reduced, everything)[0]
         self.has_used_solver = False
+        self.has_enumerated: bool | None = None  # not tried yet
         self.cuts: dict[float, list[Cut]] = {}  # by the APR that is asked for when one unit fails
+
+    @property
+    def solver(self) -> str:
+        """What the proofs rest on."""
+        parts = [_SOLVER] if self.has_used_solver else []
+        parts += ["exhaustive enumeration"] if self.has_enumerated else []
+        return " and ".join(parts) or "none: simple bounds sufficed"
 
     def bound_apr(self) -> float:
         """No layout has a higher APR."""
@@ -141,6 +152,8 @@ class _Search:
         limit = self.value.apr
         if self.value.apr_one_failed >= limit - TOLERANCE:
             return limit
+        if self._enumerate():
+            return self.value.apr_one_failed
         # What is left when a unit fails is a layout with one unit less.
         fewer = replace(self.reduced, budget_units=n_units - 1)
         self.has_used_solver = True
@@ -169,6 +182,8 @@ class _Search:
         order = np.argsort(-self.margin_limit_s)
         share = np.cumsum(self.reduced.weight[order])
         limit = self.margin_limit_s[order[np.argmax(share >= self.value.apr - TOLERANCE)]]
+        if self.value.smallest_margin_s >= limit - TOLERANCE or self._enumerate():
+            return self.value.smallest_margin_s
         margins = self.reduced.margin_s
         candidates = np.unique(margins[margins <= limit + TOLERANCE])
         low = int(np.searchsorted(candidates, self.value.smallest_margin_s + TOLERANCE))
@@ -194,8 +209,8 @@ class _Search:
             return self._undefined_margin_s()
         total_s = self.reduced.weight @ self.margin_limit_s
         limit = min(float(self.margin_limit_s.max()), float(total_s) / self.value.apr)
-        if self.value.mean_margin_s >= limit - TOLERANCE:
-            return limit
+        if self.value.mean_margin_s >= limit - TOLERANCE or self._enumerate():
+            return self.value.mean_margin_s
         demand = Demand(
             apr=self.value.apr,
             min_margin_s=self.value.smallest_margin_s,
@@ -203,6 +218,23 @@ class _Search:
         )
         bound = self._look_for(demand, margin_weights(self.reduced))
         return _settle(self.value.mean_margin_s, bound / demand.apr, limit)
+
+    def _enumerate(self) -> bool:
+        """Go through all sets that could be better, if they are few; whether that was done."""
+        if self.has_enumerated is None:
+            is_apr_proven = self.value.apr >= self.apr_limit - TOLERANCE
+            best = best_of_all(
+                self.reduced,
+                self.units,
+                apr_one_failed=self.value.apr_one_failed,
+                max_sets=min(_MAX_SETS, int(self._left_s() * _SETS_PER_SECOND))
+                if is_apr_proven
+                else 0,
+            )
+            self.has_enumerated = best is not None
+            if best is not None:
+                self.units, self.value = best, self._value_of(best)
+        return self.has_enumerated
 
     def _undefined_margin_s(self) -> float:
         """Bound of a margin while nothing is avoided: 0 if that is proven."""

@@ -2,11 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.poses import camera_rotation
+from geometry.raycast import FloatRays
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from scenarios.runs import FrameAxis, Run
@@ -66,7 +70,8 @@ def build_detection_table(
     def fill(rows: IntArray) -> None:
         packed[rows] = _mount_rows(world, [candidates[row] for row in rows], detector)
 
-    with ThreadPoolExecutor(workers) as pool:
+    # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
+    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
         pending = [pool.submit(fill, rows) for rows in mounts]
         try:
             for done, future in enumerate(as_completed(pending), start=1):
@@ -118,7 +123,7 @@ def _group_by_mount(candidates: Sequence[CandidatePose]) -> list[IntArray]:
 
 def _mount_rows(
     world: World, candidates: Sequence[CandidatePose], detector: Detector
-) -> "np.ndarray[tuple[int, int], np.dtype[np.uint8]]":
+) -> NDArray[np.uint8]:
     """Packed rows of all candidates of one mount position."""
     position_m, near_m = candidates[0].pose.position_m, candidates[0].camera.near_m
     extent_m = max(
@@ -149,7 +154,7 @@ def _mount_rows(
 
 
 def _detect(
-    offsets_m: "np.ndarray[tuple[int, int, int], np.dtype[np.float32]]",
+    offsets_m: FloatRays,
     sight: Sight,
     entries: IntArray,
     rotation: FloatArray,
@@ -173,8 +178,8 @@ def _detect(
 
 
 def _boxes(
-    columns: "np.ndarray[tuple[int, int], np.dtype[np.float32]]",
-    rows: "np.ndarray[tuple[int, int], np.dtype[np.float32]]",
+    columns: NDArray[np.floating[Any]],
+    rows: NDArray[np.floating[Any]],
     hidden: BoolArray | None = None,
 ) -> FloatArray:
     """Boxes around the points of each entry that are not hidden, (n, 4)."""
