@@ -46,14 +46,17 @@ class RayCaster(Protocol):
 
 
 class Open3dCaster:
-    """Rays by Open3D's RaycastingScene."""
+    """Rays by Open3D's RaycastingScene, on all processors.
+
+    Open3D holds Python's lock while it casts, so that it has to spread the rays itself.
+    """
 
     name = "open3d"
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike) -> None:
         o3d = _open3d()
         self._tensor = o3d.core.Tensor
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        self._scene = o3d.t.geometry.RaycastingScene()
         vertices, faces = _checked(vertices_m, triangles)
         if len(faces):
             self._scene.add_triangles(self._tensor(vertices), self._tensor(faces.astype(np.uint32)))
@@ -65,7 +68,7 @@ class Open3dCaster:
             return np.zeros(len(origins_m), dtype=bool)
         rays = self._tensor(_rays(origins_m, vectors_m))
         blocked: BoolArray = self._scene.test_occlusions(
-            rays, tnear=0.0, tfar=1.0, nthreads=1
+            rays, tnear=0.0, tfar=1.0, nthreads=0
         ).numpy()
         return blocked
 
@@ -74,7 +77,7 @@ class Open3dCaster:
         if self._is_empty or len(origins_m) == 0:
             return np.full(len(origins_m), np.inf, dtype=np.float32)
         rays = self._tensor(_rays(origins_m, vectors_m))
-        share: FloatRays = self._scene.cast_rays(rays, nthreads=1)["t_hit"].numpy()
+        share: FloatRays = self._scene.cast_rays(rays, nthreads=0)["t_hit"].numpy()
         return share
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, freeze
+from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis
 
 from .layout import Layout
@@ -86,11 +87,7 @@ def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) ->
         0 .. 1; NaN if the runs counted have no weight.
     """
     weight = axis.weight if run_mask is None else axis.weight * run_mask
-    total = float(weight.sum())
-    if total == 0.0:
-        return float("nan")
-    # Clipped: sums of shares can exceed 1 by rounding.
-    return min(1.0, float(weight[verdict.is_avoided].sum()) / total)
+    return weight_share(verdict.is_avoided, weight)
 
 
 def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:

@@ -7,7 +7,7 @@
 
 from .aeb import AebRule, load_aeb_rule
 from .cases import Case, load_cases
-from .exposure import weight_per_run
+from .exposure import weight_per_run, weight_share
 from .runs import FrameAxis, Run, build_frame_axis, build_runs, load_placements
 
 __all__ = [
@@ -21,4 +21,5 @@ __all__ = [
     "load_cases",
     "load_placements",
     "weight_per_run",
+    "weight_share",
 ]

@@ -153,8 +153,7 @@ def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> Float
 def apr(problem: PlacementProblem, pose_index: Sequence[int]) -> float:
     """Accident prevention ratio of a set of poses, 0..1."""
     is_avoided = run_margins_s(problem, pose_index) > -np.inf
-    # Clipped: sums of shares can exceed 1 by rounding.
-    return min(1.0, float(problem.table.axis.weight[is_avoided].sum()))
+    return weight_share(is_avoided, problem.table.axis.weight)
 
 
 def apr_one_failed(problem: PlacementProblem, pose_index: Sequence[int]) -> float:
@@ -181,7 +180,7 @@ def placement_value(problem: PlacementProblem, pose_index: Sequence[int]) -> Pla
     if not counts.any():
         return PlacementValue(0.0, 0.0, 0.0, 0.0)
     return PlacementValue(
-        apr=min(1.0, float(weight[counts].sum())),
+        apr=weight_share(counts, weight),
         apr_one_failed=apr_one_failed(problem, pose_index),
         smallest_margin_s=float(margin[counts].min()),
         mean_margin_s=float(np.average(margin[counts], weights=weight[counts])),

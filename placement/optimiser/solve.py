@@ -134,7 +134,7 @@ class _Search:
         """What the proofs rest on."""
         parts = [_SOLVER] if self.has_used_solver else []
         parts += ["exhaustive enumeration"] if self.has_enumerated else []
-        return " and ".join(parts) or "none: simple bounds sufficed"
+        return " and ".join(parts) or "simple bounds, no solver"
 
     def bound_apr(self) -> float:
         """No layout has a higher APR."""

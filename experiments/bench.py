@@ -1,0 +1,268 @@
+"""Speed as ratios to named references, measured in one run: ``python -m experiments.bench``.
+
+Absolute times depend on the machine and its load; the ratios depend on them little, because both
+sides are measured in turn, in the same process or as the same kind of process.
+"""
+
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from scipy.optimize import Bounds, LinearConstraint, milp
+from threadpoolctl import threadpool_limits
+
+from geometry.arrays import BoolArray, FloatArray
+from geometry.raycast import FloatRays, RayCaster, caster_name
+from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
+from placement.detection_table import DetectionTable
+from placement.optimiser import PlacementProblem, run_margins_s, solve_placement
+from placement.pipeline import build_problem
+from placement.setting import Setting
+from placement.visibility.build import N_POINTS, build_detection_table
+from placement.visibility.casting import World, build_world, cast_sight
+
+from .study import build_study_setting, load_carlancap_layout
+
+_REPEATS = 5
+_N_MOUNTS = 24
+_MAX_DISTANCE_M = 60.0
+
+
+@click.command()
+@click.option("--budget", default=3, show_default=True, help="Units of the main job.")
+@click.option("--out", type=click.Path(path_type=Path), help="JSON file for the figures.")
+def main(budget: int, out: Path | None) -> None:
+    """Measure rays, optimiser and whole command against their references."""
+    setting = build_study_setting()
+    candidates = build_candidates(
+        setting.scene, load_candidate_grid(), extra=load_carlancap_layout().units
+    )
+    figures = {
+        "processors": os.cpu_count(),
+        "rays by": caster_name(),
+        **_measure_casting(setting, candidates),
+        **_measure_optimiser(setting, candidates, budget),
+        **_measure_command(budget),
+    }
+    for name, value in figures.items():
+        shown = f"{value:.3g}" if isinstance(value, float) else value
+        click.echo(f"{name:<64} {shown}")
+    if out is not None:
+        out.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+
+
+# ---------------------------------------------------------------- rays
+
+
+class _Recorder:
+    """A caster that keeps the rays it is asked for."""
+
+    def __init__(self, caster: RayCaster) -> None:
+        self._caster = caster
+        self.rays: list[tuple[FloatRays, FloatRays]] = []
+
+    def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        self.rays.append((np.array(origins_m), np.array(vectors_m)))
+        return self._caster.is_blocked(origins_m, vectors_m)
+
+    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+        return self._caster.first_hit(origins_m, vectors_m)
+
+
+def _measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> dict[str, Any]:
+    """The table's rays, against the same rays handed to bare Embree in one call per scene."""
+    world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=0)
+    mounts = list({tuple(c.pose.position_m): c for c in candidates}.values())[:_N_MOUNTS]
+
+    def cast(cast_world: World) -> None:
+        for mount in mounts:
+            cast_sight(
+                cast_world,
+                mount.pose.position_m,
+                near_m=mount.camera.near_m,
+                max_distance_m=_MAX_DISTANCE_M,
+            )
+
+    static, bodies = _Recorder(world.static[0]), [_Recorder(body) for body in world.bodies]
+    vut = _Recorder(world.vut_body)
+    cast(replace(world, static=(static,), bodies=tuple(bodies), vut_body=vut))
+    meshes = [
+        (setting.scene.vertices_m - world.origin_m, setting.scene.triangles, static),
+        *(
+            (surface.actor.vertices_m, surface.actor.triangles, body)
+            for surface, body in zip(world.surfaces, bodies, strict=True)
+        ),
+        (world.vut.vertices_m, world.vut.triangles, vut),
+    ]
+    bare = [
+        _bare_embree(vertices, np.asarray(triangles), recorder.rays)
+        for vertices, triangles, recorder in meshes
+        if recorder.rays
+    ]
+
+    def cast_bare() -> None:
+        for run in bare:
+            run()
+
+    with threadpool_limits(1):
+        ours_s, bare_s = _in_turn(lambda: cast(world), cast_bare)
+    n_rays = sum(len(origins) for _, _, recorder in meshes for origins, _ in recorder.rays)
+    return {
+        "rays cast": n_rays,
+        "rays: million per second, ours": n_rays / statistics.median(ours_s) / 1e6,
+        "rays: ours / bare Embree (at most 1.5)": _ratio(ours_s, bare_s),
+    }
+
+
+def _bare_embree(
+    vertices_m: FloatArray, triangles: Any, rays: list[tuple[FloatRays, FloatRays]]
+) -> Callable[[], object]:
+    """The library's own occlusion query, with everything prepared that can be."""
+    origins = np.concatenate([origin for origin, _ in rays])
+    vectors = np.concatenate([vector for _, vector in rays])
+    vertices = np.ascontiguousarray(vertices_m, dtype=np.float32)
+    if caster_name() == "open3d":
+        import open3d
+
+        scene = open3d.t.geometry.RaycastingScene()
+        to_tensor: Any = open3d.core.Tensor
+        scene.add_triangles(to_tensor(vertices), to_tensor(triangles.astype(np.uint32)))
+        tensor = to_tensor(np.hstack([origins, vectors]))
+        return lambda: scene.test_occlusions(tensor, tnear=0.0, tfar=1.0)
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    embree = EmbreeScene()
+    mesh = TriangleMesh(embree, vertices, triangles.astype(np.int32))
+    ends = np.ones(len(origins), dtype=np.float32)
+    return lambda: (mesh, embree.run(origins, vectors, dists=ends, query="OCCLUDED"))
+
+
+# ---------------------------------------------------------------- optimiser
+
+
+def _measure_optimiser(
+    setting: Setting, candidates: tuple[CandidatePose, ...], budget: int
+) -> dict[str, Any]:
+    """All stages of the optimiser; and the maximal covering problem against HiGHS alone."""
+    table = build_detection_table(
+        setting.scene,
+        candidates,
+        setting.runs,
+        setting.axis,
+        detector=setting.detector,
+        workers=os.cpu_count() or 1,
+    )
+    problem = build_problem(setting, candidates, table, budget_units=budget, fusion="any")
+    began_s = time.perf_counter()
+    solution = solve_placement(problem)
+    all_stages_s = time.perf_counter() - began_s
+    single = build_problem(setting, candidates, table, budget_units=budget, fusion="single")
+    covers = _covers(single, table)
+    best: dict[str, float] = {}
+
+    def ours() -> None:
+        best["ours"] = solve_placement(single).certificate.stages[0].objective
+
+    def direct() -> None:
+        best["HiGHS"] = _solve_mclp(covers, single)
+
+    ours_s, direct_s = _in_turn(ours, direct)
+    if not np.isclose(best["ours"], best["HiGHS"], atol=1e-6):
+        raise RuntimeError(f"optima differ: {best}")
+    return {
+        "optimiser: poses": table.n_poses,
+        "optimiser: presolve": str(solution.presolve),
+        "optimiser: seconds, all stages, any": all_stages_s,
+        "optimiser: proven": solution.certificate.is_proven,
+        "optimiser: all stages, single / bare HiGHS, APR only": _ratio(ours_s, direct_s),
+    }
+
+
+def _covers(problem: PlacementProblem, table: DetectionTable) -> BoolArray:
+    """A[c, r]: whether pose c avoids run r by itself."""
+    return np.stack([np.isfinite(run_margins_s(problem, [pose])) for pose in range(table.n_poses)])
+
+
+def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
+    """Maximal covering by SciPy's HiGHS without any presolve of ours; returns the APR."""
+    n_poses, n_runs = covers.shape
+    weight = problem.table.axis.weight
+    chosen = np.concatenate([np.ones(n_poses), np.zeros(n_runs)])
+    cover = np.hstack([-covers.T.astype(float), np.eye(n_runs)])
+    result = milp(
+        -np.concatenate([np.zeros(n_poses), weight]),
+        integrality=chosen,
+        bounds=Bounds(0.0, 1.0),
+        constraints=[
+            LinearConstraint(chosen, ub=problem.budget_units),
+            LinearConstraint(cover, ub=0.0),
+        ],
+    )
+    return -float(result.x[n_poses:] @ weight)
+
+
+# ---------------------------------------------------------------- whole command
+
+
+def _measure_command(budget: int) -> dict[str, Any]:
+    """The main job cold and warm, its memory, and the start-up."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"PLACE_RSUS_CACHE": str(Path(folder) / "cache")}
+        job = ["--budget", str(budget), "--quiet", "--out", str(Path(folder) / "out")]
+        cold_s = _run_command(job, environment)
+        warm_s = _run_command(job, environment)
+        peak_kib = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+        help_s = statistics.median(_run_command(["--help"], environment) for _ in range(_REPEATS))
+    return {
+        "command: seconds, cold (at most 60)": cold_s,
+        "command: seconds, warm (at most 20)": warm_s,
+        "command: peak memory, GiB (under 2)": peak_kib / 2**20,
+        "command: seconds, --help (under 0.5)": help_s,
+    }
+
+
+def _run_command(arguments: list[str], environment: dict[str, str]) -> float:
+    began_s = time.perf_counter()
+    subprocess.run(
+        [sys.executable, "-m", "experiments.cli", *arguments],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        check=True,
+    )
+    return time.perf_counter() - began_s
+
+
+# ---------------------------------------------------------------- timing
+
+
+def _in_turn(ours: Callable[[], object], theirs: Callable[[], object]) -> tuple[list[float], ...]:
+    """Seconds of both, A B A B .., after one run of each that does not count."""
+    seconds: tuple[list[float], list[float]] = ([], [])
+    for repeat in range(_REPEATS + 1):
+        for kept, work in zip(seconds, (ours, theirs), strict=True):
+            began_s = time.perf_counter()
+            work()
+            if repeat > 0:
+                kept.append(time.perf_counter() - began_s)
+    return seconds
+
+
+def _ratio(ours_s: list[float], theirs_s: list[float]) -> float:
+    """Median of the ratios pair by pair."""
+    return statistics.median(a / b for a, b in zip(ours_s, theirs_s, strict=True))
+
+
+if __name__ == "__main__":
+    main()
