@@ -210,7 +210,8 @@ def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
             LinearConstraint(cover, ub=0.0),
         ],
     )
-    return -float(result.x[n_poses:] @ weight)
+    solution: Any = result.x
+    return float(solution[n_poses:] @ weight)
 
 
 # ---------------------------------------------------------------- whole command

@@ -9,6 +9,7 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 from scenarios.aeb import AebRule, confirmation_time_s, is_in_time
+from scenarios.exposure import weight_share
 
 from ..detection_table import DetectionTable
 
