@@ -89,8 +89,8 @@ def build_detection_table(
 def max_distance_m(camera: CameraModel, detector: Detector, *, vru_height_m: float) -> float:
     """Distance beyond which no VRU is high enough in the image to be detected.
 
-    A body of height h at distance d from the lens spans at most h / d * f / cos^2(e) pixels, where
-    e is the largest angle off the optical axis.
+    A body of extent h whose nearest point is at distance d from the lens spans at most
+    h / d * f / cos^2(e) pixels, where e is the largest angle off the optical axis.
 
     Parameters
     ----------
@@ -126,11 +126,13 @@ def _mount_rows(
 ) -> NDArray[np.uint8]:
     """Packed rows of all candidates of one mount position."""
     position_m, near_m = candidates[0].pose.position_m, candidates[0].camera.near_m
-    extent_m = max(
-        float(np.linalg.norm(np.ptp(surface.points_m, axis=0))) for surface in world.surfaces
+    radius_m = max(
+        float(np.linalg.norm(surface.points_m - surface.points_m.mean(axis=0), axis=1).max())
+        for surface in world.surfaces
     )
-    reach_m = max(
-        max_distance_m(candidate.camera, detector, vru_height_m=extent_m)
+    # To the nearest point; to the middle of the footprint it is at most a body's extent more.
+    reach_m = 2.0 * radius_m + max(
+        max_distance_m(candidate.camera, detector, vru_height_m=2.0 * radius_m)
         for candidate in candidates
     )
     sight = cast_sight(world, position_m, near_m=near_m, max_distance_m=reach_m)
@@ -139,7 +141,7 @@ def _mount_rows(
     )
     middle = offsets.mean(axis=1)
     distance = np.linalg.norm(middle, axis=1)
-    half_angle = np.arcsin(np.minimum(1.0, 0.5 * extent_m / np.maximum(distance, 1e-6)))
+    half_angle = np.arcsin(np.minimum(1.0, radius_m / np.maximum(distance, 1e-6)))
     # One more entry, never detected, for frames in which nothing is seen (index -1).
     detected = np.zeros((len(candidates), len(sight.view_index) + 1), dtype=bool)
     for row, candidate in enumerate(candidates):
@@ -163,17 +165,29 @@ def _detect(
 ) -> BoolArray:
     """Whether each entry is detected by one camera, (n,)."""
     in_camera = offsets_m.reshape(-1, 3) @ rotation.astype(np.float32)
-    per_depth = np.float32(camera.focal_length_px) / np.maximum(in_camera[:, 2], _MIN_DEPTH_M)
     shape = offsets_m.shape[:2]
+    depth = in_camera[:, 2]
+    per_depth = np.float32(camera.focal_length_px) / np.maximum(depth, _MIN_DEPTH_M)
     columns = (in_camera[:, 0] * per_depth + np.float32(0.5 * camera.width_px)).reshape(shape)
     rows = (in_camera[:, 1] * per_depth + np.float32(0.5 * camera.height_px)).reshape(shape)
+    amodal = _boxes(columns, rows)
+    # Of a body that the image cuts off, only the points inside the image count.
     limits = np.array([camera.width_px, camera.height_px] * 2)
-    amodal = np.clip(_boxes(columns, rows), 0.0, limits)
+    is_cut = (amodal < 0.0).any(axis=1) | (amodal > limits).any(axis=1)
+    is_cut |= depth.reshape(shape).min(axis=1, initial=np.float32(np.inf)) <= _MIN_DEPTH_M
+    is_outside = np.zeros(shape, dtype=bool)
+    cut = np.flatnonzero(is_cut)
+    is_outside[cut] = (
+        (depth.reshape(shape)[cut] <= _MIN_DEPTH_M)
+        | (np.abs(columns[cut] - 0.5 * camera.width_px) > 0.5 * camera.width_px)
+        | (np.abs(rows[cut] - 0.5 * camera.height_px) > 0.5 * camera.height_px)
+    )
+    amodal[cut] = _boxes(columns[cut], rows[cut], is_outside[cut])
     # The visible part of a body that nothing else hides has the body's own box.
     visible = amodal.copy()
     part = np.flatnonzero(~sight.is_whole[entries])
-    hidden = ~sight.is_visible[entries[part]]
-    visible[part] = np.clip(_boxes(columns[part], rows[part], hidden), 0.0, limits)
+    hidden = ~sight.is_visible[entries[part]] | is_outside[part]
+    visible[part] = _boxes(columns[part], rows[part], hidden)
     return detector.is_detected(visible, amodal)
 
 
@@ -182,11 +196,12 @@ def _boxes(
     rows: NDArray[np.floating[Any]],
     hidden: BoolArray | None = None,
 ) -> FloatArray:
-    """Boxes around the points of each entry that are not hidden, (n, 4)."""
+    """Boxes around the points of each entry that are not hidden, (n, 4); zeros where all are."""
     boxes = np.empty((len(columns), 4))
     for axis, values in enumerate((columns, rows)):
         low = values if hidden is None else np.where(hidden, np.float32(np.inf), values)
         high = values if hidden is None else np.where(hidden, np.float32(-np.inf), values)
         boxes[:, axis] = low.min(axis=1, initial=np.float32(np.inf))
         boxes[:, axis + 2] = high.max(axis=1, initial=np.float32(-np.inf))
+    boxes[boxes[:, 0] > boxes[:, 2]] = 0.0
     return boxes

@@ -2,11 +2,10 @@
 
 import hashlib
 import logging
-import zipfile
-import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from . import build
 
 _FORMAT = "place-rsus/table/1"  # raise it whenever the same inputs give another table
 _log = logging.getLogger(__name__)
+_T = TypeVar("_T")
 
 
 def table_fingerprint(
@@ -56,26 +56,34 @@ def table_fingerprint(
             digest.update(b"\0")
 
     def add_actor(actor: Actor) -> None:
-        add(actor.name, actor.vertices_m, actor.triangles)
+        add(actor.name, actor.length_m, actor.width_m, actor.height_m)
+        add(actor.vertices_m, actor.triangles)
 
     add(_FORMAT, build.N_POINTS, seed, asdict(detector))
     add(scene.vertices_m, scene.triangles, scene.outline_m)
-    for camera in dict.fromkeys(candidate.camera for candidate in candidates):
+    # By number, not by name: names may be equal.
+    cameras = _numbered(candidate.camera for candidate in candidates)
+    for camera in cameras:
         add(asdict(camera))
-    add([(candidate.id, candidate.camera.name) for candidate in candidates])
+    add([(candidate.id, cameras[candidate.camera]) for candidate in candidates])
     add(np.array([candidate.pose.position_m for candidate in candidates]))
     add(np.array([(c.pose.yaw_deg, c.pose.pitch_deg) for c in candidates]))
-    for actor in dict.fromkeys(
-        actor for run in runs for actor in (run.encounter.vut, run.encounter.vru)
-    ):
+    actors = _numbered(actor for run in runs for actor in (run.encounter.vut, run.encounter.vru))
+    for actor in actors:
         add_actor(actor)
     for run in runs:
-        add(run.id, run.encounter.vut.name, run.encounter.vru.name, run.time_s)
+        add(run.id, actors[run.encounter.vut], actors[run.encounter.vru], run.time_s)
         add(run.vut_position_m, run.vut_yaw_deg, run.vru_position_m, run.vru_yaw_deg)
         for parked in run.obstruction:
             add_actor(parked.actor)
-            add(parked.pose.position_m, parked.pose.yaw_deg)
+            add(parked.pose.position_m, parked.pose.yaw_deg, parked.pose.pitch_deg)
+        add("end of run")
     return digest.hexdigest()
+
+
+def _numbered(things: Iterable[_T]) -> dict[_T, int]:
+    """Number of each distinct thing, in the order in which they first appear."""
+    return {thing: number for number, thing in enumerate(dict.fromkeys(things))}
 
 
 def save_table(path: Path, table: DetectionTable, *, fingerprint: str) -> None:
@@ -132,6 +140,8 @@ def load_table(
             )
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (
+        Exception
+    ) as error:  # what damaged archives raise has no end: zipfile's, zlib's, tokenize's
         _log.warning("cached detection table not used, made anew: %s: %s", path, error)
         return None

@@ -307,7 +307,7 @@ def _frames_behind_vut(world: World, eye_m: FloatArray, entry_of_frame: IntArray
     reach_m = 0.5 * np.hypot(world.vut.length_m, world.vut.width_m) + max(
         0.5 * np.hypot(surface.actor.length_m, surface.actor.width_m) for surface in world.surfaces
     )
-    # Highest ray over the near end of the VUT: from the eye down to the road below the VRU.
+    # Lowest ray over the far end of the VUT: from the eye down to the road below the VRU.
     reach_share = reach_m / np.maximum(np.hypot(*way.T), 1e-9)
     lowest_m = eye_m[2] * (1.0 - np.minimum(share + reach_share, 1.0))
     kept: IntArray = frames[(beside_m <= reach_m) & (lowest_m <= world.vut.height_m)]
