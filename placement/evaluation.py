@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, freeze
+from scenarios.aeb import AebRule, confirmation_time_s, is_in_time
 from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis
 
@@ -94,6 +95,41 @@ def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
     """Accident prevention ratio per case, in the order in which the cases first appear."""
     cases = np.array(axis.cases)
     return {case: apr(verdict, axis, cases == case) for case in dict.fromkeys(axis.cases)}
+
+
+def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
+    """Smallest accident prevention ratio of the units, fused, that is left when one of them fails.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Of a layout.
+    rule : AebRule
+        Confirmation and latency.
+
+    Returns
+    -------
+    apr : float
+        0 .. 1; 0 for a layout of one unit.
+    """
+    axis = evaluation.axis
+    detected = {name: verdict.detected for name, verdict in evaluation.units.items()}
+    smallest = 1.0
+    for failed in detected:
+        left = np.zeros(axis.n_frames, dtype=bool)
+        for name, frames in detected.items():
+            left |= frames & (name != failed)
+        confirmation = [
+            confirmation_time_s(
+                left[axis.frames_of(run)],
+                axis.time_s[axis.frames_of(run)],
+                n_confirmations=rule.n_confirmations,
+            )
+            for run in range(axis.n_runs)
+        ]
+        in_time = is_in_time(confirmation, axis.last_brake_time_s, latency_s=rule.latency_s)
+        smallest = min(smallest, weight_share(in_time, axis.weight))
+    return smallest
 
 
 def detected_share(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) -> float:

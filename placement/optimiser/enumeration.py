@@ -11,7 +11,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .bitsets import best_row, set_values, union_apr, unions_of
+from .bitsets import best_row, best_set, set_values, union_apr, unions_of
 from .presolve import ReducedProblem
 from .problem import TOLERANCE
 
@@ -29,7 +29,7 @@ def best_of_all(
     reduced : ReducedProblem
         What to choose from.
     units : (n_units,) int
-        A set that does, two or three poses of the reduced problem.
+        A set that does, up to three poses of the reduced problem.
     apr_one_failed : float
         What must be kept.
     max_sets : int
@@ -41,6 +41,8 @@ def best_of_all(
         None: given up.
     """
     n_units = len(units)
+    if n_units == 1 and reduced.n_poses <= max_sets:
+        return best_set(reduced, np.arange(reduced.n_poses)[:, None])
     if not 2 <= n_units <= MAX_UNITS or comb(reduced.n_poses, n_units - 1) > max_sets:
         return None
     fewer = (

@@ -72,7 +72,7 @@ def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
     return units
 
 
-def improve(reduced: ReducedProblem, units: IntArray) -> IntArray:
+def improve(reduced: ReducedProblem, units: IntArray, limit: PlacementValue) -> IntArray:
     """Exchange one unit for another as long as that makes the set better.
 
     Parameters
@@ -81,6 +81,8 @@ def improve(reduced: ReducedProblem, units: IntArray) -> IntArray:
         What to choose from.
     units : (n,) int
         Poses of the reduced problem.
+    limit : PlacementValue
+        No set is better than this: one that is as good needs no exchange.
 
     Returns
     -------
@@ -88,24 +90,37 @@ def improve(reduced: ReducedProblem, units: IntArray) -> IntArray:
         At least as good; no single exchange improves it.
     """
     value = _value(reduced, units)
-    while True:
+    while is_better(limit, value):
         sets = _exchanges(reduced, units)
         if len(sets) == 0:
-            return units
+            break
         best = best_set(reduced, sets)
         best_value = _value(reduced, best)
         if not is_better(best_value, value):
-            return units
+            break
         units, value = best, best_value
+    return units
 
 
-def solve_heuristically(reduced: ReducedProblem) -> IntArray:
-    """Best of several local optima: the greedy set's, and those of random first units."""
+def solve_heuristically(reduced: ReducedProblem, limit: PlacementValue) -> IntArray:
+    """Best of several local optima: the greedy set's, and those of random first units.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        What to choose from.
+    limit : PlacementValue
+        No set is better than this: the search ends when one is as good.
+    """
     rng = np.random.default_rng(_SEED)
     starts = [np.empty(0, dtype=np.int64)]
     if reduced.n_poses:
         starts += list(rng.integers(reduced.n_poses, size=(_N_RESTARTS, 1)))
-    optima = [improve(reduced, extend_greedily(reduced, start)) for start in starts]
+    optima: list[IntArray] = []
+    for start in starts:
+        optima.append(improve(reduced, extend_greedily(reduced, start), limit))
+        if not is_better(limit, _value(reduced, optima[-1])):
+            return optima[-1]
     return best_set(reduced, np.array(optima))
 
 

@@ -121,10 +121,11 @@ class _Search:
     def __init__(self, reduced: ReducedProblem, end_s: float) -> None:
         self.reduced = reduced
         self.end_s = end_s
-        self.units = solve_heuristically(reduced)
-        self.value = self._value_of(self.units)
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
         self.margin_limit_s = union_margins_s(reduced, everything)[0]
+        self.limit = self._limit()
+        self.units = solve_heuristically(reduced, self.limit)
+        self.value = self._value_of(self.units)
         self.has_used_solver = False
         self.has_enumerated: bool | None = None  # not tried yet
         self.cuts: dict[float, list[Cut]] = {}  # by the APR that is asked for when one unit fails
@@ -236,6 +237,18 @@ class _Search:
                 self.units, self.value = best, self._value_of(best)
         return self.has_enumerated
 
+    def _limit(self) -> PlacementValue:
+        """What all poses together reach where everything is avoided: no set is better."""
+        all_runs = min(1.0, float(self.reduced.weight.sum()))
+        if all_runs == 0.0:
+            return PlacementValue(0.0, 0.0, 0.0, 0.0)
+        return PlacementValue(
+            apr=all_runs,
+            apr_one_failed=all_runs if self.reduced.budget_units > 1 else 0.0,
+            smallest_margin_s=float(self.margin_limit_s.min()),
+            mean_margin_s=float(np.average(self.margin_limit_s, weights=self.reduced.weight)),
+        )
+
     def _undefined_margin_s(self) -> float:
         """Bound of a margin while nothing is avoided: 0 if that is proven."""
         return 0.0 if self.apr_limit == 0.0 else float(self.margin_limit_s.max())
@@ -282,7 +295,7 @@ class _Search:
         return bound
 
     def _offer(self, units: IntArray) -> None:
-        units = improve(self.reduced, extend_greedily(self.reduced, units))
+        units = improve(self.reduced, extend_greedily(self.reduced, units), self.limit)
         value = self._value_of(units)
         if is_better(value, self.value):
             self.units, self.value = units, value

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,14 @@ from strategies import frame_axes
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share
+from placement.evaluation import (
+    Evaluation,
+    Verdict,
+    apr,
+    apr_by_case,
+    apr_one_failed,
+    detected_share,
+)
 from placement.layout import Layout
 
 
@@ -91,3 +99,41 @@ def test_an_evaluation_shows_its_aprs(frame_axis):
     assert (
         repr(evaluation) == "Evaluation('mine': APR 1.0000 with 1 units, 0.2500 by the VUT alone)"
     )
+
+
+@pytest.mark.parametrize(
+    ("frames_of_units", "expected"),
+    [
+        (["1111111100"], 0.0),  # nothing is left of one unit
+        (["1111111100", "0000000000"], 0.0),
+        (["1111111100", "1111111100"], 0.75),
+        (["1011010100", "0100101000"], 0.0),  # they confirm only together
+        (["1110000000", "1110011100", "0001111100"], 0.75),
+        (["1111110000", "1110000000", "0000000000"], 0.5),
+    ],
+)
+def test_one_unit_fails_and_the_rest_still_has_to_confirm(
+    frame_axis, rule, frames_of_units, expected
+):
+    # Any three frames in a row avoid run 0 (weight 1/2) and run 1 (1/4); nothing avoids run 2.
+    axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
+    verdicts = {
+        f"U{index}": _verdict([False] * 3, [frame == "1" for frame in frames])
+        for index, frames in enumerate(frames_of_units)
+    }
+    pose = Pose(position_m=[0, 0, 7], yaw_deg=0.0)
+    camera = load_cameras()["carla-ncap-rgb"]
+    evaluation = Evaluation(
+        layout=Layout(
+            name="mine",
+            units=tuple(
+                CandidatePose(id=name, site_id="", pose=pose, camera=camera) for name in verdicts
+            ),
+        ),
+        axis=axis,
+        vut=_verdict([False] * 3),
+        units=verdicts,
+        rsu_all=_verdict([False] * 3),
+        vut_and_rsus=_verdict([False] * 3),
+    )
+    assert apr_one_failed(evaluation, rule) == expected

@@ -37,7 +37,7 @@ def test_solve_matches_brute_force_on_small_tables(
     assert solution.certificate.is_proven
 
 
-def first_units(reduced: ReducedProblem) -> IntArray:
+def first_units(reduced: ReducedProblem, limit: PlacementValue) -> IntArray:
     return np.arange(min(reduced.n_poses, 1))
 
 
@@ -49,7 +49,7 @@ def test_bounds_from_a_poor_start_still_match_brute_force(
     # Heuristic and enumeration solve small tables outright; without them the MILPs have to.
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.solve.solve_heuristically", first_units)
-        patch.setattr("placement.optimiser.solve.improve", lambda reduced, units: units)
+        patch.setattr("placement.optimiser.solve.improve", lambda reduced, units, limit: units)
         patch.setattr("placement.optimiser.solve.best_of_all", lambda *_, **__: None)
         solution = solve_placement(problem)
     best = best_value(problem, range(problem.table.n_poses))
