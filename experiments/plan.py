@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
+from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from scipy.spatial import ConvexHull
 
@@ -285,9 +286,15 @@ def _draw_other(axes: Axes, layout: Layout) -> None:
         )
 
 
+# Looking east; the last point closes the outline.
+_DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0]])
+
+
 def _camera_marker(unit: CandidatePose) -> dict[str, Any]:
-    """A triangle whose tip looks where the camera does."""
-    return {"marker": (3, 0, unit.pose.yaw_deg - 90.0), "linestyle": "none"}
+    """A dart whose tip points where the camera looks."""
+    yaw = math.radians(unit.pose.yaw_deg)
+    turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+    return {"marker": Path(_DART @ turn, closed=True), "linestyle": "none"}
 
 
 def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
@@ -334,7 +341,11 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
         for body, (label, style) in _PATH_STYLES.items()
         if body in bodies
     ]
-    camera: dict[str, Any] = {"marker": (3, 0, 0.0), "linestyle": "none", "markersize": 9.0}
+    camera: dict[str, Any] = {
+        "marker": Path(_DART, closed=True),
+        "linestyle": "none",
+        "markersize": 9.0,
+    }
     units = [
         Line2D(
             [],

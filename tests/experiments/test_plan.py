@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.path import Path
 
 from experiments.figures import to_png
 from experiments.plan import ground_footprint, plot_plan
@@ -86,7 +87,7 @@ def test_plan_draws_other_layouts_but_labels_only_its_own(setting):
     open_marks = [
         line
         for line in axes.get_lines()
-        if line.get_markerfacecolor() == "white" and isinstance(line.get_marker(), tuple)
+        if line.get_markerfacecolor() == "white" and isinstance(line.get_marker(), Path)
     ]
     assert len(open_marks) == 12
     assert not {"RSU2", "RSU11"} & {text.get_text() for text in axes.texts}
@@ -108,3 +109,13 @@ def test_plan_draws_a_scene_with_nothing_in_it(setting):
     bare = dataclasses.replace(setting.scene, lanes=(), sites=())
     figure = plot_plan(dataclasses.replace(setting, scene=bare), load_carlancap_layout())
     assert to_png(figure).startswith(b"\x89PNG")
+
+
+def test_the_tip_of_a_camera_points_where_it_looks(setting):
+    units = load_carlancap_layout().units[:4]
+    (axes,) = plot_plan(setting, Layout(name="mine", units=units)).axes
+    lines = {line.get_gid(): line for line in axes.get_lines()}
+    for unit in units:
+        tip = lines[f"unit:{unit.id}"].get_marker().vertices[0]
+        yaw_deg = np.degrees(np.arctan2(tip[1], tip[0]))
+        np.testing.assert_allclose(yaw_deg, unit.pose.yaw_deg)
