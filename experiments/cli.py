@@ -1,28 +1,27 @@
 """``place-rsus``: parse, only then import what is heavy, call, print. The only file that prints."""
 
-import json
 import logging
 import os
 import sys
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from geometry.errors import InputError, Unquoted
+from .progress import Interrupted, StageProgress, ending_on_signals
 
 if TYPE_CHECKING:
     from placement.layout import Layout
-
-    from .progress import StageProgress
 
 FUSIONS = ("any", "single")
 EXPORT_FORMATS = ("csv", "geojson", "carla")
 DEFAULT_OUT = Path("results/latest")
 _BASELINE = "carlancap-12"
 _EXIT_BAD_INPUT = 2
-_EXIT_INTERRUPTED = 130
+_MAX_DIGITS = 100
+_WIDTH = 80  # of what is printed for people
 
 
 class _OneOf(click.ParamType[str]):
@@ -38,7 +37,7 @@ class _OneOf(click.ParamType[str]):
 
     def convert(self, value: str, param: Any, ctx: Any) -> str:
         if value not in self.words:
-            raise InputError(_option(param), value, "one of " + ", ".join(self.words))
+            raise _input_error(_option(param), value, "one of " + ", ".join(self.words))
         return value
 
 
@@ -55,13 +54,12 @@ class _WholeNumber(click.ParamType[int]):
         return "N"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> int:
-        try:
-            number = int(value)
-        except ValueError:
-            number = self.least - 1
-        if number < self.least:
-            raise InputError(_option(param), value, f"{self.what}, at least {self.least}")
-        return number
+        text = str(value)
+        # int() would also take 1_0, other scripts' digits and spaces.
+        is_whole = text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS
+        if not is_whole or int(text) < self.least:
+            raise _input_error(_option(param), value, f"{self.what}, at least {self.least}")
+        return int(text)
 
 
 class _Seconds(click.ParamType[float]):
@@ -78,7 +76,7 @@ class _Seconds(click.ParamType[float]):
         except ValueError:
             seconds = 0.0
         if not 0.0 < seconds < float("inf"):
-            raise InputError(_option(param), value, "seconds, more than 0")
+            raise _input_error(_option(param), value, "seconds, more than 0")
         return seconds
 
 
@@ -99,6 +97,11 @@ _workers_option = click.option(
 )
 
 
+_layout_option = click.option(
+    "--layout", "layout_names", multiple=True, help="carlancap-12, or a layout file."
+)
+
+
 @click.group(
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -111,7 +114,8 @@ Examples:
   place-rsus compare --layout results/latest/layout.json --layout carlancap-12
   place-rsus export --layout results/latest/layout.json --format carla
 
-Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted.""",
+Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted,
+143 terminated.""",
 )
 @click.version_option(package_name="place-rsus")
 @click.option(
@@ -186,65 +190,70 @@ def cli(
         given = [
             _option(param)
             for param in context.command.params
-            if context.get_parameter_source(str(param.name)) is click.core.ParameterSource.COMMANDLINE
+            if context.get_parameter_source(str(param.name))
+            is click.core.ParameterSource.COMMANDLINE
         ]
         if given:
-            raise InputError(
-                given[0],
-                Unquoted(f"it before {context.invoked_subcommand}"),
-                f"options of {context.invoked_subcommand} behind its name",
+            raise click.UsageError(
+                f"{given[0]}: options of {context.invoked_subcommand} go behind its name"
             )
         return
     if budget is None:
-        raise InputError("--budget", Unquoted("nothing"), "a whole number of units, at least 1")
-    from . import jobs
-
-    with _progress(quiet=quiet or as_json, keeps=f"nothing was written to {out}") as progress:
-        summary = jobs.run_placement(
-            budget_units=budget,
-            fusion=fusion,
-            out=out,
-            seed=seed,
-            workers=workers,
-            includes_study_poses=study_poses,
-            time_limit_s=time_limit,
-            cache_folder=_cache_folder() if uses_cache else None,
-            command=_command_line(),
-            progress=progress,
+        raise click.UsageError(
+            "--budget: got nothing; expected a whole number of units, at least 1"
         )
-    _print(summary, as_json, lambda: _placement_text(summary, out))
+    progress: StageProgress = context.obj
+    jobs = _start(progress, quiet=quiet)
+    summary = jobs.run_placement(
+        budget_units=budget,
+        fusion=fusion,
+        out=out,
+        seed=seed,
+        workers=workers,
+        includes_study_poses=study_poses,
+        time_limit_s=time_limit,
+        cache_folder=_cache_folder() if uses_cache else None,
+        command=_command_line(),
+        progress=progress,
+    )
+    _print(summary, progress, as_json, lambda: _placement_text(summary, out))
 
 
-@cli.command()
-@click.option("--layout", "layout_name", required=True, help="carlancap-12, or a layout file.")
+@cli.command(
+    epilog="""\b
+Examples:
+  place-rsus evaluate --layout carlancap-12
+  place-rsus evaluate --layout results/latest/layout.json --out results/mine"""
+)
+@_layout_option
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a report; else none.")
 @_json_option
 @_quiet_option
 @_workers_option
+@click.pass_obj
 def evaluate(
-    *, layout_name: str, out: Path | None, as_json: bool, quiet: bool, workers: int
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
+    quiet: bool,
+    workers: int,
 ) -> None:
-    """Evaluate a layout by full perception and emergency braking.
-
-    \b
-    Examples:
-      place-rsus evaluate --layout carlancap-12
-      place-rsus evaluate --layout results/latest/layout.json --out results/mine
-    """
-    from . import jobs
-
-    with _progress(quiet=quiet or as_json, keeps="nothing was written") as progress:
-        summary = jobs.run_evaluation(
-            layout=_load_layout(layout_name),
-            out=out,
-            workers=workers,
-            command=_command_line(),
-            progress=progress,
-        )
-    _print(summary, as_json, lambda: _evaluation_text(summary, out))
+    """Evaluate a layout by full perception and emergency braking."""
+    (layout,) = _load_layouts(layout_names, 1)
+    jobs = _start(progress, quiet=quiet)
+    summary = jobs.run_evaluation(
+        layout=layout, out=out, workers=workers, command=_command_line(), progress=progress
+    )
+    _print(summary, progress, as_json, lambda: _evaluation_text(summary, out))
 
 
-@cli.command()
+@cli.command(
+    epilog="""\b
+Example:
+  place-rsus compare --layout results/latest/layout.json --layout carlancap-12"""
+)
 @click.option(
     "--layout", "layout_names", multiple=True, help="carlancap-12, or a layout file; give two."
 )
@@ -252,33 +261,37 @@ def evaluate(
 @_json_option
 @_quiet_option
 @_workers_option
+@click.pass_obj
 def compare(
-    *, layout_names: tuple[str, ...], out: Path | None, as_json: bool, quiet: bool, workers: int
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
+    quiet: bool,
+    workers: int,
 ) -> None:
-    """Compare two layouts on the same runs; the second is the baseline.
-
-    \b
-    Example:
-      place-rsus compare --layout results/latest/layout.json --layout carlancap-12
-    """
-    if len(layout_names) != 2:
-        raise InputError("--layout", Unquoted(f"{len(layout_names)} layouts"), "it twice")
-    from . import jobs
-
-    with _progress(quiet=quiet or as_json, keeps="nothing was written") as progress:
-        summary = jobs.run_comparison(
-            subject=_load_layout(layout_names[0]),
-            baseline=_load_layout(layout_names[1]),
-            out=out,
-            workers=workers,
-            command=_command_line(),
-            progress=progress,
-        )
-    _print(summary, as_json, lambda: _comparison_text(summary, out))
+    """Compare two layouts on the same runs; the second is the baseline."""
+    subject, baseline = _load_layouts(layout_names, 2)
+    jobs = _start(progress, quiet=quiet)
+    summary = jobs.run_comparison(
+        subject=subject,
+        baseline=baseline,
+        out=out,
+        workers=workers,
+        command=_command_line(),
+        progress=progress,
+    )
+    _print(summary, progress, as_json, lambda: _comparison_text(summary, out))
 
 
-@cli.command()
-@click.option("--layout", "layout_name", required=True, help="carlancap-12, or a layout file.")
+@cli.command(
+    epilog="""\b
+Examples:
+  place-rsus export --layout carlancap-12 --format carla
+  place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson"""
+)
+@_layout_option
 @click.option(
     "--format",
     "format_name",
@@ -287,17 +300,12 @@ def compare(
     help="csv; geojson (WGS 84); carla: spawn transforms in CARLA's frame.",
 )
 @click.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
-def export(*, layout_name: str, format_name: str, out: Path | None) -> None:
-    """Write a layout in a format that other programs read.
-
-    \b
-    Examples:
-      place-rsus export --layout carlancap-12 --format carla
-      place-rsus export --layout results/latest/layout.json --format geojson --out rsus.geojson
-    """
+def export(*, layout_names: tuple[str, ...], format_name: str, out: Path | None) -> None:
+    """Write a layout in a format that other programs read."""
+    (layout,) = _load_layouts(layout_names, 1)
     from . import jobs
 
-    text = jobs.export_layout(_load_layout(layout_name), format_name)
+    text = jobs.export_layout(layout, format_name)
     if out is None:
         click.echo(text, nl=False)
         return
@@ -306,61 +314,59 @@ def export(*, layout_name: str, format_name: str, out: Path | None) -> None:
     try:
         write_atomically(out, lambda file: file.write(text.encode()))
     except OSError as error:
-        raise InputError(
-            "--out", Unquoted(f"{out}: {error.strerror}"), "a file that can be written"
+        raise click.UsageError(
+            f"--out: got {out}: {error.strerror}; expected a file that can be written"
         ) from None
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line; every problem that the user can mend is one line and exit code 2."""
     logging.basicConfig(stream=sys.stderr, format="place-rsus: %(message)s")
+    progress = StageProgress()
+    code, message = 0, ""
     try:
-        cli.main(args=arguments, prog_name="place-rsus", standalone_mode=False)
-    except InputError as error:
-        _fail(str(error), _EXIT_BAD_INPUT)
+        with ending_on_signals(progress):
+            cli.main(args=arguments, prog_name="place-rsus", standalone_mode=False, obj=progress)
+    except Interrupted as error:
+        code, message = 128 + error.signum, progress.interruption()
+    except _mendable_errors() as error:
+        code, message = _EXIT_BAD_INPUT, f"place-rsus: {error}"
     except click.ClickException as error:
-        _fail(" ".join(error.format_message().split()), _EXIT_BAD_INPUT)
-    except (KeyboardInterrupt, click.Abort) as error:
-        note = getattr(error, "__notes__", ["nothing was written"])[-1]
-        _fail(f"interrupted: {note}", _EXIT_INTERRUPTED)
-    except BrokenPipeError:
-        # The reader of stdout has gone; Python must not try to flush what it no longer takes.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    sys.exit(0)
-
-
-def _fail(message: str, code: int) -> NoReturn:
-    sys.stderr.write(f"place-rsus: {message}\n")
+        text = " ".join(error.format_message().split())
+        code, message = _EXIT_BAD_INPUT, f"place-rsus: {text}"
+    except OSError as error:  # such as a disk that is full
+        where = f"{error.filename}: " if error.filename else ""
+        code, message = _EXIT_BAD_INPUT, f"place-rsus: {where}{error.strerror or error}"
+    finally:
+        progress.stop()
+    if message:
+        click.echo(message, err=True)
     sys.exit(code)
 
 
-class _progress:  # noqa: N801 - used as a function
-    """Progress whose interruption says in which stage, and what was kept."""
+def _input_error(where: str, got: object, expected: str) -> Exception:
+    from geometry.errors import InputError
 
-    def __init__(self, *, quiet: bool, keeps: str) -> None:
-        self._quiet = quiet
-        self._keeps = keeps
+    return InputError(where, got, expected)
 
-    def __enter__(self) -> "StageProgress":
-        from geometry.raycast import open3d_problem
 
-        from .progress import StageProgress
+def _mendable_errors() -> tuple[type[Exception], ...]:
+    from geometry.errors import InputError, MissingExtraError
 
-        problem = open3d_problem()
-        if problem is not None:
-            logging.getLogger(__name__).warning("%s", problem)
-        self._progress = StageProgress(quiet=self._quiet)
-        return self._progress.__enter__()
+    return InputError, MissingExtraError
 
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        self._progress.__exit__(kind, error, trace)
-        if isinstance(error, KeyboardInterrupt):
-            kept = (
-                "; the detection table is kept for the next call"
-                if any(stage.startswith("optimise") for stage in self._progress.seconds)
-                else ""
-            )
-            error.add_note(f"in stage '{self._progress.stage}', {self._keeps}{kept}")
+
+def _start(progress: StageProgress, *, quiet: bool) -> Any:
+    """Show what happens from here on; import what does the work."""
+    progress.start(quiet=quiet)
+    from geometry.raycast import open3d_problem
+
+    from . import jobs
+
+    problem = open3d_problem()
+    if problem is not None:
+        logging.getLogger(__name__).warning("%s", problem)
+    return jobs
 
 
 def _cache_folder() -> Path:
@@ -375,7 +381,18 @@ def _cache_folder() -> Path:
 def _command_line() -> str:
     import shlex
 
-    return shlex.join(["place-rsus", *sys.argv[1:]])
+    # What the system hands over need not be text.
+    arguments = [argument.encode(errors="replace").decode() for argument in sys.argv[1:]]
+    return shlex.join(["place-rsus", *arguments])
+
+
+def _load_layouts(names: Sequence[str], number: int) -> list["Layout"]:
+    if len(names) != number:
+        given = f"{len(names)} layouts" if names else "nothing"
+        raise click.UsageError(
+            f"--layout: got {given}; expected {'it once' if number == 1 else 'it twice'}"
+        )
+    return [_load_layout(name) for name in names]
 
 
 def _load_layout(name: str) -> "Layout":
@@ -385,25 +402,34 @@ def _load_layout(name: str) -> "Layout":
 
     if name == _BASELINE:
         return load_carlancap_layout()
-    path = Path(name)
-    if not path.exists():
-        raise InputError("--layout", name, f"{_BASELINE}, or a layout file that exists")
-    return load_layout(path)
+    if not os.path.lexists(name):
+        raise _input_error("--layout", name, f"{_BASELINE}, or a layout file that exists")
+    return load_layout(Path(name))
 
 
-def _print(summary: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None:
-    click.echo(json.dumps(summary, allow_nan=False, indent=2) if as_json else text())
+def _print(
+    summary: dict[str, Any], progress: StageProgress, as_json: bool, text: Callable[[], str]
+) -> None:
+    from .exports import to_json_text
+
+    progress.stop()
+    click.echo(to_json_text(summary).rstrip() if as_json else text())
 
 
 def _percent(ratio: float) -> str:
     return f"{100.0 * ratio:6.1f} %"
 
 
+def _short(text: str, width: int) -> str:
+    return text if len(text) <= width else text[: width - 1] + "\N{HORIZONTAL ELLIPSIS}"
+
+
 def _units_text(units: list[dict[str, Any]]) -> list[str]:
     rows = [f"  {'unit':<6} {'site':<11} {'x m':>8} {'y m':>8} {'z m':>6} {'yaw':>7} {'pitch':>7}"]
     rows += [
-        f"  {unit['id']:<6} {unit['site'] or '-':<11} {unit['x_m']:8.2f} {unit['y_m']:8.2f} "
-        f"{unit['z_m']:6.2f} {unit['yaw_deg']:7.1f} {unit['pitch_deg']:7.1f}"
+        f"  {_short(unit['id'], 6):<6} {_short(unit['site'] or '-', 11):<11} "
+        f"{unit['x_m']:8.2f} {unit['y_m']:8.2f} {unit['z_m']:6.2f} "
+        f"{unit['yaw_deg']:7.1f} {unit['pitch_deg']:7.1f}"
         for unit in units
     ]
     return rows
@@ -413,7 +439,7 @@ def _apr_text(columns: dict[str, dict[str, Any]]) -> list[str]:
     cases = next(iter(columns.values()))["by_case"]
     rows = [f"  {'APR':<22} {'all':>8} " + "".join(f"{case:>9} " for case in cases)]
     rows += [
-        f"  {name:<22} {_percent(value['all'])} "
+        f"  {_short(name, 22):<22} {_percent(value['all'])} "
         + " ".join(f" {_percent(value['by_case'][case])}" for case in cases)
         for name, value in columns.items()
     ]
@@ -482,21 +508,31 @@ def _evaluation_text(summary: dict[str, Any], out: Path | None) -> str:
     return "\n".join(lines)
 
 
+def _runs_text(words: str, runs: Sequence[str]) -> list[str]:
+    return textwrap.wrap(
+        ", ".join(runs) or "none",
+        _WIDTH,
+        initial_indent=f"  {words} ",
+        subsequent_indent=" " * (len(words) + 3),
+        break_on_hyphens=False,
+    )
+
+
 def _comparison_text(summary: dict[str, Any], out: Path | None) -> str:
     evaluation, baseline = summary["evaluation"], summary["baseline"]
     lines = [
         f"{summary['name']} against {summary['baseline_name']} on {summary['runs']} runs:",
         *_apr_text(
             {
-                f"{summary['name']}"[:22]: evaluation["rsu_all"],
+                summary["name"]: evaluation["rsu_all"],
                 "  and the VUT's camera": evaluation["vut_and_rsus"],
-                f"{summary['baseline_name']}"[:22]: baseline["rsu_all"],
+                summary["baseline_name"]: baseline["rsu_all"],
                 "  with the VUT's camera": baseline["vut_and_rsus"],
                 "the VUT's camera only": evaluation["vut"],
             }
         ),
-        f"  runs gained: {', '.join(summary['runs_gained']) or 'none'}",
-        f"  runs lost:   {', '.join(summary['runs_lost']) or 'none'}",
+        *_runs_text("runs gained:", summary["runs_gained"]),
+        *_runs_text("runs lost:  ", summary["runs_lost"]),
     ]
     if out is not None:
         lines += ["", f"Written to {out}: report.html and more."]

@@ -1,6 +1,8 @@
 """What each command does, from layouts to a folder of results."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +17,14 @@ from placement.setting import Setting
 from . import exports
 from .figures import plot_apr_by_case, plot_heatmap, to_png
 from .plan import plot_plan
-from .progress import StageProgress
+from .progress import WRITING, StageProgress
 from .report import GREEDY, write_report
 from .result_folder import MARKER, check_result_folder, new_result_folder
 from .study import build_study_setting, load_carlancap_layout
 from .summary import summarise_comparison, summarise_layout, summarise_placement
 
 # One run of each case, at the speeds at which the study shows its heatmaps or near them.
-_HEATMAP_RUNS = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
+HEATMAP_RUNS = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
 
 
 def run_placement(
@@ -51,15 +53,22 @@ def run_placement(
         The budget is more than the sites can carry, or `out` cannot be written.
     """
     check_result_folder(out)
+    check_budget(load_study_scene(), budget_units)
+    progress.kept = _left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_study_setting()
-    check_budget(setting.scene, budget_units)
     study = load_carlancap_layout()
     candidates = build_candidates(
         setting.scene,
         load_candidate_grid(),
         extra=study.units if includes_study_poses else (),
     )
+
+    def report(stage: str, done: int, total: int) -> None:
+        if stage == "optimise" and cache_folder is not None and any(cache_folder.glob("table-*")):
+            progress.kept += "; the detection table is kept for the next call"
+        progress(stage, done, total)
+
     placement = place(
         setting,
         candidates,
@@ -69,14 +78,22 @@ def run_placement(
         workers=workers,
         cache_folder=cache_folder,
         time_limit_s=time_limit_s,
-        on_progress=progress,
+        on_progress=report,
     )
     found, greedy, baseline = _evaluate(
         [placement.layout, placement.greedy, study], setting, workers, progress
     )
     summary = summarise_placement(placement, found=found, greedy=greedy, baseline=baseline)
     evaluations = {found.layout.name: found, GREEDY: greedy, baseline.layout.name: baseline}
-    _write_results(out, summary, setting, evaluations, command=command, progress=progress)
+    _write_results(
+        out,
+        summary,
+        setting,
+        evaluations,
+        others=[baseline.layout],
+        command=command,
+        progress=progress,
+    )
     return summary
 
 
@@ -124,9 +141,7 @@ def run_comparison(
     InputError
         A unit hangs underground or inside something, or `out` cannot be written.
     """
-    return _judge(
-        [subject, baseline], out=out, workers=workers, command=command, progress=progress
-    )
+    return _judge([subject, baseline], out=out, workers=workers, command=command, progress=progress)
 
 
 def export_layout(layout: Layout, format_name: str) -> str:
@@ -147,27 +162,39 @@ def _judge(
     """Evaluate one layout, or compare two."""
     if out is not None:
         check_result_folder(out)
+        progress.kept = _left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_study_setting()
+    layouts = _with_distinct_names(layouts)
     for layout in layouts:
         check_layout(layout, setting.scene)
     verdicts = _evaluate(layouts, setting, workers, progress)
     summary = summarise_layout(*verdicts) if len(verdicts) == 1 else summarise_comparison(*verdicts)
-    evaluations = dict(zip(_distinct_names(layouts), verdicts, strict=True))
-    if out is not None:
-        _write_results(out, summary, setting, evaluations, command=command, progress=progress)
-    else:
+    if out is None:
         summary["seconds"] = progress.finish()
+        return summary
+    _write_results(
+        out,
+        summary,
+        setting,
+        {verdict.layout.name: verdict for verdict in verdicts},
+        others=layouts[1:],
+        command=command,
+        progress=progress,
+    )
     return summary
 
 
-def _distinct_names(layouts: Sequence[Layout]) -> list[str]:
-    """Names of layouts; a second one of the same name gets a number."""
-    names: list[str] = []
+def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
+    """Layouts under names of their own: one whose name is taken gets a number."""
+    taken = {GREEDY}
+    named = []
     for layout in layouts:
-        n_before = sum(layout.name == other.name for other in layouts[: len(names)])
-        names.append(f"{layout.name} ({n_before + 1})" if n_before else layout.name)
-    return names
+        names = chain([layout.name], (f"{layout.name} ({number})" for number in count(2)))
+        name = next(name for name in names if name not in taken)
+        taken.add(name)
+        named.append(replace(layout, name=name))
+    return named
 
 
 def _evaluate(
@@ -192,36 +219,40 @@ def _write_results(
     setting: Setting,
     evaluations: Mapping[str, Evaluation],
     *,
+    others: Sequence[Layout],
     command: str,
     progress: StageProgress,
 ) -> None:
     """Fill the result folder; the times of all stages but the writing go into the summary."""
-    progress("write results", 0, 0)
+    progress(WRITING, 0, 0)
     summary["seconds"] = progress.seconds.copy()
     subject = next(iter(evaluations.values()))
-    others = [item.layout for name, item in evaluations.items() if name != GREEDY][1:]
+    known = {key: value for key, value in summary.items() if value is not None}
     with new_result_folder(folder) as new:
         _write_text(new / "layout.json", exports.to_json(subject.layout))
         _write_text(new / "layout.csv", exports.to_csv(subject.layout))
-        _write_text(
-            new / "layout.geojson", exports.to_geojson(subject.layout, setting.scene.crs)
-        )
+        _write_text(new / "layout.geojson", exports.to_geojson(subject.layout, setting.scene.crs))
         exports.apr_table(evaluations).to_csv(new / "apr.csv", index=False)
         exports.runs_table(evaluations, setting.rule).to_parquet(new / "runs.parquet")
         figures = {
             "plan": plot_plan(setting, subject.layout, others=others),
             "apr_by_case": plot_apr_by_case(evaluations),
         }
-        for run_id in _HEATMAP_RUNS:
+        for run_id in HEATMAP_RUNS:
             index = setting.axis.run_ids.index(run_id)
             figures[f"heatmap_{run_id.replace('/', '_')}"] = plot_heatmap(subject, index)
         for name, figure in figures.items():
             (new / f"{name}.png").write_bytes(to_png(figure))
-        write_report(
-            new, summary, setting, evaluations, command=command, heatmap_runs=_HEATMAP_RUNS
-        )
+        write_report(new, known, setting, evaluations, command=command, heatmap_runs=HEATMAP_RUNS)
         summary["seconds"] = progress.finish()
         _write_text(new / MARKER, exports.to_json_text(summary))
+    progress.kept = f"the results are in {folder}"
+
+
+def _left_as_it_was(folder: Path) -> str:
+    if (folder / MARKER).exists():
+        return f"the earlier results in {folder} are unchanged"
+    return f"nothing was written to {folder}"
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -1,18 +1,37 @@
-"""Progress on stderr: a bar on a terminal, one line per stage elsewhere, nothing with --quiet."""
+"""Progress on stderr, and an orderly end when the user or the system asks for one."""
 
+import os
+import signal
 import sys
+import threading
 import time
-from types import TracebackType
-from typing import Self
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any, NoReturn
+
+import click
+
+WRITING = "write results"
+"""The stage in which files are written."""
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_GRACE_S = 1.5  # what does not end by itself within it is ended
+
+
+class Interrupted(BaseException):
+    """Ctrl-C, or another wish that the program end; no error, so that nothing catches it."""
+
+    def __init__(self, signum: int) -> None:
+        self.signum = signum
+        super().__init__(signal.Signals(signum).name)
 
 
 class StageProgress:
     """Shows which stage runs and how far it is, and keeps the time of each.
 
-    Parameters
-    ----------
-    quiet : bool
-        Show nothing.
+    A bar on a terminal, one line per stage elsewhere, nothing before :meth:`start` or with
+    ``quiet``.
 
     Attributes
     ----------
@@ -20,49 +39,17 @@ class StageProgress:
         The stage that runs, or ran last.
     seconds : dict of str to float
         Time per finished stage. [s]
+    kept : str
+        What is on disk if the program ends now, in words.
     """
 
-    def __init__(self, *, quiet: bool) -> None:
+    def __init__(self) -> None:
         self.stage = "start"
         self.seconds: dict[str, float] = {}
+        self.kept = "nothing was written"
         self._began_s = time.perf_counter()
-        self._has_terminal = sys.stderr.isatty() and not quiet
-        self._prints_lines = not self._has_terminal and not quiet
-
-    def __enter__(self) -> Self:
-        if self._has_terminal:
-            from rich.console import Console
-            from rich.progress import (
-                BarColumn,
-                MofNCompleteColumn,
-                Progress,
-                SpinnerColumn,
-                TextColumn,
-                TimeElapsedColumn,
-            )
-
-            self._bar = Progress(
-                SpinnerColumn(),
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeElapsedColumn(),
-                console=Console(stderr=True),
-                transient=True,
-            )
-            self._bar.start()
-            self._task = self._bar.add_task(self.stage, total=None)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._end_stage()
-        if self._has_terminal:
-            self._bar.stop()
+        self._prints_lines = False
+        self._bar: Any = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show a stage; a new name ends the one before."""
@@ -70,19 +57,133 @@ class StageProgress:
             self._end_stage()
             self.stage = stage
             if self._prints_lines:
-                sys.stderr.write(f"{stage} ...\n")
-                sys.stderr.flush()
-        if self._has_terminal:
+                click.echo(f"{stage} ...", err=True)
+        if self._bar is not None:
             self._bar.update(self._task, description=stage, completed=done, total=total or None)
+
+    def start(self, *, quiet: bool) -> None:
+        """Begin to show the stages, unless `quiet`."""
+        if quiet or sys.stderr is None:
+            return
+        if not sys.stderr.isatty():
+            self._prints_lines = True
+            return
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            SpinnerColumn,
+            TextColumn,
+            TimeElapsedColumn,
+        )
+
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=Console(stderr=True),
+            transient=True,
+            # What others print must stay where it belongs: stdout is not rich's to move.
+            redirect_stdout=False,
+        )
+        self._task = self._bar.add_task(self.stage, total=None)
+        self._bar.start()
+
+    def stop(self) -> None:
+        """Take the bar away."""
+        bar, self._bar = self._bar, None
+        if bar is not None:
+            bar.stop()
 
     def finish(self) -> dict[str, float]:
         """End the last stage; seconds of every stage and of all together."""
         self._end_stage()
         total_s = sum(self.seconds.values())
-        return {name: round(value, 3) for name, value in (*self.seconds.items(), ("total", total_s))}
+        return {
+            name: round(value, 3) for name, value in (*self.seconds.items(), ("total", total_s))
+        }
+
+    def interruption(self) -> str:
+        """What to say when the program ends before its time."""
+        return f"place-rsus: interrupted in stage '{self.stage}': {self.kept}"
 
     def _end_stage(self) -> None:
         now_s = time.perf_counter()
         stage = self.stage.split(":")[0]
         self.seconds[stage] = self.seconds.get(stage, 0.0) + now_s - self._began_s
         self._began_s = now_s
+
+
+@contextmanager
+def ending_on_signals(progress: StageProgress) -> Iterator[None]:
+    """Raise :class:`Interrupted` on Ctrl-C and SIGTERM, and end what does not listen.
+
+    A solver or a worker thread can go on for long before Python raises anything. Unless files are
+    being written, the process is then ended from a thread of its own.
+
+    Parameters
+    ----------
+    progress : StageProgress
+        Says what to tell the user.
+    """
+    read_end, write_end = os.pipe()
+    os.set_blocking(write_end, False)
+    is_over = threading.Event()
+
+    def interrupt(signum: int, frame: FrameType | None) -> NoReturn:
+        for each in _SIGNALS:  # one is enough: tidying up is not to be interrupted
+            signal.signal(each, lambda signum, frame: None)
+        raise Interrupted(signum)
+
+    before = {each: signal.signal(each, interrupt) for each in _SIGNALS}
+    wakeup_before = signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
+    watch = threading.Thread(target=_watch, args=(read_end, is_over, progress), daemon=True)
+    watch.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        signal.set_wakeup_fd(wakeup_before)
+        for each, handler in before.items():
+            signal.signal(each, handler)
+        os.close(write_end)  # the watch reads the end
+        watch.join()
+        os.close(read_end)
+
+
+@contextmanager
+def signals_held() -> Iterator[list[int]]:
+    """Hold Ctrl-C and SIGTERM back while a few quick steps are done that belong together.
+
+    Yields
+    ------
+    held : list of int
+        Signals that came meanwhile; the first of those left in it is delivered in the end.
+    """
+    held: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield held
+        return
+    before = {
+        each: signal.signal(each, lambda signum, frame: held.append(signum)) for each in _SIGNALS
+    }
+    try:
+        yield held
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+        if held:
+            signal.raise_signal(held[0])
+
+
+def _watch(read_end: int, is_over: threading.Event, progress: StageProgress) -> None:
+    """Wait for a signal, leave the program time to end by itself, then end it."""
+    received = os.read(read_end, 1)
+    if not received or is_over.wait(_GRACE_S) or progress.stage == WRITING:
+        return
+    progress.stop()
+    click.echo(progress.interruption(), err=True)
+    os._exit(128 + received[0])

@@ -1,52 +1,54 @@
 """A folder of results that is replaced as a whole, or left as it was."""
 
-import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from fnmatch import fnmatch
 from pathlib import Path
+from uuid import uuid4
 
 from geometry.errors import InputError, Unquoted
 
+from .progress import signals_held
+
 # Marks a folder as one of ours, so that only such folders are ever replaced.
 MARKER = "summary.json"
+_OURS = (MARKER, "report.html", "layout.*", "apr.csv", "runs.parquet", "*.png", ".DS_Store")
+_PREFIX = ".place-rsus."
 
 
 def check_result_folder(folder: Path) -> None:
-    """Check, before anything is computed, that a result folder can be written.
+    """Check, before anything is computed, that a result folder can be written; changes nothing.
 
     Parameters
     ----------
     folder : Path
-        New, empty, or an earlier result (it holds ``summary.json``).
+        New, empty, or an earlier result: ``summary.json`` and nothing that others wrote.
 
     Raises
     ------
     InputError
-        It is a file, holds other things, or cannot be written to.
+        It is a file, holds other things, or cannot be replaced or written to.
     """
-    if folder.exists():
-        if not folder.is_dir():
-            raise InputError("--out", str(folder), "a folder, not a file")
-        try:
-            names = {entry.name for entry in folder.iterdir()}
-        except OSError as error:
-            raise InputError("--out", Unquoted(f"{folder}: {error.strerror}"), "a readable folder") from None
-        if names and MARKER not in names:
-            raise InputError(
-                "--out",
-                Unquoted(f"{folder}, which holds {sorted(names)[0]} but no {MARKER}"),
-                "a new or empty folder, or one with earlier results",
-            )
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
+        real = folder.resolve()
+        real.stat()
+    except FileNotFoundError:
+        pass
+    except (OSError, RuntimeError) as error:  # a circle of links is a RuntimeError
+        raise _unwritable(folder, error) from None
+    else:
+        _check_existing(folder, real)
+    parent = real.parent
+    while not parent.exists():
+        parent = parent.parent
+    try:
         # Root may write anywhere that is mounted writeable: trying is the only honest test.
-        Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent)).rmdir()
+        with signals_held():
+            Path(tempfile.mkdtemp(prefix=_PREFIX, dir=parent)).rmdir()
     except OSError as error:
-        raise InputError(
-            "--out", Unquoted(f"{folder}: {error.strerror}"), "a folder that can be written to"
-        ) from None
+        raise _unwritable(folder, error) from None
 
 
 @contextmanager
@@ -56,29 +58,75 @@ def new_result_folder(folder: Path) -> Iterator[Path]:
     Parameters
     ----------
     folder : Path
-        Where the results shall be; checked by :func:`check_result_folder`.
+        Where the results shall be, see :func:`check_result_folder`; a link is followed.
 
     Yields
     ------
     temporary : Path
         Write here. If the block raises, `folder` stays as it was and nothing else is left.
+
+    Raises
+    ------
+    InputError
+        As :func:`check_result_folder`: much may have changed since the results were asked for.
     """
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=folder.parent))
+    check_result_folder(folder)
+    real = folder.resolve()
+    made = [parent for parent in real.parents if not parent.exists()]
+    temporary = real.with_name(f"{_PREFIX}{uuid4().hex}.tmp")
     try:
+        temporary.mkdir(parents=True)
         yield temporary
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o777 & ~mask)
-        replaced = temporary.with_suffix(".old")
-        if folder.exists():
+        _put_in_place(temporary, real)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        with suppress(OSError):
+            for parent in made:
+                parent.rmdir()
+        raise
+
+
+def _check_existing(folder: Path, real: Path) -> None:
+    if not real.is_dir():
+        raise InputError("--out", str(folder), "a folder, not a file")
+    try:
+        names = sorted(entry.name for entry in real.iterdir())
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+    foreign = [name for name in names if not any(fnmatch(name, ours) for ours in _OURS)]
+    if foreign or (names and MARKER not in names):
+        what = foreign[0] if foreign else f"{names[0]} but no {MARKER}"
+        raise InputError(
+            "--out",
+            Unquoted(f"{folder}, which holds {what}"),
+            "a new or empty folder, or one with earlier results and nothing else",
+        )
+    if real.is_mount() or Path.cwd().is_relative_to(real):
+        # Such a folder cannot be replaced, or not without pulling the rug from under a shell.
+        raise InputError(
+            "--out",
+            Unquoted(f"{folder}, the current folder or a mounted one"),
+            "a folder inside it",
+        )
+
+
+def _put_in_place(temporary: Path, folder: Path) -> None:
+    """Exchange a folder for a new one; nothing comes between the steps."""
+    replaced = temporary.with_suffix(".old")
+    with signals_held() as held:
+        is_replaced = folder.exists()
+        if is_replaced:
             folder.rename(replaced)
         try:
             temporary.rename(folder)
-        except BaseException:
-            if replaced.exists():
+        except OSError:
+            if is_replaced:
                 replaced.rename(folder)
             raise
         shutil.rmtree(replaced, ignore_errors=True)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
+        held.clear()  # too late: all is there
+
+
+def _unwritable(folder: Path, error: Exception) -> InputError:
+    reason = getattr(error, "strerror", None) or "a circle of links"
+    return InputError("--out", Unquoted(f"{folder}: {reason}"), "a folder that can be written to")

@@ -92,18 +92,32 @@ def summarise_placement(
 
 
 def summarise_layout(evaluation: Evaluation) -> dict[str, Any]:
-    """One layout's result: the keys that every command prints; "seconds" is filled in at the end.
+    """One layout's result: the keys that every command prints.
 
     Parameters
     ----------
     evaluation : Evaluation
         Of the layout.
+
+    Returns
+    -------
+    summary : dict
+        What only an optimisation or a comparison tells is None; "seconds" is filled in at the end.
+        "apr" is the evaluator's here, and the detection table's where one was optimised on.
     """
     return {
         "name": evaluation.layout.name,
         "layout": layout_records(evaluation.layout),
+        "budget": None,
+        "fusion": "any",
         "runs": evaluation.axis.n_runs,
+        "apr": apr(evaluation.rsu_all, evaluation.axis),
+        "bound": None,
+        "gap": None,
+        "apr_without_worst_unit": None,
         "evaluation": summarise_evaluation(evaluation),
+        "baseline": None,
+        "surrogate_disagreement": None,
         "seconds": {},
         "versions": versions(),
     }

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, float_array, freeze
-from .errors import InputError
+from .errors import InputError, Unquoted
 
 CLASS_NAMES = (
     "ground",
@@ -76,6 +76,14 @@ class Instance:
     id: str
     class_name: str
 
+    def __post_init__(self) -> None:
+        if self.class_name not in CLASS_NAMES:
+            raise InputError(
+                f"instance {self.id}.class_name",
+                self.class_name,
+                "one of " + ", ".join(CLASS_NAMES),
+            )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
@@ -123,6 +131,17 @@ class Scene:
         for field in ("triangles", "triangle_instance"):
             array = np.array(getattr(self, field), dtype=np.int32)
             object.__setattr__(self, field, freeze(array))
+        n_triangles = len(self.triangles)
+        for field, shape, limit in (
+            ("triangles", (n_triangles, 3), len(self.vertices_m)),
+            ("triangle_instance", (n_triangles,), len(self.instances)),
+        ):
+            array, where = getattr(self, field), f"{self.name}: {field}"
+            if array.shape != shape:
+                raise InputError(where, Unquoted(f"shape {array.shape}"), f"shape {shape}")
+            outside = array[(array < 0) | (array >= limit)]
+            if len(outside):
+                raise InputError(where, int(outside[0]), f"indices from 0 to {limit - 1}")
         for kind, ids in (
             ("site", [site.id for site in self.sites]),
             ("instance", [instance.id for instance in self.instances]),

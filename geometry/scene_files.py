@@ -1,6 +1,6 @@
 """Scenes from disk: a TOML file with boxes, walls, poles and rows of parked cars."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -78,7 +78,7 @@ def load_scene(source: Path | Traversable) -> Scene:
             for key, end in (("poles", "position_m"), ("mast_arms", "to_m"))
             for entry, here in _entries(table, key, where)
         ),
-        outline_m=from_carla_points(take_list(table, "outline_m", where)),
+        outline_m=_points(table, "outline_m", where),
         lanes=tuple(_build_lane(entry, here) for entry, here in _entries(table, "lanes", where)),
         crs=take_text(table, "crs", where),
     )
@@ -86,10 +86,14 @@ def load_scene(source: Path | Traversable) -> Scene:
 
 def _entries(table: Table, key: str, where: str) -> Iterator[tuple[Table, str]]:
     if key == "ground":
-        yield take(table, key, where), f"{where}: {key}"
-        return
-    for index, entry in enumerate(table.get(key, [])):
-        yield entry, f"{where}: {key}[{index}]"
+        entries = [(take(table, key, where), f"{where}: {key}")]
+    else:
+        listed = take_list(table, key, where) if key in table else []
+        entries = [(entry, f"{where}: {key}[{index}]") for index, entry in enumerate(listed)]
+    for entry, here in entries:
+        if not isinstance(entry, Mapping):
+            raise InputError(here, entry, "a table")
+        yield entry, here
 
 
 def _build_lane(entry: Table, where: str) -> Lane:
@@ -97,7 +101,7 @@ def _build_lane(entry: Table, where: str) -> Lane:
         id=take_text(entry, "id", where),
         kind=take_text(entry, "kind", where),
         width_m=_positive(entry, "width_m", where),
-        centreline_m=from_carla_points(take_list(entry, "centreline_m", where)),
+        centreline_m=_points(entry, "centreline_m", where),
     )
 
 
@@ -144,13 +148,16 @@ def _build_row(entry: Table, where: str) -> Iterator[_Body]:
     yaw_deg = float(from_carla_yaw(take_number(entry, "yaw_deg", where)))
     backwards = -np.array([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))])
     bumper = _point(entry, "first_m", where)
+    gap_m = take_number(entry, "gap_m", where)
+    if gap_m < 0.0:
+        raise InputError(f"{where}.gap_m", gap_m, "a number, at least 0")
     for index, actor_name in enumerate(take_list(entry, "actors", where)):
         actor = pick_actor(actor_name, f"{where}.actors[{index}]")
         middle = bumper + 0.5 * actor.length_m * backwards
         pose = Pose(position_m=np.append(middle, 0.0), yaw_deg=yaw_deg)
         instance = Instance(id=f"{name}-{index + 1}", class_name="parked vehicle")
         yield instance, to_world(actor.vertices_m, pose), actor.triangles
-        bumper = bumper + (actor.length_m + take_number(entry, "gap_m", where)) * backwards
+        bumper = bumper + (actor.length_m + gap_m) * backwards
 
 
 def _build_pole(entry: Table, where: str) -> Iterator[_Body]:
@@ -215,6 +222,10 @@ def _cylinder(
 
 def _point(entry: Table, key: str, where: str) -> FloatArray:
     return from_carla_points(float_array(take_list(entry, key, where), (2,), f"{where}.{key}"))
+
+
+def _points(entry: Table, key: str, where: str) -> FloatArray:
+    return from_carla_points(float_array(take_list(entry, key, where), (-1, 2), f"{where}.{key}"))
 
 
 def _positive(entry: Table, key: str, where: str) -> float:

@@ -50,7 +50,7 @@ class CandidateGrid:
     heights_m : (n,) float
         Above the road; at a site with a smaller range the nearest height in its range. [m]
     yaw_step_deg : float
-        Yaws are the multiples of this all around. [deg]
+        Yaws are the multiples of this all around; it divides 360. [deg]
     pitches_deg : (n,) float
         Positive up. [deg]
     cameras : tuple of CameraModel
@@ -61,6 +61,29 @@ class CandidateGrid:
     yaw_step_deg: float
     pitches_deg: FloatArray
     cameras: tuple[CameraModel, ...]
+
+    def __post_init__(self) -> None:
+        for field in ("heights_m", "pitches_deg"):
+            values = float_array(getattr(self, field), (-1,), f"grid.{field}")
+            object.__setattr__(self, field, values)
+            if len(values) == 0:
+                raise InputError(f"grid.{field}", Unquoted("none"), "at least one")
+        if (self.heights_m <= 0.0).any():
+            raise InputError("grid.heights_m", self.heights_m.tolist(), "metres, > 0")
+        if (np.abs(self.pitches_deg) > 90.0).any():
+            raise InputError("grid.pitches_deg", self.pitches_deg.tolist(), "-90 .. 90 degrees")
+        step_deg = float(float_array(self.yaw_step_deg, (), "grid.yaw_step_deg"))
+        if not 0.0 < step_deg <= 360.0:
+            raise InputError("grid.yaw_step_deg", step_deg, "0 < degrees <= 360")
+        if not abs(self.n_yaws * step_deg - 360.0) <= 1.0e-9:
+            raise InputError("grid.yaw_step_deg", step_deg, "degrees that divide 360 evenly")
+        if not self.cameras:
+            raise InputError("grid.cameras", Unquoted("none"), "at least one")
+
+    @property
+    def n_yaws(self) -> int:
+        """Number of yaws."""
+        return round(360.0 / self.yaw_step_deg)
 
 
 def build_candidates(
@@ -89,7 +112,8 @@ def build_candidates(
     """
     if not scene.sites:
         raise InputError(f"{scene.name}: sites", Unquoted("none"), "at least one mount site")
-    yaws_deg = np.arange(-180.0 + grid.yaw_step_deg, 180.0 + 1e-9, grid.yaw_step_deg)
+    # From the whole circle, and rounded: sums of steps would miss 0 and 180 by a hair.
+    yaws_deg = (360.0 * np.arange(1, grid.n_yaws + 1) / grid.n_yaws - 180.0).round(12)
     candidates = [
         CandidatePose(
             id=f"{site.id}/{height_m:g}m/{yaw_deg:g}/{pitch_deg:g}/{camera.name}",
@@ -120,12 +144,9 @@ def load_candidate_grid() -> CandidateGrid:
     """The default grid, from ``data/candidates.toml``."""
     where = "candidates.toml"
     table = load_toml(files(__package__) / "data" / where)
-    yaw_step_deg = take_number(table, "yaw_step_deg", where)
-    if not 0.0 < yaw_step_deg <= 360.0:
-        raise InputError(f"{where}: yaw_step_deg", yaw_step_deg, "0 < degrees <= 360")
     return CandidateGrid(
         heights_m=float_array(take_list(table, "heights_m", where), (-1,), f"{where}: heights_m"),
-        yaw_step_deg=yaw_step_deg,
+        yaw_step_deg=take_number(table, "yaw_step_deg", where),
         pitches_deg=float_array(
             take_list(table, "pitches_deg", where), (-1,), f"{where}: pitches_deg"
         ),

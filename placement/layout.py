@@ -18,6 +18,10 @@ from geometry.scene import Scene, containing_instance
 from .candidates import CandidatePose
 
 SCHEMA = "place-rsus/layout/1"
+RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus")
+"""Names of the sensing parties that are no unit: no unit may be called so."""
+
+_MAX_DISTANCE_M = 1000.0  # from a scene's middle; beyond, a unit or a frame has been mixed up
 _NUMBERS = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg")
 
 
@@ -43,6 +47,16 @@ class Layout:
         if len(set(ids)) < len(ids):
             repeated = next(name for name in ids if ids.count(name) > 1)
             raise InputError(f"layout {self.name}: id", repeated, "every id once")
+        for text in (self.name, *ids):
+            if not text.isprintable():  # a line break, or half of a surrogate pair
+                raise InputError("layout: name or id", text, "printable text")
+        for name in ids:
+            if name in RESERVED_IDS:
+                raise InputError(
+                    f"layout {self.name}: id",
+                    name,
+                    "another name: " + ", ".join(RESERVED_IDS) + " mean other sensing parties",
+                )
 
     def __repr__(self) -> str:
         return f"Layout({self.name!r}, {[unit.id for unit in self.units]})"
@@ -188,7 +202,9 @@ def load_layout(path: Path) -> Layout:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise InputError(str(path), Unquoted("JSON nested too deep"), "a layout") from None
+    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
         raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
         raise InputError(str(path), Unquoted("no list 'layout'"), 'an object {"layout": [units]}')
@@ -211,11 +227,19 @@ def check_layout(layout: Layout, scene: Scene) -> None:
         A unit is underground or inside something, or names an unknown site.
     """
     sites = {site.id for site in scene.sites}
+    middle_m = np.append(scene.outline_m.mean(axis=0), 0.0)
     for unit in layout.units:
         where = f"layout {layout.name}: {unit.id}"
         height_m = float(unit.pose.position_m[2])
         if height_m <= 0.0:
             raise InputError(f"{where}.z_m", height_m, "a height above the road, > 0 m")
+        distance_m = math.dist(unit.pose.position_m, middle_m)
+        if distance_m > _MAX_DISTANCE_M:
+            raise InputError(
+                where,
+                Unquoted(f"a pose {distance_m:.3g} m from the middle of {scene.name}"),
+                f"at most {_MAX_DISTANCE_M:g} m",
+            )
         around = containing_instance(scene, unit.pose.position_m)
         if around is not None:
             raise InputError(

@@ -185,9 +185,7 @@ def obtain_table(
             setting.scene, candidates, setting.runs, setting.detector, seed=seed
         )
         path = cache_folder / f"table-{fingerprint}.npz"
-        cached = load_table(
-            path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis
-        )
+        cached = load_table(path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis)
         if cached is not None:
             on_progress("detection table (cached)", 0, 0)
             return cached

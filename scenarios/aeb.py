@@ -53,8 +53,9 @@ class AebRule:
                 raise InputError(f"aeb.{field}", getattr(self, field), "a positive number")
         if not (np.isfinite(self.latency_s) and self.latency_s >= 0.0):
             raise InputError("aeb.latency_s", self.latency_s, "seconds, at least 0")
-        if not (isinstance(self.n_confirmations, int) and self.n_confirmations >= 1):
-            raise InputError("aeb.n_confirmations", self.n_confirmations, "a whole number, >= 1")
+        n_frames = self.n_confirmations
+        if not isinstance(n_frames, int) or isinstance(n_frames, bool) or n_frames < 1:
+            raise InputError("aeb.n_confirmations", n_frames, "a whole number, >= 1")
 
 
 @cache

@@ -1,5 +1,6 @@
 """Test cases, from ``data/cases.toml``: a new case is a new table there, not new code."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -56,6 +57,8 @@ def load_cases() -> dict[str, Case]:
         if kind not in KINDS:
             raise InputError(f"{where}.kind", kind, "one of " + ", ".join(KINDS))
         speeds = take(entry, "vut_speed_kmh", where)
+        if not isinstance(speeds, Mapping):
+            raise InputError(f"{where}.vut_speed_kmh", speeds, "a table with min, max and step")
         low, high, step = (
             take_number(speeds, key, f"{where}.vut_speed_kmh") for key in ("min", "max", "step")
         )

@@ -29,6 +29,7 @@ from .paths import Motion, StraightPath
 APPROACHES = ("north", "east", "south", "west")
 _GRID_TOLERANCE = 1.0e-6  # of a frame
 _ON_LINE_TOLERANCE_M = 0.05
+_PERPENDICULAR_TOLERANCE_DEG = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -148,6 +149,13 @@ class FrameAxis:
             raise InputError("run_start", run_start.tolist(), "0 and ascending, one more than runs")
         if run_start[-1] != len(self.time_s):
             raise InputError("time_s", Unquoted(f"{len(self.time_s)} frames"), str(run_start[-1]))
+        falls = np.diff(self.time_s) <= 0.0
+        falls[run_start[1:-1] - 1] = False  # from one run to the next
+        if falls.any():
+            late, early = self.time_s[np.argmax(falls) :][:2].tolist()
+            raise InputError(
+                "time_s", Unquoted(f"{late} before {early}"), "times that ascend within a run"
+            )
 
     @property
     def n_runs(self) -> int:
@@ -321,9 +329,14 @@ def _build_path(entry: Table, body: str, where: str) -> StraightPath:
 
 
 def _crossing_distances(a: StraightPath, b: StraightPath, where: str) -> tuple[float, float]:
+    # At the impact the gap between the bodies' middles is half the VRU's width only if it crosses
+    # squarely.
+    angle_deg = float(np.degrees(np.arccos(np.clip(abs(a.direction @ b.direction), 0.0, 1.0))))
+    if angle_deg < 90.0 - _PERPENDICULAR_TOLERANCE_DEG:
+        raise InputError(
+            where, Unquoted(f"paths at {angle_deg:.1f} degrees"), "perpendicular paths"
+        )
     matrix = np.stack([a.direction, -b.direction], axis=1)
-    if abs(np.linalg.det(matrix)) < 1.0e-6:
-        raise InputError(where, Unquoted("parallel paths"), "paths that cross")
     distances = np.linalg.solve(matrix, b.start_m - a.start_m)
     return float(distances[0]), float(distances[1])
 

@@ -130,7 +130,8 @@ def load_table(
         None if there is no such file, or it cannot be trusted.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        # Opened here: numpy does not close a file that turns out to be no archive.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             if str(stored["format"]) != _FORMAT or str(stored["fingerprint"]) != fingerprint:
                 raise ValueError("made from other inputs")
             return DetectionTable(

@@ -7,7 +7,12 @@ from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.scene import Scene, Site
-from placement.candidates import CandidateGrid, CandidatePose, build_candidates
+from placement.candidates import (
+    CandidateGrid,
+    CandidatePose,
+    build_candidates,
+    load_candidate_grid,
+)
 
 CAMERAS = tuple(load_cameras().values())[:2]
 
@@ -74,6 +79,45 @@ def test_yaws_go_all_around_once(n_yaws):
     around = np.diff(np.append(yaws, yaws[0] + 360.0))
     assert around == pytest.approx(step_deg, abs=1e-9)
     assert 180.0 in yaws
+    assert (0.0 in yaws) == (n_yaws % 2 == 0)
+    assert [float(c.id.split("/")[2]) for c in candidates] == pytest.approx(yaws, rel=1e-5)
+    assert not any("e-" in c.id.split("/")[2] for c in candidates)
+
+
+def test_the_default_grid_looks_every_15_degrees_at_three_heights_and_pitches():
+    grid = load_candidate_grid()
+    assert (len(grid.heights_m), grid.n_yaws, len(grid.pitches_deg)) == (3, 24, 3)
+    assert [camera.name for camera in grid.cameras] == ["carla-ncap-rgb"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"heights_m": []}, "grid.heights_m: got none; expected at least one"),
+        ({"heights_m": [5.0, 0.0]}, "grid.heights_m: got [5.0, 0.0]; expected metres, > 0"),
+        ({"heights_m": [np.inf]}, "grid.heights_m: got [inf]; expected finite numbers"),
+        ({"heights_m": 5.0}, "grid.heights_m: got shape (); expected shape (-1,)"),
+        ({"pitches_deg": []}, "grid.pitches_deg: got none; expected at least one"),
+        ({"pitches_deg": [-91.0]}, "grid.pitches_deg: got [-91.0]; expected -90 .. 90 degrees"),
+        ({"pitches_deg": [np.nan]}, "grid.pitches_deg: got [nan]; expected finite numbers"),
+        ({"yaw_step_deg": 0.0}, "grid.yaw_step_deg: got 0.0; expected 0 < degrees <= 360"),
+        ({"yaw_step_deg": 361.0}, "grid.yaw_step_deg: got 361.0; expected 0 < degrees <= 360"),
+        ({"yaw_step_deg": np.nan}, "grid.yaw_step_deg: got nan; expected finite numbers"),
+        (
+            {"yaw_step_deg": 50.0},
+            "grid.yaw_step_deg: got 50.0; expected degrees that divide 360 evenly",
+        ),
+        (
+            {"yaw_step_deg": 51.4286},
+            "grid.yaw_step_deg: got 51.4286; expected degrees that divide 360 evenly",
+        ),
+        ({"cameras": ()}, "grid.cameras: got none; expected at least one"),
+    ],
+)
+def test_a_grid_says_what_is_wrong(change, message):
+    with pytest.raises(InputError) as caught:
+        _grid(**change)
+    assert str(caught.value) == message
 
 
 def test_heights_are_brought_into_the_sites_range_and_count_once():

@@ -13,6 +13,7 @@ from geometry.errors import InputError
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.layout import (
+    RESERVED_IDS,
     Certificate,
     Layout,
     Stage,
@@ -58,12 +59,17 @@ def _changed(**changes):
     return records
 
 
+def _is_id(text: str) -> bool:
+    return text != "" and text not in RESERVED_IDS
+
+
 @st.composite
 def _layouts(draw) -> Layout:
-    ids = draw(st.lists(st.text(min_size=1, max_size=8), min_size=1, max_size=5, unique=True))
+    texts = st.text(max_size=8).filter(str.isprintable)
+    ids = draw(st.lists(texts.filter(_is_id), min_size=1, max_size=5, unique=True))
     names = sorted(load_cameras())
     return Layout(
-        name=draw(st.text(max_size=8)),
+        name=draw(texts),
         units=tuple(
             CandidatePose(
                 id=unit_id,
@@ -156,6 +162,21 @@ def test_a_repeated_id_is_named():
     )
 
 
+@pytest.mark.parametrize("name", RESERVED_IDS)
+def test_a_unit_is_not_called_like_another_sensing_party(name):
+    assert _message(layout_from_records, "l", _changed(id=name), "f.json") == (
+        f"layout l: id: got '{name}'; expected another name: vut, rsu_all, vut_and_rsus mean "
+        "other sensing parties"
+    )
+
+
+@pytest.mark.parametrize("text", ["a\nb", "\x1b[2K", "\ud800"])
+def test_names_and_ids_can_be_printed(text):
+    expected = f"layout: name or id: got {text!r}; expected printable text"
+    assert _message(layout_from_records, "l", _changed(id=text), "f.json") == expected
+    assert _message(layout_from_records, text, GOOD, "f.json") == expected
+
+
 def test_a_layout_without_units_is_refused():
     assert _message(layout_from_records, "l", [], "f.json") == (
         "layout l: got no unit; expected at least one unit"
@@ -174,6 +195,12 @@ def test_a_file_that_is_not_json_is_named(tmp_path, content, message):
     path = tmp_path / "a.json"
     path.write_bytes(content)
     assert _message(load_layout, path) == f"{path}: {message}expected JSON in UTF-8"
+
+
+def test_a_file_nested_too_deep_is_named(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text("[" * 100_000, encoding="utf-8")
+    assert _message(load_layout, path) == f"{path}: got JSON nested too deep; expected a layout"
 
 
 @pytest.mark.parametrize("content", ["[]", "{}", '{"layout": {}}', "null"])

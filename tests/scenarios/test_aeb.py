@@ -342,6 +342,7 @@ def test_rule_is_that_of_the_study():
         ({"frame_rate_hz": math.inf}, "aeb.frame_rate_hz: got inf; expected a positive number"),
         ({"latency_s": -0.1}, "aeb.latency_s: got -0.1; expected seconds, at least 0"),
         ({"n_confirmations": 0}, "aeb.n_confirmations: got 0; expected a whole number, >= 1"),
+        ({"n_confirmations": True}, "aeb.n_confirmations: got True; expected a whole number, >= 1"),
         ({"n_confirmations": 2.5}, "aeb.n_confirmations: got 2.5; expected a whole number, >= 1"),
     ],
 )

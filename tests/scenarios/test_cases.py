@@ -88,6 +88,10 @@ def test_a_single_speed_is_allowed(monkeypatch):
             "cases.toml: X.vut_speed_kmh.step: got nothing; expected a value",
         ),
         (
+            {"vut_speed_kmh": 40.0},
+            "cases.toml: X.vut_speed_kmh: got 40.0; expected a table with min, max and step",
+        ),
+        (
             {"vru_speed_kmh": "fast"},
             "cases.toml: X.vru_speed_kmh: got 'fast'; expected a finite number",
         ),

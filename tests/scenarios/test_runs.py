@@ -254,6 +254,13 @@ def test_a_placement_carries_its_parked_bodies_into_every_run(monkeypatch, actor
     assert all(run.obstruction == (body,) for run in runs)
 
 
+@pytest.mark.parametrize("vru_yaw_deg", [89.1, 90.9])
+def test_a_crossing_may_be_a_degree_out_of_square(monkeypatch, actors, rule, vru_yaw_deg):
+    (placement,) = _load(monkeypatch, _changed(vru_yaw_deg=vru_yaw_deg))
+    for run in build_runs([placement], vut=actors["vut"], rule=rule):
+        assert _separation(run.encounter, np.array([0.0])) == pytest.approx(0.0, abs=0.01)
+
+
 def test_a_placement_without_parked_bodies_has_none(monkeypatch):
     (placement,) = _load(monkeypatch, CROSSING)
     assert placement.obstruction == ()
@@ -279,7 +286,18 @@ def test_a_placement_without_parked_bodies_has_none(monkeypatch):
             {"collision_point_m": [1.0, 2.0, 3.0]},
             "{0}.collision_point_m: got shape (3,); expected shape (2,)",
         ),
-        ({"vru_yaw_deg": 180.0}, "{0}: got parallel paths; expected paths that cross"),
+        (
+            {"vru_yaw_deg": 180.0},
+            "{0}: got paths at 0.0 degrees; expected perpendicular paths",
+        ),
+        (
+            {"vru_yaw_deg": 30.0},
+            "{0}: got paths at 30.0 degrees; expected perpendicular paths",
+        ),
+        (
+            {"vru_yaw_deg": 91.5},
+            "{0}: got paths at 88.5 degrees; expected perpendicular paths",
+        ),
         (
             {"collision_point_m": [-110.0, -3.0]},
             "{0}.collision_point_m: got [-110.0, -3.0]; expected a point on the VUT's path",
@@ -359,6 +377,18 @@ def test_frame_axis_of_no_run_is_refused():
             "run_start: got [0, 3, 10]; expected 0 and ascending, one more than runs",
         ),
         ({"run_start": [0, 3, 8, 11]}, "time_s: got 10 frames; expected 11"),
+        (
+            {"time_s": [-0.2, -0.1, 0.0, -0.4, -0.2, -0.3, -0.1, 0.0, -0.1, 0.0]},
+            "time_s: got -0.2 before -0.3; expected times that ascend within a run",
+        ),
+        (
+            {"time_s": [-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, 0.0, 0.0]},
+            "time_s: got 0.0 before 0.0; expected times that ascend within a run",
+        ),
+        (
+            {"run_start": [0, 4, 8, 10]},
+            "time_s: got 0.0 before -0.4; expected times that ascend within a run",
+        ),
         (
             {"vut_speed_kmh": [1.0, math.inf, 2.0]},
             "vut_speed_kmh: got [1.0, inf, 2.0]; expected finite numbers",

@@ -1,0 +1,48 @@
+"""A small version of the study: the same steps in a second or two."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments import jobs
+from placement.candidates import load_candidate_grid
+from placement.setting import Setting
+from scenarios.exposure import weight_per_run
+from scenarios.runs import build_frame_axis
+
+SMALL_RUNS = (*jobs.HEATMAP_RUNS, "CPNC-50/west/30", "CBNA/north/20", "CBLA/east/25")
+
+
+@pytest.fixture(scope="session")
+def small_setting(runs, rule):
+    few = tuple(run for run in runs if run.id in SMALL_RUNS)
+    full = jobs.build_study_setting()
+    return Setting(
+        scene=full.scene,
+        runs=few,
+        axis=build_frame_axis(few, weight_per_run(few)),
+        rule=rule,
+        detector=full.detector,
+    )
+
+
+@pytest.fixture
+def small_study(small_setting, monkeypatch):
+    """Makes every command work on a few runs and a few poses."""
+    grid = replace(
+        load_candidate_grid(),
+        heights_m=np.array([6.0]),
+        yaw_step_deg=90.0,
+        pitches_deg=np.array([-20.0]),
+    )
+    monkeypatch.setattr(jobs, "build_study_setting", lambda: small_setting)
+    monkeypatch.setattr(jobs, "load_candidate_grid", lambda: grid)
+    return small_setting
+
+
+@pytest.fixture
+def without_figures(monkeypatch):
+    """Leaves out what takes longest to write."""
+    monkeypatch.setattr(jobs, "write_report", lambda *given, **options: None)
+    monkeypatch.setattr(jobs, "to_png", lambda figure: b"")

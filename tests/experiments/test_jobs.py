@@ -1,0 +1,118 @@
+import json
+import re
+
+import pytest
+
+from experiments import jobs
+from experiments.progress import StageProgress
+from experiments.study import load_carlancap_layout
+from geometry.errors import InputError
+from placement.layout import Layout, load_layout
+
+
+def place(out, **options):
+    given = {
+        "budget_units": 1,
+        "fusion": "any",
+        "out": out,
+        "seed": 0,
+        "workers": 2,
+        "includes_study_poses": True,
+        "time_limit_s": 60.0,
+        "cache_folder": None,
+        "command": "place-rsus --budget 1 <&>",
+        "progress": StageProgress(),
+    }
+    return jobs.run_placement(**(given | options))
+
+
+def evaluate(layout, out=None):
+    return jobs.run_evaluation(
+        layout=layout, out=out, workers=2, command="place-rsus", progress=StageProgress()
+    )
+
+
+def named(name: str, n_units: int = 1) -> Layout:
+    return Layout(name=name, units=load_carlancap_layout().units[:n_units])
+
+
+def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
+    progress = StageProgress()
+    summary = place(tmp_path / "out", progress=progress)
+    assert json.loads((tmp_path / "out/summary.json").read_text()) == summary
+    assert load_layout(tmp_path / "out/layout.json").name == "best-1"
+    stages = ["start", "setting", "detection table", "optimise", "greedy", "evaluate"]
+    assert list(summary["seconds"]) == [*stages, "write results", "total"]
+    page = (tmp_path / "out/report.html").read_text()
+    assert "place-rsus --budget 1 &lt;&amp;&gt;" in page
+    assert "<&>" not in page
+    assert progress.kept == f"the results are in {tmp_path}/out"
+
+
+def test_the_studys_poses_are_candidates_only_if_asked_for(small_study, tmp_path, monkeypatch):
+    class Asked(Exception):
+        pass
+
+    def ask(setting, candidates, **options):
+        raise Asked({candidate.id for candidate in candidates})
+
+    monkeypatch.setattr(jobs, "place", ask)
+    ids = []
+    for included in (True, False):
+        with pytest.raises(Asked) as caught:
+            place(tmp_path / "out", includes_study_poses=included)
+        ids.append(caught.value.args[0])
+    assert ids[1] < ids[0]
+    assert ids[0] - ids[1] == {unit.id for unit in load_carlancap_layout().units}
+
+
+def test_a_budget_that_is_too_large_is_refused_before_anything_else(tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs, "build_study_setting", pytest.fail)
+    with pytest.raises(InputError, match="--budget: got 10000; expected a whole number"):
+        place(tmp_path / "a/b", budget_units=10_000)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_written_where_no_folder_is_given(small_study, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    summary = evaluate(named("one"))
+    assert list(tmp_path.iterdir()) == []
+    assert list(summary["seconds"]) == ["start", "setting", "evaluate", "total"]
+
+
+def test_an_evaluation_of_one_unit_is_that_of_all(small_study):
+    evaluation = evaluate(named("one"))["evaluation"]
+    assert evaluation["units"] == {"RSU0": evaluation["rsu_all"]}
+    assert evaluation["vut_and_rsus"]["all"] >= evaluation["rsu_all"]["all"]
+
+
+def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
+    summary = jobs.run_comparison(
+        subject=named("twin", 2),
+        baseline=named("twin", 1),
+        out=tmp_path / "out",
+        workers=2,
+        command="place-rsus",
+        progress=StageProgress(),
+    )
+    assert (summary["name"], summary["baseline_name"]) == ("twin", "twin (2)")
+    assert summary["runs_lost"] == []
+    names = re.findall(r"^([^,]*),vut,all,all,", (tmp_path / "out/apr.csv").read_text(), re.M)
+    assert names == ["twin", "twin (2)"]
+
+
+def test_a_layout_may_be_called_greedy(small_study):
+    assert evaluate(named("greedy"))["name"] == "greedy (2)"
+
+
+def test_names_with_markup_are_escaped_in_the_report(small_study, tmp_path):
+    evaluate(named("<script>alert(1)</script>"), tmp_path / "out")
+    page = (tmp_path / "out/report.html").read_text()
+    assert "<script>alert" not in page
+    assert "&lt;script&gt;alert(1)" in page
+
+
+@pytest.mark.parametrize("name", sorted(["csv", "geojson", "carla"]))
+def test_every_export_names_every_unit(name):
+    text = jobs.export_layout(load_carlancap_layout(), name)
+    assert all(unit.id in text for unit in load_carlancap_layout().units)

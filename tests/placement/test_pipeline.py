@@ -1,0 +1,274 @@
+import logging
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from geometry.errors import InputError
+from geometry.poses import Pose
+from geometry.scene_files import load_study_scene
+from placement.candidates import CandidateGrid, CandidatePose, build_candidates
+from placement.detector import load_detector
+from placement.layout import check_layout
+from placement.optimiser import is_better, is_feasible, placement_value, solve_greedy
+from placement.pipeline import build_problem, check_budget, obtain_table, place
+from placement.setting import Setting
+from scenarios.exposure import weight_per_run
+from scenarios.runs import build_frame_axis, build_runs
+
+
+@pytest.fixture(scope="module")
+def setting(placements, actors, rule):
+    """Two sites of the study's junction, four of its placements at two speeds."""
+    scene = load_study_scene()
+    few = [
+        replace(placement, case=replace(placement.case, vut_speeds_kmh=(40.0, 60.0)))
+        for placement in (placements[0], placements[2], placements[6], placements[9])
+    ]
+    runs = build_runs(few, vut=actors["vut"], rule=rule)
+    names = ("corner-ne", "mast-w")
+    return Setting(
+        scene=replace(scene, sites=tuple(site for site in scene.sites if site.id in names)),
+        runs=runs,
+        axis=build_frame_axis(runs, weight_per_run(runs)),
+        rule=rule,
+        detector=load_detector(),
+    )
+
+
+@pytest.fixture(scope="module")
+def candidates(setting, camera):
+    grid = CandidateGrid(
+        heights_m=np.array([6.8]),
+        yaw_step_deg=60.0,
+        pitches_deg=np.array([-25.0]),
+        cameras=(camera,),
+    )
+    return build_candidates(setting.scene, grid)
+
+
+@pytest.fixture(scope="module")
+def placement(setting, candidates):
+    return place(setting, candidates, budget_units=2)
+
+
+def _best(problem):
+    """Brute force over all layouts of any size."""
+    best, best_units = None, ()
+    for n_units in range(1, problem.budget_units + 1):
+        for units in combinations(range(problem.table.n_poses), n_units):
+            if is_feasible(problem, units):
+                value = placement_value(problem, units)
+                if best is None or is_better(value, best):
+                    best, best_units = value, units
+    return best, best_units
+
+
+def test_the_best_layout_is_proven_feasible_and_that_of_brute_force(placement, setting, candidates):
+    assert len(candidates) == 12
+    assert placement.certificate.is_proven
+    assert is_feasible(placement.problem, placement.pose_index)
+    best, _ = _best(placement.problem)
+    value = placement_value(placement.problem, placement.pose_index)
+    assert not is_better(best, value)
+    assert tuple(value) == pytest.approx(tuple(best), abs=1e-9)
+    # Worth the test: neither nothing nor everything is avoided by any pose.
+    single = [placement_value(placement.problem, [c]).apr for c in range(12)]
+    assert max(single) > 0.0
+    assert min(single) < max(single)
+
+
+def test_the_certificate_is_about_the_layout(placement):
+    value = placement_value(placement.problem, placement.pose_index)
+    stages = {stage.name: stage for stage in placement.certificate.stages}
+    assert stages["apr"].objective == pytest.approx(value.apr, abs=1e-9)
+    for name, stage in stages.items():
+        assert stage.objective == pytest.approx(getattr(value, name), abs=1e-6)
+        assert stage.bound >= stage.objective - 1e-9
+
+
+def test_the_layout_names_the_candidates_that_were_chosen(placement, setting, candidates):
+    layout = placement.layout
+    assert layout.name == "best-2"
+    assert [unit.id for unit in layout.units] == ["U1", "U2"]
+    for unit, index in zip(layout.units, placement.pose_index, strict=True):
+        assert unit.pose is candidates[index].pose
+        assert (unit.site_id, unit.camera) == (candidates[index].site_id, candidates[index].camera)
+    check_layout(layout, setting.scene)
+    assert placement.problem.table.pose_ids == tuple(c.id for c in candidates)
+    assert repr(placement) == f"Placement({layout!r}, proven)"
+    assert set(placement.seconds) == {"detection_table", "optimise", "greedy"}
+    assert min(placement.seconds.values()) >= 0.0
+
+
+def test_the_greedy_layout_is_as_large_and_never_better(placement, candidates):
+    assert placement.greedy.name == "greedy-2"
+    index = solve_greedy(placement.problem)
+    assert [unit.pose for unit in placement.greedy.units] == [candidates[i].pose for i in index]
+    greedy = placement_value(placement.problem, index)
+    assert not is_better(greedy, placement_value(placement.problem, placement.pose_index))
+
+
+def test_one_unit_must_confirm_alone_with_single_fusion(setting, candidates, placement):
+    single = place(setting, candidates, budget_units=2, fusion="single")
+    assert single.certificate.is_proven
+    assert single.problem.fusion == "single"
+    best, _ = _best(single.problem)
+    value = placement_value(single.problem, single.pose_index)
+    assert not is_better(best, value)
+    # Whatever one unit confirms alone, all together confirm too.
+    together = placement_value(placement.problem, placement.pose_index)
+    assert value.apr <= together.apr + 1e-9
+
+
+def test_the_same_question_gets_the_same_answer(setting, candidates, placement):
+    again = place(setting, candidates, budget_units=2, workers=2)
+    assert again.pose_index == placement.pose_index
+    assert np.array_equal(again.problem.table.packed, placement.problem.table.packed)
+
+
+# Budget
+
+
+@pytest.mark.parametrize("budget", [0, -1, 5, 1.0, True, "2"])
+def test_a_budget_that_cannot_be_is_refused_before_anything_is_computed(
+    setting, candidates, budget
+):
+    message = (
+        f"--budget: got {budget!r}; expected a whole number of units, 1 to 4 "
+        "(what town05's sites can carry)"
+    )
+    with pytest.raises(InputError) as caught:
+        check_budget(setting.scene, budget)
+    assert str(caught.value) == message
+
+    def never(stage, done, total):
+        raise AssertionError(stage)
+
+    with pytest.raises(InputError) as caught:
+        place(setting, candidates, budget_units=budget, on_progress=never)
+    assert str(caught.value) == message
+
+
+def test_every_budget_that_the_sites_can_carry_is_allowed(setting):
+    for budget in (1, 2, 3, 4):
+        check_budget(setting.scene, budget)
+
+
+# Cache and progress
+
+
+def _stages(calls):
+    return list(dict.fromkeys(stage for stage, _, _ in calls))
+
+
+def test_a_second_call_takes_the_table_from_the_cache(setting, candidates, placement, tmp_path):
+    first, second = [], []
+    for calls in (first, second):
+        found = place(
+            setting,
+            candidates,
+            budget_units=2,
+            cache_folder=tmp_path / "cache",
+            on_progress=lambda *call, calls=calls: calls.append(call),
+        )
+        assert np.array_equal(found.problem.table.packed, placement.problem.table.packed)
+        assert found.pose_index == placement.pose_index
+    assert _stages(first)[0] == "detection table"
+    assert ("detection table", 2, 2) in first  # two mount positions
+    assert _stages(second)[0] == "detection table (cached)"
+    assert "detection table" not in _stages(second)
+    assert _stages(second)[1] == "optimise"
+    assert _stages(second)[-1] == "greedy"
+    (path,) = (tmp_path / "cache").iterdir()
+    assert path.name.startswith("table-")
+
+
+def test_other_inputs_do_not_get_the_cached_table(setting, candidates, tmp_path):
+    stages = []
+    for seed in (0, 1, 0):
+        calls = []
+        obtain_table(
+            setting,
+            candidates,
+            seed=seed,
+            workers=1,
+            cache_folder=tmp_path,
+            on_progress=lambda *call, calls=calls: calls.append(call),
+        )
+        stages.append(calls[0][0])
+    assert stages == ["detection table", "detection table", "detection table (cached)"]
+
+
+def test_a_damaged_cached_table_is_made_anew_and_replaced(
+    setting, candidates, placement, tmp_path, caplog
+):
+    for _ in range(2):
+        found = place(setting, candidates, budget_units=1, cache_folder=tmp_path)
+        (path,) = tmp_path.iterdir()
+        path.write_bytes(path.read_bytes()[:100])
+    assert np.array_equal(found.problem.table.packed, placement.problem.table.packed)
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+
+
+def test_a_cache_folder_that_cannot_be_is_no_error(
+    setting, candidates, placement, tmp_path, caplog
+):
+    in_the_way = tmp_path / "file"
+    in_the_way.write_text("", encoding="utf-8")
+    found = place(setting, candidates, budget_units=2, cache_folder=in_the_way)
+    assert found.pose_index == placement.pose_index
+    assert any("not cached" in message for message in caplog.messages)
+
+
+# Poses of no site
+
+
+def test_poses_of_no_site_stand_alone_on_sites_of_their_own(setting, candidates, camera):
+    def extra(name, site_id):
+        return CandidatePose(
+            id=name,
+            site_id=site_id,
+            pose=Pose(position_m=[-126.0, -1.0, 9.0], yaw_deg=0.0, pitch_deg=-80.0),
+            camera=camera,
+        )
+
+    poses = (
+        extra("drone", ""),
+        *candidates[:2],
+        extra("mast-w", "elsewhere"),  # named like a site, and not of it
+        extra("kite", ""),
+        candidates[6],
+    )
+    table = obtain_table(
+        setting,
+        poses,
+        seed=0,
+        workers=1,
+        cache_folder=None,
+        on_progress=lambda stage, done, total: None,
+    )
+    problem = build_problem(setting, poses, table, budget_units=2, fusion="any")
+    capacity = problem.site_capacity[problem.site_index]
+    assert capacity.tolist() == [1, 2, 2, 1, 1, 2]
+    sites = problem.site_index.tolist()
+    assert sites[1] == sites[2]
+    assert len(set(sites)) == 5
+    assert problem.max_units == 6
+    assert problem.rule is setting.rule
+
+
+def test_poses_by_name_keep_their_names(setting, candidates, camera):
+    named = replace(candidates[0], id="RSU1")
+    found = place(setting, [named], budget_units=1)
+    assert [unit.id for unit in found.layout.units] == ["RSU1"]
+
+
+def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):
+    with pytest.raises(InputError) as caught:
+        place(setting, candidates[:1], budget_units=2)
+    assert str(caught.value) == (
+        "--budget: got 2; expected at most 1, the units that the sites can carry"
+    )

@@ -1,0 +1,352 @@
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from strategies import angles_deg, cameras, numbers, pitches_deg
+
+from geometry.poses import Pose, camera_rotation, to_world
+from geometry.scene_files import load_study_scene
+from geometry.sensors import CameraModel, project_points
+from placement.candidates import CandidateGrid, build_candidates
+from placement.detector import Detector, load_detector
+from placement.evaluator.perceive import perceive_from_roadside
+from placement.evaluator.surroundings import build_surroundings
+from placement.visibility import build as build_module
+from placement.visibility import build_detection_table
+from placement.visibility.build import max_distance_m
+
+DETECTOR = Detector(min_iou=0.5, min_box_height_px=15.0)
+WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
+
+
+def _detected(table):
+    return table.detected(slice(None))
+
+
+def _random_world(build_scene, build_run, n_frames=150):
+    """A world of walls, and two runs that jump about in it."""
+    rng = np.random.default_rng(8)
+    vru = np.column_stack([rng.uniform(-14, 14, (n_frames, 2)), rng.uniform(-180, 180, n_frames)])
+    aside = rng.uniform(3.0, 6.0, n_frames) * np.exp(1j * rng.uniform(0, 2 * np.pi, n_frames))
+    vut = vru + np.column_stack([aside.real, aside.imag, rng.uniform(-180, 180, n_frames)])
+    runs = tuple(
+        build_run(vru[part::2], vut[part::2], vru=body, name=body)
+        for part, body in enumerate(("adult", "cyclist"))
+    )
+    return build_scene(*WALLS), runs
+
+
+@pytest.fixture(scope="module")
+def world(build_scene, build_run, axis_of):
+    scene, runs = _random_world(build_scene, build_run)
+    return scene, runs, axis_of(runs)
+
+
+@pytest.fixture(scope="module")
+def candidates(mount, small_camera):
+    """Two mount positions, several directions and two camera models, in no order."""
+    tele = replace(small_camera, name="tele", horizontal_fov_deg=50.0)
+    close = replace(small_camera, name="close", near_m=0.6)
+    return [
+        mount(f"{name}/{x:g}/{yaw:g}", [x, -12.0, 6.0], yaw_deg=yaw, pitch_deg=-20.0, camera=camera)
+        for yaw in (60.0, 90.0, 150.0, -90.0)
+        for name, camera in (("small", small_camera), ("tele", tele), ("close", close))
+        for x in (-10.0, 3.0)
+    ]
+
+
+@pytest.fixture(scope="module")
+def table(world, candidates):
+    scene, runs, axis = world
+    return build_detection_table(scene, candidates, runs, axis, detector=DETECTOR)
+
+
+def _agreement(scene, runs, candidates, detector, detected):
+    surroundings = build_surroundings(scene, runs)
+    shares = []
+    for row, candidate in enumerate(candidates):
+        boxes = perceive_from_roadside(surroundings, candidate.pose, candidate.camera)
+        by_pixels = detector.is_detected(boxes.visible_px, boxes.amodal_px)
+        shares.append((by_pixels == detected[row]).mean())
+    return np.array(shares)
+
+
+def test_the_table_detects_in_the_frames_in_which_pixels_do(world, candidates, table):
+    scene, runs, _ = world
+    detected = _detected(table)
+    shares = _agreement(scene, runs, candidates, DETECTOR, detected)
+    assert shares.min() >= 0.97
+    assert 0.1 < detected[:6].mean() < 0.9
+
+
+def test_the_table_detects_in_the_frames_in_which_pixels_do_at_the_studys_junction(
+    study_runs, axis_of, camera
+):
+    scene = load_study_scene()
+    grid = CandidateGrid(
+        heights_m=np.array([7.0]),
+        yaw_step_deg=90.0,
+        pitches_deg=np.array([-25.0]),
+        cameras=(camera,),
+    )
+    some = build_candidates(scene, grid)[7::29]
+    detector = load_detector()
+    runs = study_runs[::2]
+    table = build_detection_table(scene, some, runs, axis_of(runs), detector=detector)
+    shares = _agreement(scene, runs, some, detector, _detected(table))
+    assert len(shares) == 4
+    assert shares.min() >= 0.97
+    assert _detected(table).any()
+
+
+def test_rows_do_not_depend_on_their_company(world, candidates, table):
+    scene, runs, axis = world
+    assert table.pose_ids == tuple(candidate.id for candidate in candidates)
+    for row, candidate in list(enumerate(candidates))[::5]:
+        alone = build_detection_table(scene, [candidate], runs, axis, detector=DETECTOR)
+        assert np.array_equal(_detected(alone)[0], _detected(table)[row])
+
+
+def test_columns_do_not_depend_on_other_runs(world, candidates, table, axis_of):
+    scene, runs, axis = world
+    for index, run in enumerate(runs):
+        alone = build_detection_table(scene, candidates, [run], axis_of([run]), detector=DETECTOR)
+        assert np.array_equal(_detected(alone), _detected(table)[:, axis.frames_of(index)])
+
+
+def test_two_workers_build_the_same_table_as_one(world, candidates, table):
+    scene, runs, axis = world
+    two = build_detection_table(scene, candidates, runs, axis, detector=DETECTOR, workers=2)
+    assert np.array_equal(two.packed, table.packed)
+
+
+def test_the_table_is_the_same_every_time_for_a_seed(world, candidates, table):
+    scene, runs, axis = world
+    again, other = (
+        build_detection_table(scene, candidates, runs, axis, detector=DETECTOR, seed=seed)
+        for seed in (0, 1)
+    )
+    assert np.array_equal(again.packed, table.packed)
+    # Other points, nearly the same answers.
+    assert (_detected(other) == _detected(table)).mean() > 0.98
+
+
+# Closed forms
+
+
+def _heights_px(actor, vru_poses, candidate):
+    """Height of the whole body's projection, and whether all of it is in the image, per frame."""
+    heights, inside = [], []
+    for east, north, yaw_deg in vru_poses:
+        pose = Pose(position_m=[east, north, 0.0], yaw_deg=yaw_deg)
+        projected = project_points(
+            to_world(actor.vertices_m, pose), candidate.pose, candidate.camera
+        )
+        columns, rows, depth = projected.T
+        heights.append(np.ptp(rows))
+        inside.append(
+            (depth > 0.1).all()
+            and columns.min() >= 0
+            and columns.max() <= candidate.camera.width_px
+            and rows.min() >= 0
+            and rows.max() <= candidate.camera.height_px
+        )
+    return np.array(heights), np.array(inside)
+
+
+@pytest.mark.parametrize("body", ["adult", "cyclist"])
+def test_a_vru_in_the_open_is_detected_if_and_only_if_it_is_high_enough(
+    build_scene, build_run, axis_of, mount, actors, body
+):
+    rng = np.random.default_rng(4)
+    distance = rng.uniform(8.0, 50.0, 1500)
+    direction = np.radians(rng.uniform(-35.0, 35.0, 1500))
+    poses = np.column_stack(
+        [distance * np.cos(direction), distance * np.sin(direction), rng.uniform(-180, 180, 1500)]
+    )
+    candidate = mount("any", [0.0, 0.0, 5.0], pitch_deg=-12.0)
+    detector = Detector(min_iou=0.5, min_box_height_px=22.0)
+    heights, inside = _heights_px(actors[body], poses, candidate)
+    run = build_run(poses, vru=body)
+    table = build_detection_table(
+        build_scene(), [candidate], [run], axis_of([run]), detector=detector
+    )
+    (detected,) = _detected(table)
+    low, high = heights < 0.98 * 22.0, heights > 1.02 * 22.0
+    assert (inside & low).sum() > 200
+    assert (inside & high).sum() > 200
+    assert detected[inside & high].all()
+    assert not detected[low].any()
+
+
+def test_a_camera_that_is_turned_away_detects_nothing(build_scene, build_run, axis_of, mount):
+    angles = np.radians(np.arange(0.0, 360.0, 10.0))
+    for radius_m in (0.5, 2.0, 12.0):
+        around = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
+        run = build_run(np.column_stack([around, np.zeros(36)]), vru="cyclist")
+        cams = [
+            mount("up", [0.0, 0.0, 5.0], pitch_deg=60.0),
+            *(mount(f"{yaw:g}", [0.0, 0.0, 5.0], yaw_deg=yaw, pitch_deg=0.0) for yaw in (0, 120)),
+        ]
+        table = build_detection_table(
+            build_scene(),
+            cams,
+            [run],
+            axis_of([run]),
+            detector=Detector(min_iou=0.5, min_box_height_px=0.0),
+        )
+        detected = _detected(table)
+        assert not detected[0].any()
+        for row, cam in enumerate(cams[1:], start=1):
+            off_axis = np.abs((np.degrees(angles) - cam.pose.yaw_deg + 180.0) % 360.0 - 180.0)
+            assert not detected[row][off_axis > 90.0].any()
+            # Five metres below the lens nothing near is in the picture, and 12 m away all is.
+            assert detected[row][off_axis < 30.0].all() == (radius_m == 12.0)
+
+
+def test_a_vru_above_the_lens_or_in_it_does_no_harm(build_scene, build_run, axis_of, mount):
+    run = build_run([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [1.0, 0.0, 90.0]])
+    eyes = [mount(f"{z:g}", [0.0, 0.0, z]) for z in (0.4, 0.9, 1.8, 2.0)]
+    table = build_detection_table(build_scene(), eyes, [run], axis_of([run]), detector=DETECTOR)
+    assert _detected(table).shape == (4, 3)
+
+
+def test_a_table_of_candidates_far_away_is_empty(world, mount):
+    scene, runs, axis = world
+    table = build_detection_table(
+        scene, [mount("far", [400.0, 0.0, 6.0], yaw_deg=180.0)], runs, axis, detector=DETECTOR
+    )
+    assert not table.packed.any()
+
+
+@given(
+    cameras(),
+    numbers(1.0, 100.0),
+    angles_deg,
+    pitches_deg,
+    st.tuples(numbers(-0.5, 0.5), numbers(-0.5, 0.5)),
+    numbers(1.0, 3.0),
+    st.tuples(numbers(-1.0, 1.0), numbers(-1.0, 1.0), numbers(-1.0, 1.0)),
+    numbers(0.1, 5.0),
+)
+def test_nothing_beyond_the_largest_distance_is_high_enough(
+    camera, min_height_px, yaw_deg, pitch_deg, pixel, times, direction, extent_m
+):
+    """Two points of a body, both in the image, the nearer one just beyond the distance."""
+    detector = Detector(min_iou=0.5, min_box_height_px=min_height_px)
+    limit_m = max_distance_m(camera, detector, vru_height_m=extent_m)
+    pose = Pose(position_m=np.zeros(3), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    in_camera = np.array(
+        [
+            pixel[0] * camera.width_px / camera.focal_length_px,
+            pixel[1] * camera.height_px / camera.focal_length_px,
+            1.0,
+        ]
+    )
+    first = camera_rotation(yaw_deg, pitch_deg) @ in_camera
+    first *= times * limit_m / np.linalg.norm(first)
+    assume(np.linalg.norm(direction) > 1e-3)
+    second = first + extent_m * np.array(direction) / np.linalg.norm(direction)
+    # The nearest point of the line between them counts.
+    share = np.clip(first @ (first - second) / extent_m**2, 0.0, 1.0)
+    assume(np.linalg.norm(first + share * (second - first)) >= limit_m)
+    projected = project_points([first, second], pose, camera)
+    size = np.array([camera.width_px, camera.height_px])
+    assume((projected[:, 2] > 0.0).all())
+    assume((np.abs(projected[:, :2] - 0.5 * size) <= 0.5 * size * (1.0 + 1e-9)).all())
+    assert abs(projected[0, 1] - projected[1, 1]) <= min_height_px * (1.0 + 1e-6)
+
+
+def test_the_largest_distance_is_reached_in_the_corner_of_the_image():
+    """The bound is not only safe but the least one: a short rod in the corner attains it."""
+    camera = CameraModel(
+        name="tall",
+        width_px=1,
+        height_px=1000,
+        horizontal_fov_deg=0.1,
+        frame_rate_hz=10.0,
+        near_m=0.1,
+        price_eur=0.0,
+    )
+    detector = Detector(min_iou=0.5, min_box_height_px=1.0)
+    limit_m = max_distance_m(camera, detector, vru_height_m=0.01)
+    half = np.radians(0.5 * camera.vertical_fov_deg)
+    towards = np.array([np.cos(half), 0.0, -np.sin(half)])
+    across = np.array([np.sin(half), 0.0, np.cos(half)])
+    pose = Pose(position_m=np.zeros(3), yaw_deg=0.0)
+    rows = project_points([limit_m * towards, limit_m * towards + 0.01 * across], pose, camera)[
+        :, 1
+    ]
+    assert abs(rows[0] - rows[1]) == pytest.approx(1.0, rel=1e-2)
+
+
+def test_any_distance_may_count_where_any_height_does(small_camera):
+    detector = Detector(min_iou=0.5, min_box_height_px=0.0)
+    assert max_distance_m(small_camera, detector, vru_height_m=1.8) == np.inf
+
+
+# Progress and interruption
+
+
+def test_progress_counts_mount_positions(world, candidates):
+    scene, runs, axis = world
+    calls = []
+    build_detection_table(
+        scene,
+        candidates,
+        runs,
+        axis,
+        detector=DETECTOR,
+        workers=2,
+        on_progress=lambda done, total: calls.append((done, total)),
+    )
+    # Two positions, one of them for the model with another near distance, each.
+    assert calls == [(done, 4) for done in (1, 2, 3, 4)]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_interruption_stops_after_the_positions_at_work(world, mount, monkeypatch, workers):
+    scene, runs, axis = world
+    many = [mount(f"{i}", [i, 0.0, 6.0]) for i in range(60)]
+    begun = []
+
+    def slow(world, candidates, detector):
+        begun.append(candidates[0].id)
+        time.sleep(0.02)
+        return np.zeros((len(candidates), -(-axis.n_frames // 8)), dtype=np.uint8)
+
+    monkeypatch.setattr(build_module, "_mount_rows", slow)
+
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build_detection_table(
+            scene,
+            many,
+            runs,
+            axis,
+            detector=DETECTOR,
+            workers=workers,
+            on_progress=interrupt,
+        )
+    assert 1 <= len(begun) <= 20
+    n_begun = len(begun)
+    time.sleep(0.1)
+    assert len(begun) == n_begun
+
+
+def test_an_error_in_a_worker_is_not_lost(world, mount, monkeypatch):
+    scene, runs, axis = world
+
+    def fail(world, candidates, detector):
+        raise MemoryError("no room")
+
+    monkeypatch.setattr(build_module, "_mount_rows", fail)
+    with pytest.raises(MemoryError, match="no room"):
+        build_detection_table(
+            scene, [mount("one", [0.0, 0.0, 6.0])], runs, axis, detector=DETECTOR, workers=2
+        )

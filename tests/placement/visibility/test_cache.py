@@ -1,0 +1,349 @@
+import logging
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry import atomic_files
+from geometry.actors import PlacedActor
+from geometry.poses import Pose
+from placement.detection_table import pack_table
+from placement.detector import Detector
+from placement.visibility import build as build_module
+from placement.visibility import cache, load_table, save_table, table_fingerprint
+
+DETECTOR = Detector(min_iou=0.5, min_box_height_px=20.0)
+FINGERPRINT = "0123456789abcdef" * 2
+
+
+@pytest.fixture
+def inputs(build_scene, build_run, mount, small_camera):
+    """Arguments of ``table_fingerprint``, by name."""
+    tele = replace(small_camera, name="tele", horizontal_fov_deg=40.0)
+    poses = np.column_stack([np.linspace(5.0, 9.0, 11), np.zeros(11), np.full(11, 90.0)])
+    return {
+        "scene": build_scene(((4, -6, 0), (4.3, 1, 2.2))),
+        "candidates": [
+            mount("a", [0.0, 0.0, 5.0]),
+            mount("b", [0.0, 0.0, 5.0], camera=tele),
+            mount("c", [1.0, 0.0, 5.0], camera=tele),
+        ],
+        "runs": (build_run(poses, poses + [5.0, 5.0, 0.0]), build_run(poses, vru="cyclist")),
+        "detector": DETECTOR,
+        "seed": 0,
+    }
+
+
+def _fingerprint(inputs) -> str:
+    given = dict(inputs)
+    return table_fingerprint(
+        given["scene"],
+        given["candidates"],
+        given["runs"],
+        given["detector"],
+        seed=given["seed"],
+    )
+
+
+@pytest.fixture
+def stored(inputs, axis_of, tmp_path):
+    """A table, its file, and what ``load_table`` needs besides."""
+    axis = axis_of(inputs["runs"])
+    detected = np.random.default_rng(0).random((3, axis.n_frames)) < 0.5
+    table = pack_table(tuple(c.id for c in inputs["candidates"]), axis, detected)
+    path = tmp_path / "new" / "folder" / "table.npz"
+    save_table(path, table, fingerprint=FINGERPRINT)
+    return table, path, {"candidates": inputs["candidates"], "axis": axis}
+
+
+def _load(stored, fingerprint=FINGERPRINT):
+    _, path, rest = stored
+    return load_table(path, fingerprint=fingerprint, **rest)
+
+
+# There and back
+
+
+def test_a_table_comes_back_as_it_was_saved(stored, caplog):
+    table, path, rest = stored
+    loaded = _load(stored)
+    assert np.array_equal(loaded.packed, table.packed)
+    assert loaded.pose_ids == table.pose_ids
+    assert loaded.axis is rest["axis"]
+    assert [file.name for file in path.parent.iterdir()] == ["table.npz"]
+    assert not caplog.records
+
+
+def test_a_table_that_is_not_there_is_not_worth_a_line(stored, caplog):
+    _, path, rest = stored
+    missing = path.with_name("other.npz")
+    assert load_table(missing, fingerprint=FINGERPRINT, **rest) is None
+    missing = path.parent / "no" / "folder" / "other.npz"
+    assert load_table(missing, fingerprint=FINGERPRINT, **rest) is None
+    assert not caplog.records
+
+
+# Files that cannot be trusted
+
+
+def _assert_one_line(caplog, path):
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+    message = record.getMessage()
+    assert message.startswith(f"cached detection table not used, made anew: {path}: ")
+    assert "\n" not in message
+
+
+def _foreign(**arrays):
+    def write(path):
+        np.savez(path, **arrays)
+
+    return write
+
+
+def _single_array(path):
+    with path.open("wb") as file:
+        np.save(file, np.zeros(3))
+
+
+DAMAGES = {
+    "empty": lambda path: path.write_bytes(b""),
+    "text": lambda path: path.write_text("table", encoding="utf-8"),
+    "truncated": lambda path: path.write_bytes(path.read_bytes()[:-40]),
+    "half": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "foreign": _foreign(packed=np.zeros((3, 3), np.uint8)),
+    "foreign format": _foreign(
+        format="place-rsus/table/0", fingerprint=FINGERPRINT, packed=np.zeros((3, 3), np.uint8)
+    ),
+    "single array": _single_array,
+    "pickled": _foreign(format=np.array([{}], dtype=object)),
+    "wrong shape": _foreign(
+        format=cache._FORMAT, fingerprint=FINGERPRINT, packed=np.zeros((3, 99), np.uint8)
+    ),
+    "folder": lambda path: (path.unlink(), path.mkdir()),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_or_foreign_file_is_not_used_and_logged_once(stored, caplog, damage):
+    _, path, _ = stored
+    DAMAGES[damage](path)
+    assert _load(stored) is None
+    _assert_one_line(caplog, path)
+
+
+def test_a_table_made_from_other_inputs_is_not_used(stored, caplog):
+    _, path, _ = stored
+    assert _load(stored, fingerprint="f" * 32) is None
+    _assert_one_line(caplog, path)
+    assert caplog.messages[0].endswith(": made from other inputs")
+
+
+@pytest.mark.filterwarnings("ignore")  # numpy warns of headers that it finds odd
+@pytest.mark.parametrize("bit", [0, 5])
+def test_whatever_bit_is_flipped_the_table_is_right_or_not_used(stored, caplog, bit):
+    table, path, _ = stored
+    good = path.read_bytes()
+    n_refused = 0
+    for index in range(len(good)):
+        bad = bytearray(good)
+        bad[index] ^= 1 << (index + bit) % 8
+        path.write_bytes(bad)
+        caplog.clear()
+        loaded = _load(stored)
+        if loaded is None:
+            n_refused += 1
+            _assert_one_line(caplog, path)
+        else:  # a date or a right of access in the archive
+            assert np.array_equal(loaded.packed, table.packed), index
+            assert not caplog.records
+    assert n_refused > 0.7 * len(good)
+
+
+# Folders that cannot be written to
+
+
+def test_a_folder_that_cannot_be_made_is_logged_and_no_error(stored, caplog, tmp_path):
+    table, _, rest = stored
+    in_the_way = tmp_path / "file"
+    in_the_way.write_text("not a folder", encoding="utf-8")
+    path = in_the_way / "table.npz"
+    save_table(path, table, fingerprint=FINGERPRINT)
+    (message,) = caplog.messages
+    assert message == f"detection table not cached: {path}: File exists"
+    caplog.clear()
+    assert load_table(path, fingerprint=FINGERPRINT, **rest) is None
+    assert "Not a directory" in caplog.messages[0]
+
+
+def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypatch):
+    table, path, _ = stored
+    before = path.read_bytes()
+
+    def full(file, **arrays):
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(cache.np, "savez", full)
+    save_table(path, table, fingerprint="f" * 32)
+    assert caplog.messages == [f"detection table not cached: {path}: No space left on device"]
+    assert path.read_bytes() == before
+    assert os.listdir(path.parent) == ["table.npz"]  # noqa: PTH208
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
+def test_an_interruption_leaves_nothing_half_written(stored, monkeypatch, error):
+    table, path, _ = stored
+    path.unlink()
+
+    def stop(*names):
+        raise error
+
+    monkeypatch.setattr(atomic_files.Path, "replace", stop)
+    with pytest.raises(error):
+        save_table(path, table, fingerprint=FINGERPRINT)
+    assert list(path.parent.iterdir()) == []
+
+
+# Fingerprints
+
+
+def _moved(scene):
+    vertices = scene.vertices_m.copy()
+    vertices[-1, 0] += 1e-6
+    return replace(scene, vertices_m=vertices)
+
+
+def _first(sequence, change):
+    return (change(sequence[0]), *sequence[1:])
+
+
+def _parked(run, actors, **changes):
+    pose = {"position_m": [3.0, 3.0, 0.0], "yaw_deg": 10.0, **changes}
+    actor = actors[pose.pop("actor", "parked-van")]
+    return replace(run, obstruction=(PlacedActor(actor=actor, pose=Pose(**pose)),))
+
+
+CHANGES = {
+    "scene vertices": lambda i, a: {"scene": _moved(i["scene"])},
+    "scene triangles": lambda i, a: {
+        "scene": replace(
+            i["scene"],
+            triangles=i["scene"].triangles[:-1],
+            triangle_instance=i["scene"].triangle_instance[:-1],
+        )
+    },
+    "scene outline": lambda i, a: {
+        "scene": replace(i["scene"], outline_m=i["scene"].outline_m + 1.0)
+    },
+    "position": lambda i, a: {
+        "candidates": _first(
+            i["candidates"],
+            lambda c: replace(c, pose=replace(c.pose, position_m=c.pose.position_m + [0, 0, 1e-9])),
+        )
+    },
+    "yaw": lambda i, a: {
+        "candidates": _first(
+            i["candidates"], lambda c: replace(c, pose=replace(c.pose, yaw_deg=1e-9))
+        )
+    },
+    "pitch": lambda i, a: {
+        "candidates": _first(
+            i["candidates"], lambda c: replace(c, pose=replace(c.pose, pitch_deg=1e-9))
+        )
+    },
+    "id": lambda i, a: {"candidates": _first(i["candidates"], lambda c: replace(c, id="z"))},
+    "order": lambda i, a: {"candidates": i["candidates"][::-1]},
+    "fewer": lambda i, a: {"candidates": i["candidates"][:-1]},
+    **{
+        f"camera {field}": lambda i, a, field=field, value=value: {
+            "candidates": _first(
+                i["candidates"],
+                lambda c: replace(c, camera=replace(c.camera, **{field: value})),
+            )
+        }
+        for field, value in (
+            ("horizontal_fov_deg", 89.999),
+            ("width_px", 641),
+            ("height_px", 361),
+            ("near_m", 0.36),
+        )
+    },
+    "detector IoU": lambda i, a: {"detector": replace(DETECTOR, min_iou=0.51)},
+    "detector height": lambda i, a: {"detector": replace(DETECTOR, min_box_height_px=20.001)},
+    "seed": lambda i, a: {"seed": 1},
+    "run times": lambda i, a: {
+        "runs": _first(i["runs"], lambda r: replace(r, time_s=r.time_s * 1.01))
+    },
+    **{
+        f"run {field}": lambda i, a, field=field: {
+            "runs": _first(i["runs"], lambda r: replace(r, **{field: getattr(r, field) + 1e-6}))
+        }
+        for field in ("vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
+    },
+    "VRU": lambda i, a: {
+        "runs": _first(
+            i["runs"],
+            lambda r: replace(r, encounter=replace(r.encounter, vru=a["cyclist"])),
+        )
+    },
+    "obstruction": lambda i, a: {"runs": _first(i["runs"], lambda r: _parked(r, a))},
+    "obstruction of another run": lambda i, a: {"runs": (i["runs"][0], _parked(i["runs"][1], a))},
+    "run order": lambda i, a: {"runs": i["runs"][::-1]},
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_fingerprint_changes_with_what_it_stands_for(inputs, actors, change):
+    assert _fingerprint({**inputs, **CHANGES[change](inputs, actors)}) != _fingerprint(inputs)
+
+
+def test_all_changes_have_fingerprints_of_their_own(inputs, actors):
+    found = [_fingerprint({**inputs, **change(inputs, actors)}) for change in CHANGES.values()]
+    found += [
+        _fingerprint(
+            {**inputs, "runs": _first(inputs["runs"], lambda r, c=c: _parked(r, actors, **c))}
+        )
+        for c in (
+            {"position_m": [3.0, 3.1, 0.0]},
+            {"yaw_deg": 11.0},
+            {"actor": "parked-car-small"},
+        )
+    ]
+    assert len(set(found)) == len(CHANGES) + 3
+
+
+def test_the_number_of_points_is_part_of_the_fingerprint(inputs, monkeypatch):
+    before = _fingerprint(inputs)
+    monkeypatch.setattr(build_module, "N_POINTS", 161)
+    assert _fingerprint(inputs) != before
+
+
+def test_a_fingerprint_is_the_same_for_equal_inputs(inputs):
+    before = _fingerprint(inputs)
+    assert len(before) == 32
+    assert int(before, 16) >= 0
+    scene = inputs["scene"]
+    equal = {
+        **inputs,
+        "scene": replace(scene, vertices_m=scene.vertices_m.copy()),
+        "candidates": [
+            replace(c, pose=replace(c.pose), camera=replace(c.camera)) for c in inputs["candidates"]
+        ],
+        "runs": tuple(replace(run, time_s=run.time_s.copy()) for run in inputs["runs"]),
+        "detector": replace(DETECTOR),
+    }
+    assert _fingerprint(equal) == before
+
+
+def test_cameras_of_the_same_name_are_told_apart(inputs, small_camera):
+    a, b, c = inputs["candidates"]
+    other = replace(small_camera, horizontal_fov_deg=50.0)
+    found = {
+        _fingerprint(
+            {**inputs, "candidates": [a, replace(b, camera=other), replace(c, camera=third)]}
+        )
+        for third in (small_camera, other)
+    }
+    assert len(found) == 2
