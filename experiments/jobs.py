@@ -169,7 +169,10 @@ def _judge(
     for layout in layouts:
         check_layout(layout, setting.scene)
     verdicts = _evaluate(layouts, setting, workers, progress)
-    summary = summarise_layout(*verdicts) if len(verdicts) == 1 else summarise_comparison(*verdicts)
+    if len(verdicts) == 1:
+        summary = summarise_layout(verdicts[0], setting.rule)
+    else:
+        summary = summarise_comparison(verdicts[0], verdicts[1], setting.rule)
     if out is None:
         summary["seconds"] = progress.finish()
         return summary

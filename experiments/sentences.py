@@ -64,8 +64,9 @@ def answer(summary: Mapping[str, Any], shown: Mapping[str, Evaluation]) -> list[
     if not is_placement:
         sentences += [_difference(subject_name, subject, name, item) for name, item in others]
     sentences.append(f"The car's own camera alone avoids {_score(subject.vut, subject)}")
-    if "apr_without_worst_unit" in summary:
-        sentences.append(_one_failed(summary, subject))
+    left = summary.get("evaluation", {}).get("apr_without_worst_unit")
+    if left is not None:
+        sentences.append(_one_failed(left, subject))
     return [f"{sentence}." for sentence in sentences]
 
 
@@ -91,14 +92,10 @@ def proof(summary: Mapping[str, Any]) -> str:
     return f"Not in full: proven are all objectives but {', '.join(is_open)}."
 
 
-def _one_failed(summary: Mapping[str, Any], subject: Evaluation) -> str:
+def _one_failed(left: float, subject: Evaluation) -> str:
     if len(subject.units) == 1:
         return "If this one camera fails, only the car's own is left"
-    share = percent(summary["apr_without_worst_unit"])
-    return (
-        f"If any one camera fails, the others still reach an APR of {share} or more on the "
-        "detection table"
-    )
+    return f"If any one camera fails, the others still reach an APR of {percent(left)} or more"
 
 
 def _difference(name: str, ours: Evaluation, other_name: str, theirs: Evaluation) -> str:

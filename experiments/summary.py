@@ -7,27 +7,31 @@ from typing import Any
 import numpy as np
 
 from geometry.raycast import caster_name
-from placement.evaluation import Evaluation, Verdict, apr, apr_by_case
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, apr_one_failed
 from placement.layout import layout_records
-from placement.optimiser.problem import apr_one_failed, run_margins_s
+from placement.optimiser import placement_value, run_margins_s
 from placement.pipeline import Placement
+from scenarios.aeb import AebRule
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
 _RAY_PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "embreex": ("embreex",)}
 
 
-def summarise_evaluation(evaluation: Evaluation) -> dict[str, Any]:
+def summarise_evaluation(evaluation: Evaluation, rule: AebRule) -> dict[str, Any]:
     """APR of every sensing party, over all runs and by case.
 
     Parameters
     ----------
     evaluation : Evaluation
         Verdicts.
+    rule : AebRule
+        Confirmation and latency.
 
     Returns
     -------
     summary : dict
-        ``{"vut": {"all": p, "by_case": {case: p}}, "rsu_all", "vut_and_rsus", "units": {id: ..}}``
+        ``{"vut": {"all": p, "by_case": {case: p}}, "rsu_all", "vut_and_rsus", "units": {id: ..},
+        "apr_without_worst_unit": p}``
     """
 
     def ratios(verdict: Verdict) -> dict[str, Any]:
@@ -39,6 +43,7 @@ def summarise_evaluation(evaluation: Evaluation) -> dict[str, Any]:
         "rsu_all": ratios(evaluation.rsu_all),
         "vut_and_rsus": ratios(evaluation.vut_and_rsus),
         "units": {name: ratios(verdict) for name, verdict in evaluation.units.items()},
+        "apr_without_worst_unit": apr_one_failed(evaluation, rule),
     }
 
 
@@ -64,16 +69,17 @@ def summarise_placement(
         Ready for JSON; ratios are 0 .. 1.
     """
     certificate, problem = placement.certificate, placement.problem
+    rule = problem.rule
     first = certificate.stages[0]
     return {
-        **summarise_layout(found),
+        **summarise_layout(found, rule),
         "budget": problem.budget_units,
         "fusion": problem.fusion,
         "candidates": problem.table.n_poses,
         "apr": first.objective,
         "bound": first.bound,
         "gap": first.gap,
-        "apr_without_worst_unit": apr_one_failed(problem, placement.pose_index),
+        "apr_without_worst_unit": placement_value(problem, placement.pose_index).apr_one_failed,
         "stages": [
             {
                 "name": stage.name,
@@ -85,26 +91,34 @@ def summarise_placement(
             for stage in certificate.stages
         ],
         "solver": certificate.solver,
-        "baseline": summarise_evaluation(baseline),
-        "greedy": {"layout": layout_records(greedy.layout), **summarise_evaluation(greedy)},
+        "baseline_name": baseline.layout.name,
+        "baseline": summarise_evaluation(baseline, rule),
+        "greedy": {
+            "layout": layout_records(greedy.layout),
+            **summarise_evaluation(greedy, rule),
+        },
         "surrogate_disagreement": float(np.mean(disagreeing_runs(placement, found))),
     }
 
 
-def summarise_layout(evaluation: Evaluation) -> dict[str, Any]:
+def summarise_layout(evaluation: Evaluation, rule: AebRule) -> dict[str, Any]:
     """One layout's result: the keys that every command prints.
 
     Parameters
     ----------
     evaluation : Evaluation
         Of the layout.
+    rule : AebRule
+        Confirmation and latency.
 
     Returns
     -------
     summary : dict
         What only an optimisation or a comparison tells is None; "seconds" is filled in at the end.
-        "apr" is the evaluator's here, and the detection table's where one was optimised on.
+        "apr" and "apr_without_worst_unit" are the evaluator's here, and the detection table's
+        where one was optimised on.
     """
+    evaluated = summarise_evaluation(evaluation, rule)
     return {
         "name": evaluation.layout.name,
         "layout": layout_records(evaluation.layout),
@@ -114,8 +128,8 @@ def summarise_layout(evaluation: Evaluation) -> dict[str, Any]:
         "apr": apr(evaluation.rsu_all, evaluation.axis),
         "bound": None,
         "gap": None,
-        "apr_without_worst_unit": None,
-        "evaluation": summarise_evaluation(evaluation),
+        "apr_without_worst_unit": evaluated["apr_without_worst_unit"],
+        "evaluation": evaluated,
         "baseline": None,
         "surrogate_disagreement": None,
         "seconds": {},
@@ -123,21 +137,25 @@ def summarise_layout(evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def summarise_comparison(subject: Evaluation, baseline: Evaluation) -> dict[str, Any]:
+def summarise_comparison(
+    subject: Evaluation, baseline: Evaluation, rule: AebRule
+) -> dict[str, Any]:
     """Two layouts on the same runs: the second is the baseline.
 
     Parameters
     ----------
     subject, baseline : Evaluation
         On the same runs.
+    rule : AebRule
+        Confirmation and latency.
     """
     ours, theirs = subject.rsu_all.is_avoided, baseline.rsu_all.is_avoided
     runs = np.array(subject.axis.run_ids)
     return {
-        **summarise_layout(subject),
+        **summarise_layout(subject, rule),
         "baseline_name": baseline.layout.name,
         "baseline_layout": layout_records(baseline.layout),
-        "baseline": summarise_evaluation(baseline),
+        "baseline": summarise_evaluation(baseline, rule),
         "runs_gained": runs[ours & ~theirs].tolist(),
         "runs_lost": runs[theirs & ~ours].tolist(),
     }

@@ -1,5 +1,7 @@
 """Errors that a user can mend: one line each, no traceback, exit code 2."""
 
+_MAX_CHARACTERS = 200  # of a value in a message
+
 
 class InputError(ValueError):
     """Something the user gave is not what is expected.
@@ -23,7 +25,7 @@ class InputError(ValueError):
         self.where = where
         self.got = got
         self.expected = expected
-        shown = got if isinstance(got, Unquoted) else repr(got)
+        shown = got if isinstance(got, Unquoted) else _shorten(got)
         super().__init__(f"{where}: got {shown}; expected {expected}")
 
 
@@ -35,3 +37,12 @@ class Unquoted(str):
 
 class MissingExtraError(RuntimeError):
     """An optional package is needed that is not installed."""
+
+
+def _shorten(got: object) -> str:
+    """A value as Python writes it, cut off where it would fill more than a line or two."""
+    try:
+        text = repr(got)
+    except ValueError:  # Python refuses to write integers of thousands of digits
+        return "a number of thousands of digits"
+    return text if len(text) <= _MAX_CHARACTERS else f"{text[:_MAX_CHARACTERS]}.."

@@ -29,7 +29,7 @@ from .paths import Motion, StraightPath
 APPROACHES = ("north", "east", "south", "west")
 _GRID_TOLERANCE = 1.0e-6  # of a frame
 _ON_LINE_TOLERANCE_M = 0.05
-_PERPENDICULAR_TOLERANCE_DEG = 1.0
+_ANGLE_TOLERANCE_DEG = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -295,6 +295,12 @@ def _build_placement(entry: Table, where: str) -> CasePlacement:
     if case.kind == "crossing":
         vut_meeting, vru_meeting = _crossing_distances(vut_path, vru_path, where)
     else:
+        if vut_path.direction @ vru_path.direction < np.cos(np.radians(_ANGLE_TOLERANCE_DEG)):
+            raise InputError(
+                where,
+                Unquoted(f"headings {vut_path.yaw_deg:g} and {vru_path.yaw_deg:g} degrees"),
+                "one heading for VUT and VRU",
+            )
         vut_meeting = float((collision - vut_path.start_m) @ vut_path.direction)
         vru_meeting = float((collision - vru_path.start_m) @ vru_path.direction)
     met_m, _ = vut_path.at(vut_meeting)
@@ -332,7 +338,7 @@ def _crossing_distances(a: StraightPath, b: StraightPath, where: str) -> tuple[f
     # At the impact the gap between the bodies' middles is half the VRU's width only if it crosses
     # squarely.
     angle_deg = float(np.degrees(np.arccos(np.clip(abs(a.direction @ b.direction), 0.0, 1.0))))
-    if angle_deg < 90.0 - _PERPENDICULAR_TOLERANCE_DEG:
+    if angle_deg < 90.0 - _ANGLE_TOLERANCE_DEG:
         raise InputError(
             where, Unquoted(f"paths at {angle_deg:.1f} degrees"), "perpendicular paths"
         )

@@ -130,6 +130,7 @@ def placement_summary(evaluations):
         "bound": 0.97,
         "gap": 0.0,
         "apr_without_worst_unit": 0.8125,
+        "evaluation": {"apr_without_worst_unit": 0.75},
         "stages": [
             {"name": "apr", "objective": 0.97, "bound": 0.97, "gap": 0.0, "seconds": 2.5},
             {
@@ -223,9 +224,7 @@ def test_placement_page_opens_with_the_answer(placement_page, evaluations):
         "Proven on the detection table: no choice among 4032 candidate poses has a higher APR. "
         f"carlancap-12 (12 cameras) avoids {int(baseline.rsu_all.is_avoided.sum())} of 104 runs"
     ) in words
-    assert (
-        "If any one camera fails, the others still reach an APR of 81.2 % or more on the detection"
-    ) in words
+    assert "If any one camera fails, the others still reach an APR of 75.0 % or more." in words
     assert f"alone avoids {int(found.vut.is_avoided.sum())} of 104 runs" in words
 
 

@@ -18,8 +18,10 @@ from placement.detection_table import DetectionTable
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
 from placement.optimiser import PlacementProblem
+from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis
 
+RULE = load_aeb_rule()
 N_RUNS = 49  # 49 times 1/49 is not 1 in floating point, when added one by one
 
 
@@ -69,18 +71,19 @@ def evaluation_of(axis, camera):
 
 def test_all_runs_avoided_is_exactly_one_and_none_is_zero(evaluation_of):
     for n_avoided, ratio in ((N_RUNS, 1.0), (0, 0.0)):
-        summary = summarise_evaluation(evaluation_of(n_avoided))
+        summary = summarise_evaluation(evaluation_of(n_avoided), RULE)
         ratios = {"all": ratio, "by_case": {"A": ratio, "B": ratio}}
         assert summary == {
             "vut": ratios,
             "rsu_all": ratios,
             "vut_and_rsus": ratios,
             "units": {"A": ratios},
+            "apr_without_worst_unit": 0.0,  # there is but one
         }
 
 
 def test_ratios_are_shares_of_the_runs(evaluation_of):
-    summary = summarise_layout(evaluation_of(7))
+    summary = summarise_layout(evaluation_of(7), RULE)
     assert summary["apr"] == pytest.approx(7 / N_RUNS, abs=1e-15)
     assert summary["evaluation"]["rsu_all"]["by_case"] == {
         "A": pytest.approx(4 / 25, abs=1e-15),
@@ -89,14 +92,13 @@ def test_ratios_are_shares_of_the_runs(evaluation_of):
 
 
 def test_evaluation_and_comparison_have_the_keys_of_a_placement(evaluation_of):
-    single = summarise_layout(evaluation_of(3))
-    both = summarise_comparison(evaluation_of(3), evaluation_of(5, "other"))
+    single = summarise_layout(evaluation_of(3), RULE)
+    both = summarise_comparison(evaluation_of(3), evaluation_of(5, "other"), RULE)
     assert set(single) < set(both)
     assert {key for key, value in single.items() if value is None} == {
         "budget",
         "bound",
         "gap",
-        "apr_without_worst_unit",
         "baseline",
         "surrogate_disagreement",
     }
@@ -105,15 +107,15 @@ def test_evaluation_and_comparison_have_the_keys_of_a_placement(evaluation_of):
 def test_comparison_lists_the_runs_that_differ(evaluation_of):
     more, less = evaluation_of(5, "more"), evaluation_of(3, "less")
     differing = ["B/north/3", "A/north/4"]
-    better, worse = summarise_comparison(more, less), summarise_comparison(less, more)
+    better, worse = summarise_comparison(more, less, RULE), summarise_comparison(less, more, RULE)
     assert (better["runs_gained"], better["runs_lost"]) == (differing, [])
     assert (worse["runs_gained"], worse["runs_lost"]) == ([], differing)
-    assert better["baseline"] == summarise_evaluation(less)
+    assert better["baseline"] == summarise_evaluation(less, RULE)
     assert (better["name"], better["baseline_name"]) == ("more", "less")
 
 
 def test_a_summary_is_plain_json(evaluation_of):
-    text = to_json_text(summarise_comparison(evaluation_of(5), evaluation_of(3)))
+    text = to_json_text(summarise_comparison(evaluation_of(5), evaluation_of(3), RULE))
     assert "NaN" not in text
     assert "Infinity" not in text
 

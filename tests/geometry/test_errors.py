@@ -25,3 +25,11 @@ def test_words_about_a_value_stand_without_quotes():
 def test_input_error_is_a_value_error():
     with pytest.raises(ValueError, match="x: got 1; expected 2"):
         raise InputError("x", 1, "2")
+
+
+def test_a_value_that_is_too_long_is_shortened_in_the_message():
+    for got in ("x" * 10_000, 10**3_000, 10**9_000, list(range(10_000))):
+        message = str(InputError("here", got, "less"))
+        assert len(message) < 300
+        assert message.startswith("here: got ")
+        assert message.endswith("; expected less")

@@ -23,9 +23,6 @@ GOLDEN_LANES = {
     "2_1": ("driving", 3.5, [[-177.29, 2.98], [-143.17, 2.89]]),
 }
 GOLDEN_OUTLINE = {0: [-111.41, -5.93], 6: [-116.36, 13.66], 24: [-113.05, -6.12]}
-# The study's pedestrians walk right below its RSU1 and RSU2, where our poles stand: 16 cm thick,
-# they hide a pedestrian for a tenth of a second.
-THROUGH_THE_POLE = {("CPNC-50/east", "corner-ne"), ("CPNC-50/north", "corner-nw")}
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +172,7 @@ def test_no_solid_body_of_the_study_scene_stands_in_another(scene):
 
 def test_every_path_of_every_run_is_clear_of_all_that_stands(scene, runs):
     """Footprints of VUT and VRU in every frame against the boxes of all instances."""
-    touched, nearest_m = set(), np.inf
+    nearest_m = np.inf
     for index, instance in enumerate(scene.instances):
         vertices = _vertices(scene, index)
         if instance.class_name == "ground" or vertices[:, 2].min() > 2.0:
@@ -197,13 +194,8 @@ def test_every_path_of_every_run_is_clear_of_all_that_stands(scene, runs):
                     width_m=body.width_m,
                 )
                 separation_m = float(footprint_separation(swept, box))
-                key = (f"{run.case.name}/{run.approach}", instance.id)
-                if separation_m <= 0.0:
-                    touched.add(key)
-                elif key not in THROUGH_THE_POLE:
-                    nearest_m = min(nearest_m, separation_m)
-    assert touched <= THROUGH_THE_POLE
-    assert nearest_m > 0.15
+                nearest_m = min(nearest_m, separation_m)
+    assert nearest_m > 0.08
 
 
 # Files

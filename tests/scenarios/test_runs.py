@@ -409,3 +409,17 @@ def test_frame_axis_allows_runs_that_nothing_avoids(frame_axis):
         slice(3, 8),
         slice(8, 10),
     ]
+
+
+def test_a_longitudinal_case_needs_one_heading():
+    entry = {
+        "case": "CBLA",
+        "approach": "east",
+        "vut_start_m": [0.0, 0.0],
+        "vut_yaw_deg": 180.0,
+        "vru_start_m": [-20.0, 0.0],
+        "vru_yaw_deg": 90.0,
+        "collision_point_m": [-40.0, 0.0],
+    }
+    with pytest.raises(InputError, match="expected one heading for VUT and VRU"):
+        runs_module._build_placement(entry, "runs.toml: placements[0]")
