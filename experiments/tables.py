@@ -68,7 +68,7 @@ def placement_table(summary: dict[str, Any], out: Path) -> str:
             {
                 "these units, fused": evaluation["rsu_all"],
                 "  and the VUT's camera": evaluation["vut_and_rsus"],
-                "  the VUT's camera only": evaluation["vut"],
+                "VUT's camera only": evaluation["vut"],
                 "greedy, same number": summary["greedy"]["rsu_all"],
                 f"{summary['baseline_name']}, fused": baseline["rsu_all"],
             }
@@ -93,7 +93,7 @@ def evaluation_table(summary: dict[str, Any], out: Path | None) -> str:
                 **evaluation["units"],
                 "all units, fused": evaluation["rsu_all"],
                 "  and the VUT's camera": evaluation["vut_and_rsus"],
-                "the VUT's camera only": evaluation["vut"],
+                "VUT's camera only": evaluation["vut"],
             }
         ),
     ]
@@ -123,7 +123,7 @@ def comparison_table(summary: dict[str, Any], out: Path | None) -> str:
                 "  and the VUT's camera": evaluation["vut_and_rsus"],
                 summary["baseline_name"]: baseline["rsu_all"],
                 "  with the VUT's camera": baseline["vut_and_rsus"],
-                "the VUT's camera only": evaluation["vut"],
+                "VUT's camera only": evaluation["vut"],
             }
         ),
         *_runs_text("runs gained:", summary["runs_gained"]),

@@ -52,6 +52,7 @@ class Open3dCaster:
     """
 
     name = "open3d"
+    n_threads = 0  # all processors
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike) -> None:
         o3d = _open3d()
@@ -68,7 +69,7 @@ class Open3dCaster:
             return np.zeros(len(origins_m), dtype=bool)
         rays = self._tensor(_rays(origins_m, vectors_m))
         blocked: BoolArray = self._scene.test_occlusions(
-            rays, tnear=0.0, tfar=1.0, nthreads=0
+            rays, tnear=0.0, tfar=1.0, nthreads=self.n_threads
         ).numpy()
         return blocked
 
@@ -77,7 +78,7 @@ class Open3dCaster:
         if self._is_empty or len(origins_m) == 0:
             return np.full(len(origins_m), np.inf, dtype=np.float32)
         rays = self._tensor(_rays(origins_m, vectors_m))
-        share: FloatRays = self._scene.cast_rays(rays, nthreads=0)["t_hit"].numpy()
+        share: FloatRays = self._scene.cast_rays(rays, nthreads=self.n_threads)["t_hit"].numpy()
         return share
 
 

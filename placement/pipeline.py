@@ -13,7 +13,14 @@ from geometry.scene import Scene
 from .candidates import CandidatePose
 from .detection_table import DetectionTable
 from .layout import Certificate, Layout
-from .optimiser import PlacementProblem, PresolveStatistics, Solution, solve_greedy, solve_placement
+from .optimiser import (
+    PlacementProblem,
+    PresolveStatistics,
+    Solution,
+    presolve,
+    solve_greedy,
+    solve_placement,
+)
 from .optimiser.problem import Fusion
 from .setting import Setting
 from .visibility import build_detection_table, load_table, save_table, table_fingerprint
@@ -134,14 +141,16 @@ def place(
     table_done = time.perf_counter()
     problem = build_problem(setting, candidates, table, budget_units=budget_units, fusion=fusion)
     report("optimise", 0, 0)
+    reduced = presolve(problem)
     solution: Solution = solve_placement(
         problem,
+        reduced,
         time_limit_s=time_limit_s,
         on_stage=lambda stage: report(f"optimise: {stage}", 0, 0),
     )
     optimised = time.perf_counter()
     report("greedy", 0, 0)
-    greedy_index = solve_greedy(problem)
+    greedy_index = solve_greedy(problem, reduced)
     return Placement(
         layout=_pick(candidates, solution.pose_index, f"best-{budget_units}"),
         greedy=_pick(candidates, greedy_index, f"greedy-{budget_units}"),

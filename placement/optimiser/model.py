@@ -7,11 +7,13 @@ alone, and nothing bounds them from below but what we ask to be avoided, so that
 values they can take they are zeros and ones themselves.
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
@@ -19,6 +21,9 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .presolve import ReducedProblem
 from .problem import TOLERANCE
+
+if TYPE_CHECKING:  # it takes a second to import: done where a model is stated
+    import cvxpy as cp
 
 # Of the mean weight. What is held is relaxed by it, well above HiGHS's own 1e-6: asking for a sum
 # to the last digit made it call feasible problems infeasible. Answers are checked exactly anyway.
@@ -63,7 +68,7 @@ class MilpResult:
 
 def budget_constraint(x: cp.Variable, reduced: ReducedProblem) -> cp.Constraint:
     """Units: sum x <= K."""
-    return cp.sum(x) <= reduced.budget_units
+    return x.sum() <= reduced.budget_units
 
 
 def capacity_constraint(x: cp.Variable, reduced: ReducedProblem) -> cp.Constraint:
@@ -98,6 +103,8 @@ def stabbing_constraints(
     frame this is the MCLP's own row. The sum grows along the chain, so that it is written link by
     link with a variable u_k of its own. Each phase stabs the first window at another frame.
     """
+    import cvxpy as cp
+
     constraints = []
     for phase in range(reduced.window_frames.shape[1]):
         u = cp.Variable(a.size, nonneg=True)
@@ -204,6 +211,8 @@ def solve_milp(
     time_limit_s : float
         For HiGHS. [s]
     """
+    import cvxpy as cp
+
     x = cp.Variable(reduced.n_poses, boolean=True)
     y = cp.Variable(reduced.n_frames, bounds=[0.0, 1.0])
     z = cp.Variable(len(reduced.window_frames), bounds=[0.0, 1.0])

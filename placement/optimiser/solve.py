@@ -45,6 +45,7 @@ class Solution:
 
 def solve_placement(
     problem: PlacementProblem,
+    reduced: ReducedProblem | None = None,
     *,
     time_limit_s: float = 60.0,
     on_stage: Callable[[str], None] | None = None,
@@ -55,6 +56,8 @@ def solve_placement(
     ----------
     problem : PlacementProblem
         What to solve.
+    reduced : ReducedProblem, optional
+        Its presolved form, where that is at hand.
     time_limit_s : float
         For all stages together; presolve and the first layout are finished in any case. When it is
         up, the best layout found is kept and the gaps say what is not proven. [s]
@@ -74,7 +77,7 @@ def solve_placement(
     if not time_limit_s > 0.0:
         raise ValueError(f"time_limit_s: got {time_limit_s!r}; expected seconds, more than 0")
     end_s = time.monotonic() + time_limit_s
-    reduced = presolve(problem)
+    reduced = presolve(problem) if reduced is None else reduced
     search = _Search(reduced, end_s)
     bounders = (
         search.bound_apr,

@@ -265,11 +265,13 @@ def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> B
     eye_body = np.einsum("ni,nij->nj", offset, body_rotation(views.yaw_deg[view_index]))
     for index, (surface, body) in enumerate(zip(world.surfaces, world.bodies, strict=True)):
         rows = np.flatnonzero(views.surface_index[view_index] == index)
-        origins = np.repeat(eye_body[rows].astype(np.float32), n_points, axis=0)
-        vectors = np.tile(surface.points_m.astype(np.float32), (len(rows), 1)) - origins
-        end = 1.0 - _OFF_SURFACE_M / np.linalg.norm(eye_body[rows], axis=1)
-        vectors *= np.repeat(end.astype(np.float32), n_points)[:, None]
-        visible[rows] = ~body.is_blocked(origins, vectors).reshape(len(rows), n_points)
+        eyes = eye_body[rows].astype(np.float32)[:, None, :]
+        end = (1.0 - _OFF_SURFACE_M / np.linalg.norm(eye_body[rows], axis=1)).astype(np.float32)
+        vectors = surface.points_m.astype(np.float32) - eyes
+        vectors *= end[:, None, None]
+        origins = np.broadcast_to(eyes, vectors.shape)
+        blocked = body.is_blocked(origins.reshape(-1, 3), vectors.reshape(-1, 3))
+        visible[rows] = ~blocked.reshape(len(rows), n_points)
     return visible
 
 
@@ -286,11 +288,12 @@ def _is_blocked_by_static(
     blocked = np.zeros(is_asked.shape, dtype=bool)
     for index, caster in enumerate(world.static):
         rows = np.flatnonzero(views.static_index[view_index] == index)
-        asked = is_asked[rows]
-        vectors = views.points_m[view_index[rows]][asked] - eye_m.astype(np.float32)
-        part = np.zeros(asked.shape, dtype=bool)
-        part[asked] = caster.is_blocked(
-            *_shorten(np.broadcast_to(eye_m.astype(np.float32), vectors.shape), vectors, near_m)
+        asked = np.flatnonzero(is_asked[rows])
+        vectors = views.points_m[view_index[rows]].reshape(-1, 3).take(asked, axis=0)
+        vectors -= eye_m.astype(np.float32)
+        part = np.zeros(is_asked[rows].shape, dtype=bool)
+        part.reshape(-1)[asked] = caster.is_blocked(
+            *_shorten(eye_m.astype(np.float32), vectors, near_m)
         )
         blocked[rows] = part
     return blocked
@@ -342,8 +345,12 @@ def _is_blocked_by_vut(
 def _shorten(
     origins_m: NDArray[np.float32], vectors_m: NDArray[np.float32], near_m: float
 ) -> tuple[FloatRays, FloatRays]:
-    """Rays that start `near_m` from the eye and end a millimetre before the point."""
-    length = np.sqrt(np.einsum("ij,ij->i", vectors_m, vectors_m))
-    start = (np.float32(near_m) / length)[:, None]
-    rest = ((length - np.float32(near_m + _OFF_SURFACE_M)) / length)[:, None]
-    return origins_m + start * vectors_m, vectors_m * rest
+    """Rays that start `near_m` from the eye and end a millimetre before the point.
+
+    `vectors_m` is changed in place.
+    """
+    per_length = 1.0 / np.sqrt(np.einsum("ij,ij->i", vectors_m, vectors_m))
+    starts = vectors_m * (np.float32(near_m) * per_length)[:, None]
+    starts += origins_m
+    vectors_m *= (1.0 - np.float32(near_m + _OFF_SURFACE_M) * per_length)[:, None]
+    return starts, vectors_m

@@ -127,7 +127,7 @@ def test_a_missing_field_is_named(key):
         ({"z_m": "7"}, "layout[1].z_m: got '7'; expected a finite number"),
         ({"yaw_deg": True}, "layout[1].yaw_deg: got True; expected a finite number"),
         ({"x_m": None}, "layout[1].x_m: got None; expected a finite number"),
-        ({"x_m": 10**400}, f"layout[1].x_m: got {10**400}; expected a finite number"),
+        ({"x_m": 10**400}, f"layout[1].x_m: got 1{199 * '0'}..; expected a finite number"),
         ({"pitch_deg": -90.5}, "layout[1].pitch_deg: got -90.5; expected -90 .. 90 degrees"),
         ({"pitch_deg": 91}, "layout[1].pitch_deg: got 91; expected -90 .. 90 degrees"),
         ({"id": 3}, "layout[1].id: got 3; expected text"),
