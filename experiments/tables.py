@@ -29,9 +29,9 @@ def _units_text(units: list[dict[str, Any]]) -> list[str]:
 
 def _apr_text(columns: dict[str, dict[str, Any]]) -> list[str]:
     cases = next(iter(columns.values()))["by_case"]
-    rows = [f"  {'APR':<22} {'all':>8} " + "".join(f"{case:>9} " for case in cases)]
+    rows = [f"  {'APR':<24} {'all':>8} " + "".join(f"{case:>9} " for case in cases)]
     rows += [
-        f"  {_short(name, 22):<22} {_percent(value['all'])} "
+        f"  {_short(name, 24):<24} {_percent(value['all'])} "
         + " ".join(f" {_percent(value['by_case'][case])}" for case in cases)
         for name, value in columns.items()
     ]
@@ -68,7 +68,7 @@ def placement_table(summary: dict[str, Any], out: Path) -> str:
             {
                 "these units, fused": evaluation["rsu_all"],
                 "  and the VUT's camera": evaluation["vut_and_rsus"],
-                "VUT's camera only": evaluation["vut"],
+                "the VUT's camera only": evaluation["vut"],
                 "greedy, same number": summary["greedy"]["rsu_all"],
                 f"{summary['baseline_name']}, fused": baseline["rsu_all"],
             }
@@ -93,7 +93,7 @@ def evaluation_table(summary: dict[str, Any], out: Path | None) -> str:
                 **evaluation["units"],
                 "all units, fused": evaluation["rsu_all"],
                 "  and the VUT's camera": evaluation["vut_and_rsus"],
-                "VUT's camera only": evaluation["vut"],
+                "the VUT's camera only": evaluation["vut"],
             }
         ),
     ]
@@ -123,7 +123,7 @@ def comparison_table(summary: dict[str, Any], out: Path | None) -> str:
                 "  and the VUT's camera": evaluation["vut_and_rsus"],
                 summary["baseline_name"]: baseline["rsu_all"],
                 "  with the VUT's camera": baseline["vut_and_rsus"],
-                "VUT's camera only": evaluation["vut"],
+                "the VUT's camera only": evaluation["vut"],
             }
         ),
         *_runs_text("runs gained:", summary["runs_gained"]),
