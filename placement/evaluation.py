@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, freeze
-from scenarios.aeb import AebRule, confirmation_time_s, is_in_time
+from scenarios.aeb import AebRule, is_in_time
 from scenarios.exposure import weight_share
-from scenarios.runs import FrameAxis
+from scenarios.runs import FrameAxis, confirmation_times_s
 
 from .layout import Layout
 
@@ -119,14 +119,7 @@ def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
         left = np.zeros(axis.n_frames, dtype=bool)
         for name, frames in detected.items():
             left |= frames & (name != failed)
-        confirmation = [
-            confirmation_time_s(
-                left[axis.frames_of(run)],
-                axis.time_s[axis.frames_of(run)],
-                n_confirmations=rule.n_confirmations,
-            )
-            for run in range(axis.n_runs)
-        ]
+        confirmation = confirmation_times_s(left, axis, n_confirmations=rule.n_confirmations)
         in_time = is_in_time(confirmation, axis.last_brake_time_s, latency_s=rule.latency_s)
         smallest = min(smallest, weight_share(in_time, axis.weight))
     return smallest

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.constants import kmh
 
 from geometry.actors import Actor, PlacedActor, pick_actor
-from geometry.arrays import FloatArray, IntArray, float_array, freeze
+from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.frames import from_carla_points, from_carla_pose, from_carla_yaw
 from geometry.toml_files import (
@@ -22,7 +22,7 @@ from geometry.toml_files import (
     take_text,
 )
 
-from .aeb import AebRule, Encounter, last_brake_time_s
+from .aeb import AebRule, Encounter, confirmation_time_s, last_brake_time_s
 from .cases import Case, load_cases
 from .paths import Motion, StraightPath
 
@@ -198,6 +198,38 @@ def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
         last_brake_time_s=np.array([run.last_brake_time_s for run in runs]),
         run_start=np.concatenate([[0], np.cumsum([len(run.time_s) for run in runs])]),
         time_s=np.concatenate([run.time_s for run in runs]),
+    )
+
+
+def confirmation_times_s(
+    detected: BoolArray, axis: FrameAxis, *, n_confirmations: int
+) -> FloatArray:
+    """When the VRU of each run is first confirmed; no window reaches from one run into the next.
+
+    Parameters
+    ----------
+    detected : (..., n_frames) bool
+        Frames of all runs.
+    axis : FrameAxis
+        Runs and frames.
+    n_confirmations : int
+        Consecutive frames needed.
+
+    Returns
+    -------
+    confirmation_s : (..., n_runs) float
+        See :func:`scenarios.aeb.confirmation_time_s`; infinite if there is none. [s]
+    """
+    return np.stack(
+        [
+            confirmation_time_s(
+                detected[..., axis.frames_of(run)],
+                axis.time_s[axis.frames_of(run)],
+                n_confirmations=n_confirmations,
+            )
+            for run in range(axis.n_runs)
+        ],
+        axis=-1,
     )
 
 

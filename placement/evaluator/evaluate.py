@@ -9,8 +9,8 @@ from threadpoolctl import threadpool_limits
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
-from scenarios.aeb import AebRule, confirmation_time_s, has_contact
-from scenarios.runs import FrameAxis, Run
+from scenarios.aeb import AebRule, has_contact
+from scenarios.runs import FrameAxis, Run, confirmation_times_s
 
 from ..candidates import CandidatePose
 from ..detector import Detector
@@ -166,16 +166,9 @@ class _Judge:
         self._has_contact: dict[tuple[int, float], bool] = {}
 
     def verdict(self, detected: BoolArray) -> Verdict:
-        axis, rule = self.axis, self._rule
-        confirmation = np.array(
-            [
-                confirmation_time_s(
-                    detected[axis.frames_of(index)],
-                    axis.time_s[axis.frames_of(index)],
-                    n_confirmations=rule.n_confirmations,
-                )
-                for index in range(axis.n_runs)
-            ]
+        rule = self._rule
+        confirmation = confirmation_times_s(
+            detected, self.axis, n_confirmations=rule.n_confirmations
         )
         return Verdict(
             detected=detected,

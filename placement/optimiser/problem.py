@@ -8,8 +8,9 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
-from scenarios.aeb import AebRule, confirmation_time_s, is_in_time
+from scenarios.aeb import AebRule, is_in_time
 from scenarios.exposure import weight_share
+from scenarios.runs import confirmation_times_s
 
 from ..detection_table import DetectionTable
 
@@ -134,20 +135,17 @@ def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> Float
         last brake time - (confirmation + latency); minus infinity if that is too late. [s]
     """
     axis, rule = problem.table.axis, problem.rule
-    margin = np.full(axis.n_runs, -np.inf)
     if len(pose_index) == 0:
-        return margin
+        return np.full(axis.n_runs, -np.inf)
     detected = problem.table.detected(list(pose_index))
     if problem.fusion == "any":
         detected = np.logical_or.reduce(detected, axis=0, keepdims=True)
-    for run in range(axis.n_runs):
-        frames = axis.frames_of(run)
-        confirmed = confirmation_time_s(
-            detected[:, frames], axis.time_s[frames], n_confirmations=rule.n_confirmations
-        ).min()
-        last_brake = axis.last_brake_time_s[run]
-        if np.isfinite(confirmed) and is_in_time(confirmed, last_brake, latency_s=rule.latency_s):
-            margin[run] = last_brake - (confirmed + rule.latency_s)
+    confirmed = confirmation_times_s(detected, axis, n_confirmations=rule.n_confirmations)
+    confirmed = confirmed.min(axis=0)
+    last_brake = axis.last_brake_time_s
+    in_time = np.isfinite(confirmed) & is_in_time(confirmed, last_brake, latency_s=rule.latency_s)
+    margin = np.full(axis.n_runs, -np.inf)
+    margin[in_time] = last_brake[in_time] - (confirmed[in_time] + rule.latency_s)
     return margin
 
 
