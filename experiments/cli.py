@@ -10,7 +10,21 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from . import tables
+from .cli_options import (
+    Number,
+    OneOf,
+    WholeNumber,
+    input_error,
+    json_option,
+    layout_option,
+    option_name,
+    question_options,
+    quiet_option,
+    workers_option,
+)
+from .cli_scenarios import scenarios
 from .progress import Interrupted, StageProgress, ending_on_signals
+from .question import Question
 
 if TYPE_CHECKING:
     from placement.layout import Layout
@@ -19,85 +33,6 @@ FUSIONS = ("any", "single")
 EXPORT_FORMATS = ("csv", "geojson", "carla")
 DEFAULT_OUT = Path("results/latest")
 _EXIT_BAD_INPUT = 2
-_MAX_DIGITS = 100
-
-
-class _OneOf(click.ParamType[str]):
-    """A word from a list; another one is told in this project's words."""
-
-    name = "name"
-
-    def __init__(self, words: Sequence[str]) -> None:
-        self.words = words
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        return "[" + "|".join(self.words) + "]"
-
-    def convert(self, value: str, param: Any, ctx: Any) -> str:
-        if value not in self.words:
-            raise _input_error(_option(param), value, "one of " + ", ".join(self.words))
-        return value
-
-
-class _WholeNumber(click.ParamType[int]):
-    """A whole number from a least value on."""
-
-    name = "number"
-
-    def __init__(self, least: int, what: str) -> None:
-        self.least = least
-        self.what = what
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        return "N"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> int:
-        text = str(value)
-        # int() would also take 1_0, other scripts' digits and spaces.
-        is_whole = text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS
-        if not is_whole or int(text) < self.least:
-            raise _input_error(_option(param), value, f"{self.what}, at least {self.least}")
-        return int(text)
-
-
-class _Seconds(click.ParamType[float]):
-    """A positive time."""
-
-    name = "seconds"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        return "SECONDS"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        try:
-            seconds = float(value)
-        except ValueError:
-            seconds = 0.0
-        if not 0.0 < seconds < float("inf"):
-            raise _input_error(_option(param), value, "seconds, more than 0")
-        return seconds
-
-
-def _option(param: click.Parameter) -> str:
-    return max(param.opts, key=len)
-
-
-_json_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else."
-)
-_quiet_option = click.option("--quiet", is_flag=True, help="No progress on stderr.")
-_workers_option = click.option(
-    "--workers",
-    type=_WholeNumber(1, "a number of threads"),
-    default=os.cpu_count() or 1,
-    show_default="one per processor",
-    help="Threads.",
-)
-
-
-_layout_option = click.option(
-    "--layout", "layout_names", multiple=True, help="carlancap-12, or a layout file."
-)
 
 
 @click.group(
@@ -108,6 +43,9 @@ Examples:
   place-rsus --budget 3                            the best three cameras
   place-rsus --budget 2 --fusion single            each must confirm by itself
   place-rsus --budget 3 --json --quiet | jq .apr   for a machine
+  place-rsus --budget 3 --cases protocol-4.5.1 --weights case
+  place-rsus --budget 3 --cases CPNCO-50,CBNA --speeds 40-60 --approaches north
+  place-rsus scenarios list                        what can be driven here, and what not
   place-rsus evaluate --layout carlancap-12        the study's 12 cameras
   place-rsus compare --layout results/latest/layout.json --layout carlancap-12
   place-rsus export --layout results/latest/layout.json --format carla
@@ -117,11 +55,11 @@ Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted,
 )
 @click.version_option(package_name="place-rsus")
 @click.option(
-    "--budget", type=_WholeNumber(1, "a whole number of units"), help="How many units to mount."
+    "--budget", type=WholeNumber(1, "a whole number of units"), help="How many units to mount."
 )
 @click.option(
     "--fusion",
-    type=_OneOf(FUSIONS),
+    type=OneOf(FUSIONS),
     default="any",
     show_default=True,
     help="any: a frame counts if any unit detects; single: one unit must confirm alone.",
@@ -133,16 +71,17 @@ Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted,
     show_default=True,
     help="Folder for report, layout, tables and figures; earlier results there are replaced.",
 )
-@_json_option
-@_quiet_option
+@question_options()
+@json_option
+@quiet_option
 @click.option(
     "--seed",
-    type=_WholeNumber(0, "a whole number"),
+    type=WholeNumber(0, "a whole number"),
     default=0,
     show_default=True,
     help="Of the points spread over the road users.",
 )
-@_workers_option
+@workers_option
 @click.option(
     "--study-poses/--no-study-poses",
     default=True,
@@ -151,8 +90,8 @@ Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted,
 )
 @click.option(
     "--time-limit",
-    type=_Seconds(),
-    default=60.0,
+    type=Number("SECONDS", "seconds"),
+    default=30.0,
     show_default=True,
     help="For the optimiser; when it is up, the best layout found and its gap are given.",
 )
@@ -169,6 +108,7 @@ def cli(
     *,
     budget: int | None,
     fusion: str,
+    question: Question,
     out: Path,
     as_json: bool,
     quiet: bool,
@@ -186,7 +126,7 @@ def cli(
     """
     if context.invoked_subcommand is not None:
         given = [
-            _option(param)
+            option_name(param)
             for param in context.command.params
             if context.get_parameter_source(str(param.name))
             is click.core.ParameterSource.COMMANDLINE
@@ -203,6 +143,7 @@ def cli(
     progress: StageProgress = context.obj
     jobs = _start(progress, quiet=quiet)
     summary = jobs.run_placement(
+        question,
         budget_units=budget,
         fusion=fusion,
         out=out,
@@ -223,17 +164,19 @@ Examples:
   place-rsus evaluate --layout carlancap-12
   place-rsus evaluate --layout results/latest/layout.json --out results/mine"""
 )
-@_layout_option
+@layout_option
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a report; else none.")
-@_json_option
-@_quiet_option
-@_workers_option
+@question_options()
+@json_option
+@quiet_option
+@workers_option
 @click.pass_obj
 def evaluate(
     progress: StageProgress,
     *,
     layout_names: tuple[str, ...],
     out: Path | None,
+    question: Question,
     as_json: bool,
     quiet: bool,
     workers: int,
@@ -242,7 +185,12 @@ def evaluate(
     (layout,) = _load_layouts(layout_names, 1)
     jobs = _start(progress, quiet=quiet)
     summary = jobs.run_evaluation(
-        layout=layout, out=out, workers=workers, command=_command_line(), progress=progress
+        question,
+        layout=layout,
+        out=out,
+        workers=workers,
+        command=_command_line(),
+        progress=progress,
     )
     _print(summary, progress, as_json, lambda: tables.evaluation_table(summary, out))
 
@@ -256,15 +204,17 @@ Example:
     "--layout", "layout_names", multiple=True, help="carlancap-12, or a layout file; give two."
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a report; else none.")
-@_json_option
-@_quiet_option
-@_workers_option
+@question_options()
+@json_option
+@quiet_option
+@workers_option
 @click.pass_obj
 def compare(
     progress: StageProgress,
     *,
     layout_names: tuple[str, ...],
     out: Path | None,
+    question: Question,
     as_json: bool,
     quiet: bool,
     workers: int,
@@ -273,6 +223,7 @@ def compare(
     subject, baseline = _load_layouts(layout_names, 2)
     jobs = _start(progress, quiet=quiet)
     summary = jobs.run_comparison(
+        question,
         subject=subject,
         baseline=baseline,
         out=out,
@@ -289,12 +240,12 @@ Examples:
   place-rsus export --layout carlancap-12 --format carla
   place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson"""
 )
-@_layout_option
+@layout_option
 @click.option(
     "--format",
     "format_name",
     required=True,
-    type=_OneOf(EXPORT_FORMATS),
+    type=OneOf(EXPORT_FORMATS),
     help="csv; geojson (WGS 84); carla: spawn transforms in CARLA's frame.",
 )
 @click.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
@@ -315,6 +266,9 @@ def export(*, layout_names: tuple[str, ...], format_name: str, out: Path | None)
         raise click.UsageError(
             f"--out: got {out}: {error.strerror}; expected a file that can be written"
         ) from None
+
+
+cli.add_command(scenarios)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -340,12 +294,6 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     if message:
         click.echo(message, err=True)
     sys.exit(code)
-
-
-def _input_error(where: str, got: object, expected: str) -> Exception:
-    from geometry.errors import InputError
-
-    return InputError(where, got, expected)
 
 
 def _mendable_errors() -> tuple[type[Exception], ...]:
@@ -401,7 +349,7 @@ def _load_layout(name: str) -> "Layout":
     if name == BASELINE_NAME:
         return load_carlancap_layout()
     if not os.path.lexists(name):
-        raise _input_error("--layout", name, f"{BASELINE_NAME}, or a layout file that exists")
+        raise input_error("--layout", name, f"{BASELINE_NAME}, or a layout file that exists")
     return load_layout(Path(name))
 
 

@@ -206,6 +206,7 @@ def runs_table(evaluations: Mapping[str, Evaluation], rule: AebRule) -> pd.DataF
                         "run": axis.run_ids,
                         "case": axis.cases,
                         "approach": axis.approaches,
+                        "weather": axis.weathers,
                         "vut_speed_kmh": axis.vut_speed_kmh,
                         "weight": axis.weight,
                         "last_brake_time_s": _missing(axis.last_brake_time_s),

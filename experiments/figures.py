@@ -1,6 +1,7 @@
 """Figures of evaluations: APR by case, heatmaps. Built without pyplot's global state."""
 
 import math
+import textwrap
 import warnings
 from collections.abc import Mapping, Sequence
 from io import BytesIO
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -21,8 +22,6 @@ from placement.layout import Layout
 # M. Okabe, K. Ito, "Color Universal Design" (2008): told apart with any colour vision.
 BLUE, SKY, GREEN, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#F0E442"
 ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
-_LAYOUT_STYLES = ((BLUE, ""), (SKY, "///"), (ORANGE, "..."), (PINK, "ooo"), (YELLOW, "***"))
-_VUT_STYLE, _TOGETHER_STYLE = (GREY, "xxx"), (GREEN, "\\\\\\")
 _RED = "#CC0000"
 
 WIDTH_IN = 6.8
@@ -75,7 +74,7 @@ def literal(name: str) -> str:
 
 
 def plot_apr_by_case(evaluations: Mapping[str, Evaluation]) -> Figure:
-    """Accident prevention ratio by case and over all runs, as grouped bars.
+    """Accident prevention ratio by case and over all runs, as a shaded table.
 
     Parameters
     ----------
@@ -86,40 +85,35 @@ def plot_apr_by_case(evaluations: Mapping[str, Evaluation]) -> Figure:
     Returns
     -------
     figure : Figure
-        Bars from 0 to 100 %, each with its value.
+        One row per case, the first for all runs; the more accidents are left, the darker.
     """
-    bars = _apr_bars(evaluations)
-    groups = list(next(iter(bars.values()))[0])
-    pitch = 1.0 / (len(bars) + 1.0)
-    figure, axes = build_figure(WIDTH_IN, 1.5 + 0.19 * len(groups) * (len(bars) + 1))
-    for index, (name, (shares, (colour, hatch))) in enumerate(bars.items()):
-        rows = np.arange(len(groups)) + (index - 0.5 * (len(bars) - 1)) * pitch
-        values = [shares[group] for group in groups]
-        axes.barh(
-            rows,
-            100.0 * np.nan_to_num(values),
-            height=0.86 * pitch,
-            color=colour,
-            edgecolor="black",
-            linewidth=0.6,
-            hatch=hatch,
-            label=literal(name),
+    columns = _apr_columns(evaluations)
+    rows = list(next(iter(columns.values())))
+    shares = np.array([[column[row] for column in columns.values()] for row in rows])
+    figure, axes = build_figure(WIDTH_IN, 1.0 + 0.24 * len(rows))
+    axes.imshow(np.nan_to_num(shares, nan=1.0), cmap=_SHADES, vmin=0.0, vmax=1.0, aspect="auto")
+    for (row, column), share in np.ndenumerate(shares):
+        axes.text(
+            column,
+            row,
+            percent(share),
+            ha="center",
+            va="center",
+            fontsize=8,
+            fontweight="bold" if row == 0 else "normal",
+            color="white" if share < _DARK_BELOW else "black",
         )
-        for row, value in zip(rows, values, strict=True):
-            place = 1.0 if math.isnan(value) else 1.0 + 100.0 * value
-            axes.text(place, row, percent(value), va="center", ha="left", fontsize=8)
-    axes.set_yticks(np.arange(len(groups)), [literal(group) for group in groups])
-    axes.tick_params(axis="y", length=0)
-    axes.set_ylim(len(groups) - 0.5, -0.5)
-    axes.set_xlim(0.0, 113.0)
-    axes.set_xticks(np.arange(0, 101, 20))
-    axes.set_xlabel(
-        "accident prevention ratio: share of the runs that end without contact (%)", fontsize=9
-    )
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(axis="x", color="#d0d0d0", linewidth=0.6)
-    axes.set_axisbelow(True)
-    figure.legend(loc="outside upper center", ncols=2, fontsize=8, frameon=False)
+    axes.set_yticks(np.arange(len(rows)), [literal(row) for row in rows], fontsize=8)
+    heads = [literal(textwrap.fill(name, _HEAD_WIDTH)) for name in columns]
+    axes.set_xticks(np.arange(len(columns)), heads, fontsize=8)
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0)
+    # Lines between the cells, a stronger one below all runs.
+    for row in range(1, len(rows)):
+        axes.axhline(row - 0.5, color="black", linewidth=1.2 if row == 1 else 0.3)
+    for column in range(1, len(columns)):
+        axes.axvline(column - 0.5, color="black", linewidth=0.3)
+    axes.set_xlabel("share of the runs that end without contact", fontsize=8)
     return figure
 
 
@@ -175,32 +169,29 @@ def build_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
     return figure, figure.add_subplot()
 
 
-# ---------------------------------------------------------------- bars
+# ---------------------------------------------------------------- APR by case
 
 
-_Style = tuple[str, str]
+_SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
+_DARK_BELOW = 0.55
+_HEAD_WIDTH = 16
 
 
-def _apr_bars(
-    evaluations: Mapping[str, Evaluation],
-) -> dict[str, tuple[dict[str, float], _Style]]:
+def _apr_columns(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, float]]:
+    """APR of all runs and of each case, by sensing party."""
     subject_name, subject = next(iter(evaluations.items()))
-    verdicts: dict[str, tuple[Evaluation, Verdict, _Style]] = {
-        f"{name}: {_n_cameras(evaluation)}": (evaluation, evaluation.rsu_all, style)
-        for index, (name, evaluation) in enumerate(evaluations.items())
-        for style in [_LAYOUT_STYLES[index % len(_LAYOUT_STYLES)]]
+    verdicts: dict[str, tuple[Evaluation, Verdict]] = {
+        f"{name}: {_n_cameras(evaluation)}": (evaluation, evaluation.rsu_all)
+        for name, evaluation in evaluations.items()
     }
-    verdicts["car (VUT) alone"] = (subject, subject.vut, _VUT_STYLE)
-    verdicts[f"car (VUT) and {subject_name}"] = (subject, subject.vut_and_rsus, _TOGETHER_STYLE)
+    verdicts["car (VUT) alone"] = (subject, subject.vut)
+    verdicts[f"car (VUT) and {subject_name}"] = (subject, subject.vut_and_rsus)
     return {
-        name: (
-            {
-                **apr_by_case(verdict, evaluation.axis),
-                "all runs": apr(verdict, evaluation.axis),
-            },
-            style,
-        )
-        for name, (evaluation, verdict, style) in verdicts.items()
+        name: {
+            "all runs": apr(verdict, evaluation.axis),
+            **apr_by_case(verdict, evaluation.axis),
+        }
+        for name, (evaluation, verdict) in verdicts.items()
     }
 
 

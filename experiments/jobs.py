@@ -15,19 +15,19 @@ from placement.pipeline import check_budget, place
 from placement.setting import Setting
 
 from . import exports
+from .driving import build_setting
 from .figures import plot_apr_by_case, plot_heatmap, to_png
 from .plan import plot_plan
 from .progress import WRITING, StageProgress
-from .report import GREEDY, write_report
+from .question import Question
+from .report import GREEDY, pick_heatmap_runs, write_report
 from .result_folder import MARKER, check_result_folder, new_result_folder
-from .study import build_study_setting, load_carlancap_layout
+from .study import load_carlancap_layout
 from .summary import summarise_comparison, summarise_layout, summarise_placement
-
-# One run of each case, at the speeds at which the study shows its heatmaps or near them.
-HEATMAP_RUNS = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
 
 
 def run_placement(
+    question: Question,
     *,
     budget_units: int,
     fusion: Any,
@@ -56,7 +56,7 @@ def run_placement(
     check_budget(load_study_scene(), budget_units)
     progress.kept = _left_as_it_was(out)
     progress("setting", 0, 0)
-    setting = build_study_setting()
+    setting = build_setting(question, load_study_scene())
     study = load_carlancap_layout()
     candidates = build_candidates(
         setting.scene,
@@ -98,6 +98,7 @@ def run_placement(
 
 
 def run_evaluation(
+    question: Question,
     *,
     layout: Layout,
     out: Path | None,
@@ -117,10 +118,11 @@ def run_evaluation(
     InputError
         A unit hangs underground or inside something, or `out` cannot be written.
     """
-    return _judge([layout], out=out, workers=workers, command=command, progress=progress)
+    return _judge(question, [layout], out=out, workers=workers, command=command, progress=progress)
 
 
 def run_comparison(
+    question: Question,
     *,
     subject: Layout,
     baseline: Layout,
@@ -141,7 +143,14 @@ def run_comparison(
     InputError
         A unit hangs underground or inside something, or `out` cannot be written.
     """
-    return _judge([subject, baseline], out=out, workers=workers, command=command, progress=progress)
+    return _judge(
+        question,
+        [subject, baseline],
+        out=out,
+        workers=workers,
+        command=command,
+        progress=progress,
+    )
 
 
 def export_layout(layout: Layout, format_name: str) -> str:
@@ -152,6 +161,7 @@ def export_layout(layout: Layout, format_name: str) -> str:
 
 
 def _judge(
+    question: Question,
     layouts: Sequence[Layout],
     *,
     out: Path | None,
@@ -164,7 +174,7 @@ def _judge(
         check_result_folder(out)
         progress.kept = _left_as_it_was(out)
     progress("setting", 0, 0)
-    setting = build_study_setting()
+    setting = build_setting(question, load_study_scene())
     layouts = _with_distinct_names(layouts)
     for layout in layouts:
         check_layout(layout, setting.scene)
@@ -231,6 +241,7 @@ def _write_results(
     summary["seconds"] = progress.seconds.copy()
     subject = next(iter(evaluations.values()))
     known = {key: value for key, value in summary.items() if value is not None}
+    heatmap_runs = pick_heatmap_runs(setting, subject)
     with new_result_folder(folder) as new:
         _write_text(new / "layout.json", exports.to_json(subject.layout))
         _write_text(new / "layout.csv", exports.to_csv(subject.layout))
@@ -241,12 +252,12 @@ def _write_results(
             "plan": plot_plan(setting, subject.layout, others=others),
             "apr_by_case": plot_apr_by_case(evaluations),
         }
-        for run_id in HEATMAP_RUNS:
+        for run_id in heatmap_runs:
             index = setting.axis.run_ids.index(run_id)
             figures[f"heatmap_{run_id.replace('/', '_')}"] = plot_heatmap(subject, index)
         for name, figure in figures.items():
             (new / f"{name}.png").write_bytes(to_png(figure))
-        write_report(new, known, setting, evaluations, command=command, heatmap_runs=HEATMAP_RUNS)
+        write_report(new, known, setting, evaluations, command=command, heatmap_runs=heatmap_runs)
         summary["seconds"] = progress.finish()
         _write_text(new / MARKER, exports.to_json_text(summary))
     progress.kept = f"the results are in {folder}"

@@ -1,7 +1,7 @@
 """Plan of the junction: where the units are, and what ground they look at."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,9 @@ from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from scipy.spatial import ConvexHull
 
+from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
+from geometry.footprints import footprint_corners
 from geometry.poses import camera_rotation
 from geometry.scene import Lane, Scene
 from placement.candidates import CandidatePose
@@ -115,7 +117,8 @@ def plot_plan(
     scene = setting.scene
     outline = scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
-    _draw_scene(axes, scene)
+    draw_scene(axes, scene)
+    draw_parked(axes, [body for run in setting.runs for body in run.obstruction])
     _draw_paths(axes, setting.runs)
     for other in others:
         _draw_other(axes, other)
@@ -149,7 +152,8 @@ def _clip(corners: FloatArray, inside: FloatArray) -> FloatArray:
     return np.array(kept).reshape(-1, 2)
 
 
-def _draw_scene(axes: Axes, scene: Scene) -> None:
+def draw_scene(axes: Axes, scene: Scene) -> None:
+    """Draw lanes, sites, buildings and walls; later things go on top up to zorder 6.5."""
     axes.set_facecolor("#f4f2ee")
     for lane in scene.lanes:
         is_parking = lane.kind == "parking"
@@ -173,6 +177,24 @@ def _draw_scene(axes: Axes, scene: Scene) -> None:
     axes.plot(*sites.T, linestyle="none", zorder=5, **_SITE_STYLE)
 
 
+def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
+    """Draw bodies that belong to single cases: footprints, each once."""
+    for body in {body.key: body for body in bodies}.values():
+        corners = footprint_corners(
+            body.pose.position_m[:2],
+            body.pose.yaw_deg,
+            length_m=body.actor.length_m,
+            width_m=body.actor.width_m,
+        )
+        axes.add_patch(Polygon(corners, zorder=2.2, **PARKED_STYLE))
+
+
+PARKED_STYLE: dict[str, Any] = {
+    "facecolor": "#f2f2f2",
+    "edgecolor": "#8a8a8a",
+    "linewidth": 0.7,
+    "hatch": "....",
+}
 _SITE_STYLE: dict[str, Any] = {
     "marker": "o",
     "markersize": 4.0,
@@ -219,7 +241,7 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
 
 _IMPACT_STYLE: dict[str, Any] = {
     "marker": "X",
-    "markersize": 7.0,
+    "markersize": 5.5,
     "markerfacecolor": "black",
     "markeredgecolor": "white",
     "linestyle": "none",
@@ -373,6 +395,8 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
         for name, style in _CLASS_STYLES.items()
         if name in present and name != "traffic light"
     ]
+    if any(run.obstruction for run in setting.runs):
+        things.append(Patch(label="parked body or wall of single cases", **PARKED_STYLE))
     site = Line2D([], [], label="pole or mast: possible site", linestyle="none", **_SITE_STYLE)
     impact = Line2D([], [], label="collision point", **_IMPACT_STYLE)
     return [*units, *paths, impact, site, *things]

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from geometry.atomic_files import write_atomically
 from geometry.errors import InputError, Unquoted
-from placement.evaluation import Evaluation, apr, apr_by_case, detected_share
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share
 from placement.layout import Layout, layout_records
 from placement.setting import Setting
 
@@ -30,6 +30,7 @@ from .sentences import (
     assumptions,
     count_cameras,
     describe_cases,
+    describe_refusals,
     disagreement,
     number,
     proof,
@@ -90,7 +91,7 @@ def render_report(
     command : str
         Command line that makes the result again.
     heatmap_runs : sequence of str
-        Ids of the runs to draw; else of each case the run with the least time to spare.
+        Ids of the runs to draw; else see :func:`pick_heatmap_runs`.
 
     Returns
     -------
@@ -121,20 +122,19 @@ def render_report(
         stages=[_stage_row(stage) for stage in summary.get("stages", ())],
         solver=summary.get("solver", NOTHING),
         is_weighted=not np.allclose(subject.axis.weight, subject.axis.weight[0]),
-        apr_columns=["sensing party", *dict.fromkeys(subject.axis.cases), "all runs"],
-        apr_rows=_apr_rows(evaluations),
+        apr_table=_apr_table(evaluations),
         apr_figure=_apr_figure(evaluations),
         alone=[_alone(name, item) for name, item in detailed.items()],
         heatmaps=[
             {"name": name, "figures": [_heatmap(item, index) for index in run_indices]}
             for name, item in detailed.items()
         ],
-        heatmaps_are_hardest=not heatmap_runs,
         rule=setting.rule,
         disagreement=disagreement(summary),
         assumptions=assumptions(summary, setting),
         cases=describe_cases(setting),
-        run_columns=["case", "approach", "speed (km/h)", "last moment (s)", *evaluations, "VUT"],
+        not_driven=describe_refusals(setting),
+        run_columns=["run", "last moment (s)", *evaluations, "VUT"],
         run_rows=_run_rows(setting, evaluations),
         command=command,
         seconds=[(stage, f"{value:.1f}") for stage, value in summary.get("seconds", {}).items()],
@@ -214,7 +214,8 @@ def _stage_row(stage: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _apr_rows(evaluations: Mapping[str, Evaluation]) -> list[list[str]]:
+def _apr_table(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
+    """APR by case: a row for all runs and for each case, a column per sensing party."""
     subject = next(iter(evaluations.values()))
     verdicts = [
         *(
@@ -224,57 +225,52 @@ def _apr_rows(evaluations: Mapping[str, Evaluation]) -> list[list[str]]:
         ("car (VUT) alone", subject, subject.vut),
         *((f"car (VUT) and {name}", item, item.vut_and_rsus) for name, item in evaluations.items()),
     ]
+    return {
+        "caption": "Accident prevention ratio by case",
+        "columns": ["case", *(name for name, _, _ in verdicts)],
+        "rows": _case_rows([(item, verdict) for _, item, verdict in verdicts]),
+    }
+
+
+def _case_rows(verdicts: Sequence[tuple[Evaluation, Verdict]]) -> list[list[str]]:
+    cases = dict.fromkeys(verdicts[0][0].axis.cases)
+    by_case = [apr_by_case(verdict, item.axis) for item, verdict in verdicts]
     return [
-        [
-            name,
-            *(percent(share) for share in apr_by_case(verdict, item.axis).values()),
-            percent(apr(verdict, item.axis)),
-        ]
-        for name, item, verdict in verdicts
+        ["all runs", *(percent(apr(verdict, item.axis)) for item, verdict in verdicts)],
+        *([case, *(percent(shares[case]) for shares in by_case)] for case in cases),
     ]
 
 
 def _alone(name: str, evaluation: Evaluation) -> dict[str, Any]:
-    axis, labels = evaluation.axis, unit_labels(evaluation.layout)
+    labels = unit_labels(evaluation.layout)
+    units = evaluation.units.items()
+    detected = [percent(detected_share(verdict, evaluation.axis)) for _, verdict in units]
     return {
         "caption": f"APR of each camera of {name} by itself",
-        "columns": [
-            "mark",
-            "id",
-            *dict.fromkeys(axis.cases),
-            "all runs",
-            "frames in which it detects",
-        ],
+        "columns": ["case", *(labels[unit_id] for unit_id, _ in units)],
         "rows": [
-            [
-                labels[unit_id],
-                unit_id,
-                *(percent(share) for share in apr_by_case(verdict, axis).values()),
-                percent(apr(verdict, axis)),
-                percent(detected_share(verdict, axis)),
-            ]
-            for unit_id, verdict in evaluation.units.items()
+            *_case_rows([(evaluation, verdict) for _, verdict in units]),
+            ["frames in which it detects", *detected],
         ],
     }
 
 
 def _run_rows(setting: Setting, evaluations: Mapping[str, Evaluation]) -> list[list[str]]:
+    """A row per run, those with the least time to spare first."""
     subject = next(iter(evaluations.values()))
     axis = subject.axis
     verdicts = [*(item.rsu_all for item in evaluations.values()), subject.vut]
     margins = [margin_s(verdict, axis, setting.rule) for verdict in verdicts]
     return [
         [
-            axis.cases[index],
-            axis.approaches[index],
-            f"{axis.vut_speed_kmh[index]:g}",
+            axis.run_ids[index],
             number(axis.last_brake_time_s[index]),
             *(
                 _outcome(bool(verdict.is_avoided[index]), float(margin[index]))
                 for verdict, margin in zip(verdicts, margins, strict=True)
             ),
         ]
-        for index in range(axis.n_runs)
+        for index in np.argsort(margins[0], kind="stable")
     ]
 
 
@@ -318,13 +314,47 @@ def _plans(
 
 
 def _apr_figure(evaluations: Mapping[str, Evaluation]) -> _Picture:
-    rows = _apr_rows(evaluations)
+    table = _apr_table(evaluations)
+    over_all = zip(table["columns"][1:], table["rows"][0][1:], strict=True)
     return _picture(
         plot_apr_by_case(evaluations),
         title="Accident prevention ratio by case",
         caption="The same numbers as in the table above.",
-        alt="Bars. Over all runs: " + "; ".join(f"{row[0]} {row[-1]}" for row in rows) + ".",
+        alt="Shaded table. Over all runs: "
+        + "; ".join(f"{name} {share}" for name, share in over_all)
+        + ".",
     )
+
+
+def pick_heatmap_runs(setting: Setting, evaluation: Evaluation) -> tuple[str, ...]:
+    """Runs whose heatmaps are worth drawing.
+
+    Parameters
+    ----------
+    setting : Setting
+        Runs and braking rule.
+    evaluation : Evaluation
+        Of the layout that is reported.
+
+    Returns
+    -------
+    run_ids : tuple of str
+        The study's own, at the speeds at which it shows them or near, where they are driven; else
+        of the three hardest cases the run with the least time to spare.
+    """
+    axis = evaluation.axis
+    known = tuple(run_id for run_id in _STUDY_HEATMAPS if run_id in axis.run_ids)
+    if known:
+        return known
+    margin = margin_s(evaluation.rsu_all, axis, setting.rule)
+    hardest: dict[str, str] = {}
+    for index in np.argsort(margin, kind="stable"):
+        hardest.setdefault(axis.cases[index], axis.run_ids[index])
+    return tuple(hardest.values())[:_MAX_HEATMAPS]
+
+
+_STUDY_HEATMAPS = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
+_MAX_HEATMAPS = 3
 
 
 def _heatmap_indices(evaluation: Evaluation, setting: Setting, run_ids: Sequence[str]) -> list[int]:
@@ -332,13 +362,8 @@ def _heatmap_indices(evaluation: Evaluation, setting: Setting, run_ids: Sequence
     for run_id in run_ids:
         if run_id not in axis.run_ids:
             raise InputError("heatmap run", run_id, "the id of a run")
-    if run_ids:
-        return [axis.run_ids.index(run_id) for run_id in run_ids]
-    margin = margin_s(evaluation.rsu_all, axis, setting.rule)
-    cases = np.array(axis.cases)
     return [
-        int(min(np.flatnonzero(cases == case), key=lambda index: float(margin[index])))
-        for case in dict.fromkeys(axis.cases)
+        axis.run_ids.index(run_id) for run_id in run_ids or pick_heatmap_runs(setting, evaluation)
     ]
 
 

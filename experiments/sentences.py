@@ -148,16 +148,36 @@ def assumptions(summary: Mapping[str, Any], setting: Setting) -> list[tuple[str,
         ("Latency", f"{1000.0 * rule.latency_s:g} ms for processing and communication."),
         (
             "Braking",
-            f"{rule.deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}, constant from the onset, along "
+            f"{rule.deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}, {_onset(rule.build_up_s)}, along "
             "the car's path. The road user keeps going.",
         ),
         ("Avoided", "The outlines of car and road user on the road never touch."),
+        *_weather_terms(setting),
     ]
     if "fusion" in summary:
         terms.append(("Cameras together", _FUSIONS.get(summary["fusion"], summary["fusion"])))
     if "budget" in summary:
         terms.append(("Budget", count_cameras(range(summary["budget"])) + "."))
     return terms
+
+
+def _onset(build_up_s: float) -> str:
+    if build_up_s == 0.0:
+        return "constant from the onset"
+    return f"reached linearly {build_up_s:g} s after the onset"
+
+
+def _weather_terms(setting: Setting) -> list[tuple[str, str]]:
+    weathers = list(dict.fromkeys(run.weather for run in setting.runs))
+    if weathers == ["day"]:
+        return []
+    return [
+        (
+            "Weather",
+            f"{', '.join(weathers)}. It does not change what is detected: the detector looks at "
+            "boxes only.",
+        )
+    ]
 
 
 _FUSIONS = {
@@ -167,21 +187,33 @@ _FUSIONS = {
 
 
 def describe_cases(setting: Setting) -> list[dict[str, str]]:
-    """The cases that are driven: name, title, speeds, vru, vru_speed."""
-    cases = {run.case.name: run.case for run in setting.runs}
-    speeds = {
-        name: sorted({run.vut_speed_kmh for run in setting.runs if run.case.name == name})
-        for name in cases
-    }
+    """The cases that are driven: what, how fast, from where, how late braking may begin."""
+    described = []
+    for name in dict.fromkeys(run.case.name for run in setting.runs):
+        runs = [run for run in setting.runs if run.case.name == name]
+        case = runs[0].case
+        last = sorted(-run.last_brake_time_s for run in runs if np.isfinite(run.last_brake_time_s))
+        described.append(
+            {
+                "name": name,
+                "title": case.title,
+                "speeds": _span(sorted({run.vut_speed_kmh for run in runs})),
+                "vru": case.vru.class_name,
+                "vru_speed": f"{case.vru_speed_kmh:g}",
+                "approaches": ", ".join(dict.fromkeys(run.approach for run in runs)),
+                "n_runs": str(len(runs)),
+                "last_moments": _span([round(time_s, 2) for time_s in last]) if last else NOTHING,
+            }
+        )
+    return described
+
+
+def describe_refusals(setting: Setting) -> list[str]:
+    """What was asked for and cannot be driven, in sentences."""
     return [
-        {
-            "name": name,
-            "title": case.title,
-            "speeds": _span(speeds[name]),
-            "vru": case.vru.class_name,
-            "vru_speed": f"{case.vru_speed_kmh:g}",
-        }
-        for name, case in cases.items()
+        f"{refusal.case.name} from the {refusal.approach} at "
+        f"{', '.join(f'{speed:g}' for speed in refusal.speeds_kmh)} km/h: {refusal.reason}."
+        for refusal in setting.refusals
     ]
 
 

@@ -3,34 +3,24 @@
 from functools import cache
 from importlib.resources import files
 
-from geometry.actors import pick_actor
 from geometry.arrays import float_array
 from geometry.catalogue import pick_camera
 from geometry.frames import from_carla_pose
 from geometry.scene_files import load_study_scene
 from geometry.toml_files import load_toml, take_list, take_number, take_text
 from placement.candidates import CandidatePose
-from placement.detector import load_detector
 from placement.layout import Layout
 from placement.setting import Setting
-from scenarios.aeb import load_aeb_rule
-from scenarios.exposure import weight_per_run
-from scenarios.runs import build_frame_axis, build_runs, load_placements
+
+from .driving import build_setting
+from .question import Question
 
 BASELINE_NAME = "carlancap-12"
 
 
 def build_study_setting() -> Setting:
     """The study's junction, cases, braking rule and detector, every run with equal weight."""
-    rule = load_aeb_rule()
-    runs = build_runs(load_placements(), vut=pick_actor("vut", "vut"), rule=rule)
-    return Setting(
-        scene=load_study_scene(),
-        runs=runs,
-        axis=build_frame_axis(runs, weight_per_run(runs)),
-        rule=rule,
-        detector=load_detector(),
-    )
+    return build_setting(Question(), load_study_scene())
 
 
 @cache

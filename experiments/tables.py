@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 _WIDTH = 80
+_COLUMN = 11
 
 
 def _percent(ratio: float) -> str:
@@ -27,15 +28,36 @@ def _units_text(units: list[dict[str, Any]]) -> list[str]:
     return rows
 
 
-def _apr_text(columns: dict[str, dict[str, Any]]) -> list[str]:
-    cases = next(iter(columns.values()))["by_case"]
-    rows = [f"  {'APR':<24} {'all':>8} " + "".join(f"{case:>9} " for case in cases)]
-    rows += [
-        f"  {_short(name, 24):<24} {_percent(value['all'])} "
-        + " ".join(f" {_percent(value['by_case'][case])}" for case in cases)
-        for name, value in columns.items()
-    ]
-    return rows
+def _apr_text(parties: dict[str, dict[str, Any]]) -> list[str]:
+    """APR by case: a row per case, a column per party, as many columns as fit side by side."""
+    cases = list(next(iter(parties.values()))["by_case"])
+    first = max(len("all runs"), *map(len, cases)) + 4
+    per_block = max(1, (_WIDTH - first) // _COLUMN)
+    names = list(parties)
+    rows = []
+    for start in range(0, len(names), per_block):
+        block = names[start : start + per_block]
+        heads = [textwrap.wrap(name, _COLUMN - 2) for name in block]
+        height = max(map(len, heads))
+        if start:
+            rows.append("")
+        for line in range(height):
+            # Words end on the last line of the head.
+            words = [
+                head[line - height + len(head)] if line >= height - len(head) else ""
+                for head in heads
+            ]
+            left = "  APR" if line == height - 1 else ""
+            rows.append(f"{left:<{first}}" + "".join(f"{word:>{_COLUMN}}" for word in words))
+        for case in ("", *cases):
+            values = [
+                parties[name]["by_case"][case] if case else parties[name]["all"] for name in block
+            ]
+            rows.append(
+                f"  {case or 'all runs':<{first - 2}}"
+                + "".join(f"{_percent(value).strip():>{_COLUMN}}" for value in values)
+            )
+    return [row.rstrip() for row in rows]
 
 
 def placement_table(summary: dict[str, Any], out: Path) -> str:
@@ -66,11 +88,11 @@ def placement_table(summary: dict[str, Any], out: Path) -> str:
         "Evaluated by full perception and emergency braking:",
         *_apr_text(
             {
-                "these units, fused": evaluation["rsu_all"],
-                "  and the VUT's camera": evaluation["vut_and_rsus"],
-                "the VUT's camera only": evaluation["vut"],
-                "greedy, same number": summary["greedy"]["rsu_all"],
-                f"{summary['baseline_name']}, fused": baseline["rsu_all"],
+                "these, fused": evaluation["rsu_all"],
+                "and VUT's camera": evaluation["vut_and_rsus"],
+                "VUT's camera only": evaluation["vut"],
+                "greedy, fused": summary["greedy"]["rsu_all"],
+                f"{summary['baseline_name']} fused": baseline["rsu_all"],
             }
         ),
         "",
@@ -91,9 +113,9 @@ def evaluation_table(summary: dict[str, Any], out: Path | None) -> str:
         *_apr_text(
             {
                 **evaluation["units"],
-                "all units, fused": evaluation["rsu_all"],
-                "  and the VUT's camera": evaluation["vut_and_rsus"],
-                "the VUT's camera only": evaluation["vut"],
+                "all, fused": evaluation["rsu_all"],
+                "and VUT's camera": evaluation["vut_and_rsus"],
+                "VUT's camera only": evaluation["vut"],
             }
         ),
     ]
@@ -120,10 +142,10 @@ def comparison_table(summary: dict[str, Any], out: Path | None) -> str:
         *_apr_text(
             {
                 summary["name"]: evaluation["rsu_all"],
-                "  and the VUT's camera": evaluation["vut_and_rsus"],
+                f"{summary['name']} and VUT": evaluation["vut_and_rsus"],
                 summary["baseline_name"]: baseline["rsu_all"],
-                "  with the VUT's camera": baseline["vut_and_rsus"],
-                "the VUT's camera only": evaluation["vut"],
+                f"{summary['baseline_name']} and VUT": baseline["vut_and_rsus"],
+                "VUT's camera only": evaluation["vut"],
             }
         ),
         *_runs_text("runs gained:", summary["runs_gained"]),

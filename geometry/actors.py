@@ -1,19 +1,47 @@
-"""Bodies that move or park: bounding box and mesh, from ``data/actors.toml``."""
+"""Bodies that move or park: boxes from ``data/actors.toml``, shapes from ``data/actors.npz``."""
 
+import hashlib
+import json
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from .arrays import FloatArray, float_array, freeze
-from .errors import InputError
+from .arrays import FloatArray, IntArray, float_array, freeze
+from .errors import InputError, Unquoted
 from .poses import Pose
-from .toml_files import Table, load_toml, pick, take_list, take_number, take_text
+from .toml_files import Table, load_toml, pick, take_number, take_text
 
-_SPHERE_SUBDIVISIONS = 1  # 42 vertices: the outline of a limb stays within 4 % of its radius
+_SHAPE_DECIMALS = 6  # of a shape: distances that differ in the last bits give the same one
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shape:
+    """A body at one instant of its gait: one closed mesh.
+
+    Attributes
+    ----------
+    vertices_m : (n_vertices, 3) float
+        Body frame: origin on the road under the middle of the box, x ahead, y left. [m]
+    triangles : (n_triangles, 3) int32
+        Vertex indices; normals point outwards.
+    """
+
+    vertices_m: FloatArray
+    triangles: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "vertices_m", float_array(self.vertices_m, (-1, 3), "shape: vertices_m")
+        )
+        object.__setattr__(self, "triangles", freeze(np.array(self.triangles, dtype=np.int32)))
+
+    def __repr__(self) -> str:
+        return f"Shape({len(self.triangles)} triangles)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,11 +55,16 @@ class Actor:
     class_name : str
         "vehicle", "parked vehicle", "pedestrian" or "cyclist".
     length_m, width_m, height_m : float
-        Bounding box along x, y, z of the body frame. [m]
-    vertices_m : (n_vertices, 3) float
-        Body frame: origin on the road under the middle of the box, x ahead, y left. [m]
-    triangles : (n_triangles, 3) int32
-        Vertex indices; normals point outwards.
+        Bounding box of all shapes together, along x, y, z of the body frame. [m]
+    shapes : tuple of Shape
+        Evenly spaced over one cycle of the gait; the first is how the body stands at rest. One
+        where nothing moves.
+    cycle_m : float
+        Distance covered in one cycle of the gait; 0 where nothing moves. [m]
+    reference_ahead_m : float
+        Hip or crank shaft, ahead of the middle of the box (negative: behind it). [m]
+    wheelbase_m, front_axle_ahead_m : float
+        Of a vehicle; the front axle ahead of the middle of the box. 0 for all others. [m]
     """
 
     name: str
@@ -39,22 +72,52 @@ class Actor:
     length_m: float
     width_m: float
     height_m: float
-    vertices_m: FloatArray
-    triangles: NDArray[np.int32]
+    shapes: tuple[Shape, ...]
+    cycle_m: float = 0.0
+    reference_ahead_m: float = 0.0
+    wheelbase_m: float = 0.0
+    front_axle_ahead_m: float = 0.0
 
     def __post_init__(self) -> None:
+        where = f"actor {self.name}"
         for field in ("length_m", "width_m", "height_m"):
             if not getattr(self, field) > 0.0:
-                raise InputError(f"actor {self.name}.{field}", getattr(self, field), "> 0 metres")
-        object.__setattr__(
-            self, "vertices_m", float_array(self.vertices_m, (-1, 3), f"actor {self.name}")
-        )
-        object.__setattr__(self, "triangles", freeze(np.array(self.triangles, dtype=np.int32)))
+                raise InputError(f"{where}.{field}", getattr(self, field), "> 0 metres")
+        if not self.shapes:
+            raise InputError(f"{where}.shapes", Unquoted("none"), "at least one shape")
+        if not 0.0 <= self.cycle_m < np.inf or (len(self.shapes) > 1) != (self.cycle_m > 0.0):
+            raise InputError(
+                f"{where}.cycle_m", self.cycle_m, "> 0 metres for several shapes, 0 for one"
+            )
+
+    def __repr__(self) -> str:
+        return f"Actor({self.name!r}, {len(self.shapes)} shapes)"
+
+    def shape_index(self, distance_m: ArrayLike) -> IntArray:
+        """Which shape the body has after some way.
+
+        Parameters
+        ----------
+        distance_m : (...,) float
+            Way covered since the body stood at rest. [m]
+
+        Returns
+        -------
+        index : (...,) int
+            Of the nearest instant in `shapes`.
+        """
+        distance = np.asarray(distance_m, dtype=np.float64)
+        if self.cycle_m == 0.0:
+            return np.zeros(distance.shape, dtype=np.int64)
+        n_shapes = len(self.shapes)
+        steps = (distance / self.cycle_m * n_shapes).round(_SHAPE_DECIMALS)
+        index: IntArray = np.floor(steps + 0.5).astype(np.int64) % n_shapes
+        return index
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlacedActor:
-    """A body that stands somewhere.
+    """A body that stands somewhere, as at rest.
 
     Attributes
     ----------
@@ -67,12 +130,56 @@ class PlacedActor:
     actor: Actor
     pose: Pose
 
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Equal for the same body at the same pose, whoever placed it."""
+        return (self.actor, *self.pose.position_m.tolist(), self.pose.yaw_deg, self.pose.pitch_deg)
+
 
 @cache
 def load_actors() -> dict[str, Actor]:
     """All bodies of the catalogue, by name."""
-    table = load_toml(files(__package__) / "data" / "actors.toml")
-    return {name: _build_actor(name, entry) for name, entry in table.items()}
+    data = files(__package__) / "data"
+    return read_actors(load_toml(data / "actors.toml"), data / "actors.npz")
+
+
+def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
+    """Bodies of a catalogue.
+
+    Parameters
+    ----------
+    table : mapping
+        Laid out as ``geometry/data/actors.toml``.
+    source : Path or Traversable
+        The shapes that ``geometry.bodies`` has built from it.
+
+    Returns
+    -------
+    actors : dict
+        By name.
+
+    Raises
+    ------
+    InputError
+        A field is missing, or the shapes were built from another description.
+    """
+    try:
+        with source.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            arrays = {key: stored[key] for key in stored.files}
+    except FileNotFoundError:
+        raise InputError(str(source), Unquoted("no such file"), _REMEDY) from None
+    if str(arrays.get("fingerprint")) != fingerprint(table):
+        raise InputError(str(source), Unquoted("shapes of another actors.toml"), _REMEDY)
+    return {name: _build_actor(name, entry, arrays) for name, entry in table.items()}
+
+
+_REMEDY = "shapes built from it: python -m geometry.bodies"
+
+
+def fingerprint(table: Table) -> str:
+    """Hash of a catalogue's content, whatever its layout and comments."""
+    text = json.dumps(table, sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def pick_actor(name: str, where: str) -> Actor:
@@ -87,55 +194,24 @@ def pick_actor(name: str, where: str) -> Actor:
     return actor
 
 
-def _build_actor(name: str, entry: Table) -> Actor:
-    import trimesh
-
+def _build_actor(name: str, entry: Table, arrays: dict[str, NDArray[Any]]) -> Actor:
     where = f"actors.toml: {name}"
-    size_m = np.array([take_number(entry, f"{axis}_m", where) for axis in _AXES])
-    parts = [
-        mesh
-        for index, part in enumerate(take_list(entry, "parts", where))
-        for mesh in _build_part(part, f"{where}.parts[{index}]")
-    ]
-    body = trimesh.util.concatenate(parts)
-    low, high = body.bounds
-    vertices = (body.vertices - low) / (high - low) * size_m
-    vertices -= [0.5 * size_m[0], 0.5 * size_m[1], 0.0]
+    n_shapes = int(arrays[f"{name}/n_shapes"])
+    numbers = {key: take_number(entry, key, where) for key in _SIZES}
+    numbers |= {key: take_number(entry, key, where) for key in _OPTIONAL if key in entry}
     return Actor(
         name=name,
         class_name=take_text(entry, "class_name", where),
-        length_m=float(size_m[0]),
-        width_m=float(size_m[1]),
-        height_m=float(size_m[2]),
-        vertices_m=vertices,
-        triangles=body.faces,
+        shapes=tuple(
+            Shape(
+                vertices_m=arrays[f"{name}/{index}/vertices_m"],
+                triangles=arrays[f"{name}/{index}/triangles"],
+            )
+            for index in range(n_shapes)
+        ),
+        **numbers,
     )
 
 
-_AXES = ("length", "width", "height")
-
-
-def _build_part(part: Table, where: str) -> list[Any]:
-    import trimesh
-
-    if "ring" in part:
-        ring = part["ring"]
-        mesh = trimesh.creation.torus(
-            major_radius=take_number(ring, "radius", where),
-            minor_radius=take_number(ring, "tyre_radius", where),
-            major_sections=20,
-            minor_sections=8,
-        )
-        # trimesh lays the ring flat; a wheel stands, axle along y.
-        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2.0, [1.0, 0.0, 0.0]))
-        mesh.apply_translation(float_array(ring["centre"], (3,), f"{where}.centre"))
-    else:
-        spheres = float_array(take_list(part, "spheres", where), (-1, 4), f"{where}.spheres")
-        ball = trimesh.creation.icosphere(subdivisions=_SPHERE_SUBDIVISIONS).vertices
-        points = spheres[:, None, :3] + spheres[:, None, 3:] * ball
-        mesh = trimesh.convex.convex_hull(points.reshape(-1, 3))
-    if not part.get("mirror", False):
-        return [mesh]
-    mirrored = mesh.copy()
-    mirrored.apply_transform(np.diag([1.0, -1.0, 1.0, 1.0]))
-    return [mesh, mirrored]
+_SIZES = ("length_m", "width_m", "height_m")
+_OPTIONAL = ("cycle_m", "reference_ahead_m", "wheelbase_m", "front_axle_ahead_m")

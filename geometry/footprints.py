@@ -1,5 +1,7 @@
 """Oriented rectangles on the road plane: corners and distance."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -79,3 +81,84 @@ def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> Floa
             apart = apart - 0.5 * np.abs(side_east * normal_east + side_north * normal_north)
         np.maximum(separation, apart / np.hypot(normal_east, normal_north), out=separation)
     return separation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FootprintSizes:
+    """Full sizes of two rectangles.
+
+    Attributes
+    ----------
+    length_a_m, width_a_m, length_b_m, width_b_m : float
+        Of the one and of the other. [m]
+    """
+
+    length_a_m: float
+    width_a_m: float
+    length_b_m: float
+    width_b_m: float
+
+
+def separation_between(
+    offset_m: ArrayLike, yaw_a_deg: ArrayLike, yaw_b_deg: ArrayLike, *, sizes: FootprintSizes
+) -> FloatArray:
+    """Same as :func:`footprint_separation` from middles and headings: several times as fast.
+
+    Parameters
+    ----------
+    offset_m : (..., 2) float
+        From the middle of a to the middle of b. [m]
+    yaw_a_deg, yaw_b_deg : (...,) float
+        Directions of the lengths; leading axes broadcast. [deg]
+    sizes : FootprintSizes
+        Of both.
+
+    Returns
+    -------
+    separation_m : (...,) float
+        Positive: apart; negative: minus the depth of the overlap. [m]
+
+    Examples
+    --------
+    >>> sizes = FootprintSizes(length_a_m=2.0, width_a_m=2.0, length_b_m=4.0, width_b_m=1.0)
+    >>> float(separation_between([5.0, 0.0], 0.0, 90.0, sizes=sizes).round(12))
+    3.5
+    """
+    separation: FloatArray = gaps_between(offset_m, yaw_a_deg, yaw_b_deg, sizes=sizes).max(axis=0)
+    return separation
+
+
+def gaps_between(
+    offset_m: ArrayLike, yaw_a_deg: ArrayLike, yaw_b_deg: ArrayLike, *, sizes: FootprintSizes
+) -> FloatArray:
+    """Gaps between two rectangles along each of their sides' normals.
+
+    Parameters
+    ----------
+    offset_m, yaw_a_deg, yaw_b_deg, sizes
+        As for :func:`separation_between`, which is the largest of the four.
+
+    Returns
+    -------
+    gaps_m : (4, ...) float
+        Along the length and the width of a, then of b; negative where they overlap. [m]
+    """
+    offset = np.asarray(offset_m, dtype=np.float64)
+    yaw_a = np.radians(np.asarray(yaw_a_deg, dtype=np.float64))
+    yaw_b = np.radians(np.asarray(yaw_b_deg, dtype=np.float64))
+    east, north = offset[..., 0], offset[..., 1]
+    cos_a, sin_a, cos_b, sin_b = np.cos(yaw_a), np.sin(yaw_a), np.cos(yaw_b), np.sin(yaw_b)
+    # What the sides of one throw onto the normals of the other depends on the angle between them.
+    along, across = np.abs(cos_a * cos_b + sin_a * sin_b), np.abs(sin_a * cos_b - cos_a * sin_b)
+    length_a, width_a = 0.5 * sizes.length_a_m, 0.5 * sizes.width_a_m
+    length_b, width_b = 0.5 * sizes.length_b_m, 0.5 * sizes.width_b_m
+    gaps = np.empty((4, *np.broadcast(east, along).shape))
+    np.abs(east * cos_a + north * sin_a, out=gaps[0, ...])
+    np.abs(north * cos_a - east * sin_a, out=gaps[1, ...])
+    np.abs(east * cos_b + north * sin_b, out=gaps[2, ...])
+    np.abs(north * cos_b - east * sin_b, out=gaps[3, ...])
+    gaps[0] -= length_a + length_b * along + width_b * across
+    gaps[1] -= width_a + length_b * across + width_b * along
+    gaps[2] -= length_b + length_a * along + width_a * across
+    gaps[3] -= width_b + length_a * across + width_a * along
+    return gaps

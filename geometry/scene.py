@@ -1,6 +1,6 @@
 """A junction as it stands: triangles that hide things, and sites that carry sensors."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -109,6 +109,10 @@ class Scene:
         Lanes of the junction's arms.
     crs : str
         Coordinate reference system in which the world frame lies, for pyproj.
+    crosswalks_m : (n, 2, 2) float
+        Lines on which pedestrians cross an arm, from end to end. World frame. [m]
+    road_network : str
+        OpenDRIVE file that has the same roads in the same frame; empty: none.
     """
 
     name: str
@@ -120,6 +124,8 @@ class Scene:
     outline_m: FloatArray
     lanes: "tuple[Lane, ...]"
     crs: str
+    crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    road_network: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -128,15 +134,17 @@ class Scene:
         object.__setattr__(
             self, "outline_m", float_array(self.outline_m, (-1, 2), f"{self.name}: outline_m")
         )
-        for field in ("triangles", "triangle_instance"):
-            array = np.array(getattr(self, field), dtype=np.int32)
-            object.__setattr__(self, field, freeze(array))
+        crosswalks = float_array(self.crosswalks_m, (-1, 2, 2), f"{self.name}: crosswalks_m")
+        object.__setattr__(self, "crosswalks_m", crosswalks)
+        for name in ("triangles", "triangle_instance"):
+            array = np.array(getattr(self, name), dtype=np.int32)
+            object.__setattr__(self, name, freeze(array))
         n_triangles = len(self.triangles)
-        for field, shape, limit in (
+        for name, shape, limit in (
             ("triangles", (n_triangles, 3), len(self.vertices_m)),
             ("triangle_instance", (n_triangles,), len(self.instances)),
         ):
-            array, where = getattr(self, field), f"{self.name}: {field}"
+            array, where = getattr(self, name), f"{self.name}: {name}"
             if array.shape != shape:
                 raise InputError(where, Unquoted(f"shape {array.shape}"), f"shape {shape}")
             outside = array[(array < 0) | (array >= limit)]

@@ -13,6 +13,7 @@ from .actors import pick_actor
 from .arrays import FloatArray, float_array
 from .errors import InputError
 from .frames import from_carla_points, from_carla_yaw
+from .parking import park_row
 from .poses import Pose, to_world
 from .scene import Instance, Lane, Scene, Site
 from .toml_files import Table, load_toml, take, take_list, take_number, take_text
@@ -81,6 +82,10 @@ def load_scene(source: Path | Traversable) -> Scene:
         outline_m=_points(table, "outline_m", where),
         lanes=tuple(_build_lane(entry, here) for entry, here in _entries(table, "lanes", where)),
         crs=take_text(table, "crs", where),
+        crosswalks_m=np.array(
+            [_ends(entry, here) for entry, here in _entries(table, "crosswalks", where)]
+        ).reshape(-1, 2, 2),
+        road_network=take_text(table, "road_network", where) if "road_network" in table else "",
     )
 
 
@@ -146,18 +151,22 @@ def _build_wall(entry: Table, where: str) -> Iterator[_Body]:
 def _build_row(entry: Table, where: str) -> Iterator[_Body]:
     name = take_text(entry, "id", where)
     yaw_deg = float(from_carla_yaw(take_number(entry, "yaw_deg", where)))
-    backwards = -np.array([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))])
-    bumper = _point(entry, "first_m", where)
     gap_m = take_number(entry, "gap_m", where)
     if gap_m < 0.0:
         raise InputError(f"{where}.gap_m", gap_m, "a number, at least 0")
-    for index, actor_name in enumerate(take_list(entry, "actors", where)):
-        actor = pick_actor(actor_name, f"{where}.actors[{index}]")
-        middle = bumper + 0.5 * actor.length_m * backwards
-        pose = Pose(position_m=np.append(middle, 0.0), yaw_deg=yaw_deg)
+    row = park_row(
+        [
+            pick_actor(actor_name, f"{where}.actors[{index}]")
+            for index, actor_name in enumerate(take_list(entry, "actors", where))
+        ],
+        first_bumper_m=_point(entry, "first_m", where),
+        yaw_deg=yaw_deg,
+        gap_m=gap_m,
+    )
+    for index, parked in enumerate(row):
         instance = Instance(id=f"{name}-{index + 1}", class_name="parked vehicle")
-        yield instance, to_world(actor.vertices_m, pose), actor.triangles
-        bumper = bumper + (actor.length_m + gap_m) * backwards
+        shape = parked.actor.shapes[0]
+        yield instance, to_world(shape.vertices_m, parked.pose), shape.triangles
 
 
 def _build_pole(entry: Table, where: str) -> Iterator[_Body]:
@@ -226,6 +235,13 @@ def _point(entry: Table, key: str, where: str) -> FloatArray:
 
 def _points(entry: Table, key: str, where: str) -> FloatArray:
     return from_carla_points(float_array(take_list(entry, key, where), (-1, 2), f"{where}.{key}"))
+
+
+def _ends(entry: Table, where: str) -> FloatArray:
+    ends = float_array(take_list(entry, "ends_m", where), (2, 2), f"{where}.ends_m")
+    if (ends[0] == ends[1]).all():
+        raise InputError(f"{where}.ends_m", ends.tolist(), "two different points")
+    return from_carla_points(ends)
 
 
 def _positive(entry: Table, key: str, where: str) -> float:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from geometry.scene import Scene
 from scenarios.aeb import AebRule
-from scenarios.runs import FrameAxis, Run
+from scenarios.runs import FrameAxis, Refusal, Run
 
 from .detector import Detector
 
@@ -25,6 +25,8 @@ class Setting:
         From detected frames to braking.
     detector : Detector
         What counts as a detection.
+    refusals : tuple of Refusal
+        What was asked for, but cannot be driven.
     """
 
     scene: Scene
@@ -32,6 +34,7 @@ class Setting:
     axis: FrameAxis
     rule: AebRule
     detector: Detector
+    refusals: tuple[Refusal, ...] = ()
 
     def __repr__(self) -> str:
         return f"Setting({self.scene.name!r}, {len(self.runs)} runs)"

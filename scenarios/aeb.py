@@ -1,128 +1,34 @@
-"""Autonomous emergency braking: the rule that optimiser and evaluator share.
+"""Autonomous emergency braking: what optimiser and evaluator share.
 
 Times are relative to the unbraked impact: negative before it.
 """
 
-from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError
-from geometry.footprints import footprint_corners, footprint_separation
-from geometry.toml_files import load_toml, take, take_number
 
-from .paths import Motion
+from .braking import AebRule as AebRule
+from .braking import braking_distance_m as braking_distance_m
+from .braking import braking_speed_mps, standstill_time_s
+from .braking import load_aeb_rule as load_aeb_rule
+from .encounters import GRAZING_M, Cells, Measures, find_first_touch
+from .encounters import Encounter as Encounter
+from .encounters import first_contact_s as first_contact_s
 
-_ONSET_STEP_S = 0.05  # first pass over the onsets of braking
-_TIME_STEP_S = 0.01  # first pass over the time after the onset
+_ONSET_STEP_S = 0.25  # first cells of the search for the last brake time
+_ONSET_TOLERANCE_S = 1.0e-5
 _FINE_STEP_S = 0.001  # a footprint moves 1.7 cm in it at 60 km/h
-_BRACKET_POINTS = 17
-_REFINEMENTS = 3  # each narrows the bracket sixteenfold: 0.1 s -> 24 microseconds
+_CLOSER_LOOKS = 3  # each 32 times as fine: to a thirtieth of a microsecond
+_CLOSER = np.linspace(-1.0, 1.0, 65)
 _TIME_TOLERANCE_S = 1.0e-9  # frames lie on multiples of 0.1 s, which binary numbers only approach
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AebRule:
-    """From detected frames to braking.
-
-    Attributes
-    ----------
-    deceleration_mps2 : float
-        Constant from the onset. [m/s^2]
-    latency_s : float
-        From the confirming frame to the onset of braking. [s]
-    n_confirmations : int
-        Consecutive detected frames that confirm a VRU.
-    frame_rate_hz : float
-        Frames per second. [Hz]
-    """
-
-    deceleration_mps2: float
-    latency_s: float
-    n_confirmations: int
-    frame_rate_hz: float
-
-    def __post_init__(self) -> None:
-        for field in ("deceleration_mps2", "frame_rate_hz"):
-            if not (np.isfinite(getattr(self, field)) and getattr(self, field) > 0.0):
-                raise InputError(f"aeb.{field}", getattr(self, field), "a positive number")
-        if not (np.isfinite(self.latency_s) and self.latency_s >= 0.0):
-            raise InputError("aeb.latency_s", self.latency_s, "seconds, at least 0")
-        n_frames = self.n_confirmations
-        if not isinstance(n_frames, int) or isinstance(n_frames, bool) or n_frames < 1:
-            raise InputError("aeb.n_confirmations", n_frames, "a whole number, >= 1")
-
-
-@cache
-def load_aeb_rule() -> AebRule:
-    """The study's rule, from ``data/aeb.toml``."""
-    table = load_toml(files(__package__) / "data" / "aeb.toml")
-    return AebRule(
-        deceleration_mps2=take_number(table, "deceleration_mps2", "aeb.toml"),
-        latency_s=take_number(table, "latency_s", "aeb.toml"),
-        n_confirmations=take(table, "n_confirmations", "aeb.toml"),
-        frame_rate_hz=take_number(table, "frame_rate_hz", "aeb.toml"),
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Encounter:
-    """Two bodies on collision course: without braking they first touch at time 0.
-
-    Attributes
-    ----------
-    vut, vru : Actor
-        The bodies; only their footprints count here.
-    vut_motion, vru_motion : Motion
-        Without braking. The path's origin is the middle of the footprint.
-    """
-
-    vut: Actor
-    vut_motion: Motion
-    vru: Actor
-    vru_motion: Motion
-
-
-def braking_distance_m(
-    time_s: ArrayLike, *, speed_mps: ArrayLike, deceleration_mps2: float
-) -> FloatArray:
-    """Distance covered in the time since the onset of braking, until standstill and after.
-
-    Parameters
-    ----------
-    time_s : (...,) float
-        Since the onset, at least 0. [s]
-    speed_mps : (...,) float
-        At the onset. [m/s]
-    deceleration_mps2 : float
-        Constant, positive. [m/s^2]
-
-    Returns
-    -------
-    distance_m : (...,) float
-        v t - a t^2 / 2, and v^2 / (2 a) from t = v / a on. [m]
-
-    Examples
-    --------
-    >>> float(braking_distance_m(10.0, speed_mps=20.0, deceleration_mps2=8.0))
-    25.0
-    """
-    speed = np.asarray(speed_mps, dtype=np.float64)
-    braking = np.minimum(np.asarray(time_s, dtype=np.float64), speed / deceleration_mps2)
-    distance: FloatArray = speed * braking - 0.5 * deceleration_mps2 * braking**2
-    return distance
 
 
 def smallest_separation_m(
     encounter: Encounter,
     onset_s: ArrayLike,
     *,
-    deceleration_mps2: float,
+    rule: AebRule,
     time_step_s: float = _FINE_STEP_S,
 ) -> FloatArray:
     """Smallest separation of the footprints from the onset of braking until the VUT stands.
@@ -133,53 +39,31 @@ def smallest_separation_m(
         Who meets whom.
     onset_s : (n,) float
         When braking sets in. Before, the VUT drives as in the encounter. [s]
-    deceleration_mps2 : float
-        Constant, along the VUT's path. [m/s^2]
+    rule : AebRule
+        How the VUT brakes, along its path.
     time_step_s : float
         Step at which the separation is looked at. [s]
 
     Returns
     -------
     separation_m : (n,) float
-        Zero or less: they touch. Footprints more than their half diagonals apart count as
-        infinitely far.
+        Zero or less: they touch. [m]
     """
-    onset = np.atleast_1d(np.asarray(onset_s, dtype=np.float64))
-    vut, vru = encounter.vut_motion, encounter.vru_motion
-    speed = np.where(onset >= vut.start_time_s, vut.speed_mps, 0.0)
-    until_standstill_s = vut.speed_mps / deceleration_mps2
-    since_onset = np.linspace(0.0, until_standstill_s, int(until_standstill_s / time_step_s) + 2)
-
-    vut_distance = vut.distance_m(onset)[:, None] + braking_distance_m(
-        since_onset, speed_mps=speed[:, None], deceleration_mps2=deceleration_mps2
-    )
-    vut_position, vut_yaw = vut.path.at(vut_distance)
-    vru_position, vru_yaw = vru.path.at(vru.distance_m(onset[:, None] + since_onset))
-
-    reach = 0.5 * (
-        np.hypot(encounter.vut.length_m, encounter.vut.width_m)
-        + np.hypot(encounter.vru.length_m, encounter.vru.width_m)
-    )
-    between = vut_position - vru_position
-    is_near = (between**2).sum(axis=-1) <= reach**2
-    separation = np.full(vut_distance.shape, np.inf)
-    separation[is_near] = footprint_separation(
-        _footprints(encounter.vut, vut_position[is_near], vut_yaw[is_near]),
-        _footprints(encounter.vru, vru_position[is_near], vru_yaw[is_near]),
-    )
-    smallest: FloatArray = separation.min(axis=1)
+    onset = np.atleast_1d(np.asarray(onset_s, dtype=np.float64))[:, None]
+    since_onset = _looks_s(encounter, rule, time_step_s)
+    smallest: FloatArray = _separation_m(encounter, onset, since_onset, rule).min(axis=1)
     return smallest
 
 
-def last_brake_time_s(encounter: Encounter, *, deceleration_mps2: float) -> float:
+def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
     """Latest onset of braking such that it and every earlier one avoids the contact.
 
     Parameters
     ----------
     encounter : Encounter
         Who meets whom.
-    deceleration_mps2 : float
-        Constant. [m/s^2]
+    rule : AebRule
+        How the VUT brakes.
 
     Returns
     -------
@@ -188,36 +72,66 @@ def last_brake_time_s(encounter: Encounter, *, deceleration_mps2: float) -> floa
 
     Notes
     -----
-    Swept, not solved: paths may bend. Onsets are looked at every 0.05 s and the first bracket in
-    which contact sets in is narrowed to 24 microseconds.
+    Swept, not solved: paths may bend, and contact may set in, vanish and set in again with later
+    onsets. The sweep goes over onsets and times at once, coarsely where the bodies are far apart;
+    see :func:`scenarios.encounters.find_first_touch`. An onset 10 microseconds later leads to
+    contact.
     """
-    start = encounter.vut_motion.start_time_s
-    onsets = np.append(np.arange(start, 0.0, _ONSET_STEP_S), 0.0)
-    touches = (
-        smallest_separation_m(
-            encounter, onsets, deceleration_mps2=deceleration_mps2, time_step_s=_TIME_STEP_S
-        )
-        <= 0.0
-    )
-    if touches[0]:
+    vut, vru = encounter.vut_motion, encounter.vru_motion
+    start = vut.start_time_s
+    if start >= 0.0:
         return -np.inf
-    if not touches.any():
-        return 0.0
-    late = int(np.argmax(touches))
-    # Two steps back: the finer time step may see a contact that the first pass just missed.
-    low, high = onsets[max(late - 2, 0)], onsets[late]
-    for _ in range(_REFINEMENTS):
-        onsets = np.linspace(low, high, _BRACKET_POINTS)
-        touches = (
-            smallest_separation_m(encounter, onsets, deceleration_mps2=deceleration_mps2) <= 0.0
+    standstill = float(standstill_time_s(vut.speed_mps, rule=rule))
+    closing = encounter.vru_reach * vru.speed_mps
+    bend = encounter.max_gap_bend_mps2(rule.deceleration_mps2)
+
+    def measure(cells: Cells) -> Measures:
+        onset, half_onset, half_time = cells.first_s, cells.half_first_s, cells.half_second_s
+        times = np.stack([cells.second_s - half_time, cells.second_s + half_time])
+        since_onset = times - onset
+        driven = vut.distance_m(np.minimum(onset, times)) + braking_distance_m(
+            np.maximum(since_onset, 0.0), speed_mps=vut.speed_mps, rule=rule
         )
-        touches[-1] = True  # seen before, perhaps only by the other time step
-        late = int(np.argmax(touches))
-        low, high = onsets[max(late - 1, 0)], onsets[late]
-    return float(low)
+        gaps = encounter.gaps_m(driven, vru.distance_m(times))  # (4, 2, n)
+        separation = gaps.max(axis=0)
+        fastest, slowest = braking_speed_mps(
+            np.maximum(np.stack([since_onset[0] - half_onset, since_onset[1] + half_onset]), 0.0),
+            speed_mps=vut.speed_mps,
+            rule=rule,
+        )
+        speed = encounter.vut_reach * fastest + closing
+        mean = 0.5 * (separation[0] + separation[1])
+        # Between its ends a gap sags no deeper than a parabola, as long as nobody sets off.
+        is_smooth = (separation[0] <= encounter.near_m) & (speed * half_time <= encounter.small_m)
+        for set_off_s in (start, vru.start_time_s):
+            is_smooth &= (times[0] >= set_off_s) | (times[1] <= set_off_s)
+        sagging = gaps.min(axis=1).max(axis=0) - 0.5 * bend * half_time**2
+        lowest = mean - speed * half_time
+        lowest = np.where(is_smooth, np.maximum(lowest, sagging), lowest)
+        # A later onset has let the VUT keep the speed that an earlier one has taken since.
+        onset_moves = encounter.vut_reach * (vut.speed_mps - slowest) * half_onset
+        may_touch = (lowest <= onset_moves) & (since_onset[0] - half_onset <= standstill)
+        counts = (since_onset >= 0.0) & (since_onset <= standstill + _TIME_TOLERANCE_S)
+        touches = ((separation <= 0.0) & counts).any(axis=0)
+        touches |= may_touch & (onset_moves + speed * half_time <= GRAZING_M)
+        return Measures(
+            may_touch=may_touch, touches=touches, is_cut_along_first=onset_moves >= mean - lowest
+        )
+
+    n_onsets = int(-start / _ONSET_STEP_S) + 1
+    step = -start / n_onsets
+    onset = start + step * (np.arange(n_onsets) + 0.5)
+    since_onset = step * np.arange(int(standstill / step) + 2)
+    onsets, times = np.broadcast_arrays(onset[:, None], onset[:, None] + since_onset)
+    half = np.full(onsets.size, 0.5 * step)
+    cells = Cells(
+        first_s=onsets.ravel(), second_s=times.ravel(), half_first_s=half, half_second_s=half
+    )
+    safe_s, _ = find_first_touch(cells, measure, tolerance_s=_ONSET_TOLERANCE_S)
+    return -np.inf if safe_s <= start else min(safe_s, 0.0)
 
 
-def has_contact(encounter: Encounter, onset_s: float, *, deceleration_mps2: float) -> bool:
+def has_contact(encounter: Encounter, onset_s: float, rule: AebRule) -> bool:
     """Whether the footprints touch although the VUT brakes from `onset_s` on.
 
     Parameters
@@ -226,18 +140,39 @@ def has_contact(encounter: Encounter, onset_s: float, *, deceleration_mps2: floa
         Who meets whom.
     onset_s : float
         When braking sets in; infinite: never. At or after the impact it is too late. [s]
-    deceleration_mps2 : float
-        Constant. [m/s^2]
+    rule : AebRule
+        How the VUT brakes.
 
     Returns
     -------
     has_contact : bool
         True: not avoided.
+
+    Notes
+    -----
+    Looks every millisecond, and closer wherever they come nearest in between: no shortcut of
+    :func:`last_brake_time_s` is used.
     """
     if onset_s >= 0.0:
         return True
-    separation = smallest_separation_m(encounter, onset_s, deceleration_mps2=deceleration_mps2)
-    return bool(separation[0] <= 0.0)
+    closing_mps = (
+        encounter.vut_reach * encounter.vut_motion.speed_mps
+        + encounter.vru_reach * encounter.vru_motion.speed_mps
+    )
+    looks = _looks_s(encounter, rule, _FINE_STEP_S)[None, :]
+    standstill_s, step_s = looks[0, -1], _FINE_STEP_S
+    for _ in range(_CLOSER_LOOKS + 1):
+        separation = _separation_m(encounter, onset_s, looks, rule)
+        if (separation <= 0.0).any():
+            return True
+        around = np.pad(separation, ((0, 0), (1, 1)), constant_values=np.inf)
+        is_nearest = (separation < around[:, :-2]) & (separation <= around[:, 2:])
+        nearest_s = looks[is_nearest & (separation <= closing_mps * step_s)]
+        if len(nearest_s) == 0:
+            break
+        looks = np.clip(nearest_s[:, None] + step_s * _CLOSER, 0.0, standstill_s)
+        step_s *= _CLOSER[1] - _CLOSER[0]
+    return False
 
 
 def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray:
@@ -321,5 +256,19 @@ def is_in_time(
     return in_time
 
 
-def _footprints(actor: Actor, position_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
-    return footprint_corners(position_m, yaw_deg, length_m=actor.length_m, width_m=actor.width_m)
+def _looks_s(encounter: Encounter, rule: AebRule, step_s: float) -> FloatArray:
+    """Times since the onset at which to look, until the VUT stands, (n,)."""
+    standstill = float(standstill_time_s(encounter.vut_motion.speed_mps, rule=rule))
+    return np.linspace(0.0, standstill, int(standstill / step_s) + 2)
+
+
+def _separation_m(
+    encounter: Encounter, onset_s: ArrayLike, since_onset_s: FloatArray, rule: AebRule
+) -> FloatArray:
+    """Separation after times since onsets of braking; both broadcast."""
+    vut, onset = encounter.vut_motion, np.asarray(onset_s, dtype=np.float64)
+    speed = np.where(onset >= vut.start_time_s, vut.speed_mps, 0.0)
+    return encounter.separation_m(
+        vut.distance_m(onset) + braking_distance_m(since_onset_s, speed_mps=speed, rule=rule),
+        encounter.vru_motion.distance_m(onset + since_onset_s),
+    )

@@ -2,13 +2,56 @@
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
+from geometry.errors import InputError
 
+from .exposure_files import weight_from_csv
+from .rating import RATING, weight_by_rating
 from .runs import Run
+
+_BY_WORD = ("run", "case", RATING)
+
+
+def weigh(runs: Sequence[Run], how: str) -> FloatArray:
+    """Weights by the word of a user.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        At least one.
+    how : str
+        "run": every run the same, as in the study; "case": every case the same;
+        "euroncap-rating-2026": by Euro NCAP's points, see
+        :func:`scenarios.rating.weight_by_rating`; else a CSV file, see
+        :func:`scenarios.exposure_files.weight_from_csv`.
+
+    Returns
+    -------
+    weight : (n_runs,) float
+        Sums to 1.
+
+    Raises
+    ------
+    InputError
+        The word is unknown and no file, or the weights do not fit the runs.
+    MissingExtraError
+        What the word needs is not installed.
+    """
+    if how == "run":
+        return weight_per_run(runs)
+    if how == "case":
+        return weight_per_case(runs)
+    if how == RATING:
+        return weight_by_rating(runs)
+    path = Path(how)
+    if not how or not path.exists():
+        raise InputError("--weights", how, f"{', '.join(_BY_WORD)}, or a CSV file that exists")
+    return weight_from_csv(path, runs)
 
 
 def weight_per_run(runs: Sequence[Run]) -> FloatArray:
@@ -25,6 +68,23 @@ def weight_per_run(runs: Sequence[Run]) -> FloatArray:
         Sums to 1.
     """
     return np.full(len(runs), 1.0 / len(runs))
+
+
+def weight_per_case(runs: Sequence[Run]) -> FloatArray:
+    """Equal weight for every case, and within a case for every run.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        At least one.
+
+    Returns
+    -------
+    weight : (n_runs,) float
+        Sums to 1.
+    """
+    names = [run.case.name for run in runs]
+    return np.array([1.0 / names.count(name) for name in names]) / len(set(names))
 
 
 def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:

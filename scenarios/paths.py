@@ -1,11 +1,55 @@
 """Paths on the road plane and motion along them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.integrate import solve_ivp
 
-from geometry.arrays import FloatArray, float_array
+from geometry.arrays import FloatArray, float_array, freeze
+from geometry.errors import InputError
+
+from .turns import Turn
+
+_TABLE_STEP_M = 0.005  # chords of an arc of 8 m come within half a micrometre of it
+_ODE_TOLERANCE = 1.0e-11
+
+
+class Path(Protocol):
+    """Where a body is after a distance.
+
+    The middle of its footprint never moves further than the distance, and its line is never bent
+    more than three times as much as the heading turns at most.
+    """
+
+    def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Position of the middle of the footprint and heading after a distance.
+
+        Parameters
+        ----------
+        distance_m : (...,) float
+            Along the path; may be negative or beyond its end. [m]
+
+        Returns
+        -------
+        position_m : (..., 2) float
+            East, north. [m]
+        yaw_deg : (...,) float
+            Heading. [deg]
+        """
+        ...
+
+    @property
+    def max_turn_rad_per_m(self) -> float:
+        """What the heading changes by at most in a metre, in rad/m."""
+        ...
+
+    @property
+    def max_turn_change_rad_per_m2(self) -> float:
+        """What the heading's change per metre itself changes by at most in a metre, in rad/m^2."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -22,18 +66,119 @@ class StraightPath:
 
     start_m: FloatArray
     yaw_deg: float
+    _direction: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start_m", float_array(self.start_m, (2,), "start_m"))
+        object.__setattr__(self, "_direction", _unit_vector(self.yaw_deg, "yaw_deg"))
 
     @property
     def direction(self) -> FloatArray:
         """Unit vector of the driving direction, (2,)."""
-        yaw = np.radians(self.yaw_deg)
-        return np.array([np.cos(yaw), np.sin(yaw)])
+        return self._direction
+
+    @property
+    def max_turn_rad_per_m(self) -> float:
+        """Zero: the heading stays."""
+        return 0.0
+
+    @property
+    def max_turn_change_rad_per_m2(self) -> float:
+        """Zero: the heading stays."""
+        return 0.0
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position and heading after a distance.
+        """Position and heading after a distance; see :meth:`Path.at`."""
+        distance = np.asarray(distance_m, dtype=np.float64)
+        position: FloatArray = self.start_m + distance[..., None] * self._direction
+        return position, np.full(distance.shape, self.yaw_deg)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TurnPath:
+    """A vehicle's way straight on, round a turn and straight on for ever.
+
+    Distances are those of the front axle's centre, which follows the line: the protocol's control
+    point. The rear axle is dragged behind it and never slips sideways.
+
+    Attributes
+    ----------
+    start_m : (2,) float
+        East, north of the front axle's centre at distance 0. [m]
+    yaw_deg : float
+        Direction there, counter-clockwise from east. [deg]
+    straight_m : float
+        From there to the start of the turn. [m]
+    turn : Turn
+        The curve.
+    wheelbase_m : float
+        Front axle to rear axle. [m]
+    front_axle_ahead_m : float
+        Front axle ahead of the middle of the footprint. [m]
+    """
+
+    start_m: FloatArray
+    yaw_deg: float
+    straight_m: float
+    turn: Turn
+    wheelbase_m: float
+    front_axle_ahead_m: float
+    _direction: FloatArray = field(init=False, repr=False)
+    _table: "_TurnTable" = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start_m", float_array(self.start_m, (2,), "start_m"))
+        object.__setattr__(self, "_direction", _unit_vector(self.yaw_deg, "yaw_deg"))
+        if not 0.0 <= self.straight_m < np.inf:
+            raise InputError("straight_m", self.straight_m, "metres, at least 0")
+        if not 0.0 < self.wheelbase_m < np.inf:
+            raise InputError("wheelbase_m", self.wheelbase_m, "> 0 metres")
+        if not 0.0 <= self.front_axle_ahead_m <= self.wheelbase_m:
+            raise InputError(
+                "front_axle_ahead_m", self.front_axle_ahead_m, "0 <= metres <= wheelbase"
+            )
+        object.__setattr__(self, "_table", _build_table(self.turn, float(self.wheelbase_m)))
+
+    @property
+    def max_turn_rad_per_m(self) -> float:
+        """Curvature of the arc; a car turns no faster than the path that it is dragged along."""
+        return 1.0 / max(self.turn.radius_m, self.wheelbase_m)
+
+    @property
+    def max_turn_change_rad_per_m2(self) -> float:
+        """The car turns by sin(lag) / wheelbase per metre, and its lag grows by the curvature."""
+        return 1.0 / (self.turn.radius_m * self.wheelbase_m)
+
+    def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Position of the middle of the footprint and heading of the body; see :meth:`Path.at`."""
+        table = self._table
+        on_turn = np.asarray(distance_m, dtype=np.float64) - self.straight_m
+        inside = np.minimum(np.maximum(on_turn, 0.0), table.distance_m[-1])
+        beyond = on_turn - inside  # negative before the turn
+        after = np.maximum(beyond, 0.0)
+        exit_direction = table.exit_direction
+        # Dragged along a straight, the tangent of half the angle decays exponentially.
+        lag = 2.0 * np.arctan(table.exit_half_lag_tan * np.exp(-after / self.wheelbase_m))
+        body = np.where(
+            after > 0.0,
+            table.exit_rad - lag,
+            np.interp(inside, table.distance_m, table.body_rad),
+        )
+        ahead = (
+            np.interp(inside, table.distance_m, table.ahead_m)
+            + np.minimum(beyond, 0.0)
+            + after * exit_direction[0]
+            - self.front_axle_ahead_m * np.cos(body)
+        )
+        left = (
+            np.interp(inside, table.distance_m, table.left_m)
+            + after * exit_direction[1]
+            - self.front_axle_ahead_m * np.sin(body)
+        )
+        return self._to_world(ahead, left), self.yaw_deg + np.degrees(body)
+
+    def front_axle_at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Position of the front axle's centre and direction of its path after a distance.
 
         Parameters
         ----------
@@ -45,32 +190,187 @@ class StraightPath:
         position_m : (..., 2) float
             East, north. [m]
         yaw_deg : (...,) float
-            Heading. [deg]
+            Direction of the path; the body's own heading lags behind. [deg]
         """
-        distance = np.asarray(distance_m, dtype=np.float64)
-        position: FloatArray = self.start_m + distance[..., None] * self.direction
-        return position, np.full(distance.shape, self.yaw_deg)
+        point, angle_deg = self.turn.at(np.asarray(distance_m, dtype=np.float64) - self.straight_m)
+        return self._to_world(point[..., 0], point[..., 1]), self.yaw_deg + angle_deg
+
+    def _to_world(self, ahead_m: FloatArray, left_m: FloatArray) -> FloatArray:
+        """From ahead and left of the turn's start to east and north."""
+        along = ahead_m + self.straight_m
+        cosine, sine = self._direction
+        return np.stack(
+            [
+                self.start_m[0] + cosine * along - sine * left_m,
+                self.start_m[1] + sine * along + cosine * left_m,
+            ],
+            axis=-1,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """Stands at the path's start, sets off at `start_time_s` and keeps its speed.
+    """Stands at the path's start, sets off at `start_time_s`, then keeps its speed.
 
     Attributes
     ----------
-    path : StraightPath
+    path : Path
         Where to.
     speed_mps : float
-        Constant. [m/s]
+        Once it is reached. [m/s]
     start_time_s : float
         When it sets off; the impact is at 0. [s]
+    acceleration_distance_m : float
+        From rest to its speed, at constant acceleration; 0: at once. [m]
     """
 
-    path: StraightPath
+    path: Path
     speed_mps: float
     start_time_s: float
+    acceleration_distance_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_speed(self.speed_mps, self.acceleration_distance_m, "motion.")
+        if not np.isfinite(self.start_time_s):
+            raise InputError("motion.start_time_s", self.start_time_s, "a finite time")
+
+    @property
+    def acceleration_mps2(self) -> float:
+        """v^2 / (2 a) over the acceleration distance a; 0 where there is none."""
+        if self.acceleration_distance_m == 0.0:
+            return 0.0
+        return self.speed_mps**2 / (2.0 * self.acceleration_distance_m)
 
     def distance_m(self, time_s: ArrayLike) -> FloatArray:
         """Distance from the path's start at each time, in metres."""
         moving_s = np.maximum(0.0, np.asarray(time_s, dtype=np.float64) - self.start_time_s)
-        return self.speed_mps * moving_s
+        if self.acceleration_distance_m == 0.0:
+            return self.speed_mps * moving_s
+        up_to_speed_s = 2.0 * self.acceleration_distance_m / self.speed_mps
+        gaining_s = np.minimum(moving_s, up_to_speed_s)
+        distance: FloatArray = self.acceleration_distance_m * (
+            gaining_s / up_to_speed_s
+        ) ** 2 + self.speed_mps * (moving_s - gaining_s)
+        return distance
+
+
+def travel_time_s(
+    distance_m: float, *, speed_mps: float, acceleration_distance_m: float = 0.0
+) -> float:
+    """Time from rest to a distance; the inverse of :meth:`Motion.distance_m`.
+
+    Parameters
+    ----------
+    distance_m : float
+        At least 0. [m]
+    speed_mps : float
+        Once it is reached. [m/s]
+    acceleration_distance_m : float
+        From rest to that speed, at constant acceleration. [m]
+
+    Returns
+    -------
+    travel_time_s : float
+        2 a / v for the acceleration distance a, then 1 / v per metre. [s]
+
+    Raises
+    ------
+    InputError
+        The speed is not positive, or a distance is negative.
+
+    Examples
+    --------
+    >>> travel_time_s(10.0, speed_mps=2.0, acceleration_distance_m=1.0)
+    5.5
+    """
+    _check_speed(speed_mps, acceleration_distance_m, "")
+    if not 0.0 <= distance_m < np.inf:
+        raise InputError("distance_m", distance_m, "metres, at least 0")
+    if distance_m < acceleration_distance_m:
+        return float(2.0 * np.sqrt(acceleration_distance_m * distance_m) / speed_mps)
+    return float((distance_m + acceleration_distance_m) / speed_mps)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _TurnTable:
+    """A vehicle on a turn, from the turn's start to its end. Ahead and left of the start.
+
+    Attributes
+    ----------
+    distance_m, ahead_m, left_m : (n,) float
+        Of the front axle. [m]
+    body_rad : (n,) float
+        Heading of the body. [rad]
+    exit_rad : float
+        Direction of the path after the turn. [rad]
+    exit_direction : tuple of float
+        The same as a unit vector.
+    exit_half_lag_tan : float
+        Tangent of half the angle by which the body lags behind there.
+    """
+
+    distance_m: FloatArray
+    ahead_m: FloatArray
+    left_m: FloatArray
+    body_rad: FloatArray
+    exit_rad: float
+    exit_direction: tuple[float, float]
+    exit_half_lag_tan: float
+
+
+@lru_cache(maxsize=64)  # the same few turns are driven again and again
+def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
+    distance = np.linspace(0.0, turn.length_m, int(turn.length_m / _TABLE_STEP_M) + 2)
+    point, angle_deg = turn.at(distance)
+    path_rad = np.radians(angle_deg)
+    lag = turn.side * _lag_rad(turn, wheelbase_m, distance)
+    exit_rad = float(path_rad[-1])
+    return _TurnTable(
+        distance_m=freeze(distance),
+        ahead_m=freeze(point[:, 0].copy()),
+        left_m=freeze(point[:, 1].copy()),
+        body_rad=freeze(path_rad - lag),
+        exit_rad=exit_rad,
+        exit_direction=(float(np.cos(exit_rad)), float(np.sin(exit_rad))),
+        exit_half_lag_tan=float(np.tan(0.5 * lag[-1])),
+    )
+
+
+def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArray:
+    """Angle from the body to the path: grows with the curvature, decays with the sine of itself."""
+    arc_starts, arc_ends = turn.clothoid_length_m, turn.length_m - turn.clothoid_length_m
+    distances = np.array([0.0, arc_starts, arc_ends, turn.length_m])
+    curvatures = 1.0 / np.array([turn.first_radius_m, *2 * [turn.radius_m], turn.first_radius_m])
+
+    def growth(distance: float, lag: FloatArray) -> FloatArray:
+        return np.interp(distance, distances, curvatures) - np.sin(lag) / wheelbase_m
+
+    solution = solve_ivp(
+        growth,
+        (0.0, turn.length_m),
+        [0.0],
+        method="DOP853",
+        t_eval=distance_m,
+        rtol=_ODE_TOLERANCE,
+        atol=_ODE_TOLERANCE,
+        max_step=0.25 * turn.clothoid_length_m,  # or it might step over where the arc begins
+    )
+    lag: FloatArray = solution.y[0]
+    return lag
+
+
+def _unit_vector(yaw_deg: float, name: str) -> FloatArray:
+    if not np.isfinite(yaw_deg):
+        raise InputError(name, yaw_deg, "finite degrees")
+    yaw = np.radians(yaw_deg)
+    direction: FloatArray = freeze(np.array([np.cos(yaw), np.sin(yaw)]))
+    return direction
+
+
+def _check_speed(speed_mps: float, acceleration_distance_m: float, where: str) -> None:
+    if not 0.0 < speed_mps < np.inf:
+        raise InputError(f"{where}speed_mps", speed_mps, "> 0 metres per second")
+    if not 0.0 <= acceleration_distance_m < np.inf:
+        raise InputError(
+            f"{where}acceleration_distance_m", acceleration_distance_m, "metres, at least 0"
+        )

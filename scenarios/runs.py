@@ -1,65 +1,28 @@
 """Runs: a case, driven from an approach at a speed, on a grid of frames that ends at the impact."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.constants import kmh
 
-from geometry.actors import Actor, PlacedActor, pick_actor
+from geometry.actors import Actor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.frames import from_carla_points, from_carla_pose, from_carla_yaw
-from geometry.toml_files import (
-    Table,
-    load_toml,
-    pick,
-    take_list,
-    take_number,
-    take_text,
-)
+from geometry.junction import Junction, build_junction
+from geometry.scene import Scene
 
-from .aeb import AebRule, Encounter, confirmation_time_s, last_brake_time_s
-from .cases import Case, load_cases
-from .paths import Motion, StraightPath
+from .aeb import AebRule, confirmation_time_s, last_brake_time_s
+from .cases import Case
+from .clearance import check_clearance
+from .encounters import Encounter
+from .protocol import stage_by_protocol
+from .published import find_placement, stage_published
+from .staging import CannotCarryError, Staging
 
-APPROACHES = ("north", "east", "south", "west")
+WEATHERS = ("day", "night", "rain")
+PHASES = ("aligned", "worst")
+_N_PHASES = 10  # "worst" looks at so many, evenly spaced over one frame
 _GRID_TOLERANCE = 1.0e-6  # of a frame
-_ON_LINE_TOLERANCE_M = 0.05
-_ANGLE_TOLERANCE_DEG = 1.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CasePlacement:
-    """Where a case is driven at a junction. World frame.
-
-    Attributes
-    ----------
-    case : Case
-        What is driven.
-    approach : str
-        The arm from which the VUT comes.
-    vut_path, vru_path : StraightPath
-        From the start points on.
-    vru_meeting_m : float
-        Distance along the VRU's path from its start to where the middle of the VRU is at the
-        impact. [m]
-    vut_meeting_m : float
-        Distance along the VUT's path from its start to the point beside the VRU's middle. [m]
-    obstruction : tuple of PlacedActor
-        Parked bodies that belong to this case only.
-    """
-
-    case: Case
-    approach: str
-    vut_path: StraightPath
-    vru_path: StraightPath
-    vut_meeting_m: float
-    vru_meeting_m: float
-    obstruction: tuple[PlacedActor, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,21 +32,26 @@ class Run:
     Attributes
     ----------
     id : str
-        "case/approach/speed".
+        "case/approach/speed", by day; else "case/approach/speed/weather".
     case : Case
         What is driven.
     approach : str
         The arm from which the VUT comes.
+    weather : str
+        One of ``WEATHERS``.
     vut_speed_kmh : float
         Constant. [km/h]
     encounter : Encounter
         Bodies and motions without braking.
     time_s : (n_frames,) float
-        Times of the frames, ascending, relative to the impact; the last one is 0. [s]
+        Times of the frames, ascending, relative to the impact; the last one is 0, or at most one
+        frame before. [s]
     vut_position_m, vru_position_m : (n_frames, 2) float
         Middles of the footprints. World frame. [m]
     vut_yaw_deg, vru_yaw_deg : (n_frames,) float
         Headings. [deg]
+    vru_shape : (n_frames,) int
+        Which shape of its gait the VRU has.
     obstruction : tuple of PlacedActor
         Parked bodies of this run.
     last_brake_time_s : float
@@ -93,6 +61,7 @@ class Run:
     id: str
     case: Case
     approach: str
+    weather: str
     vut_speed_kmh: float
     encounter: Encounter
     time_s: FloatArray
@@ -100,6 +69,7 @@ class Run:
     vut_yaw_deg: FloatArray
     vru_position_m: FloatArray
     vru_yaw_deg: FloatArray
+    vru_shape: IntArray
     obstruction: tuple[PlacedActor, ...]
     last_brake_time_s: float
 
@@ -113,7 +83,7 @@ class FrameAxis:
 
     Attributes
     ----------
-    run_ids, cases, approaches : tuple of str
+    run_ids, cases, approaches, weathers : tuple of str
         Per run.
     vut_speed_kmh, weight, last_brake_time_s : (n_runs,) float
         Per run; weights sum to 1. [km/h], share, [s]
@@ -126,6 +96,7 @@ class FrameAxis:
     run_ids: tuple[str, ...]
     cases: tuple[str, ...]
     approaches: tuple[str, ...]
+    weathers: tuple[str, ...]
     vut_speed_kmh: FloatArray
     weight: FloatArray
     last_brake_time_s: FloatArray
@@ -193,6 +164,7 @@ def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
         run_ids=tuple(run.id for run in runs),
         cases=tuple(run.case.name for run in runs),
         approaches=tuple(run.approach for run in runs),
+        weathers=tuple(run.weather for run in runs),
         vut_speed_kmh=np.array([run.vut_speed_kmh for run in runs]),
         weight=weight,
         last_brake_time_s=np.array([run.last_brake_time_s for run in runs]),
@@ -233,68 +205,130 @@ def confirmation_times_s(
     )
 
 
-@cache
-def load_placements() -> tuple[CasePlacement, ...]:
-    """Where each case is driven at the study's junction, from ``data/town05_runs.toml``."""
-    table = load_toml(files(__package__) / "data" / "town05_runs.toml")
-    return tuple(
-        _build_placement(entry, f"town05_runs.toml: placements[{index}]")
-        for index, entry in enumerate(take_list(table, "placements", "town05_runs.toml"))
-    )
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Refusal:
+    """A case that an approach does not carry.
+
+    Attributes
+    ----------
+    case : Case
+        What should be driven.
+    approach : str
+        The arm from which the VUT would come.
+    speeds_kmh : tuple of float
+        At which speeds. [km/h]
+    reason : str
+        Why not.
+    """
+
+    case: Case
+    approach: str
+    speeds_kmh: tuple[float, ...]
+    reason: str
 
 
 def build_runs(
-    placements: Iterable[CasePlacement], *, vut: Actor, rule: AebRule
-) -> tuple[Run, ...]:
-    """All runs of some placements, at every speed of their case.
+    scene: Scene,
+    cases: Iterable[Case],
+    *,
+    vut: Actor,
+    rule: AebRule,
+    approaches: Sequence[str] | None = None,
+    weathers: Sequence[str] = ("day",),
+    phase: str = "aligned",
+) -> tuple[tuple[Run, ...], tuple[Refusal, ...]]:
+    """Lay cases on every approach of a scene's junction.
 
     Parameters
     ----------
-    placements : iterable of CasePlacement
-        Where what is driven.
+    scene : Scene
+        Lanes to drive on, things to hide behind. Where the study's own start and collision points
+        are known for a case, they are taken; all else follows the rules of the protocol.
+    cases : iterable of Case
+        What is driven, at the speeds that each says.
     vut : Actor
         The vehicle under test.
     rule : AebRule
-        Deceleration and frame rate.
+        Braking and frame rate.
+    approaches : sequence of str, optional
+        Arms from which the VUT comes; by default all.
+    weathers : sequence of str
+        Every run is driven once in each. See ``WEATHERS``.
+    phase : str
+        "aligned": a frame at the impact. "worst": of ten phases between two frames, the one whose
+        last frame that still allows to brake in time is the earliest. Of a VRU that stays in sight
+        it leaves the fewest frames, whatever the layout.
 
     Returns
     -------
     runs : tuple of Run
-        In the order of the placements, then of the speeds.
+        In the order of cases, approaches, speeds, weathers.
+    refusals : tuple of Refusal
+        What could not be laid, with the reason.
+
+    Raises
+    ------
+    InputError
+        The junction has no such approach, or there is no such weather or phase.
     """
-    return tuple(
-        _build_run(placement, speed_kmh, vut=vut, rule=rule)
-        for placement in placements
-        for speed_kmh in placement.case.vut_speeds_kmh
-    )
+    junction = build_junction(scene)
+    for words, known, where in (
+        (approaches or (), tuple(junction.arms), "approach"),
+        (weathers, WEATHERS, "weather"),
+        ((phase,), PHASES, "phase"),
+    ):
+        for word in words:
+            if word not in known:
+                raise InputError(where, word, "one of " + ", ".join(known))
+    runs: list[Run] = []
+    refusals: list[Refusal] = []
+    for case in cases:
+        for approach in dict.fromkeys(approaches or junction.arms):
+            reasons: dict[str, list[float]] = {}
+            for speed_kmh in case.vut_speeds_kmh:
+                try:
+                    staging = _stage(case, scene, junction, approach, speed_kmh, vut)
+                except CannotCarryError as error:
+                    reasons.setdefault(str(error), []).append(speed_kmh)
+                    continue
+                run = _build_run(case, approach, speed_kmh, staging, rule=rule, phase=phase)
+                runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
+            refusals += [
+                Refusal(case=case, approach=approach, speeds_kmh=tuple(speeds), reason=reason)
+                for reason, speeds in reasons.items()
+            ]
+    return tuple(runs), tuple(refusals)
 
 
-def _build_run(placement: CasePlacement, speed_kmh: float, *, vut: Actor, rule: AebRule) -> Run:
-    case = placement.case
-    vut_speed, vru_speed = speed_kmh * kmh, case.vru_speed_kmh * kmh
-    gap_m = 0.5 * (case.vru.width_m if case.kind == "crossing" else case.vru.length_m)
-    vut_distance = placement.vut_meeting_m - 0.5 * vut.length_m - gap_m
-    offset_left = vut.width_m * (case.impact_percent - 50.0) / 100.0
-    vru_distance = placement.vru_meeting_m + offset_left * _crossing_sign(placement)
-    encounter = Encounter(
-        vut=vut,
-        vut_motion=Motion(
-            path=placement.vut_path, speed_mps=vut_speed, start_time_s=-vut_distance / vut_speed
-        ),
-        vru=case.vru,
-        vru_motion=Motion(
-            path=placement.vru_path, speed_mps=vru_speed, start_time_s=-vru_distance / vru_speed
-        ),
-    )
-    first_s = min(encounter.vut_motion.start_time_s, encounter.vru_motion.start_time_s)
-    n_steps = int(-first_s * rule.frame_rate_hz + _GRID_TOLERANCE)
-    time_s = np.arange(-n_steps, 1) / rule.frame_rate_hz
-    vut_position, vut_yaw = placement.vut_path.at(encounter.vut_motion.distance_m(time_s))
-    vru_position, vru_yaw = placement.vru_path.at(encounter.vru_motion.distance_m(time_s))
+def _stage(
+    case: Case, scene: Scene, junction: Junction, approach: str, speed_kmh: float, vut: Actor
+) -> Staging:
+    placement = find_placement(scene.name, case, approach)
+    if placement is not None:
+        return stage_published(placement, vut_speed_kmh=speed_kmh, vut=vut)
+    staging = stage_by_protocol(case, junction, approach, vut_speed_kmh=speed_kmh, vut=vut)
+    check_clearance(staging, scene)
+    return staging
+
+
+def _build_run(
+    case: Case, approach: str, speed_kmh: float, staging: Staging, *, rule: AebRule, phase: str
+) -> Run:
+    encounter = staging.encounter
+    vut, vru = encounter.vut_motion, encounter.vru_motion
+    last_brake_s = last_brake_time_s(encounter, rule)
+    shift_s = _worst_phase_s(last_brake_s, rule) if phase == "worst" else 0.0
+    first_s = min(vut.start_time_s, vru.start_time_s)
+    n_steps = int((-first_s - shift_s) * rule.frame_rate_hz + _GRID_TOLERANCE)
+    time_s = np.arange(-n_steps, 1) / rule.frame_rate_hz - shift_s
+    vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))
+    vru_distance = vru.distance_m(time_s)
+    vru_position, vru_yaw = vru.path.at(vru_distance)
     return Run(
-        id=f"{case.name}/{placement.approach}/{speed_kmh:g}",
+        id=f"{case.name}/{approach}/{speed_kmh:g}",
         case=case,
-        approach=placement.approach,
+        approach=approach,
+        weather="day",
         vut_speed_kmh=speed_kmh,
         encounter=encounter,
         time_s=freeze(time_s),
@@ -302,90 +336,23 @@ def _build_run(placement: CasePlacement, speed_kmh: float, *, vut: Actor, rule: 
         vut_yaw_deg=freeze(vut_yaw),
         vru_position_m=freeze(vru_position),
         vru_yaw_deg=freeze(vru_yaw),
-        obstruction=placement.obstruction,
-        last_brake_time_s=last_brake_time_s(encounter, deceleration_mps2=rule.deceleration_mps2),
+        vru_shape=freeze(encounter.vru.shape_index(vru_distance)),
+        obstruction=staging.obstruction,
+        last_brake_time_s=last_brake_s,
     )
 
 
-def _crossing_sign(placement: CasePlacement) -> float:
-    """+1 if the VRU walks towards the VUT's left, -1 towards its right, 0 along its path."""
-    if placement.case.kind == "longitudinal":
+def _in_weather(run: Run, weather: str) -> Run:
+    if weather == run.weather:
+        return run
+    return replace(run, id=f"{run.id}/{weather}", weather=weather)
+
+
+def _worst_phase_s(last_brake_s: float, rule: AebRule) -> float:
+    """By how much frames come before the aligned ones, so that the most is lost to waiting."""
+    if not np.isfinite(last_brake_s):
         return 0.0
-    ahead, walking = placement.vut_path.direction, placement.vru_path.direction
-    return float(np.sign(ahead[0] * walking[1] - ahead[1] * walking[0]))
-
-
-def _build_placement(entry: Table, where: str) -> CasePlacement:
-    case = pick(load_cases(), take_text(entry, "case", where), f"{where}.case")
-    approach = take_text(entry, "approach", where)
-    if approach not in APPROACHES:
-        raise InputError(f"{where}.approach", approach, "one of " + ", ".join(APPROACHES))
-    vut_path = _build_path(entry, "vut", where)
-    vru_path = _build_path(entry, "vru", where)
-    point = take_list(entry, "collision_point_m", where)
-    collision = from_carla_points(float_array(point, (2,), f"{where}.collision_point_m"))
-    if case.kind == "crossing":
-        vut_meeting, vru_meeting = _crossing_distances(vut_path, vru_path, where)
-    else:
-        if vut_path.direction @ vru_path.direction < np.cos(np.radians(_ANGLE_TOLERANCE_DEG)):
-            raise InputError(
-                where,
-                Unquoted(f"headings {vut_path.yaw_deg:g} and {vru_path.yaw_deg:g} degrees"),
-                "one heading for VUT and VRU",
-            )
-        vut_meeting = float((collision - vut_path.start_m) @ vut_path.direction)
-        vru_meeting = float((collision - vru_path.start_m) @ vru_path.direction)
-    met_m, _ = vut_path.at(vut_meeting)
-    east, north = collision - met_m
-    beside_m = abs(vut_path.direction[0] * north - vut_path.direction[1] * east)
-    if beside_m > _ON_LINE_TOLERANCE_M:
-        raise InputError(f"{where}.collision_point_m", point, "a point on the VUT's path")
-    if not (vut_meeting > 0.0 and vru_meeting > 0.0):
-        raise InputError(
-            where, Unquoted("paths that meet behind a start"), "starts before the meeting point"
-        )
-    return CasePlacement(
-        case=case,
-        approach=approach,
-        vut_path=vut_path,
-        vru_path=vru_path,
-        vut_meeting_m=vut_meeting,
-        vru_meeting_m=vru_meeting,
-        obstruction=tuple(
-            _build_parked(body, f"{where}.obstruction[{index}]")
-            for index, body in enumerate(entry.get("obstruction", []))
-        ),
-    )
-
-
-def _build_path(entry: Table, body: str, where: str) -> StraightPath:
-    start = take_list(entry, f"{body}_start_m", where)
-    return StraightPath(
-        start_m=from_carla_points(float_array(start, (2,), f"{where}.{body}_start_m")),
-        yaw_deg=float(from_carla_yaw(take_number(entry, f"{body}_yaw_deg", where))),
-    )
-
-
-def _crossing_distances(a: StraightPath, b: StraightPath, where: str) -> tuple[float, float]:
-    # At the impact the gap between the bodies' middles is half the VRU's width only if it crosses
-    # squarely.
-    angle_deg = float(np.degrees(np.arccos(np.clip(abs(a.direction @ b.direction), 0.0, 1.0))))
-    if angle_deg < 90.0 - _ANGLE_TOLERANCE_DEG:
-        raise InputError(
-            where, Unquoted(f"paths at {angle_deg:.1f} degrees"), "perpendicular paths"
-        )
-    matrix = np.stack([a.direction, -b.direction], axis=1)
-    distances = np.linalg.solve(matrix, b.start_m - a.start_m)
-    return float(distances[0]), float(distances[1])
-
-
-def _build_parked(body: dict[str, Any], where: str) -> PlacedActor:
-    position = float_array(take_list(body, "position_m", where), (2,), f"{where}.position_m")
-    return PlacedActor(
-        actor=pick_actor(take_text(body, "actor", where), f"{where}.actor"),
-        pose=from_carla_pose(
-            position_m=np.append(position, 0.0),
-            yaw_deg=take_number(body, "yaw_deg", where),
-            pitch_deg=0.0,
-        ),
-    )
+    deadline = (last_brake_s - rule.latency_s) * rule.frame_rate_hz  # in frames
+    shifts = np.arange(_N_PHASES) / _N_PHASES
+    last_frame = np.floor(deadline + shifts + _GRID_TOLERANCE) - shifts
+    return float(shifts[np.argmin(last_frame)] / rule.frame_rate_hz)

@@ -5,8 +5,11 @@ import pytest
 
 from geometry.actors import load_actors
 from geometry.catalogue import load_cameras
+from geometry.scene_files import load_study_scene
 from scenarios.aeb import load_aeb_rule
-from scenarios.runs import FrameAxis, build_runs, load_placements
+from scenarios.cases import pick_cases
+from scenarios.published import load_placements
+from scenarios.runs import FrameAxis, build_runs
 
 
 @pytest.fixture(scope="session")
@@ -30,9 +33,11 @@ def placements():
 
 
 @pytest.fixture(scope="session")
-def runs(placements, actors, rule):
-    """All runs at the study's junction."""
-    return build_runs(placements, vut=actors["vut"], rule=rule)
+def runs(actors, rule):
+    """The 104 runs of the study's own cases at its junction."""
+    cases = pick_cases("CPNC-50,CBNA,CBLA", "cases")
+    runs, _ = build_runs(load_study_scene(), cases, vut=actors["vut"], rule=rule)
+    return runs
 
 
 @pytest.fixture
@@ -42,6 +47,7 @@ def frame_axis():
         run_ids=("A/north/20", "A/north/30", "B/north/20"),
         cases=("A", "A", "B"),
         approaches=("north", "north", "north"),
+        weathers=("day",) * 3,
         vut_speed_kmh=np.array([20.0, 30.0, 20.0]),
         weight=np.array([0.5, 0.25, 0.25]),
         last_brake_time_s=np.array([-0.1, -0.2, -np.inf]),

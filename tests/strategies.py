@@ -146,6 +146,7 @@ def frame_axes(draw, max_runs: int = 4, max_frames: int = 12) -> FrameAxis:
         run_ids=tuple(f"run{index}" for index in range(n_runs)),
         cases=tuple(draw(st.sampled_from(["A", "B"])) for _ in range(n_runs)),
         approaches=("north",) * n_runs,
+        weathers=("day",) * n_runs,
         vut_speed_kmh=np.full(n_runs, 30.0),
         weight=np.array(parts) / sum(parts),
         last_brake_time_s=np.array(last),

@@ -185,9 +185,7 @@ class _Judge:
         key = (run_index, onset_s)
         if key not in self._has_contact:
             self._has_contact[key] = has_contact(
-                self._runs[run_index].encounter,
-                onset_s,
-                deceleration_mps2=self._rule.deceleration_mps2,
+                self._runs[run_index].encounter, onset_s, self._rule
             )
         return self._has_contact[key]
 

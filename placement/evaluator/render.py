@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from geometry.actors import Actor, PlacedActor
+from geometry.actors import PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.image_boxes import mask_box
 from geometry.poses import Pose, body_rotation, camera_rotation, to_world
@@ -91,12 +91,12 @@ class View:
         return mask_box(self.instance == VRU, x_min_px=self.x_min_px, y_min_px=self.y_min_px)
 
 
-def build_body(actor: Actor, *, library: str | None = None) -> Solid:
-    """A road user ready for rays in its body frame.
+def build_body(shape: Shape, *, library: str | None = None) -> Solid:
+    """A road user at one instant of its gait, ready for rays in its body frame.
 
     Parameters
     ----------
-    actor : Actor
+    shape : Shape
         Its mesh.
     library : str, optional
         Ray library, see :func:`geometry.raycast.build_caster`.
@@ -104,12 +104,12 @@ def build_body(actor: Actor, *, library: str | None = None) -> Solid:
     Returns
     -------
     body : Solid
-        Frame: that of the actor.
+        Frame: that of the shape.
     """
-    hull = ConvexHull(actor.vertices_m).vertices
+    hull = ConvexHull(shape.vertices_m).vertices
     return Solid(
-        caster=build_caster(actor.vertices_m, actor.triangles, library=library),
-        hull_m=actor.vertices_m[hull],
+        caster=build_caster(shape.vertices_m, shape.triangles, library=library),
+        hull_m=shape.vertices_m[hull],
     )
 
 
@@ -141,8 +141,9 @@ def build_static(
     """
     vertices, triangles = [scene.vertices_m], [scene.triangles]
     for body in obstruction:
-        triangles.append(body.actor.triangles + sum(map(len, vertices)))
-        vertices.append(to_world(body.actor.vertices_m, body.pose))
+        shape = body.actor.shapes[0]
+        triangles.append(shape.triangles + sum(map(len, vertices)))
+        vertices.append(to_world(shape.vertices_m, body.pose))
     return Solid(
         caster=build_caster(
             np.concatenate(vertices) - [*middle_m, 0.0], np.concatenate(triangles), library=library

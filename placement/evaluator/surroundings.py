@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.actors import Actor, PlacedActor
+from geometry.actors import Actor
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError
 from geometry.poses import Pose, body_rotation, wrap_deg
@@ -23,7 +23,7 @@ class Surroundings:
     Attributes
     ----------
     statics, vrus : tuple of Solid
-        Distinct static worlds (one per obstruction) and bodies of VRUs.
+        Distinct static worlds (one per obstruction) and shapes of VRUs.
     vut : Solid
         Body of the VUT.
     vut_actor : Actor
@@ -84,7 +84,8 @@ def build_surroundings(
     if len(vuts) != 1:
         raise InputError("runs: VUT", sorted(vuts), "the same vehicle in all runs")
     vut_actor = next(iter(vuts.values()))
-    vrus = {run.encounter.vru.name: run.encounter.vru for run in runs}
+    vru_of_frame = [(run.encounter.vru, int(index)) for run in runs for index in run.vru_shape]
+    vrus = {key: number for number, key in enumerate(dict.fromkeys(vru_of_frame))}
     obstructions = {_obstruction_key(run): run.obstruction for run in runs}
     vru_poses = np.concatenate([_road_poses(run.vru_position_m, run.vru_yaw_deg) for run in runs])
     middle_m = 0.5 * (vru_poses[:, :2].min(axis=0) + vru_poses[:, :2].max(axis=0))
@@ -94,13 +95,13 @@ def build_surroundings(
             build_static(scene, obstruction, middle_m=middle_m, library=library)
             for obstruction in obstructions.values()
         ),
-        vrus=tuple(build_body(vru, library=library) for vru in vrus.values()),
-        vut=build_body(vut_actor, library=library),
+        vrus=tuple(build_body(vru.shapes[index], library=library) for vru, index in vrus),
+        vut=build_body(vut_actor.shapes[0], library=library),
         vut_actor=vut_actor,
         static_index=np.repeat(
             [list(obstructions).index(_obstruction_key(run)) for run in runs], n_frames
         ),
-        vru_index=np.repeat([list(vrus).index(run.encounter.vru.name) for run in runs], n_frames),
+        vru_index=np.array([vrus[key] for key in vru_of_frame]),
         static_poses=np.tile([*middle_m, 0.0], (sum(n_frames), 1)),
         vru_poses=vru_poses,
         vut_poses=np.concatenate(
@@ -186,9 +187,5 @@ def _road_poses(position_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
     return np.concatenate([position_m, yaw_deg[:, None]], axis=1)
 
 
-def _obstruction_key(run: Run) -> tuple[tuple[str, bytes, float], ...]:
-    return tuple(map(_placed_key, run.obstruction))
-
-
-def _placed_key(body: PlacedActor) -> tuple[str, bytes, float]:
-    return (body.actor.name, body.pose.position_m.tobytes(), body.pose.yaw_deg)
+def _obstruction_key(run: Run) -> tuple[object, ...]:
+    return tuple(parked.key for parked in run.obstruction)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from geometry.arrays import IntArray
+from geometry.arrays import FloatArray, IntArray
 
-from .bitsets import best_set, set_values
+from .bitsets import best_row, best_set, set_values, values_with_each
 from .presolve import ReducedProblem, presolve
 from .problem import PlacementProblem, PlacementValue, is_better
 
@@ -67,8 +67,8 @@ def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
         free = _poses_with_room(reduced, units)
         if len(free) == 0:
             break
-        sets = np.column_stack([np.tile(units, (len(free), 1)), free])
-        units = best_set(reduced, sets)
+        values = values_with_each(reduced, units)
+        units = np.append(units, free[best_row(values[free])])
     return units
 
 
@@ -91,14 +91,14 @@ def improve(reduced: ReducedProblem, units: IntArray, limit: PlacementValue) -> 
     """
     value = _value(reduced, units)
     while is_better(limit, value):
-        sets = _exchanges(reduced, units)
+        sets, values = _exchanges(reduced, units)
         if len(sets) == 0:
             break
-        best = best_set(reduced, sets)
-        best_value = _value(reduced, best)
+        row = best_row(values)
+        best_value = PlacementValue(*map(float, values[row]))
         if not is_better(best_value, value):
             break
-        units, value = best, best_value
+        units, value = sets[row], best_value
     return units
 
 
@@ -133,14 +133,15 @@ def _poses_with_room(reduced: ReducedProblem, units: IntArray) -> IntArray:
     return np.flatnonzero(is_free)
 
 
-def _exchanges(reduced: ReducedProblem, units: IntArray) -> IntArray:
-    """All feasible sets that differ from `units` in one pose, (n_sets, n_units)."""
-    sets = [np.empty((0, len(units)), dtype=np.int64)]
+def _exchanges(reduced: ReducedProblem, units: IntArray) -> tuple[IntArray, FloatArray]:
+    """All feasible sets that differ from `units` in one pose, and their values."""
+    sets, values = [np.empty((0, len(units)), dtype=np.int64)], [np.empty((0, 4))]
     for position in range(len(units)):
         left = np.delete(units, position)
         free = np.setdiff1d(_poses_with_room(reduced, left), units)
         sets.append(np.column_stack([np.tile(left, (len(free), 1)), free]))
-    return np.concatenate(sets)
+        values.append(values_with_each(reduced, left)[free])
+    return np.concatenate(sets), np.concatenate(values)
 
 
 def _value(reduced: ReducedProblem, units: IntArray) -> PlacementValue:

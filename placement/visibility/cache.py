@@ -19,7 +19,7 @@ from ..detection_table import DetectionTable
 from ..detector import Detector
 from . import build
 
-_FORMAT = "place-rsus/table/1"  # raise it whenever the same inputs give another table
+_FORMAT = "place-rsus/table/2"  # raise it whenever the same inputs give another table
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
@@ -55,10 +55,6 @@ def table_fingerprint(
                 digest.update(repr(value).encode())
             digest.update(b"\0")
 
-    def add_actor(actor: Actor) -> None:
-        add(actor.name, actor.length_m, actor.width_m, actor.height_m)
-        add(actor.vertices_m, actor.triangles)
-
     add(_FORMAT, build.N_POINTS, seed, asdict(detector))
     add(scene.vertices_m, scene.triangles, scene.outline_m)
     # By number, not by name: names may be equal.
@@ -68,17 +64,23 @@ def table_fingerprint(
     add([(candidate.id, cameras[candidate.camera]) for candidate in candidates])
     add(np.array([candidate.pose.position_m for candidate in candidates]))
     add(np.array([(c.pose.yaw_deg, c.pose.pitch_deg) for c in candidates]))
-    actors = _numbered(actor for run in runs for actor in (run.encounter.vut, run.encounter.vru))
+    actors = _numbered(actor for run in runs for actor in _actors_of(run))
     for actor in actors:
-        add_actor(actor)
+        add(actor.name, actor.length_m, actor.width_m, actor.height_m, len(actor.shapes))
+        for shape in actor.shapes:
+            add(shape.vertices_m, shape.triangles)
     for run in runs:
-        add(run.id, actors[run.encounter.vut], actors[run.encounter.vru], run.time_s)
-        add(run.vut_position_m, run.vut_yaw_deg, run.vru_position_m, run.vru_yaw_deg)
+        add(run.id, run.weather, [actors[actor] for actor in _actors_of(run)], run.time_s)
+        add(run.vut_position_m, run.vut_yaw_deg)
+        add(run.vru_position_m, run.vru_yaw_deg, run.vru_shape)
         for parked in run.obstruction:
-            add_actor(parked.actor)
             add(parked.pose.position_m, parked.pose.yaw_deg, parked.pose.pitch_deg)
         add("end of run")
     return digest.hexdigest()
+
+
+def _actors_of(run: Run) -> list[Actor]:
+    return [run.encounter.vut, run.encounter.vru, *(parked.actor for parked in run.obstruction)]
 
 
 def _numbered(things: Iterable[_T]) -> dict[_T, int]:

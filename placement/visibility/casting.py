@@ -1,8 +1,8 @@
 """Rays from a mount position to the VRU's points: once per position and unique VRU pose.
 
-A ray does not depend on where the camera looks, and the VRU's pose depends on the time to impact
-only, not on the VUT's speed. What moves needs no scene of its own: the rays are taken into the
-frame of the VRU, or of the VUT, and cast against one fixed scene each.
+A ray does not depend on where the camera looks, and the VRU's pose and gait depend on the time to
+impact only, not on the VUT's speed. What moves needs no scene of its own: the rays are taken into
+the frame of the VRU, or of the VUT, and cast against one fixed scene each.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.actors import Actor, PlacedActor
+from geometry.actors import Actor, PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.poses import body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster, build_caster
@@ -25,7 +25,7 @@ _OFF_SURFACE_M = 1.0e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VruViews:
-    """Every distinct (body, pose, static world) in which a VRU is looked at.
+    """Every distinct (body, shape, pose, static world) in which a VRU is looked at.
 
     Attributes
     ----------
@@ -60,9 +60,9 @@ class World:
     static : tuple of RayCaster
         The scene with each distinct obstruction.
     surfaces : tuple of Surface
-        Each distinct VRU body, and its caster in `bodies`.
+        Each distinct shape of a VRU, and its caster in `bodies`.
     bodies : tuple of RayCaster
-        VRU bodies in their own frame.
+        VRUs in their own frame.
     vut : Actor
         The vehicle under test, and its caster in its own frame.
     vut_body : RayCaster
@@ -126,48 +126,95 @@ def build_world(scene: Scene, runs: Sequence[Run], *, n_points: int, seed: int) 
         Ready for :func:`cast_sight`, from any thread.
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
-    actors = list(dict.fromkeys(run.encounter.vru for run in runs))
-    obstructions = list(dict.fromkeys(run.obstruction for run in runs))
+    shapes = _find_shapes(runs)
+    obstructions = find_obstructions(runs)
     vut = runs[0].encounter.vut
-    surfaces = tuple(build_surface(actor, n_points=n_points, seed=seed) for actor in actors)
+    surfaces = tuple(
+        build_surface(actor, index, n_points=n_points, seed=seed) for actor, index in shapes
+    )
     return World(
         origin_m=origin,
-        static=tuple(_static_caster(scene, parked, origin) for parked in obstructions),
+        static=tuple(
+            build_caster(*build_static_mesh(scene, parked, origin))
+            for parked in obstructions.values()
+        ),
         surfaces=surfaces,
-        bodies=tuple(build_caster(actor.vertices_m, actor.triangles) for actor in actors),
+        bodies=tuple(_shape_caster(actor.shapes[index]) for actor, index in shapes),
         vut=vut,
-        vut_body=build_caster(vut.vertices_m, vut.triangles),
+        vut_body=_shape_caster(vut.shapes[0]),
         vut_position_m=np.concatenate([run.vut_position_m for run in runs]) - origin[:2],
         vut_yaw_deg=np.concatenate([run.vut_yaw_deg for run in runs]),
-        views=_build_views(runs, surfaces, actors, obstructions, origin),
+        views=_build_views(runs, surfaces, list(obstructions), origin),
     )
 
 
-def _static_caster(
+def find_obstructions(
+    runs: Sequence[Run],
+) -> dict[tuple[object, ...], tuple[PlacedActor, ...]]:
+    """Distinct obstructions in the order of `World.static`, by their content."""
+    return {_obstruction_key(run): run.obstruction for run in runs}
+
+
+def build_static_mesh(
     scene: Scene, obstruction: tuple[PlacedActor, ...], origin_m: FloatArray
-) -> RayCaster:
-    vertices, triangles = [scene.vertices_m], [np.asarray(scene.triangles)]
+) -> tuple[FloatArray, NDArray[np.int32]]:
+    """Vertices and triangles of a scene with an obstruction, relative to an origin.
+
+    Parameters
+    ----------
+    scene : Scene
+        What stands still in all runs.
+    obstruction : tuple of PlacedActor
+        What stands still in some.
+    origin_m : (3,) float
+        Of `World`. [m]
+
+    Returns
+    -------
+    vertices_m : (n, 3) float
+        Relative to the origin. [m]
+    triangles : (m, 3) int32
+        Vertex indices.
+    """
+    vertices, triangles = [scene.vertices_m], [scene.triangles]
     for parked in obstruction:
-        triangles.append(np.asarray(parked.actor.triangles + sum(map(len, vertices))))
-        vertices.append(to_world(parked.actor.vertices_m, parked.pose))
-    return build_caster(np.concatenate(vertices) - origin_m, np.concatenate(triangles))
+        shape = parked.actor.shapes[0]
+        triangles.append((shape.triangles + sum(map(len, vertices))).astype(np.int32))
+        vertices.append(to_world(shape.vertices_m, parked.pose))
+    return np.concatenate(vertices) - origin_m, np.concatenate(triangles)
+
+
+def _find_shapes(runs: Sequence[Run]) -> list[tuple[Actor, int]]:
+    """Every shape in which a VRU is seen."""
+    found = {(run.encounter.vru, index): None for run in runs for index in np.unique(run.vru_shape)}
+    return [(actor, int(index)) for actor, index in found]
+
+
+def _obstruction_key(run: Run) -> tuple[object, ...]:
+    return tuple(parked.key for parked in run.obstruction)
+
+
+def _shape_caster(shape: Shape) -> RayCaster:
+    return build_caster(shape.vertices_m, shape.triangles)
 
 
 def _build_views(
     runs: Sequence[Run],
     surfaces: tuple[Surface, ...],
-    actors: list[Actor],
-    obstructions: list[tuple[PlacedActor, ...]],
+    obstructions: list[tuple[object, ...]],
     origin_m: FloatArray,
 ) -> VruViews:
+    numbers = {
+        (surface.actor, surface.shape_index): number for number, surface in enumerate(surfaces)
+    }
     rows = np.concatenate(
         [
             np.column_stack(
                 [
                     run.vru_position_m - origin_m[:2],
                     run.vru_yaw_deg,
-                    np.full(len(run.time_s), actors.index(run.encounter.vru)),
-                    np.full(len(run.time_s), obstructions.index(run.obstruction)),
+                    [numbers[run.encounter.vru, int(index)] for index in run.vru_shape],
+                    np.full(len(run.time_s), obstructions.index(_obstruction_key(run))),
                 ]
             )
             for run in runs

@@ -6,24 +6,32 @@ import numpy as np
 import pytest
 
 from experiments import jobs
+from geometry.scene_files import load_study_scene
 from placement.candidates import load_candidate_grid
+from placement.detector import load_detector
 from placement.setting import Setting
 from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis
 
-SMALL_RUNS = (*jobs.HEATMAP_RUNS, "CPNC-50/west/30", "CBNA/north/20", "CBLA/east/25")
+SMALL_RUNS = (
+    "CPNC-50/east/55",
+    "CBNA/east/60",
+    "CBLA/east/50",
+    "CPNC-50/west/30",
+    "CBNA/north/20",
+    "CBLA/east/25",
+)
 
 
 @pytest.fixture(scope="session")
 def small_setting(runs, rule):
     few = tuple(run for run in runs if run.id in SMALL_RUNS)
-    full = jobs.build_study_setting()
     return Setting(
-        scene=full.scene,
+        scene=load_study_scene(),
         runs=few,
         axis=build_frame_axis(few, weight_per_run(few)),
         rule=rule,
-        detector=full.detector,
+        detector=load_detector(),
     )
 
 
@@ -36,7 +44,7 @@ def small_study(small_setting, monkeypatch):
         yaw_step_deg=90.0,
         pitches_deg=np.array([-20.0]),
     )
-    monkeypatch.setattr(jobs, "build_study_setting", lambda: small_setting)
+    monkeypatch.setattr(jobs, "build_setting", lambda question, scene: small_setting)
     monkeypatch.setattr(jobs, "load_candidate_grid", lambda: grid)
     return small_setting
 

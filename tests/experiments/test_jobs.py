@@ -5,6 +5,7 @@ import pytest
 
 from experiments import jobs
 from experiments.progress import StageProgress
+from experiments.question import Question
 from experiments.study import load_carlancap_layout
 from geometry.errors import InputError
 from placement.layout import Layout, load_layout
@@ -23,12 +24,17 @@ def place(out, **options):
         "command": "place-rsus --budget 1 <&>",
         "progress": StageProgress(),
     }
-    return jobs.run_placement(**(given | options))
+    return jobs.run_placement(Question(), **(given | options))
 
 
 def evaluate(layout, out=None):
     return jobs.run_evaluation(
-        layout=layout, out=out, workers=2, command="place-rsus", progress=StageProgress()
+        Question(),
+        layout=layout,
+        out=out,
+        workers=2,
+        command="place-rsus",
+        progress=StageProgress(),
     )
 
 
@@ -67,7 +73,7 @@ def test_the_studys_poses_are_candidates_only_if_asked_for(small_study, tmp_path
 
 
 def test_a_budget_that_is_too_large_is_refused_before_anything_else(tmp_path, monkeypatch):
-    monkeypatch.setattr(jobs, "build_study_setting", pytest.fail)
+    monkeypatch.setattr(jobs, "build_setting", pytest.fail)
     with pytest.raises(InputError, match="--budget: got 10000; expected a whole number"):
         place(tmp_path / "a/b", budget_units=10_000)
     assert list(tmp_path.iterdir()) == []
@@ -88,6 +94,7 @@ def test_an_evaluation_of_one_unit_is_that_of_all(small_study):
 
 def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     summary = jobs.run_comparison(
+        Question(),
         subject=named("twin", 2),
         baseline=named("twin", 1),
         out=tmp_path / "out",

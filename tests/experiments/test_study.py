@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 
-from experiments.study import BASELINE_NAME, build_study_setting, load_carlancap_layout
+from experiments.driving import build_setting
+from experiments.question import Question
+from experiments.study import BASELINE_NAME, load_carlancap_layout
+from geometry.scene_files import load_study_scene
 from placement.evaluation import apr, apr_by_case, detected_share
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout, check_layout
@@ -17,7 +20,8 @@ GOLDEN_UNITS = {
 
 @pytest.fixture(scope="module")
 def setting():
-    return build_study_setting()
+    """The cases for which the study publishes numbers."""
+    return build_setting(Question(cases="CPNC-50,CBNA,CBLA"), load_study_scene())
 
 
 @pytest.fixture(scope="module")

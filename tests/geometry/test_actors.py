@@ -1,42 +1,81 @@
 import dataclasses
+from importlib.resources import files
 
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from strategies import numbers
 
-from geometry.actors import load_actors, pick_actor
+from geometry.actors import (
+    Actor,
+    PlacedActor,
+    Shape,
+    fingerprint,
+    load_actors,
+    pick_actor,
+    read_actors,
+)
 from geometry.errors import InputError
+from geometry.poses import Pose
 from geometry.raycast import build_caster
+from geometry.toml_files import load_toml
 
+DATA = files("geometry") / "data"
 NAMES = tuple(load_actors())
 CARS = [name for name in NAMES if "vehicle" in load_actors()[name].class_name]
+MOVING = [name for name in NAMES if name not in CARS]
+SHAPES = [(name, index) for name in NAMES for index in range(len(load_actors()[name].shapes))]
 
 
-def _parts(actor) -> list[trimesh.Trimesh]:
-    body = trimesh.Trimesh(actor.vertices_m, actor.triangles, process=False)
-    return list(body.split(only_watertight=False))
+def _mesh(shape) -> trimesh.Trimesh:
+    return trimesh.Trimesh(shape.vertices_m, shape.triangles, process=False)
 
 
-def _silhouette_m2(actor, axis: int, step_m: float = 0.01) -> float:
-    """Area of the outline seen along a horizontal axis, by parallel rays."""
-    across = np.arange(-1.5, 1.5, step_m) + 0.5 * step_m
+def _depth_m(shape, axis: int, *, side: int = -1, step_m: float = 0.01) -> np.ndarray:
+    """Depth of the body along a horizontal axis, by parallel rays: rows up, columns across."""
+    across = np.arange(-2.5, 2.5, step_m) + 0.5 * step_m
     up = np.arange(0.0, 2.0, step_m) + 0.5 * step_m
-    origins = np.zeros((len(across) * len(up), 3), dtype=np.float32)
-    grid = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
-    origins[:, 1 - axis], origins[:, 2], origins[:, axis] = grid[:, 0], grid[:, 1], -5.0
+    origins = np.zeros((len(up), len(across), 3), dtype=np.float32)
+    origins[..., 1 - axis], origins[..., 2], origins[..., axis] = across, up[:, None], 5.0 * side
     vectors = np.zeros_like(origins)
-    vectors[:, axis] = 10.0
-    caster = build_caster(actor.vertices_m, actor.triangles, library="embreex")
-    return float(caster.is_blocked(origins, vectors).sum()) * step_m**2
+    vectors[..., axis] = -10.0 * side
+    caster = build_caster(shape.vertices_m, shape.triangles, library="embreex")
+    share = caster.first_hit(origins.reshape(-1, 3), vectors.reshape(-1, 3))
+    return 10.0 * share.reshape(len(up), len(across))
+
+
+def _silhouette_m2(shape, axis: int) -> float:
+    return float(np.isfinite(_depth_m(shape, axis)).sum()) * 0.01**2
+
+
+def _assert_same_but_for_edges(depth_m, other_m):
+    """Small triangles are merged with a tolerance of 2 mm; at the outline it decides on a hit."""
+    is_hit, is_other = np.isfinite(depth_m), np.isfinite(other_m)
+    assert (is_hit != is_other).sum() < 0.02 * is_hit.sum()
+    both = is_hit & is_other
+    assert (np.abs(depth_m[both] - other_m[both]) > 5e-3).mean() < 0.04
+
+
+def _width_m(shape, axis: int) -> float:
+    return float(np.ptp(shape.vertices_m[:, axis]))
+
+
+# Boxes
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_body_fills_exactly_its_declared_box_and_stands_on_the_road(name):
+def test_all_shapes_together_fill_exactly_the_declared_box(name):
     actor = load_actors()[name]
-    low, high = actor.vertices_m.min(axis=0), actor.vertices_m.max(axis=0)
+    vertices = np.concatenate([shape.vertices_m for shape in actor.shapes])
     half = [0.5 * actor.length_m, 0.5 * actor.width_m]
-    assert low == pytest.approx([-half[0], -half[1], 0.0], abs=1e-12)
-    assert high == pytest.approx([*half, actor.height_m], abs=1e-12)
+    assert vertices.min(axis=0) == pytest.approx([-half[0], -half[1], 0.0], abs=1e-6)
+    assert vertices.max(axis=0) == pytest.approx([*half, actor.height_m], abs=1e-6)
+
+
+@pytest.mark.parametrize(("name", "index"), SHAPES)
+def test_every_shape_stands_on_the_road(name, index):
+    assert load_actors()[name].shapes[index].vertices_m[:, 2].min() == 0.0
 
 
 @pytest.mark.parametrize(
@@ -46,6 +85,7 @@ def test_body_fills_exactly_its_declared_box_and_stands_on_the_road(name):
         ("parked-car-small", (4.316, 1.79, 1.48)),  # Euro NCAP AEB/LSS VRU v4.5.1
         ("parked-car-large", (4.418, 1.82, 1.533)),  # Euro NCAP AEB/LSS VRU v4.5.1
         ("adult", (0.6, 0.5, 1.8)),  # ISO 19206-2
+        ("child", (0.711, 0.298, 1.154)),  # ISO 19206-2
         ("cyclist", (1.89, 0.5, 1.80)),  # ISO 19206-4; height with rider assumed
     ],
 )
@@ -54,55 +94,129 @@ def test_boxes_are_those_of_their_sources(name, size_m):
     assert (actor.length_m, actor.width_m, actor.height_m) == size_m
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_every_part_is_closed_and_its_normals_point_outwards(name):
-    parts = _parts(load_actors()[name])
-    assert len(parts) > 1
-    for part in parts:
-        assert part.is_watertight
-        assert part.is_winding_consistent
-        assert part.volume > 0.0
+@pytest.mark.parametrize(
+    ("name", "ahead_m"),
+    [("adult", 0.3 - 0.36), ("child", 0.3555 - 0.396), ("cyclist", 0.945 - 0.93), ("vut", 0.0)],
+)
+def test_reference_points_are_as_far_behind_the_box_front_as_the_protocol_says(name, ahead_m):
+    assert load_actors()[name].reference_ahead_m == pytest.approx(ahead_m)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_every_vertex_belongs_to_a_triangle_with_area(name):
-    actor = load_actors()[name]
-    assert set(actor.triangles.ravel().tolist()) == set(range(len(actor.vertices_m)))
-    corners = actor.vertices_m[actor.triangles]
-    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert (np.linalg.norm(doubled, axis=1) > 0.0).all()
+# Meshes
+
+
+@pytest.mark.parametrize(("name", "index"), SHAPES)
+def test_every_shape_is_one_closed_mesh_whose_normals_point_outwards(name, index):
+    mesh = _mesh(load_actors()[name].shapes[index])
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume > 0.0
+    assert len(mesh.split(only_watertight=False)) == 1
+
+
+@pytest.mark.parametrize(("name", "index"), SHAPES)
+def test_every_vertex_belongs_to_a_triangle_with_area(name, index):
+    shape = load_actors()[name].shapes[index]
+    assert set(shape.triangles.ravel().tolist()) == set(range(len(shape.vertices_m)))
+    assert (_mesh(shape).area_faces > 0.0).all()
 
 
 @pytest.mark.parametrize("name", CARS)
 def test_cars_are_symmetric(name):
-    vertices = load_actors()[name].vertices_m
-    mirrored = vertices * [1.0, -1.0, 1.0]
-    gaps = np.abs(vertices[:, None] - mirrored[None]).max(axis=2).min(axis=1)
-    assert gaps.max() < 1e-9
+    (shape,) = load_actors()[name].shapes
+    _assert_same_but_for_edges(_depth_m(shape, 1, side=-1), _depth_m(shape, 1, side=1))
+
+
+def test_axles_are_under_the_box_and_wheels_stand_below_them():
+    for name in CARS:
+        actor = load_actors()[name]
+        (shape,) = actor.shapes
+        ahead = shape.vertices_m[shape.vertices_m[:, 2] < 0.01, 0]
+        front, rear = ahead[ahead > 0.0], ahead[ahead < 0.0]
+        assert front.mean() == pytest.approx(actor.front_axle_ahead_m, abs=0.02)
+        assert rear.mean() == pytest.approx(actor.front_axle_ahead_m - actor.wheelbase_m, abs=0.02)
+    assert load_actors()["vut"].wheelbase_m == 2.85
+
+
+# Outlines
 
 
 def test_cyclist_is_narrow_from_behind():
-    cyclist = load_actors()["cyclist"]
-    assert cyclist.width_m < 0.3 * cyclist.length_m
-    assert _silhouette_m2(cyclist, 0) < 0.8 * _silhouette_m2(cyclist, 1)
+    for shape in load_actors()["cyclist"].shapes:
+        assert _width_m(shape, 1) < 0.3 * _width_m(shape, 0)
+        assert _silhouette_m2(shape, 0) < 0.8 * _silhouette_m2(shape, 1)
 
 
-def test_adult_covers_less_than_its_box_but_more_than_a_third_of_it():
+@pytest.mark.parametrize("name", ["adult", "child"])
+def test_walkers_cover_less_than_their_box_but_more_than_a_quarter_of_it(name):
+    actor = load_actors()[name]
+    for shape in actor.shapes:
+        for axis in (0, 1):
+            size_m = _width_m(shape, 1 - axis) * _width_m(shape, 2)
+            assert 0.25 < _silhouette_m2(shape, axis) / size_m < 0.8
+
+
+@pytest.mark.parametrize(("name", "spread"), [("adult", 1.7), ("child", 2.0)])
+def test_walkers_stand_together_at_rest_and_are_widest_a_quarter_of_a_cycle_later(name, spread):
+    widths_m = np.array([_width_m(shape, 0) for shape in load_actors()[name].shapes])
+    assert np.argmin(widths_m) % 4 == 0
+    assert np.argmax(widths_m) % 4 == 2
+    assert widths_m[0] == pytest.approx(widths_m.min(), rel=0.01)
+    assert widths_m.max() > spread * widths_m.min()
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_half_a_cycle_later_the_body_is_its_own_mirror_image(name):
+    shapes = load_actors()[name].shapes
+    half = len(shapes) // 2
+    for now, later in zip(shapes, shapes[half:] + shapes[:half], strict=True):
+        _assert_same_but_for_edges(_depth_m(now, 1, side=-1), _depth_m(later, 1, side=1))
+
+
+# Gait
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_shapes_follow_one_another_along_the_way(name):
+    actor = load_actors()[name]
+    n_shapes = len(actor.shapes)
+    way_m = actor.cycle_m / n_shapes * np.arange(-n_shapes, 3 * n_shapes)
+    for shift in (-0.49, 0.0, 0.49):
+        index = actor.shape_index(way_m + shift * actor.cycle_m / n_shapes)
+        assert index.tolist() == 4 * list(range(n_shapes))
+    assert actor.shape_index(0.0) == 0
+
+
+@given(numbers(-50.0, 50.0))
+def test_a_distance_in_its_last_bits_changes_no_shape(distance_m):
     adult = load_actors()["adult"]
-    share = _silhouette_m2(adult, 0) / (adult.width_m * adult.height_m)
-    assert 1.0 / 3.0 < share < 1.0
+    step_m = adult.cycle_m / len(adult.shapes)
+    middle_m = (np.floor(distance_m / step_m) + 0.5) * step_m
+    found = adult.shape_index(middle_m + 1e-10 * np.array([-1.0, 0.0, 1.0]))
+    assert len(set(found.tolist())) == 1
+
+
+def test_what_does_not_move_has_one_shape(actors):
+    for name in CARS:
+        assert len(actors[name].shapes) == 1
+        assert actors[name].cycle_m == 0.0
+        assert actors[name].shape_index(np.linspace(0.0, 9.0, 6)).tolist() == [0] * 6
+
+
+# Catalogue
 
 
 @pytest.mark.parametrize(
     ("name", "class_name"),
-    [("vut", "vehicle"), ("adult", "pedestrian"), ("cyclist", "cyclist")],
+    [("vut", "vehicle"), ("adult", "pedestrian"), ("child", "pedestrian"), ("cyclist", "cyclist")],
 )
 def test_bodies_know_their_class(name, class_name):
     assert pick_actor(name, "test").class_name == class_name
 
 
-def test_arrays_of_a_body_are_read_only(actors):
-    for array in (actors["adult"].vertices_m, actors["adult"].triangles):
+def test_arrays_of_a_shape_are_read_only(actors):
+    shape = actors["adult"].shapes[0]
+    for array in (shape.vertices_m, shape.triangles):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
 
@@ -121,3 +235,85 @@ def test_a_body_without_extent_is_refused(actors, field, value):
     with pytest.raises(InputError) as caught:
         dataclasses.replace(actors["adult"], **{field: value})
     assert str(caught.value) == f"actor adult.{field}: got {value}; expected > 0 metres"
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("adult", {"shapes": ()}, "actor adult.shapes: got none; expected at least one shape"),
+        (
+            "adult",
+            {"cycle_m": 0.0},
+            "actor adult.cycle_m: got 0.0; expected > 0 metres for several shapes, 0 for one",
+        ),
+        (
+            "vut",
+            {"cycle_m": 2.0},
+            "actor vut.cycle_m: got 2.0; expected > 0 metres for several shapes, 0 for one",
+        ),
+        (
+            "adult",
+            {"cycle_m": float("inf")},
+            "actor adult.cycle_m: got inf; expected > 0 metres for several shapes, 0 for one",
+        ),
+    ],
+)
+def test_a_gait_that_goes_nowhere_is_refused(actors, name, changes, message):
+    with pytest.raises(InputError) as caught:
+        dataclasses.replace(actors[name], **changes)
+    assert str(caught.value) == message
+
+
+def test_the_key_of_a_placed_body_is_its_content(actors):
+    def place(name="vut", x_m=1.0, yaw_deg=0.0):
+        pose = Pose(position_m=np.array([x_m, 2.0, 0.0]), yaw_deg=yaw_deg)
+        return PlacedActor(actor=actors[name], pose=pose)
+
+    assert place().key == place().key
+    assert place(x_m=0.0).key == place(x_m=-0.0).key
+    assert hash(place().key) == hash(place().key)
+    others = {place(x_m=1.1).key, place(yaw_deg=1.0).key, place("parked-van").key, place().key}
+    assert len(others) == 4
+
+
+def test_an_actor_may_be_made_by_hand():
+    box = trimesh.creation.box((1.0, 1.0, 2.0))
+    shape = Shape(vertices_m=box.vertices + [0.0, 0.0, 1.0], triangles=box.faces)
+    actor = Actor(
+        name="box", class_name="vehicle", length_m=1.0, width_m=1.0, height_m=2.0, shapes=(shape,)
+    )
+    assert actor.shapes[0].triangles.dtype == np.int32
+    assert (actor.cycle_m, actor.reference_ahead_m, actor.wheelbase_m) == (0.0, 0.0, 0.0)
+
+
+# Shapes on disk
+
+
+def test_the_shapes_on_disk_belong_to_the_description():
+    table = load_toml(DATA / "actors.toml")
+    with np.load(str(DATA / "actors.npz")) as stored:
+        assert str(stored["fingerprint"]) == fingerprint(table)
+
+
+def test_the_shapes_on_disk_are_compact():
+    assert (DATA / "actors.npz").stat().st_size < 650_000
+
+
+def test_shapes_of_another_description_are_refused():
+    table = load_toml(DATA / "actors.toml")
+    table["adult"]["height_m"] = 1.81
+    with pytest.raises(InputError) as caught:
+        read_actors(table, DATA / "actors.npz")
+    assert str(caught.value) == (
+        f"{DATA / 'actors.npz'}: got shapes of another actors.toml; "
+        "expected shapes built from it: python -m geometry.bodies"
+    )
+
+
+def test_missing_shapes_say_how_to_build_them(tmp_path):
+    with pytest.raises(InputError) as caught:
+        read_actors({}, tmp_path / "actors.npz")
+    assert str(caught.value) == (
+        f"{tmp_path / 'actors.npz'}: got no such file; "
+        "expected shapes built from it: python -m geometry.bodies"
+    )

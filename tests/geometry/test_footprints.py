@@ -4,7 +4,13 @@ from hypothesis import given
 from oracles import overlap_area, polygon_area, polygon_distance, rectangle_polygon
 from strategies import Rectangle, angles_deg, coordinates_m, numbers, rectangles
 
-from geometry.footprints import footprint_corners, footprint_separation
+from geometry.footprints import (
+    FootprintSizes,
+    footprint_corners,
+    footprint_separation,
+    gaps_between,
+    separation_between,
+)
 
 
 def _corners(rectangle: Rectangle) -> np.ndarray:
@@ -109,3 +115,40 @@ def test_separation_broadcasts_over_leading_axes():
     separation = footprint_separation(a, b)
     assert separation.shape == (4, 5)
     assert separation[3] == pytest.approx([-2.0, -1.0, 0.0, 1.0, 2.0])
+
+
+def _sizes(a: Rectangle, b: Rectangle) -> FootprintSizes:
+    return FootprintSizes(
+        length_a_m=a.length_m, width_a_m=a.width_m, length_b_m=b.length_m, width_b_m=b.width_m
+    )
+
+
+@given(rectangles(), rectangles())
+def test_separation_from_middles_and_headings_is_that_of_the_corners(a, b):
+    offset = np.subtract(b.centre_m, a.centre_m)
+    between = separation_between(offset, a.yaw_deg, b.yaw_deg, sizes=_sizes(a, b))
+    assert between == pytest.approx(
+        float(footprint_separation(_corners(a), _corners(b))), abs=1e-11
+    )
+
+
+@given(rectangles(), rectangles())
+def test_a_gap_is_what_lies_between_the_corners_along_a_normal(a, b):
+    offset = np.subtract(b.centre_m, a.centre_m)
+    gaps = gaps_between(offset, a.yaw_deg, b.yaw_deg, sizes=_sizes(a, b))
+    for gap, yaw_deg in zip(
+        gaps, [a.yaw_deg, a.yaw_deg + 90.0, b.yaw_deg, b.yaw_deg + 90.0], strict=True
+    ):
+        normal = np.array([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))])
+        on_a, on_b = _corners(a) @ normal, _corners(b) @ normal
+        expected = max(on_b.min() - on_a.max(), on_a.min() - on_b.max())
+        assert gap == pytest.approx(expected, abs=1e-9)
+
+
+def test_separation_from_middles_and_headings_broadcasts():
+    sizes = FootprintSizes(length_a_m=2.0, width_a_m=2.0, length_b_m=2.0, width_b_m=2.0)
+    offset = np.stack([np.arange(5.0), np.zeros(5)], axis=-1)
+    separation = separation_between(offset, np.zeros((4, 1)), 90.0, sizes=sizes)
+    assert separation.shape == (4, 5)
+    assert separation[3] == pytest.approx([-2.0, -1.0, 0.0, 1.0, 2.0])
+    assert gaps_between(offset, np.zeros((4, 1)), 90.0, sizes=sizes).shape == (4, 4, 5)

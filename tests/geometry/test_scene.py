@@ -230,7 +230,7 @@ def test_a_hollow_that_a_box_around_it_would_fill_is_open_air():
 
 
 def test_a_parked_car_made_of_overlapping_parts_holds_what_is_in_any_of_them():
-    car = load_actors()["parked-car-large"]
+    (car,) = load_actors()["parked-car-large"].shapes
     scene = _scene(("parked vehicle", car.vertices_m, car.triangles))
     assert containing_instance(scene, [0.0, 0.0, 0.7]) is scene.instances[0]  # body
     assert containing_instance(scene, [-0.5, 0.0, 1.3]) is scene.instances[0]  # cabin

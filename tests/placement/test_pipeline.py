@@ -15,23 +15,20 @@ from placement.optimiser import is_better, is_feasible, placement_value, solve_g
 from placement.pipeline import build_problem, check_budget, obtain_table, place
 from placement.setting import Setting
 from scenarios.exposure import weight_per_run
-from scenarios.runs import build_frame_axis, build_runs
+from scenarios.runs import build_frame_axis
 
 
 @pytest.fixture(scope="module")
-def setting(placements, actors, rule):
-    """Two sites of the study's junction, four of its placements at two speeds."""
+def setting(runs, rule):
+    """Two sites of the study's junction, four of its cases and approaches at two speeds."""
     scene = load_study_scene()
-    few = [
-        replace(placement, case=replace(placement.case, vut_speeds_kmh=(40.0, 60.0)))
-        for placement in (placements[0], placements[2], placements[6], placements[9])
-    ]
-    runs = build_runs(few, vut=actors["vut"], rule=rule)
+    ways = ("CBNA/east", "CBNA/north", "CPNC-50/east", "CPNC-50/south")
+    few = tuple(run for run in runs if run.id in [f"{way}/{v}" for way in ways for v in (40, 60)])
     names = ("corner-ne", "mast-w")
     return Setting(
         scene=replace(scene, sites=tuple(site for site in scene.sites if site.id in names)),
-        runs=runs,
-        axis=build_frame_axis(runs, weight_per_run(runs)),
+        runs=few,
+        axis=build_frame_axis(few, weight_per_run(few)),
         rule=rule,
         detector=load_detector(),
     )

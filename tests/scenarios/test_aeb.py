@@ -8,74 +8,181 @@ from hypothesis import strategies as st
 from oracles import (
     crossing_tau_s,
     naive_confirmed,
+    overlap_area,
+    rectangle_polygon,
     simulated_contact,
     stop_tau_s,
 )
+from scipy.optimize import brentq
 from strategies import KMH, angles_deg, build_encounter, coordinates_m, encounters, numbers
 
 from geometry.actors import load_actors
-from geometry.errors import InputError
 from scenarios.aeb import (
-    braking_distance_m,
+    Encounter,
     confirmation_mask,
     confirmation_time_s,
+    first_contact_s,
     has_contact,
     is_in_time,
     last_brake_time_s,
     load_aeb_rule,
     smallest_separation_m,
 )
+from scenarios.paths import Motion, StraightPath, TurnPath, travel_time_s
+from scenarios.turns import pick_turn
 
+RULE = load_aeb_rule()
 A_MPS2 = 7.72
+TOLERANCE_S = 2e-5  # half a millisecond is asked for
 vut_speeds = numbers(20.0, 60.0).map(lambda kmh: kmh * KMH)
 vru_speeds = numbers(3.0, 15.0).map(lambda kmh: kmh * KMH)
+build_ups_s = st.one_of(st.just(0.0), numbers(0.05, 0.8), numbers(2.0, 4.0))
 bodies = st.sampled_from(["adult", "cyclist"])
 detections = st.lists(st.booleans(), min_size=1, max_size=15)
 
 
-def _tau_s(encounter) -> float:
-    return -last_brake_time_s(encounter, deceleration_mps2=A_MPS2)
+def _tau_s(encounter, rule=RULE) -> float:
+    return -last_brake_time_s(encounter, rule)
 
 
-# Braking
+def _rule(**changes):
+    return dataclasses.replace(RULE, **changes)
 
 
-@given(vut_speeds, numbers(1.0, 12.0), numbers(0.0, 10.0))
-def test_braking_distance_is_the_area_under_the_speed_curve(speed_mps, deceleration_mps2, until_s):
-    time_s = np.linspace(0.0, until_s, 20_001)
-    speed = np.maximum(0.0, speed_mps - deceleration_mps2 * time_s)
-    area = np.trapezoid(speed, time_s)
-    distance = braking_distance_m(until_s, speed_mps=speed_mps, deceleration_mps2=deceleration_mps2)
-    # Exact but for the one interval with the kink, at most a dt^2 / 2.
-    assert distance == pytest.approx(area, abs=deceleration_mps2 * (until_s / 20_000) ** 2 + 1e-9)
+def _lost_m(time_s, build_up_s):
+    """What braking has taken of the way after a time, however fast the VUT was."""
+    if build_up_s > 0.0 and time_s <= build_up_s:
+        return A_MPS2 * time_s**3 / (6.0 * build_up_s)
+    full_s = time_s - build_up_s
+    return A_MPS2 * (build_up_s**2 / 6.0 + 0.5 * build_up_s * full_s + 0.5 * full_s**2)
 
 
-@given(vut_speeds, numbers(1.0, 12.0), numbers(0.0, 100.0))
-def test_braking_ends_at_standstill(speed_mps, deceleration_mps2, later_s):
-    standstill_s = speed_mps / deceleration_mps2
-    distance = braking_distance_m(
-        standstill_s + later_s, speed_mps=speed_mps, deceleration_mps2=deceleration_mps2
+def _standstill_s(v, build_up_s):
+    return (
+        math.sqrt(2.0 * v * build_up_s / A_MPS2)
+        if v < 0.5 * A_MPS2 * build_up_s
+        else v / A_MPS2 + 0.5 * build_up_s
     )
-    assert distance == pytest.approx(speed_mps**2 / (2.0 * deceleration_mps2), rel=1e-12)
+
+
+def _stop_tau_s(v, build_up_s):
+    """Latest onset before the impact with something that stands: braking way over speed."""
+    t = _standstill_s(v, build_up_s)
+    return t - _lost_m(t, build_up_s) / v
+
+
+def _crossing_tau_s(v, clear_s, build_up_s):
+    """As oracles.crossing_tau_s: stop short, or reach the line when the VRU has left."""
+    standstill_s = _standstill_s(v, build_up_s)
+    if _lost_m(standstill_s, build_up_s) <= v * clear_s:
+        return _stop_tau_s(v, build_up_s)
+    t = brentq(lambda t: _lost_m(t, build_up_s) - v * clear_s, 0.0, standstill_s, xtol=1e-12)
+    return t - clear_s
+
+
+def build_turning_encounter(
+    side, speed_kmh, *, is_same, line_m=11.25, offset_m=0.0, body="adult", vru_speed_mps=5.0 * KMH
+) -> Encounter:
+    """A VUT turns, and a VRU crosses the arm into which it turns, on a line parallel to the VUT's.
+
+    Unbraked they first touch at time 0, when the VRU's middle is about where the middle of the
+    VUT's front comes to the line, `line_m` beside the VUT's way before the turn.
+    """
+    actors = load_actors()
+    vut, vru = actors["vut"], actors[body]
+    turn, v = pick_turn(side, speed_kmh), speed_kmh * KMH
+    path = TurnPath(
+        start_m=[0.0, 0.0],
+        yaw_deg=0.0,
+        straight_m=3.0 * v,
+        turn=turn,
+        wheelbase_m=2.85,
+        front_axle_ahead_m=1.45,
+    )
+
+    def front_m(distance_m):
+        middle, yaw_deg = path.at(distance_m)
+        yaw = math.radians(yaw_deg)
+        return middle + 0.5 * vut.length_m * np.array([math.cos(yaw), math.sin(yaw)])
+
+    meeting_m = brentq(lambda d: turn.side * front_m(d)[1] - line_m, 0.0, 60.0)
+    east_m = front_m(meeting_m)[0] + offset_m
+    sense, travel_m = (1.0 if is_same else -1.0), 7.5
+    travel_s = travel_time_s(travel_m, speed_mps=vru_speed_mps, acceleration_distance_m=2.0)
+
+    def starting(vut_start_s):
+        return Encounter(
+            vut=vut,
+            vut_motion=Motion(path=path, speed_mps=v, start_time_s=vut_start_s),
+            vru=vru,
+            vru_motion=Motion(
+                path=StraightPath(
+                    start_m=[east_m - sense * travel_m, turn.side * line_m],
+                    yaw_deg=0.0 if is_same else 180.0,
+                ),
+                speed_mps=vru_speed_mps,
+                start_time_s=vut_start_s + meeting_m / v - travel_s,
+                acceleration_distance_m=2.0,
+            ),
+        )
+
+    return starting(-first_contact_s(starting(0.0)))
+
+
+@st.composite
+def turning_encounters(draw) -> Encounter:
+    side, speed_kmh = draw(
+        st.sampled_from(
+            [("far", 10.0), ("far", 15.0), ("far", 20.0), ("far", 25.0), ("near", 10.0)]
+        )
+    )
+    return build_turning_encounter(
+        side,
+        speed_kmh,
+        is_same=draw(st.booleans()),
+        line_m=draw(numbers(4.0, 14.0)),
+        offset_m=draw(numbers(-0.6, 0.6)),
+        body=draw(st.sampled_from(["adult", "cyclist"])),
+        vru_speed_mps=draw(numbers(3.0, 15.0)) * KMH,
+    )
+
+
+def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
+    """Whether the bodies overlap: the car is dragged and braked in steps of half a millisecond."""
+    path, vut, vru = encounter.vut_motion.path, encounter.vut, encounter.vru
+    start_s, speed = encounter.vut_motion.start_time_s, encounter.vut_motion.speed_mps
+    yaw, driven, time, step_s = 0.0, 0.0, start_s, 5.0e-4
+    while speed > 0.0:
+        if time > onset_s:
+            share = 1.0 if build_up_s == 0.0 else min(1.0, (time - onset_s) / build_up_s)
+            speed = max(0.0, speed - A_MPS2 * share * step_s)
+        driven, time = driven + speed * step_s, time + step_s
+        point, angle_deg = path.turn.at(driven - path.straight_m)
+        yaw += math.sin(math.radians(angle_deg) - yaw) / path.wheelbase_m * speed * step_s
+        if time < onset_s:
+            continue
+        ahead_m = path.front_axle_ahead_m
+        vut_at = (
+            point[0] + path.straight_m - ahead_m * math.cos(yaw),
+            point[1] - ahead_m * math.sin(yaw),
+        )
+        vru_at, vru_yaw_deg = encounter.vru_motion.path.at(encounter.vru_motion.distance_m(time))
+        overlap = overlap_area(
+            rectangle_polygon(vut_at, math.degrees(yaw), vut.length_m, vut.width_m),
+            rectangle_polygon(vru_at, float(vru_yaw_deg), vru.length_m, vru.width_m),
+        )
+        if overlap > 1.0e-9:
+            return True
+    return False
 
 
 # Last brake time: closed forms
 
 
-def _slack_s(v: float, clear_s: float) -> float:
-    """What looking every 1 ms may cost: contact that ends before the next look is missed.
-
-    As the VRU leaves, the front gains v - a t metres per second; a second of onset is worth a t
-    metres. Standing is looked at exactly.
-    """
-    lost_mps = A_MPS2 * math.sqrt(2.0 * v * clear_s / A_MPS2)
-    return 1e-4 + 1e-3 * max(0.0, (v - lost_mps) / lost_mps)
-
-
 @settings(deadline=None, max_examples=60)
-@given(vut_speeds, vru_speeds, bodies, angles_deg, coordinates_m, coordinates_m)
-def test_last_brake_time_behind_one_who_goes_ahead_is_half_the_closing_speed_over_a(
-    v, u, body, turn_deg, east_m, north_m
+@given(vut_speeds, vru_speeds, bodies, build_ups_s, angles_deg, coordinates_m, coordinates_m)
+def test_last_brake_time_behind_one_who_goes_ahead_is_that_to_brake_away_the_closing_speed(
+    v, u, body, build_up_s, turn_deg, east_m, north_m
 ):
     encounter = build_encounter(
         vru=load_actors()[body],
@@ -86,7 +193,11 @@ def test_last_brake_time_behind_one_who_goes_ahead_is_half_the_closing_speed_ove
         turn_deg=turn_deg,
         origin_m=(east_m, north_m),
     )
-    assert _tau_s(encounter) == pytest.approx((v - u) / (2.0 * A_MPS2), abs=1e-4)
+    if build_up_s == 0.0:
+        assert _stop_tau_s(v - u, 0.0) == pytest.approx((v - u) / (2.0 * A_MPS2), rel=1e-12)
+    assert _tau_s(encounter, _rule(build_up_s=build_up_s)) == pytest.approx(
+        _stop_tau_s(v - u, build_up_s), abs=TOLERANCE_S
+    )
 
 
 @settings(deadline=None, max_examples=60)
@@ -96,11 +207,12 @@ def test_last_brake_time_behind_one_who_goes_ahead_is_half_the_closing_speed_ove
     bodies,
     st.sampled_from([90.0, -90.0]),
     numbers(-0.6, 0.6),
+    build_ups_s,
     angles_deg,
     coordinates_m,
 )
 def test_last_brake_time_before_one_who_crosses_is_to_stop_or_to_pass_behind(
-    v, u, body, angle_deg, side, turn_deg, east_m
+    v, u, body, angle_deg, side, build_up_s, turn_deg, east_m
 ):
     vru = load_actors()[body]
     encounter = build_encounter(
@@ -115,13 +227,19 @@ def test_last_brake_time_before_one_who_crosses_is_to_stop_or_to_pass_behind(
     # From its middle at side x half width, until its rear has passed the far edge.
     walked = side * math.copysign(1.0, angle_deg)
     clear_s = 0.5 * (encounter.vut.width_m * (1.0 - walked) + vru.length_m) / u
-    expected = crossing_tau_s(v, A_MPS2, clear_s)
-    assert _tau_s(encounter) == pytest.approx(expected, abs=_slack_s(v, clear_s))
+    expected = _crossing_tau_s(v, clear_s, build_up_s)
+    if build_up_s == 0.0:
+        assert expected == pytest.approx(crossing_tau_s(v, A_MPS2, clear_s), abs=1e-9)
+    assert _tau_s(encounter, _rule(build_up_s=build_up_s)) == pytest.approx(
+        expected, abs=TOLERANCE_S
+    )
 
 
 @settings(deadline=None, max_examples=40)
-@given(vut_speeds, vru_speeds, angles_deg)
-def test_last_brake_time_towards_one_who_comes_closer_lets_the_vut_stand_first(v, u, turn_deg):
+@given(vut_speeds, vru_speeds, build_ups_s, angles_deg)
+def test_last_brake_time_towards_one_who_comes_closer_lets_the_vut_stand_first(
+    v, u, build_up_s, turn_deg
+):
     encounter = build_encounter(
         vru=load_actors()["cyclist"],
         vut_speed_mps=v,
@@ -130,9 +248,11 @@ def test_last_brake_time_towards_one_who_comes_closer_lets_the_vut_stand_first(v
         touch=0.0,
         turn_deg=turn_deg,
     )
-    standstill_s = v / A_MPS2
-    gap_m = 0.5 * v * standstill_s + u * standstill_s
-    assert _tau_s(encounter) == pytest.approx(gap_m / (v + u), abs=1e-4)
+    standstill_s = _standstill_s(v, build_up_s)
+    gap_m = (v + u) * standstill_s - _lost_m(standstill_s, build_up_s)
+    assert _tau_s(encounter, _rule(build_up_s=build_up_s)) == pytest.approx(
+        gap_m / (v + u), abs=TOLERANCE_S
+    )
 
 
 def test_last_brake_time_of_cpnc_50_at_60_kmh_is_that_of_passing_behind(runs):
@@ -142,15 +262,15 @@ def test_last_brake_time_of_cpnc_50_at_60_kmh_is_that_of_passing_behind(runs):
     clear_s = (0.5 * 1.836 + 0.5 * 0.6) / u
     expected = -crossing_tau_s(v, A_MPS2, clear_s)
     assert expected == pytest.approx(-1.069, abs=1e-3)
-    assert run.last_brake_time_s == pytest.approx(expected, abs=1e-3)
+    assert run.last_brake_time_s == pytest.approx(expected, abs=TOLERANCE_S)
     assert -stop_tau_s(v, A_MPS2) == pytest.approx(-1.0795, abs=1e-3)
 
 
 @pytest.mark.parametrize(
     ("vut_speed_kmh", "onset_s"),
     [
-        # The first pass (a look every 10 ms) sees contact at this onset, the second (1 ms) does
-        # not. It once took the whole bracket for free and was 0.1 s too early.
+        # A look every 10 ms sees contact at this onset, one every 1 ms does not. A search in two
+        # passes once took the whole bracket for free and was 0.1 s too early.
         (51.3845, -0.7471333671285152),
         (58.2852, -0.8125),  # the other way round
     ],
@@ -163,57 +283,95 @@ def test_last_brake_time_does_not_fall_between_two_time_steps(vut_speed_kmh, ons
         vru_speed_mps=u,
         angle_deg=90.0,
         touch=0.0,
-        vut_drive_s=5.0 - onset_s,  # a multiple of the first pass's step before it
+        vut_drive_s=5.0 - onset_s,
     )
     touches = [
-        smallest_separation_m(
-            encounter, onset_s, deceleration_mps2=A_MPS2, time_step_s=time_step_s
-        ).item()
-        <= 0.0
+        smallest_separation_m(encounter, onset_s, rule=RULE, time_step_s=time_step_s).item() <= 0.0
         for time_step_s in (0.01, 0.001)
     ]
     assert touches[0] != touches[1]
     clear_s = 0.5 * (1.836 + 0.6) / u
-    assert _tau_s(encounter) == pytest.approx(
-        crossing_tau_s(v, A_MPS2, clear_s), abs=_slack_s(v, clear_s)
-    )
+    tau_s = crossing_tau_s(v, A_MPS2, clear_s)
+    assert _tau_s(encounter) == pytest.approx(tau_s, abs=TOLERANCE_S)
+    # Nor does the verdict: the contact at this onset lasts less than a step.
+    assert has_contact(encounter, onset_s, RULE) == (onset_s > -tau_s)
 
 
 # Last brake time: properties and the fine-step simulation
 
 
-@settings(deadline=None, max_examples=60)
-@given(encounters(), numbers(0.0, 1.0))
-def test_braking_avoids_up_to_the_last_brake_time_and_not_after(encounter, share):
-    last_s = last_brake_time_s(encounter, deceleration_mps2=A_MPS2)
+@settings(deadline=None, max_examples=100)
+@given(st.one_of(encounters(), turning_encounters()), build_ups_s, numbers(0.0, 1.0))
+def test_braking_avoids_up_to_the_last_brake_time_and_not_after(encounter, build_up_s, share):
+    rule = _rule(build_up_s=build_up_s)
+    last_s = last_brake_time_s(encounter, rule)
     start_s = encounter.vut_motion.start_time_s
     assert start_s < last_s <= 0.0
     earlier_s = start_s + share * (last_s - start_s)
-    assert not has_contact(encounter, earlier_s, deceleration_mps2=A_MPS2)
-    assert not has_contact(encounter, last_s, deceleration_mps2=A_MPS2)
-    assert has_contact(encounter, last_s + 1e-4, deceleration_mps2=A_MPS2)
+    assert not has_contact(encounter, earlier_s, rule)
+    assert not has_contact(encounter, last_s - 0.1 * share, rule)
+    assert not has_contact(encounter, last_s, rule)
+    assert has_contact(encounter, last_s + TOLERANCE_S, rule)
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.one_of(encounters(), turning_encounters()))
+def test_no_onset_before_the_last_brake_time_leads_to_contact(encounter):
+    last_s = last_brake_time_s(encounter, RULE)
+    onsets = np.append(np.arange(encounter.vut_motion.start_time_s, last_s, 0.02), last_s)
+    assert (smallest_separation_m(encounter, onsets, rule=RULE) > 0.0).all()
+    assert (smallest_separation_m(encounter, [last_s + 0.002, 0.0], rule=RULE) <= 0.0).all()
 
 
 @settings(deadline=None, max_examples=40)
 @given(encounters(), numbers(0.0, 1.0))
 def test_last_brake_time_matches_a_simulation_in_small_steps(encounter, share):
-    last_s = last_brake_time_s(encounter, deceleration_mps2=A_MPS2)
+    last_s = last_brake_time_s(encounter, RULE)
     before_s = last_s - 0.003 - 0.5 * share
     assert not simulated_contact(encounter, before_s, deceleration_mps2=A_MPS2)
     if last_s < -0.004:
         assert simulated_contact(encounter, last_s + 0.003, deceleration_mps2=A_MPS2)
 
 
+@pytest.mark.parametrize(
+    ("side", "speed_kmh", "is_same"),
+    [("far", 10.0, True), ("far", 15.0, False), ("far", 20.0, True), ("near", 10.0, False)],
+)
+@pytest.mark.parametrize("build_up_s", [0.0, 0.3])
+def test_last_brake_time_on_a_turn_matches_a_simulation_in_small_steps(
+    side, speed_kmh, is_same, build_up_s
+):
+    encounter = build_turning_encounter(side, speed_kmh, is_same=is_same)
+    last_s = last_brake_time_s(encounter, _rule(build_up_s=build_up_s))
+    assert not _simulated_contact_on_a_turn(encounter, last_s - 0.003, build_up_s)
+    assert _simulated_contact_on_a_turn(encounter, last_s + 0.003, build_up_s)
+
+
+def test_braking_on_a_turn_counts_until_the_vut_stands_and_not_beyond():
+    # Who walks the same way as the VUT came meets it from behind: it may stand before.
+    encounter = build_turning_encounter("far", 10.0, is_same=True)
+    last_s = last_brake_time_s(encounter, RULE)
+    assert last_s > -_stop_tau_s(encounter.vut_motion.speed_mps, 0.0)
+
+
 @settings(deadline=None, max_examples=40)
 @given(encounters(), numbers(1.0, 6.0), numbers(0.1, 5.0))
 def test_harder_braking_may_begin_later(encounter, weak_mps2, more_mps2):
-    weak = last_brake_time_s(encounter, deceleration_mps2=weak_mps2)
-    hard = last_brake_time_s(encounter, deceleration_mps2=weak_mps2 + more_mps2)
-    assert hard >= weak - 1e-3
+    weak = last_brake_time_s(encounter, _rule(deceleration_mps2=weak_mps2))
+    hard = last_brake_time_s(encounter, _rule(deceleration_mps2=weak_mps2 + more_mps2))
+    assert hard >= weak - TOLERANCE_S
 
 
 @settings(deadline=None, max_examples=40)
-@given(encounters(), angles_deg)
+@given(encounters(), numbers(0.0, 1.0), numbers(0.0, 1.0))
+def test_slower_build_up_must_begin_earlier(encounter, build_up_s, more_s):
+    fast = last_brake_time_s(encounter, _rule(build_up_s=build_up_s))
+    slow = last_brake_time_s(encounter, _rule(build_up_s=build_up_s + more_s))
+    assert slow <= fast + TOLERANCE_S
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.one_of(encounters(), turning_encounters()), angles_deg)
 def test_last_brake_time_does_not_depend_on_where_north_is(encounter, turn_deg):
     turn = np.radians(turn_deg)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -231,7 +389,53 @@ def test_last_brake_time_does_not_depend_on_where_north_is(encounter, turn_deg):
         vut_motion=turned(encounter.vut_motion),
         vru_motion=turned(encounter.vru_motion),
     )
-    assert _tau_s(other) == pytest.approx(_tau_s(encounter), abs=1e-4)
+    assert _tau_s(other) == pytest.approx(_tau_s(encounter), abs=TOLERANCE_S)
+
+
+@settings(deadline=None, max_examples=40)
+@given(turning_encounters())
+def test_last_brake_time_of_a_left_turn_is_that_of_its_mirror_image(encounter):
+    def mirrored(motion):
+        path = motion.path
+        changes = {"start_m": path.start_m * [1.0, -1.0], "yaw_deg": -path.yaw_deg}
+        if isinstance(path, TurnPath):
+            changes["turn"] = dataclasses.replace(path.turn, side=-path.turn.side)
+        return dataclasses.replace(motion, path=dataclasses.replace(path, **changes))
+
+    other = dataclasses.replace(
+        encounter,
+        vut_motion=mirrored(encounter.vut_motion),
+        vru_motion=mirrored(encounter.vru_motion),
+    )
+    assert _tau_s(other) == pytest.approx(_tau_s(encounter), abs=TOLERANCE_S)
+
+
+def test_a_walker_who_sets_off_late_and_accelerates_is_where_its_motion_says():
+    # 1 m of acceleration, and the impact within it: the VUT may come to the line a little later
+    # only, for the walker is slower than it will be.
+    v, u, acceleration_m, travel_m = 40.0 * KMH, 5.0 * KMH, 4.0, 3.0
+    vut, vru = load_actors()["vut"], load_actors()["adult"]
+    travel_s = travel_time_s(travel_m, speed_mps=u, acceleration_distance_m=acceleration_m)
+    front_m = 0.5 * vut.length_m + 0.5 * vru.width_m
+    encounter = Encounter(
+        vut=vut,
+        vut_motion=Motion(
+            path=StraightPath(start_m=[-front_m - 8.0 * v, 0.0], yaw_deg=0.0),
+            speed_mps=v,
+            start_time_s=-8.0,
+        ),
+        vru=vru,
+        vru_motion=Motion(
+            path=StraightPath(start_m=[0.0, -travel_m], yaw_deg=90.0),
+            speed_mps=u,
+            start_time_s=-travel_s,
+            acceleration_distance_m=acceleration_m,
+        ),
+    )
+    assert first_contact_s(encounter) == pytest.approx(0.0, abs=1e-6)
+    clear_m = travel_m + 0.5 * (vut.width_m + vru.length_m)
+    clear_s = travel_time_s(clear_m, speed_mps=u, acceleration_distance_m=acceleration_m) - travel_s
+    assert _tau_s(encounter) == pytest.approx(_crossing_tau_s(v, clear_s, 0.0), abs=TOLERANCE_S)
 
 
 def test_a_start_too_close_to_avoid_anything_is_minus_infinity():
@@ -243,12 +447,13 @@ def test_a_start_too_close_to_avoid_anything_is_minus_infinity():
         touch=0.0,
         vut_drive_s=0.5,
     )
-    assert last_brake_time_s(encounter, deceleration_mps2=A_MPS2) == -np.inf
+    assert last_brake_time_s(encounter, RULE) == -np.inf
 
 
-def test_braking_at_or_after_the_impact_or_never_is_too_late(runs):
+def test_braking_at_or_after_the_impact_or_never_is_too_late():
+    encounter = build_turning_encounter("near", 10.0, is_same=True)
     for onset_s in (0.0, 0.5, math.inf):
-        assert has_contact(runs[0].encounter, onset_s, deceleration_mps2=A_MPS2)
+        assert has_contact(encounter, onset_s, RULE)
 
 
 def test_a_vut_that_brakes_before_it_sets_off_stays_where_it_is():
@@ -260,8 +465,8 @@ def test_a_vut_that_brakes_before_it_sets_off_stays_where_it_is():
         touch=0.0,
         vut_drive_s=0.5,  # 8 m: too near to stop from full speed
     )
-    assert has_contact(encounter, -0.5, deceleration_mps2=A_MPS2)
-    assert not has_contact(encounter, -0.6, deceleration_mps2=A_MPS2)
+    assert has_contact(encounter, -0.5, RULE)
+    assert not has_contact(encounter, -0.6, RULE)
 
 
 # Confirmation
@@ -319,34 +524,3 @@ def test_no_confirmation_is_never_in_time_and_nothing_is_before_minus_infinity()
         False,
         False,
     ]
-
-
-# The rule
-
-
-def test_rule_is_that_of_the_study():
-    # CarlaNCAP: 7.72 m/s^2 without build-up, 25 ms, three consecutive frames at 10 Hz.
-    rule = load_aeb_rule()
-    assert (rule.deceleration_mps2, rule.latency_s) == (7.72, 0.025)
-    assert (rule.n_confirmations, rule.frame_rate_hz) == (3, 10.0)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"deceleration_mps2": 0.0}, "aeb.deceleration_mps2: got 0.0; expected a positive number"),
-        (
-            {"deceleration_mps2": math.nan},
-            "aeb.deceleration_mps2: got nan; expected a positive number",
-        ),
-        ({"frame_rate_hz": math.inf}, "aeb.frame_rate_hz: got inf; expected a positive number"),
-        ({"latency_s": -0.1}, "aeb.latency_s: got -0.1; expected seconds, at least 0"),
-        ({"n_confirmations": 0}, "aeb.n_confirmations: got 0; expected a whole number, >= 1"),
-        ({"n_confirmations": True}, "aeb.n_confirmations: got True; expected a whole number, >= 1"),
-        ({"n_confirmations": 2.5}, "aeb.n_confirmations: got 2.5; expected a whole number, >= 1"),
-    ],
-)
-def test_rule_says_what_is_wrong(rule, change, message):
-    with pytest.raises(InputError) as caught:
-        dataclasses.replace(rule, **change)
-    assert str(caught.value) == message

@@ -7,11 +7,16 @@ from scenarios import cases
 
 GOOD = {
     "X": {
-        "label": "X-50",
+        "source": "protocol-4.5.1",
         "title": "an adult crosses",
         "kind": "crossing",
-        "vru_actor": "adult",
+        "vru": "adult",
         "vru_speed_kmh": 5.0,
+        "vru_from": "near",
+        "vru_line": {"along": "crosswalk"},
+        "vru_reference": "reference",
+        "start_distance_m": 4.0,
+        "acceleration_distance_m": 1.0,
         "vut_speed_kmh": {"min": 20.0, "max": 30.0, "step": 5.0},
         "impact_percent": 50.0,
     }
@@ -45,7 +50,7 @@ def _changed(**changes):
 )
 def test_cases_are_those_of_the_study(name, kind, actor, vru_speed_kmh, first_kmh, n_speeds):
     case = cases.load_cases()[name]
-    assert (case.name, case.label, case.kind) == (name, name, kind)
+    assert (case.name, case.kind) == (name, kind)
     assert (case.vru.name, case.vru_speed_kmh) == (actor, vru_speed_kmh)
     assert case.vut_speeds_kmh == tuple(first_kmh + 5.0 * step for step in range(n_speeds))
     assert case.vut_speeds_kmh[-1] == 60.0
@@ -68,11 +73,39 @@ def test_a_single_speed_is_allowed(monkeypatch):
     ("changes", "message"),
     [
         (
-            {"kind": "turning"},
-            "cases.toml: X.kind: got 'turning'; expected one of crossing, longitudinal",
+            {"kind": "flying"},
+            "cases.toml: X.kind: got 'flying'; expected one of crossing, longitudinal, turning",
         ),
         ({"kind": None}, "cases.toml: X.kind: got nothing; expected a value"),
-        ({"label": None}, "cases.toml: X.label: got nothing; expected a value"),
+        ({"source": None}, "cases.toml: X.source: got nothing; expected a value"),
+        (
+            {"steady_distance_m": 3.0},
+            "cases.toml: X: got ['start_distance_m', 'steady_distance_m']; "
+            "expected either start_distance_m or steady_distance_m",
+        ),
+        (
+            {"vru_from": "ahead"},
+            "cases.toml: X.vru_from: got 'ahead'; expected one of near, far",
+        ),
+        (
+            {"impact_percent": 120.0},
+            "cases.toml: X.impact_percent: got 120.0; expected 0 to 100",
+        ),
+        (
+            {"impact_face": "rear"},
+            "cases.toml: X.impact_face: got 'rear'; expected one of front, side",
+        ),
+        (
+            {"vru_line": {"along": "river"}},
+            "cases.toml: X.vru_line.along: got 'river'; expected one of crosswalk, lane, kerb",
+        ),
+        (
+            {"obstruction": {"kind": "tree"}},
+            "cases.toml: X.obstruction.kind: got 'tree'; "
+            "expected one of beside-vut, beside-vru, wall",
+        ),
+        ({"as": "Y"}, "cases.toml: X.as: got 'Y'; expected another case, not in a circle"),
+        ({"as": "X"}, "cases.toml: X.as: got 'X'; expected another case, not in a circle"),
         (
             {"vut_speed_kmh": {"min": 30.0, "max": 20.0, "step": 5.0}},
             "cases.toml: X.vut_speed_kmh: got {'min': 30.0, 'max': 20.0, 'step': 5.0}; "
@@ -105,7 +138,45 @@ def test_cases_say_what_is_wrong(monkeypatch, changes, message):
 
 def test_an_unknown_body_lists_the_known_ones(monkeypatch, actors):
     with pytest.raises(InputError) as caught:
-        _load(monkeypatch, _changed(vru_actor="horse"))
+        _load(monkeypatch, _changed(vru="horse"))
     assert str(caught.value) == (
-        f"cases.toml: X.vru_actor: got 'horse'; expected one of {', '.join(sorted(actors))}"
+        f"cases.toml: X.vru: got 'horse'; expected one of {', '.join(sorted(actors))}"
     )
+
+
+def test_a_case_like_another_says_only_what_differs(monkeypatch):
+    table = {**GOOD, "Y": {"as": "X", "impact_percent": 25.0}, "Z": {"as": "Y", "title": "last"}}
+    cases_by_name = _load(monkeypatch, table)
+    assert cases_by_name["Y"].impact_percent == cases_by_name["Z"].impact_percent == 25.0
+    assert (cases_by_name["Z"].title, cases_by_name["Z"].vru) == ("last", cases_by_name["X"].vru)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("CBNA", ["CBNA"]),  # the study's own, not the family of CBNA-50
+        ("CPNA", ["CPNA-25", "CPNA-75"]),
+        ("CBTAfs", ["CBTAfs-100", "CBTAfs-side"]),
+        ("CPNA, CPNA-75,CPFA-50", ["CPNA-25", "CPNA-75", "CPFA-50"]),
+    ],
+)
+def test_cases_are_picked_by_name_or_family_each_once(text, names):
+    assert [case.name for case in cases.pick_cases(text, "--cases")] == names
+
+
+def test_a_set_is_picked_with_its_own_speeds():
+    picked = {case.name: case for case in cases.pick_cases("study", "--cases")}
+    assert picked["CPNCO-50"].vut_speeds_kmh[0] == 20.0
+    assert cases.load_cases()["CPNCO-50"].vut_speeds_kmh[0] == 10.0
+    assert len(cases.pick_cases("all", "--cases")) == len(cases.load_cases())
+
+
+@pytest.mark.parametrize("text", ["CPXX", "", "study,,CBLA", "cbla"])
+def test_unknown_cases_list_sets_and_cases(text):
+    with pytest.raises(InputError, match=r"--cases: got '.*'; expected one of study, protocol"):
+        cases.pick_cases(text, "--cases")
+
+
+def test_the_vru_is_never_read_off_the_letters_of_a_case():
+    assert cases.load_cases()["CPNC-50"].vru.name == "adult"
+    assert cases.load_cases()["CPNCO-50"].vru.name == "child"

@@ -1,7 +1,40 @@
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from scenarios.exposure import weight_per_run
+from geometry.errors import InputError, MissingExtraError
+from scenarios import rating
+from scenarios.exposure import weigh, weight_per_case, weight_per_run, weight_share
+
+
+def run(case, approach="north", weather="day", speed_kmh=20):
+    return SimpleNamespace(
+        id=f"{case}/{approach}/{speed_kmh}/{weather}",
+        case=SimpleNamespace(name=case),
+        approach=approach,
+        weather=weather,
+    )
+
+
+DRIVEN = (
+    run("CPNA-25"),
+    run("CPNA-25", speed_kmh=30),
+    run("CPNA-25", "south"),
+    run("CBNA"),
+    run("CPNA-25", "south", "night"),
+)
+
+
+@pytest.fixture
+def table(tmp_path):
+    def write(text, **options):
+        path = tmp_path / "exposure.csv"
+        path.write_text(text, encoding=options.get("encoding", "utf-8"))
+        return path
+
+    return write
 
 
 def test_every_run_counts_the_same_and_all_sum_to_one(runs):
@@ -9,3 +42,145 @@ def test_every_run_counts_the_same_and_all_sum_to_one(runs):
     assert weight.shape == (len(runs),)
     assert len(np.unique(weight)) == 1
     assert weight.sum() == pytest.approx(1.0, abs=1e-12)
+
+
+def test_every_case_counts_the_same_and_its_runs_share_that():
+    assert weight_per_case(DRIVEN) == pytest.approx([1 / 8, 1 / 8, 1 / 8, 1 / 2, 1 / 8])
+
+
+@pytest.mark.parametrize("how", ["run", "case"])
+def test_words_choose_the_weights(how):
+    assert weigh(DRIVEN, how).sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("how", ["speed", "", "no/such.csv"])
+def test_unknown_words_list_the_known_ones(how):
+    with pytest.raises(InputError) as caught:
+        weigh(DRIVEN, how)
+    assert str(caught.value) == (
+        f"--weights: got {how!r}; expected run, case, euroncap-rating-2026, "
+        "or a CSV file that exists"
+    )
+
+
+def test_share_of_runs_without_weight_is_unknown():
+    assert np.isnan(weight_share([True], [0.0]))
+
+
+# CSV
+
+
+def test_a_row_shares_its_weight_among_the_runs_that_it_names(table):
+    path = table("case,approach,weight\nCPNA-25,north,3\nCBNA,*,1\n")
+    assert weigh(DRIVEN, str(path)) == pytest.approx([3 / 8, 3 / 8, 0.0, 1 / 4, 0.0])
+
+
+def test_a_weather_can_be_named_and_columns_may_come_in_any_order(table):
+    path = table("weight;weather;case;approach\n1;night;CPNA-25;\n3;day;CPNA-25;south\n")
+    assert weigh(DRIVEN, str(path)) == pytest.approx([0.0, 0.0, 3 / 4, 0.0, 1 / 4])
+
+
+def test_a_byte_order_mark_and_empty_lines_do_not_matter(table):
+    path = table("case,approach,weight\n\nCBNA,north,2\n\n", encoding="utf-8-sig")
+    assert weigh(DRIVEN, str(path)).tolist() == [0.0, 0.0, 0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "{}: got an empty file; expected columns case, approach, weight, and weather"),
+        ("case,approach,weight\n", "{}: got no rows; expected one row per case and approach"),
+        ("case,approach\nCBNA,north\n", "{}: line 1: got case, approach; expected case, approach"),
+        ("case,approach,weight,age\n", "{}: line 1: got case, approach, weight, age; expected"),
+        ("case,approach,weight\nCBNA,north\n", "{}: line 2: got 2 columns; expected 3"),
+        (
+            "case,approach,weight\nCBNA,north,-1\n",
+            "{}: line 2: weight: got '-1'; expected a number, at least 0",
+        ),
+        ("case,approach,weight\nCBNA,north,nan\n", "{}: line 2: weight: got 'nan'; expected a num"),
+        ("case,approach,weight\nCBNA,north,1e999\n", "{}: line 2: weight: got '1e999'; expected"),
+        ("case,approach,weight\nCBNA,north,much\n", "{}: line 2: weight: got 'much'; expected"),
+        (
+            "case,approach,weight\nCBLA,north,1\n",
+            "{}: line 2: got 'CBLA', 'north'; expected a case that is driven: CPNA-25, CBNA",
+        ),
+        (
+            "case,approach,weight\n\nCBNA,up,1\n",
+            "{}: line 3: got 'CBNA', 'up'; expected an approach and weather in which CBNA is "
+            "driven: north by day",
+        ),
+        (
+            "case,approach,weight\nCPNA-25,*,1\nCPNA-25,south,1\n",
+            "{}: line 3: got 'CPNA-25', 'south'; expected runs that line 2 does not name already",
+        ),
+        (
+            "case,approach,weight\nCBNA,north,0\n",
+            "{}: weight: got 0 in all rows; expected one weight more than 0",
+        ),
+        ('case,approach,weight\n"CBNA,north,1\n', "{}: got unexpected end of data; expected a CSV"),
+    ],
+)
+def test_tables_say_what_is_wrong_and_where(table, text, message):
+    path = table(text)
+    with pytest.raises(InputError) as caught:
+        weigh(DRIVEN, str(path))
+    assert str(caught.value).startswith(message.format(path))
+
+
+def test_a_folder_and_binary_data_are_no_tables(table, tmp_path):
+    with pytest.raises(InputError, match="expected a readable file"):
+        weigh(DRIVEN, str(tmp_path))
+    with pytest.raises(InputError, match="expected a CSV file in UTF-8"):
+        weigh(DRIVEN, str(table("\u00e4", encoding="latin-1")))
+
+
+# Euro NCAP's points
+
+
+@pytest.fixture
+def scores():
+    model = pytest.importorskip("euroncap_rating_2026.crash_avoidance.data_model")
+    return {
+        name: sum(part or 0.0 for part in parts.values())
+        for name, parts in model.TOTAL_SCORES.items()
+    }
+
+
+def test_points_are_those_of_the_package_shared_by_the_runs_of_a_case_and_weather(scores):
+    weight = weigh(DRIVEN, "euroncap-rating-2026")
+    day, night, cyclist = scores["CPNA day"], scores["CPNA night"], scores["CBNA"]
+    expected = np.array([day / 3, day / 3, day / 3, cyclist, night])
+    assert weight == pytest.approx(expected / expected.sum())
+    # As the package splits the pedestrian's points by light: robustness is looked at by day only.
+    assert weight[:3].sum() / weight[4] == pytest.approx(11.0 / 9.0)
+
+
+def test_every_score_of_the_mapping_is_one_of_the_package(scores):
+    points = rating.load_points()
+    assert set(points.values()) <= set(scores.values())
+    vru = [name for name in scores if name[:2] in ("CP", "CB") and "SfS" not in name]
+    left_out = {"CPMRCm", "CPMRCs", "CPMFC", "CBDA"}  # reversing, forward creep, dooring
+    assert len(points) == len(set(vru) - left_out)
+
+
+def test_near_and_far_turns_share_their_points(scores):
+    driven = (run("CPTAfs-50"), run("CPTAns-50"), run("CPTAfo-50"), run("CPNC-50"))
+    weight = weigh(driven, "euroncap-rating-2026")
+    assert weight[0] == weight[1] == pytest.approx(0.5 * weight[2])
+    assert weight[3] / weight[2] == pytest.approx(scores["CPNCO day"] / scores["CPTAfo & CPTAno"])
+
+
+def test_runs_without_points_alone_cannot_be_weighed(scores):
+    with pytest.raises(InputError) as caught:
+        weigh((run("CPNA-25", weather="rain"),), "euroncap-rating-2026")
+    assert str(caught.value) == (
+        "--weights: got 'euroncap-rating-2026'; expected a run that has points in 2026; "
+        "driven: CPNA-25 (rain)"
+    )
+
+
+def test_a_missing_package_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "euroncap_rating_2026.crash_avoidance.data_model", None)
+    rating.load_points.cache_clear()
+    with pytest.raises(MissingExtraError, match=r"pip install place-rsus\[rating\]"):
+        weigh(DRIVEN, "euroncap-rating-2026")

@@ -1,11 +1,60 @@
+import dataclasses
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.constants import kmh
 from strategies import angles_deg, coordinates_m, numbers
 
 from geometry.errors import InputError
 from geometry.poses import body_rotation
-from scenarios.paths import Motion, StraightPath
+from scenarios.paths import Motion, StraightPath, TurnPath, travel_time_s
+from scenarios.turns import LEFT, RIGHT, Turn, load_turns, pick_turn
+
+TABLE_M = 1e-6  # what the table of a turn may be off
+WHEELBASE_M, FRONT_AXLE_AHEAD_M = 2.85, 1.45
+speeds = numbers(0.5, 30.0)
+accelerations_m = st.one_of(st.just(0.0), numbers(0.1, 10.0))
+
+
+def build_turn_path(turn: Turn, **changes) -> TurnPath:
+    values = {
+        "start_m": [0.0, 0.0],
+        "yaw_deg": 0.0,
+        "straight_m": 5.0,
+        "turn": turn,
+        "wheelbase_m": WHEELBASE_M,
+        "front_axle_ahead_m": FRONT_AXLE_AHEAD_M,
+    }
+    return TurnPath(**values | changes)
+
+
+@st.composite
+def turn_paths(draw) -> TurnPath:
+    side, speed_kmh = draw(st.sampled_from([("far", 10), ("far", 15), ("far", 20), ("near", 10)]))
+    wheelbase_m = draw(st.sampled_from([2.0, 2.85, 4.0]))
+    return build_turn_path(
+        pick_turn(side, speed_kmh).turned_by(draw(st.sampled_from([60.0, 90.0, 120.0]))),
+        start_m=[draw(coordinates_m), draw(coordinates_m)],
+        yaw_deg=draw(angles_deg),
+        straight_m=draw(numbers(0.0, 40.0)),
+        wheelbase_m=wheelbase_m,
+        front_axle_ahead_m=draw(numbers(0.0, 1.0)) * wheelbase_m,
+    )
+
+
+def _unit(yaw_deg):
+    yaw = np.radians(yaw_deg)
+    return np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+
+
+def _rear_axle_m(path, distance_m):
+    middle, yaw_deg = path.at(distance_m)
+    return middle - (path.wheelbase_m - path.front_axle_ahead_m) * _unit(yaw_deg)
+
+
+# Straight on
 
 
 @given(coordinates_m, coordinates_m, angles_deg, coordinates_m)
@@ -17,19 +66,180 @@ def test_a_straight_path_goes_the_distance_in_the_bodys_own_direction(east, nort
     assert heading == yaw
 
 
-def test_a_path_answers_for_any_shape_of_distances():
-    path = StraightPath(start_m=[1.0, 2.0], yaw_deg=90.0)
-    position, heading = path.at(np.arange(6.0).reshape(2, 3))
-    assert position.shape == (2, 3, 2)
-    assert heading.shape == (2, 3)
+def test_paths_answer_for_any_shape_of_distances():
+    straight = StraightPath(start_m=[1.0, 2.0], yaw_deg=90.0)
+    for path in (straight, build_turn_path(pick_turn("far", 10.0))):
+        position, heading = path.at(np.arange(6.0).reshape(2, 3))
+        assert position.shape == (2, 3, 2)
+        assert heading.shape == (2, 3)
+    position, _ = straight.at(np.arange(6.0).reshape(2, 3))
     assert position[1, 2] == pytest.approx([1.0, 7.0])
 
 
-@given(numbers(0.1, 30.0), numbers(-20.0, 0.0), numbers(-30.0, 10.0), numbers(0.0, 10.0))
-def test_a_motion_stands_until_its_start_and_then_keeps_its_speed(speed, start_s, time_s, later_s):
-    motion = Motion(
-        path=StraightPath(start_m=[0.0, 0.0], yaw_deg=0.0), speed_mps=speed, start_time_s=start_s
+def test_a_start_with_a_height_is_refused():
+    with pytest.raises(InputError) as caught:
+        StraightPath(start_m=[0.0, 1.0, 2.0], yaw_deg=0.0)
+    assert str(caught.value) == "start_m: got shape (3,); expected shape (2,)"
+    with pytest.raises(InputError, match="yaw_deg: got nan; expected finite degrees"):
+        StraightPath(start_m=[0.0, 1.0], yaw_deg=np.nan)
+
+
+# Round a turn
+
+
+@given(turn_paths(), numbers(-30.0, 120.0))
+def test_the_front_axle_follows_the_line_and_is_ahead_of_the_middle_of_the_body(path, distance_m):
+    middle, yaw_deg = path.at(distance_m)
+    front_axle, path_yaw_deg = path.front_axle_at(distance_m)
+    assert middle + path.front_axle_ahead_m * _unit(yaw_deg) == pytest.approx(
+        front_axle, abs=TABLE_M
     )
+    on_turn_m = distance_m - path.straight_m
+    point, angle_deg = path.turn.at(on_turn_m)
+    turn_start = path.start_m + path.straight_m * _unit(path.yaw_deg)
+    ahead, left = _unit(path.yaw_deg), _unit(path.yaw_deg + 90.0)
+    assert front_axle == pytest.approx(turn_start + point[0] * ahead + point[1] * left, abs=1e-9)
+    assert path_yaw_deg == pytest.approx(path.yaw_deg + angle_deg, abs=1e-9)
+
+
+@given(turn_paths(), numbers(-30.0, 120.0))
+def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(path, distance_m):
+    step_m = 0.05
+    _, yaw_deg = path.at(distance_m)
+    _, path_yaw_deg = path.front_axle_at(distance_m)
+    rolled = np.subtract(*_rear_axle_m(path, distance_m + np.array([0.5, -0.5]) * step_m)) / step_m
+    assert rolled @ _unit(yaw_deg + 90.0) == pytest.approx(0.0, abs=1e-4)
+    lag = np.radians(path_yaw_deg - yaw_deg)
+    assert rolled @ _unit(yaw_deg) == pytest.approx(np.cos(lag), abs=2e-4)
+
+
+@pytest.mark.parametrize("name", ["far_10", "far_20", "near_10"])
+def test_the_body_matches_one_dragged_in_small_steps(name):
+    path = build_turn_path(load_turns()[name].turn)
+    distance = np.linspace(0.0, 60.0, 60_001)
+    front, path_yaw_deg = path.front_axle_at(distance)
+    tangent = np.radians(path_yaw_deg)
+    yaw = np.zeros(len(distance))
+    for i in range(len(distance) - 1):  # Heun's rule
+        step_m = distance[i + 1] - distance[i]
+        first = np.sin(tangent[i] - yaw[i]) / WHEELBASE_M
+        second = np.sin(tangent[i + 1] - yaw[i] - step_m * first) / WHEELBASE_M
+        yaw[i + 1] = yaw[i] + 0.5 * step_m * (first + second)
+    middle, yaw_deg = path.at(distance)
+    assert yaw_deg == pytest.approx(np.degrees(yaw), abs=1e-4)
+    assert middle == pytest.approx(
+        front - FRONT_AXLE_AHEAD_M * _unit(np.degrees(yaw)), abs=5.0 * TABLE_M
+    )
+
+
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+def test_on_a_long_arc_the_lag_settles_at_the_angle_whose_sine_is_wheelbase_over_radius(side):
+    turn = Turn(first_radius_m=1500.0, radius_m=9.0, clothoid_deg=5.0, arc_deg=165.0, side=side)
+    path = build_turn_path(turn, wheelbase_m=0.9, front_axle_ahead_m=0.5)
+    late_m = path.straight_m + turn.length_m - turn.clothoid_length_m
+    _, yaw_deg = path.at(late_m)
+    _, path_yaw_deg = path.front_axle_at(late_m)
+    lag_deg = side * (path_yaw_deg - yaw_deg)
+    assert lag_deg == pytest.approx(np.degrees(np.arcsin(0.9 / 9.0)), abs=1e-6)
+    # And the rear axle runs on a smaller circle around the same centre.
+    centre = path.front_axle_at(late_m)[0] + side * 9.0 * _unit(path_yaw_deg + 90.0)
+    rear = _rear_axle_m(path, late_m)
+    assert np.linalg.norm(rear - centre) == pytest.approx(np.sqrt(9.0**2 - 0.9**2), abs=TABLE_M)
+
+
+@given(turn_paths(), numbers(0.0, 30.0))
+def test_after_the_turn_the_tangent_of_half_the_lag_decays_exponentially(path, after_m):
+    end_m = path.straight_m + path.turn.length_m
+    (_, yaw_deg), (_, path_yaw_deg) = path.at(end_m), path.front_axle_at(end_m)
+    at_end = np.tan(0.5 * np.radians(path_yaw_deg - yaw_deg))
+    (_, yaw_deg), (_, path_yaw_deg) = path.at(end_m + after_m), path.front_axle_at(end_m + after_m)
+    later = np.tan(0.5 * np.radians(path_yaw_deg - yaw_deg))
+    assert later == pytest.approx(at_end * np.exp(-after_m / path.wheelbase_m), abs=1e-9)
+    assert path_yaw_deg == pytest.approx(path.yaw_deg + path.turn.side * path.turn.angle_deg)
+
+
+@given(turn_paths(), numbers(0.0, 1.0))
+def test_before_the_turn_the_body_goes_straight_however_far_back(path, share):
+    distance_m = path.straight_m - 100.0 * share
+    middle, yaw_deg = path.at(distance_m)
+    ahead_m = distance_m - path.front_axle_ahead_m
+    assert yaw_deg == path.yaw_deg
+    assert middle == pytest.approx(path.start_m + ahead_m * _unit(path.yaw_deg), abs=1e-9)
+
+
+@given(turn_paths(), numbers(-30.0, 120.0))
+def test_left_and_right_turns_of_equal_numbers_are_mirror_images(path, distance_m):
+    path = dataclasses.replace(path, start_m=[0.0, 0.0], yaw_deg=0.0)
+    other = dataclasses.replace(path, turn=dataclasses.replace(path.turn, side=-path.turn.side))
+    (middle, yaw_deg), (mirrored, mirrored_deg) = path.at(distance_m), other.at(distance_m)
+    assert mirrored == pytest.approx(middle * [1.0, -1.0], abs=1e-9)
+    assert mirrored_deg == pytest.approx(-yaw_deg, abs=1e-9)
+
+
+@given(turn_paths(), numbers(-30.0, 120.0))
+def test_a_turn_does_not_depend_on_where_it_is_and_where_north_is(path, distance_m):
+    other = dataclasses.replace(path, start_m=[0.0, 0.0], yaw_deg=0.0)
+    (middle, yaw_deg), (plain, plain_deg) = path.at(distance_m), other.at(distance_m)
+    rotation = body_rotation(path.yaw_deg)[:2, :2]
+    assert middle == pytest.approx(path.start_m + rotation @ plain, abs=1e-9)
+    assert yaw_deg == pytest.approx(path.yaw_deg + plain_deg, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=30)
+@given(turn_paths())
+def test_paths_keep_the_bounds_that_they_declare(path):
+    step_m = 0.05
+    distance = np.arange(-2.0, path.straight_m + path.turn.length_m + 10.0, step_m)
+    middle, yaw_deg = path.at(distance)
+    yaw = np.radians(yaw_deg)
+    turn, slack = path.max_turn_rad_per_m, TABLE_M / step_m
+    assert (np.linalg.norm(np.diff(middle, axis=0), axis=1) <= step_m * (1.0 + slack)).all()
+    assert (np.abs(np.diff(yaw)) <= step_m * (turn + slack)).all()
+    bend = np.linalg.norm(np.diff(middle, 2, axis=0), axis=1) / step_m**2
+    assert (bend <= 3.0 * turn + 4.0 * TABLE_M / step_m**2).all()
+    turn_change = np.abs(np.diff(yaw, 2)) / step_m**2
+    assert (turn_change <= path.max_turn_change_rad_per_m2 + 4.0 * TABLE_M / step_m**2).all()
+
+
+def test_a_straight_path_declares_that_it_never_turns():
+    path = StraightPath(start_m=[0.0, 0.0], yaw_deg=30.0)
+    assert path.max_turn_rad_per_m == path.max_turn_change_rad_per_m2 == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"start_m": [0.0]}, "start_m: got shape (1,); expected shape (2,)"),
+        ({"yaw_deg": np.inf}, "yaw_deg: got inf; expected finite degrees"),
+        ({"straight_m": -1.0}, "straight_m: got -1.0; expected metres, at least 0"),
+        ({"wheelbase_m": 0.0}, "wheelbase_m: got 0.0; expected > 0 metres"),
+        (
+            {"front_axle_ahead_m": 2.9},
+            "front_axle_ahead_m: got 2.9; expected 0 <= metres <= wheelbase",
+        ),
+    ],
+)
+def test_a_turn_path_says_what_is_wrong(change, message):
+    with pytest.raises(InputError) as caught:
+        build_turn_path(pick_turn("far", 10.0), **change)
+    assert str(caught.value) == message
+
+
+# Motion
+
+
+def _motion(speed_mps, start_time_s=0.0, acceleration_distance_m=0.0):
+    return Motion(
+        path=StraightPath(start_m=[0.0, 0.0], yaw_deg=0.0),
+        speed_mps=speed_mps,
+        start_time_s=start_time_s,
+        acceleration_distance_m=acceleration_distance_m,
+    )
+
+
+@given(speeds, numbers(-20.0, 0.0), numbers(-30.0, 10.0), numbers(0.0, 10.0))
+def test_a_motion_stands_until_its_start_and_then_keeps_its_speed(speed, start_s, time_s, later_s):
+    motion = _motion(speed, start_s)
     if time_s <= start_s:
         assert motion.distance_m(time_s) == 0.0
     else:
@@ -38,7 +248,91 @@ def test_a_motion_stands_until_its_start_and_then_keeps_its_speed(speed, start_s
     assert motion.distance_m(start_s) == 0.0
 
 
-def test_a_start_with_a_height_is_refused():
+@given(speeds, numbers(0.1, 10.0), numbers(0.0, 1.0), numbers(0.0, 10.0))
+def test_a_motion_from_rest_reaches_its_speed_after_twice_the_distance_over_the_speed(
+    speed, acceleration_m, share, later_s
+):
+    motion = _motion(speed, -3.0, acceleration_m)
+    up_to_speed_s = 2.0 * acceleration_m / speed
+    # v^2 / (2 a) for so long, and then the speed itself.
+    assert motion.acceleration_mps2 * up_to_speed_s == pytest.approx(speed)
+    gaining_s = share * up_to_speed_s
+    assert motion.distance_m(-3.0 + gaining_s) == pytest.approx(
+        0.5 * motion.acceleration_mps2 * gaining_s**2, abs=1e-9
+    )
+    assert motion.distance_m(-3.0 + up_to_speed_s + later_s) == pytest.approx(
+        acceleration_m + speed * later_s, abs=1e-9
+    )
+    assert motion.distance_m(-3.5) == 0.0
+
+
+@given(speeds, accelerations_m, numbers(-2.0, 30.0), numbers(0.0, 2.0))
+def test_distance_never_falls_and_never_grows_faster_than_the_speed(
+    speed, acceleration_m, time_s, later_s
+):
+    motion = _motion(speed, 0.0, acceleration_m)
+    driven = motion.distance_m(time_s + later_s) - motion.distance_m(time_s)
+    assert -1e-12 <= driven <= speed * later_s + 1e-9
+
+
+@given(speeds, accelerations_m, numbers(0.0, 60.0))
+def test_travel_time_inverts_the_distance(speed, acceleration_m, time_s):
+    motion = _motion(speed, 0.0, acceleration_m)
+    distance_m = float(motion.distance_m(time_s))
+    travel_s = travel_time_s(distance_m, speed_mps=speed, acceleration_distance_m=acceleration_m)
+    assert travel_s == pytest.approx(time_s, abs=1e-6)
+    assert motion.distance_m(travel_s) == pytest.approx(distance_m, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("case", "speed_kmh", "acceleration_m", "steady_m", "time_s"),
+    [
+        # Euro NCAP AEB/LSS VRU v4.5.1: from rest to the impact
+        ("CPNA-25", 5.0, 1.0, 2.54625, 3.273),
+        ("CPNA-75", 5.0, 1.0, 3.45375, 3.927),
+        ("CPFA-50", 8.0, 1.5, 4.5, 3.375),
+        ("CPLA", 5.0, 1.0, 10.0, 8.64),
+        ("CBLA-25", 20.0, 6.2, 28.0, 7.272),
+        ("CBLA-50", 15.0, 3.5, 28.0, 8.4),
+        ("CPTAfs-50", 5.0, 2.0, 7.5, 8.28),
+    ],
+)
+def test_travel_times_are_those_of_the_protocol(case, speed_kmh, acceleration_m, steady_m, time_s):
+    travel_s = travel_time_s(
+        acceleration_m + steady_m,
+        speed_mps=speed_kmh * kmh,
+        acceleration_distance_m=acceleration_m,
+    )
+    assert travel_s == pytest.approx(time_s, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"speed_mps": 0.0}, "motion.speed_mps: got 0.0; expected > 0 metres per second"),
+        ({"speed_mps": np.nan}, "motion.speed_mps: got nan; expected > 0 metres per second"),
+        ({"start_time_s": np.inf}, "motion.start_time_s: got inf; expected a finite time"),
+        (
+            {"acceleration_distance_m": -0.1},
+            "motion.acceleration_distance_m: got -0.1; expected metres, at least 0",
+        ),
+    ],
+)
+def test_a_motion_says_what_is_wrong(change, message):
     with pytest.raises(InputError) as caught:
-        StraightPath(start_m=[0.0, 1.0, 2.0], yaw_deg=0.0)
-    assert str(caught.value) == "start_m: got shape (3,); expected shape (2,)"
+        dataclasses.replace(_motion(1.0), **change)
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "speed_mps", "acceleration_m", "message"),
+    [
+        (-1.0, 1.0, 0.0, "distance_m: got -1.0; expected metres, at least 0"),
+        (1.0, -1.0, 0.0, "speed_mps: got -1.0; expected > 0 metres per second"),
+        (1.0, 1.0, np.inf, "acceleration_distance_m: got inf; expected metres, at least 0"),
+    ],
+)
+def test_a_travel_time_of_nonsense_is_refused(distance_m, speed_mps, acceleration_m, message):
+    with pytest.raises(InputError) as caught:
+        travel_time_s(distance_m, speed_mps=speed_mps, acceleration_distance_m=acceleration_m)
+    assert str(caught.value) == message

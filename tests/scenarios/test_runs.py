@@ -1,37 +1,20 @@
-import copy
 import dataclasses
 import math
-import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from junctions import ARMS, LANE_M, protocol_scene, turned
 
-from geometry.actors import PlacedActor
 from geometry.errors import InputError
 from geometry.footprints import footprint_corners, footprint_separation
-from geometry.frames import to_carla_points, to_carla_yaw
-from scenarios import runs as runs_module
+from geometry.scene import Lane
+from geometry.scene_files import load_study_scene
+from scenarios.aeb import has_contact
+from scenarios.cases import load_cases, pick_cases
 from scenarios.exposure import weight_per_run
 from scenarios.runs import FrameAxis, build_frame_axis, build_runs
-
-GOLDEN = tomllib.loads(
-    (Path(__file__).parents[1] / "golden" / "carla_ncap_runs.toml").read_text(encoding="utf-8")
-)["runs"]
-VRU_NAMES = {"bicycle": "cyclist", "pedestrian": "adult"}
-
-
-def _placement(placements, golden):
-    (found,) = (
-        placement
-        for placement in placements
-        if (placement.case.name, placement.approach) == (golden["case"], golden["approach_from"])
-    )
-    return found
-
-
-def _runs_of(runs, placement):
-    return [run for run in runs if (run.case, run.approach) == (placement.case, placement.approach)]
 
 
 def _separation(encounter, time_s):
@@ -55,58 +38,182 @@ def _vru_in_vut_frame(encounter):
     return (vru - vut) @ ahead, (vru - vut) @ np.array([-ahead[1], ahead[0]])
 
 
-# The study's ten placements
+@pytest.fixture(scope="module")
+def all_runs(actors, rule):
+    """Every case on every approach of the study's junction, at its lowest and highest speed."""
+    cases = [
+        dataclasses.replace(case, vut_speeds_kmh=tuple(sorted(set(case.speed_limits_kmh))))
+        for case in load_cases().values()
+    ]
+    return build_runs(load_study_scene(), cases, vut=actors["vut"], rule=rule)
 
 
-def test_all_ten_published_placements_are_there():
-    assert [golden["index"] for golden in GOLDEN] == list(range(10))
-
-
-@pytest.mark.parametrize("golden", GOLDEN, ids=lambda golden: str(golden["index"]))
-def test_published_starts_and_directions_are_the_generators(placements, golden):
-    placement = _placement(placements, golden)
-    assert placement.case.vru.name == VRU_NAMES[golden["vru"]]
-    assert placement.case.vru_speed_kmh == golden["vru_speed_kmh"]
-    for path, body in ((placement.vut_path, "vut"), (placement.vru_path, "vru")):
-        assert to_carla_points(path.start_m).tolist() == golden[f"{body}_start"]
-        assert to_carla_yaw(path.yaw_deg) % 360.0 == golden[f"{body}_yaw_deg"]
-
-
-@pytest.mark.parametrize("golden", GOLDEN, ids=lambda golden: str(golden["index"]))
-def test_published_vrus_are_at_the_collision_point_at_the_impact(placements, runs, golden):
-    collision = np.array(golden["collision_point"])
-    if golden["index"] == 5:
-        # The generator's point lies 3 m beside the line on which its own cyclist rides, so that
-        # the cyclist never reaches it. Ours meet where the two paths cross.
-        assert collision[1] == pytest.approx(golden["vru_start"][1] - 3.0)
-        collision[1] = golden["vru_start"][1]
-    drives = _runs_of(runs, _placement(placements, golden))
-    travel_s = math.dist(collision, golden["vru_start"]) / (golden["vru_speed_kmh"] / 3.6)
-    assert len(drives) >= 8
-    for run in drives:
-        assert to_carla_points(run.vru_position_m[-1]) == pytest.approx(collision, abs=1e-6)
-        assert run.encounter.vru_motion.start_time_s == pytest.approx(-travel_s, abs=1e-6)
-
-
-@pytest.mark.parametrize("golden", GOLDEN, ids=lambda golden: str(golden["index"]))
-def test_published_vuts_drive_over_the_collision_point(placements, golden):
-    path = _placement(placements, golden).vut_path
-    start, collision = np.array(golden["vut_start"]), np.array(golden["collision_point"])
-    nearest, _ = path.at(math.dist(start, collision))
-    assert to_carla_points(nearest) == pytest.approx(collision, abs=1e-6)
-
-
-def test_the_study_junction_has_104_runs_with_unique_ids(runs):
+def test_the_study_junction_has_104_runs_of_the_studys_own_cases_with_unique_ids(runs):
     by_case = {
         name: sum(run.case.name == name for run in runs) for name in ("CPNC-50", "CBNA", "CBLA")
     }
     assert by_case == {"CPNC-50": 36, "CBNA": 36, "CBLA": 32}
-    assert len(runs) == 104
-    assert len({run.id for run in runs}) == 104
+    assert len({run.id for run in runs}) == len(runs) == 104
     assert "CPNC-50/east/20" in {run.id for run in runs}
 
 
-# Every run
+# Every case, by the study's own starts or laid by the protocol
+
+
+def test_every_case_is_carried_or_refused_with_a_reason(all_runs):
+    runs, refusals = all_runs
+    told = {(run.case.name, run.approach, run.vut_speed_kmh) for run in runs} | {
+        (refusal.case.name, refusal.approach, speed)
+        for refusal in refusals
+        for speed in refusal.speeds_kmh
+    }
+    asked = {
+        (case.name, approach, speed)
+        for case in load_cases().values()
+        for approach in ARMS
+        for speed in case.speed_limits_kmh
+    }
+    assert told == asked
+    assert all(refusal.reason for refusal in refusals)
+
+
+def test_without_braking_every_run_of_every_case_first_touches_at_its_impact(all_runs):
+    runs, _ = all_runs
+    for run in runs:
+        before = _separation(run.encounter, np.linspace(-25.0, -1e-3, 2501))
+        at, after = _separation(run.encounter, np.array([0.0, 5e-3]))
+        assert (before > 0.0).all(), run.id
+        assert at == pytest.approx(0.0, abs=1e-5), run.id
+        assert after < 0.0, run.id
+
+
+def test_last_brake_times_of_every_case_are_the_last_ones(all_runs, rule):
+    runs, _ = all_runs
+    for run in runs:
+        last_s = run.last_brake_time_s
+        assert run.time_s[0] < last_s < 0.0, run.id
+        for earlier_s in (0.0, 1e-3, 0.05, 0.3):
+            assert not has_contact(run.encounter, last_s - earlier_s, rule), run.id
+        assert has_contact(run.encounter, last_s + 1e-3, rule), run.id
+
+
+def test_frames_hold_the_motions_and_the_gait(all_runs):
+    runs, _ = all_runs
+    for run in runs:
+        for motion, position, yaw_deg in (
+            (run.encounter.vut_motion, run.vut_position_m, run.vut_yaw_deg),
+            (run.encounter.vru_motion, run.vru_position_m, run.vru_yaw_deg),
+        ):
+            wanted, wanted_yaw_deg = motion.path.at(motion.distance_m(run.time_s))
+            assert np.array_equal(position, wanted)
+            assert np.array_equal(yaw_deg, wanted_yaw_deg)
+        shapes = run.encounter.vru.shape_index(run.encounter.vru_motion.distance_m(run.time_s))
+        assert np.array_equal(run.vru_shape, shapes)
+        assert len(set(run.vru_shape.tolist())) > 1  # it moves its limbs
+        standing = run.time_s <= run.encounter.vru_motion.start_time_s
+        assert (run.vru_shape[standing] == 0).all()
+
+
+@given(
+    name=st.sampled_from(sorted(load_cases())),
+    angle_deg=st.floats(-180.0, 180.0),
+    east_m=st.floats(-50.0, 50.0),
+)
+def test_a_junction_that_lies_otherwise_gives_the_same_runs(actors, rule, name, angle_deg, east_m):
+    scene = protocol_scene()
+    moved = dataclasses.replace(
+        scene,
+        lanes=tuple(
+            Lane(
+                id=lane.id,
+                kind=lane.kind,
+                width_m=LANE_M,
+                centreline_m=turned(lane.centreline_m, angle_deg) + [east_m, 0.0],
+            )
+            for lane in scene.lanes
+        ),
+        outline_m=turned(scene.outline_m, angle_deg) + [east_m, 0.0],
+    )
+    case = load_cases()[name]
+    case = dataclasses.replace(case, vut_speeds_kmh=case.vut_speeds_kmh[:1])
+    here, _ = build_runs(scene, [case], vut=actors["vut"], rule=rule, approaches=["west"])
+    there, _ = build_runs(moved, [case], vut=actors["vut"], rule=rule)
+    for run in there:
+        assert run.last_brake_time_s == pytest.approx(here[0].last_brake_time_s, abs=1e-4)
+        assert len(run.time_s) == len(here[0].time_s)
+        apart = np.hypot(*(run.vut_position_m - run.vru_position_m).T)
+        apart_here = np.hypot(*(here[0].vut_position_m - here[0].vru_position_m).T)
+        assert apart == pytest.approx(apart_here, abs=1e-6)
+
+
+# Phase, weather, approaches
+
+
+def test_the_worst_phase_loses_up_to_a_frame_before_the_last_moment(actors, rule):
+    cases = pick_cases("CPNCO-50", "cases")
+    scene, vut = load_study_scene(), actors["vut"]
+    aligned, _ = build_runs(scene, cases, vut=vut, rule=rule)
+    worst, _ = build_runs(scene, cases, vut=vut, rule=rule, phase="worst")
+    for run, late in zip(aligned, worst, strict=True):
+        assert run.id == late.id
+        shift_s = run.time_s[-1] - late.time_s[-1]
+        assert 0.0 <= shift_s < 0.1
+        assert late.time_s[:-1] + 0.1 == pytest.approx(late.time_s[1:])
+        deadline_s = run.last_brake_time_s - rule.latency_s
+
+        def waits_s(shift_s, deadline_s=deadline_s):
+            frames = np.arange(-400, 1) / 10.0 - shift_s
+            return deadline_s - frames[frames <= deadline_s + 1e-9].max()
+
+        assert waits_s(shift_s) == pytest.approx(max(waits_s(k / 100.0) for k in range(10)))
+        assert waits_s(shift_s) >= 0.09 - 1e-6
+
+
+def test_each_weather_is_a_run_of_its_own(actors, rule):
+    cases = pick_cases("CPTAns-50", "cases")
+    runs, _ = build_runs(
+        load_study_scene(), cases, vut=actors["vut"], rule=rule, weathers=("day", "rain")
+    )
+    assert [run.id for run in runs[:2]] == ["CPTAns-50/east/10", "CPTAns-50/east/10/rain"]
+    assert [run.weather for run in runs[:2]] == ["day", "rain"]
+    assert runs[0].time_s is runs[1].time_s
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"approaches": ["up"]},
+            "approach: got 'up'; expected one of east, north, west, south",
+        ),
+        ({"weathers": ["snow"]}, "weather: got 'snow'; expected one of day, night, rain"),
+        ({"phase": "late"}, "phase: got 'late'; expected one of aligned, worst"),
+    ],
+)
+def test_unknown_words_list_the_known_ones(actors, rule, options, message):
+    with pytest.raises(InputError) as caught:
+        build_runs(
+            load_study_scene(),
+            pick_cases("CBLA", "cases"),
+            vut=actors["vut"],
+            rule=rule,
+            **options,
+        )
+    assert str(caught.value) == message
+
+
+def test_things_in_the_way_are_named(actors, rule):
+    wall = ("shed", -9.5, -4.0, 3.0, 1.0, 2.0)  # across the near side's start
+    scene = protocol_scene(boxes=[wall])
+    runs, refusals = build_runs(
+        scene, pick_cases("CPNA-25", "cases"), vut=actors["vut"], rule=rule, approaches=["west"]
+    )
+    assert not runs
+    assert {refusal.reason for refusal in refusals} == {"shed stands in the VRU's way"}
+    assert len(refusals[0].speeds_kmh) == 11
+
+
+# The study's own runs
 
 
 def test_without_braking_every_run_first_touches_at_time_0(runs):
@@ -129,28 +236,6 @@ def test_the_middle_of_the_vru_meets_the_middle_of_the_vuts_front(runs):
         )  # CARLA's lanes are not quite straight
 
 
-@pytest.mark.parametrize("impact_percent", [0.0, 25.0, 50.0, 75.0, 100.0])
-def test_a_crossing_vru_is_met_at_the_stated_share_of_the_vuts_width(
-    placements, actors, rule, impact_percent
-):
-    for placement in placements:
-        if placement.case.kind != "crossing":
-            continue
-        case = dataclasses.replace(
-            placement.case, impact_percent=impact_percent, vut_speeds_kmh=(40.0,)
-        )
-        (run,) = build_runs(
-            [dataclasses.replace(placement, case=case)], vut=actors["vut"], rule=rule
-        )
-        _, left_m = _vru_in_vut_frame(run.encounter)
-        right_edge_m = -0.5 * actors["vut"].width_m
-        assert left_m == pytest.approx(
-            right_edge_m + actors["vut"].width_m * impact_percent / 100.0, abs=1e-9
-        )
-        assert _separation(run.encounter, np.array([-1e-3]))[0] > 0.0
-        assert _separation(run.encounter, np.array([0.0]))[0] == pytest.approx(0.0, abs=1e-9)
-
-
 def test_frames_lie_on_the_10_hz_grid_and_end_at_the_impact(runs):
     for run in runs:
         n_frames = len(run.time_s)
@@ -160,18 +245,6 @@ def test_frames_lie_on_the_10_hz_grid_and_end_at_the_impact(runs):
         first_s = min(run.encounter.vut_motion.start_time_s, run.encounter.vru_motion.start_time_s)
         assert run.time_s[0] >= first_s - 1e-6
         assert run.time_s[0] - 0.1 < first_s
-
-
-def test_a_drive_of_whole_frames_keeps_its_first_frame(placements, actors, rule):
-    # k / 10 s are not exact in binary: neither may rounding lose a frame, nor add one.
-    placement = next(p for p in placements if p.case.kind == "longitudinal")
-    case = dataclasses.replace(placement.case, vut_speeds_kmh=(30.0,))
-    for n_steps in range(60, 160, 7):
-        vru_m = n_steps / rule.frame_rate_hz * case.vru_speed_kmh / 3.6
-        whole = dataclasses.replace(placement, case=case, vru_meeting_m=vru_m, vut_meeting_m=20.0)
-        (run,) = build_runs([whole], vut=actors["vut"], rule=rule)
-        assert len(run.time_s) == n_steps + 1
-        assert run.vru_position_m[0] == pytest.approx(placement.vru_path.start_m, abs=1e-9)
 
 
 def test_bodies_stand_at_their_start_before_they_set_off_and_then_keep_their_speed(runs):
@@ -190,15 +263,15 @@ def test_bodies_stand_at_their_start_before_they_set_off_and_then_keep_their_spe
     assert any((run.time_s <= run.encounter.vru_motion.start_time_s).any() for run in runs)
 
 
-def test_the_vru_pose_depends_on_the_time_to_impact_only(placements, runs):
-    for placement in placements:
-        drives = _runs_of(runs, placement)
+def test_the_vru_pose_depends_on_the_time_to_impact_only(runs):
+    for name in dict.fromkeys((run.case.name, run.approach) for run in runs):
+        drives = [run for run in runs if (run.case.name, run.approach) == name]
         shortest = min(len(run.time_s) for run in drives)
-        first = drives[0].vru_position_m[-shortest:]
         assert shortest > 10
         for run in drives[1:]:
-            assert np.array_equal(run.vru_position_m[-shortest:], first)
-            assert np.array_equal(run.vru_yaw_deg[-shortest:], drives[0].vru_yaw_deg[-shortest:])
+            for field in ("vru_position_m", "vru_yaw_deg", "vru_shape"):
+                mine, first = (getattr(one, field)[-shortest:] for one in (run, drives[0]))
+                assert np.array_equal(mine, first)
 
 
 def test_every_run_can_be_avoided_and_none_at_the_impact(runs):
@@ -210,112 +283,6 @@ def test_arrays_of_a_run_are_read_only(runs):
     for field in ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(runs[0], field)[0] = 0.0
-
-
-# Placements from TOML
-
-CROSSING = {
-    "case": "CPNC-50",
-    "approach": "east",
-    "vut_start_m": [-50.0, -4.0],
-    "vut_yaw_deg": 180.0,
-    "vru_start_m": [-110.0, -15.0],
-    "vru_yaw_deg": 90.0,
-    "collision_point_m": [-110.0, -4.0],
-}
-
-
-def _load(monkeypatch, *entries):
-    """What ``load_placements`` makes of a file; nothing is remembered."""
-    monkeypatch.setattr(runs_module, "load_toml", lambda source: {"placements": list(entries)})
-    return runs_module.load_placements.__wrapped__()
-
-
-def _changed(**changes):
-    entry = copy.deepcopy(CROSSING)
-    for key, value in changes.items():
-        if value is None:
-            del entry[key]
-        else:
-            entry[key] = value
-    return entry
-
-
-def test_a_placement_carries_its_parked_bodies_into_every_run(monkeypatch, actors, rule):
-    parked = {"actor": "parked-car-large", "position_m": [-100.0, -7.0], "yaw_deg": 90.0}
-    (placement,) = _load(monkeypatch, _changed(obstruction=[parked]))
-    (body,) = placement.obstruction
-    assert isinstance(body, PlacedActor)
-    assert body.actor is actors["parked-car-large"]
-    assert body.pose.position_m.tolist() == [-100.0, 7.0, 0.0]
-    assert (body.pose.yaw_deg, body.pose.pitch_deg) == (-90.0, 0.0)
-    runs = build_runs([placement], vut=actors["vut"], rule=rule)
-    assert len(runs) == 9
-    assert all(run.obstruction == (body,) for run in runs)
-
-
-@pytest.mark.parametrize("vru_yaw_deg", [89.1, 90.9])
-def test_a_crossing_may_be_a_degree_out_of_square(monkeypatch, actors, rule, vru_yaw_deg):
-    (placement,) = _load(monkeypatch, _changed(vru_yaw_deg=vru_yaw_deg))
-    for run in build_runs([placement], vut=actors["vut"], rule=rule):
-        assert _separation(run.encounter, np.array([0.0])) == pytest.approx(0.0, abs=0.01)
-
-
-def test_a_placement_without_parked_bodies_has_none(monkeypatch):
-    (placement,) = _load(monkeypatch, CROSSING)
-    assert placement.obstruction == ()
-    assert placement.vut_meeting_m == pytest.approx(60.0)
-    assert placement.vru_meeting_m == pytest.approx(11.0)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"case": "CPTA"},
-            "{0}.case: got 'CPTA'; expected one of CBLA, CBNA, CPNC-50",
-        ),
-        (
-            {"approach": "up"},
-            "{0}.approach: got 'up'; expected one of north, east, south, west",
-        ),
-        ({"vut_start_m": None}, "{0}.vut_start_m: got nothing; expected a value"),
-        ({"vru_start_m": [1.0]}, "{0}.vru_start_m: got shape (1,); expected shape (2,)"),
-        ({"vut_yaw_deg": "left"}, "{0}.vut_yaw_deg: got 'left'; expected a finite number"),
-        (
-            {"collision_point_m": [1.0, 2.0, 3.0]},
-            "{0}.collision_point_m: got shape (3,); expected shape (2,)",
-        ),
-        (
-            {"vru_yaw_deg": 180.0},
-            "{0}: got paths at 0.0 degrees; expected perpendicular paths",
-        ),
-        (
-            {"vru_yaw_deg": 30.0},
-            "{0}: got paths at 30.0 degrees; expected perpendicular paths",
-        ),
-        (
-            {"vru_yaw_deg": 91.5},
-            "{0}: got paths at 88.5 degrees; expected perpendicular paths",
-        ),
-        (
-            {"collision_point_m": [-110.0, -3.0]},
-            "{0}.collision_point_m: got [-110.0, -3.0]; expected a point on the VUT's path",
-        ),
-        (
-            {"vru_yaw_deg": 270.0},
-            "{0}: got paths that meet behind a start; expected starts before the meeting point",
-        ),
-        (
-            {"obstruction": [{"actor": "parked-car-large", "position_m": [1.0], "yaw_deg": 0.0}]},
-            "{0}.obstruction[0].position_m: got shape (1,); expected shape (2,)",
-        ),
-    ],
-)
-def test_placements_say_what_is_wrong(monkeypatch, changes, message):
-    with pytest.raises(InputError) as caught:
-        _load(monkeypatch, _changed(**changes))
-    assert str(caught.value) == message.format("town05_runs.toml: placements[0]")
 
 
 # Frames of all runs
@@ -409,17 +376,3 @@ def test_frame_axis_allows_runs_that_nothing_avoids(frame_axis):
         slice(3, 8),
         slice(8, 10),
     ]
-
-
-def test_a_longitudinal_case_needs_one_heading():
-    entry = {
-        "case": "CBLA",
-        "approach": "east",
-        "vut_start_m": [0.0, 0.0],
-        "vut_yaw_deg": 180.0,
-        "vru_start_m": [-20.0, 0.0],
-        "vru_yaw_deg": 90.0,
-        "collision_point_m": [-40.0, 0.0],
-    }
-    with pytest.raises(InputError, match="expected one heading for VUT and VRU"):
-        runs_module._build_placement(entry, "runs.toml: placements[0]")

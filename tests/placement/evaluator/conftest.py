@@ -1,19 +1,20 @@
 """Tiny worlds: boxes for buildings, a block for the VRU, runs given frame by frame."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
-from geometry.actors import Actor, PlacedActor, pick_actor
+from geometry.actors import Actor, PlacedActor, Shape, pick_actor
 from geometry.scene import Instance, Scene
+from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel
 from scenarios.aeb import Encounter, load_aeb_rule
 from scenarios.cases import load_cases
 from scenarios.paths import Motion, StraightPath
-from scenarios.runs import Run, build_runs, load_placements
+from scenarios.runs import Run, build_runs
+from scenarios.selection import select_cases
 
 Box = tuple[Sequence[float], Sequence[float]]  # lowest and highest corner
 
@@ -26,8 +27,9 @@ def _block(name: str, size_m: Sequence[float]) -> Actor:
         length_m=size_m[0],
         width_m=size_m[1],
         height_m=size_m[2],
-        vertices_m=mesh.vertices + [0.0, 0.0, 0.5 * size_m[2]],
-        triangles=mesh.faces,
+        shapes=(
+            Shape(vertices_m=mesh.vertices + [0.0, 0.0, 0.5 * size_m[2]], triangles=mesh.faces),
+        ),
     )
 
 
@@ -82,7 +84,10 @@ def build_scene() -> Callable[..., Scene]:
 
 @pytest.fixture(scope="session")
 def build_run(vut: Actor) -> Callable[..., Run]:
-    """Frames as given; the motions of the encounter are of no account."""
+    """Frames as given; the VRU runs through its shapes, one per frame.
+
+    The motions of the encounter are of no account.
+    """
 
     def build(
         vru: Actor,
@@ -100,6 +105,7 @@ def build_run(vut: Actor) -> Callable[..., Run]:
             id="test",
             case=load_cases()["CPNC-50"],
             approach="east",
+            weather="day",
             vut_speed_kmh=20.0,
             encounter=Encounter(vut=vut, vut_motion=motion, vru=vru, vru_motion=motion),
             time_s=np.arange(1.0 - len(vru_array), 1.0) / 10.0,
@@ -107,6 +113,7 @@ def build_run(vut: Actor) -> Callable[..., Run]:
             vut_yaw_deg=vut_array[:, 2],
             vru_position_m=vru_array[:, :2],
             vru_yaw_deg=vru_array[:, 2],
+            vru_shape=np.arange(len(vru_array)) % len(vru.shapes),
             obstruction=obstruction,
             last_brake_time_s=0.0,
         )
@@ -116,9 +123,12 @@ def build_run(vut: Actor) -> Callable[..., Run]:
 
 @pytest.fixture(scope="session")
 def study_runs(vut: Actor) -> tuple[Run, ...]:
-    """Three approaches of the study, at two speeds each."""
-    placements = [
-        replace(placement, case=replace(placement.case, vut_speeds_kmh=(30.0, 60.0)))
-        for placement in load_placements()[::4][:3]
-    ]
-    return build_runs(placements, vut=vut, rule=load_aeb_rule())
+    """Three runs of the study's cases from one approach each, at two speeds."""
+    runs: list[Run] = []
+    for name, approach in (("CPNC-50", "north"), ("CBNA", "east"), ("CBLA", "south")):
+        cases = select_cases(name, speeds="30,60").cases
+        some, _ = build_runs(
+            load_study_scene(), cases, vut=vut, rule=load_aeb_rule(), approaches=[approach]
+        )
+        runs += some
+    return tuple(runs)

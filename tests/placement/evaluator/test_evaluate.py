@@ -150,7 +150,7 @@ def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(study_runs, a
     verdict = evaluate._Judge(study_runs, axis, RULE).verdict(row)
     onset_s = verdict.confirmation_time_s + RULE.latency_s
     touches = [
-        has_contact(run.encounter, onset, deceleration_mps2=RULE.deceleration_mps2)
+        has_contact(run.encounter, onset, RULE)
         for run, onset in zip(study_runs, onset_s.tolist(), strict=True)
     ]
     assert (verdict.is_avoided == ~np.array(touches)).all()

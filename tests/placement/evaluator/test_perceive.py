@@ -5,8 +5,9 @@ import pytest
 
 from geometry.actors import PlacedActor, pick_actor
 from geometry.errors import InputError
-from geometry.poses import Pose
+from geometry.poses import Pose, to_world
 from geometry.raycast import open3d_problem
+from geometry.sensors import project_points
 from placement.evaluator import perceive
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
 from placement.evaluator.surroundings import build_surroundings, render_frame
@@ -117,6 +118,36 @@ def test_obstruction_hides_in_its_own_run_only(build_scene, build_run, camera, b
     assert (boxes.amodal_px[0] == boxes.amodal_px[1]).all()
     assert (boxes.visible_px[0] == boxes.amodal_px[0]).all()
     assert boxes.visible_px[1, 3] < boxes.amodal_px[1, 3]
+
+
+def test_each_frame_shows_its_own_shape(build_scene, build_run, camera):
+    """Seen from the side, the gait's own widths: the same place, one frame per shape."""
+    adult = pick_actor("adult", "test")
+    run = build_run(adult, [[8.0, 0.0, 90.0]] * len(adult.shapes))
+    surroundings = build_surroundings(build_scene(), [run])
+    assert len(surroundings.vrus) == len(adult.shapes)
+    mount = Pose(position_m=np.array([0.0, 0.0, 1.0]), yaw_deg=0.0)
+    boxes = perceive_from_roadside(surroundings, mount, camera)
+    here = Pose(position_m=np.array([8.0, 0.0, 0.0]), yaw_deg=90.0)
+    for box, shape in zip(boxes.amodal_px, adult.shapes, strict=True):
+        pixels = project_points(to_world(shape.vertices_m, here), mount, camera)[:, :2]
+        assert np.abs(box - [*pixels.min(axis=0), *pixels.max(axis=0)]).max() <= 1.0
+    width_px = boxes.amodal_px[:, 2] - boxes.amodal_px[:, 0]
+    assert width_px.max() > 1.5 * width_px.min()
+
+
+def test_equal_obstructions_are_one_static_world(build_scene, build_run, block):
+    def park(x_m):
+        pose = Pose(position_m=np.array([x_m, 2.0, 0.0]), yaw_deg=5.0)
+        return (PlacedActor(actor=pick_actor("parked-van", "test"), pose=pose),)
+
+    runs = [
+        build_run(block, [[9.0, 0.0, 0.0]], obstruction=obstruction)
+        for obstruction in (park(3.0), (), park(3.0), park(3.5))
+    ]
+    surroundings = build_surroundings(build_scene(), runs)
+    assert len(surroundings.statics) == 3
+    assert surroundings.static_index.tolist() == [0, 1, 0, 2]
 
 
 def test_vru_ahead_of_the_vut_is_in_the_middle_of_its_image(build_scene, build_run, camera, block):

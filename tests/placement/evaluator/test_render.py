@@ -22,7 +22,7 @@ from placement.evaluator.render import (
 
 HERE = np.zeros(3)
 LEVEL = Pose(position_m=np.array([0.0, 0.0, 0.9]), yaw_deg=0.0)
-ADULT = build_body(pick_actor("adult", "test"))
+ADULT = build_body(pick_actor("adult", "test").shapes[0])
 TINY = CameraModel(
     name="tiny",
     width_px=64,
@@ -48,7 +48,7 @@ def test_depth_of_a_plane_is_that_of_the_pixel_rays(build_scene, camera, block):
     view = render_view(
         build_lens(pose, camera),
         static=(ground, np.array([*middle_m, 0.0])),
-        vru=(build_body(block), np.array([-50.0, -50.0, 0.0])),
+        vru=(build_body(block.shapes[0]), np.array([-50.0, -50.0, 0.0])),
     )
     rows, columns = np.indices(view.depth_m.shape)
     rays = pixel_rays(columns.ravel(), rows.ravel(), pose, camera)
@@ -62,7 +62,7 @@ def test_unobstructed_vru_has_the_pinhole_size(nothing, camera, block, distance_
     view = render_view(
         build_lens(LEVEL, camera),
         static=nothing,
-        vru=(build_body(block), np.array([distance_m, 0.0, 0.0])),
+        vru=(build_body(block.shapes[0]), np.array([distance_m, 0.0, 0.0])),
     )
     x_min, y_min, x_max, y_max = view.amodal_box_px
     assert (view.visible_box_px == view.amodal_box_px).all()
@@ -85,7 +85,7 @@ def test_wall_up_to_the_optical_axis_halves_the_box(build_scene, camera, block, 
     view = render_view(
         build_lens(LEVEL, camera),
         static=(wall, HERE),
-        vru=(build_body(block), np.array([10.0, 0.0, 0.0])),
+        vru=(build_body(block.shapes[0]), np.array([10.0, 0.0, 0.0])),
     )
     expected = view.amodal_box_px.copy()
     expected[side] = 0.5 * (camera.width_px if side % 2 == 0 else camera.height_px)
@@ -96,7 +96,7 @@ def test_wall_up_to_the_optical_axis_halves_the_box(build_scene, camera, block, 
 def test_box_ends_at_the_border_of_the_image(nothing, camera, block):
     left_edge = np.array([10.0, 10.0 - 0.25, 0.0])  # the image's edge runs at 45 degrees
     view = render_view(
-        build_lens(LEVEL, camera), static=nothing, vru=(build_body(block), left_edge)
+        build_lens(LEVEL, camera), static=nothing, vru=(build_body(block.shapes[0]), left_edge)
     )
     assert view.amodal_box_px[0] == 0.0
     assert view.amodal_box_px[2] < 0.1 * camera.width_px
@@ -106,7 +106,7 @@ def test_nothing_is_drawn_behind_the_lens(nothing, camera, block):
     view = render_view(
         build_lens(LEVEL, camera),
         static=nothing,
-        vru=(build_body(block), np.array([-5.0, 0.0, 0.0])),
+        vru=(build_body(block.shapes[0]), np.array([-5.0, 0.0, 0.0])),
     )
     assert not view.amodal_box_px.any()
     assert not view.visible_box_px.any()
@@ -121,8 +121,9 @@ def test_nothing_is_drawn_nearer_than_the_nearest_distance(
     plate = build_static(
         build_scene(((0.24, -0.05, 0.85), (0.26, 0.05, 0.95))), (), middle_m=np.zeros(2)
     )
-    speck = replace(block, vertices_m=block.vertices_m * [0.04, 0.1, 0.02] + [0.0, 0.0, 0.88])
-    vru = (build_body(block), np.array([10.0, 0.0, 0.0]))
+    (shape,) = block.shapes
+    speck = replace(shape, vertices_m=shape.vertices_m * [0.04, 0.1, 0.02] + [0.0, 0.0, 0.88])
+    vru = (build_body(block.shapes[0]), np.array([10.0, 0.0, 0.0]))
     behind_plate = render_view(lens, static=(plate, HERE), vru=vru)
     assert (behind_plate.instance == VRU).any() != is_drawn
     near_vru = render_view(
@@ -136,8 +137,8 @@ def test_vut_hides_what_is_behind_it_only(nothing, camera, block, vut, vut_dista
     view = render_view(
         build_lens(LEVEL, camera),
         static=nothing,
-        vru=(build_body(block), np.array([11.0, 0.0, 0.0])),
-        vut=(build_body(vut), np.array([vut_distance_m, 0.0, 90.0])),
+        vru=(build_body(block.shapes[0]), np.array([11.0, 0.0, 0.0])),
+        vut=(build_body(vut.shapes[0]), np.array([vut_distance_m, 0.0, 90.0])),
     )
     assert (view.instance == VUT).any()
     lower = view.visible_box_px[3] < view.amodal_box_px[3]
@@ -146,7 +147,7 @@ def test_vut_hides_what_is_behind_it_only(nothing, camera, block, vut, vut_dista
 
 def test_crop_renders_the_same_pixels_as_the_whole_image(nothing, camera, block):
     lens = build_lens(LEVEL, camera)
-    vru = (build_body(block), np.array([10.0, 1.0, 30.0]))
+    vru = (build_body(block.shapes[0]), np.array([10.0, 1.0, 30.0]))
     whole = render_view(lens, static=nothing, vru=vru)
     part = render_view(lens, static=nothing, vru=vru, crop_px=(100, 60, 200, 130))
     assert (part.instance == whole.instance[60:130, 100:200]).all()
@@ -166,7 +167,7 @@ def test_parked_body_stands_where_a_box_of_the_scene_would(build_scene, camera, 
         render_view(
             build_lens(LEVEL, camera),
             static=(static, HERE),
-            vru=(build_body(block), np.array([-5.0, 0.0, 0.0])),
+            vru=(build_body(block.shapes[0]), np.array([-5.0, 0.0, 0.0])),
         ).depth_m
         for static in statics
     ]
@@ -176,7 +177,7 @@ def test_parked_body_stands_where_a_box_of_the_scene_would(build_scene, camera, 
 
 @pytest.mark.parametrize("left_m", [-6.0, 6.0])
 def test_body_beside_the_lens_needs_no_ray_though_it_reaches_behind(camera, block, left_m):
-    body = build_body(block)
+    body = build_body(block.shapes[0])
     crops, depths = crop_boxes(
         build_lens(LEVEL, camera), body.hull_m, np.array([[0.0, left_m, 0.0], [0.0, 0.0, 0.0]])
     )

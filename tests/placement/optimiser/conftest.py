@@ -33,6 +33,7 @@ def problems(draw: st.DrawFn) -> PlacementProblem:
         run_ids=tuple(map(str, range(n_runs))),
         cases=("CPNA-50",) * n_runs,
         approaches=("north",) * n_runs,
+        weathers=("day",) * n_runs,
         vut_speed_kmh=np.full(n_runs, 30.0),
         weight=share / share.sum(),
         last_brake_time_s=last_brake,

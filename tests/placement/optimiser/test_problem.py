@@ -29,6 +29,7 @@ def two_runs(
         run_ids=("slow", "fast"),
         cases=("CPNA-50", "CPNA-50"),
         approaches=("north", "north"),
+        weathers=("day", "day"),
         vut_speed_kmh=np.array([20.0, 60.0]),
         weight=np.array([0.75, 0.25]) if weight is None else weight,
         last_brake_time_s=np.array([-0.05, -0.275]),

@@ -9,13 +9,15 @@ import trimesh
 from geometry.actors import load_actors
 from geometry.poses import Pose
 from geometry.scene import Instance, Scene
+from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose
 from scenarios.aeb import Encounter, load_aeb_rule
 from scenarios.cases import load_cases
 from scenarios.exposure import weight_per_run
 from scenarios.paths import Motion, StraightPath
-from scenarios.runs import Run, build_frame_axis, build_runs, load_placements
+from scenarios.runs import Run, build_frame_axis, build_runs
+from scenarios.selection import select_cases
 
 
 def _build_scene(*boxes) -> Scene:
@@ -42,8 +44,13 @@ def _build_scene(*boxes) -> Scene:
     )
 
 
-def _build_run(vru_poses, vut_poses=None, *, vru="adult", obstruction=(), name="test") -> Run:
-    """Frames as given (east, north, yaw); the motions of the encounter are of no account."""
+def _build_run(
+    vru_poses, vut_poses=None, *, vru="adult", obstruction=(), name="test", shapes=None
+) -> Run:
+    """Frames as given (east, north, yaw); the motions of the encounter are of no account.
+
+    Unless told otherwise the VRU runs through its shapes, one per frame.
+    """
     vru_array = np.array(vru_poses, dtype=float).reshape(-1, 3)
     far = np.tile([-55.0, 55.0, 0.0], (len(vru_array), 1))
     vut_array = far if vut_poses is None else np.array(vut_poses, dtype=float).reshape(-1, 3)
@@ -51,10 +58,12 @@ def _build_run(vru_poses, vut_poses=None, *, vru="adult", obstruction=(), name="
         path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0), speed_mps=1.0, start_time_s=0.0
     )
     actors = load_actors()
+    some = np.arange(len(vru_array)) if shapes is None else np.broadcast_to(shapes, len(vru_array))
     return Run(
         id=name,
         case=load_cases()["CPNC-50"],
         approach="east",
+        weather="day",
         vut_speed_kmh=20.0,
         encounter=Encounter(
             vut=actors["vut"], vut_motion=motion, vru=actors[vru], vru_motion=motion
@@ -64,6 +73,7 @@ def _build_run(vru_poses, vut_poses=None, *, vru="adult", obstruction=(), name="
         vut_yaw_deg=vut_array[:, 2],
         vru_position_m=vru_array[:, :2],
         vru_yaw_deg=vru_array[:, 2],
+        vru_shape=some % len(actors[vru].shapes),
         obstruction=tuple(obstruction),
         last_brake_time_s=0.0,
     )
@@ -102,12 +112,9 @@ def small_camera() -> CameraModel:
 
 @pytest.fixture(scope="session")
 def study_runs(actors) -> tuple[Run, ...]:
-    """Every placement of the study at two speeds, the last four seconds of each."""
-    placements = [
-        replace(placement, case=replace(placement.case, vut_speeds_kmh=(30.0, 60.0)))
-        for placement in load_placements()
-    ]
-    runs = build_runs(placements, vut=actors["vut"], rule=load_aeb_rule())
+    """Three cases of the study at two speeds, the last four seconds of each."""
+    cases = select_cases("CPNC-50,CBNA,CBLA", speeds="30,60").cases
+    runs, _ = build_runs(load_study_scene(), cases, vut=actors["vut"], rule=load_aeb_rule())
     return tuple(
         replace(
             run,
@@ -119,6 +126,7 @@ def study_runs(actors) -> tuple[Run, ...]:
                     "vut_yaw_deg",
                     "vru_position_m",
                     "vru_yaw_deg",
+                    "vru_shape",
                 )
             },
         )

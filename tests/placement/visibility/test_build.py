@@ -137,13 +137,14 @@ def test_the_table_is_the_same_every_time_for_a_seed(world, candidates, table):
 # Closed forms
 
 
-def _heights_px(actor, vru_poses, candidate):
+def _heights_px(run, vru_poses, candidate):
     """Height of the whole body's projection, and whether all of it is in the image, per frame."""
     heights, inside = [], []
-    for east, north, yaw_deg in vru_poses:
+    for (east, north, yaw_deg), index in zip(vru_poses, run.vru_shape, strict=True):
+        shape = run.encounter.vru.shapes[index]
         pose = Pose(position_m=[east, north, 0.0], yaw_deg=yaw_deg)
         projected = project_points(
-            to_world(actor.vertices_m, pose), candidate.pose, candidate.camera
+            to_world(shape.vertices_m, pose), candidate.pose, candidate.camera
         )
         columns, rows, depth = projected.T
         heights.append(np.ptp(rows))
@@ -157,9 +158,9 @@ def _heights_px(actor, vru_poses, candidate):
     return np.array(heights), np.array(inside)
 
 
-@pytest.mark.parametrize("body", ["adult", "cyclist"])
+@pytest.mark.parametrize("body", ["adult", "child", "cyclist"])
 def test_a_vru_in_the_open_is_detected_if_and_only_if_it_is_high_enough(
-    build_scene, build_run, axis_of, mount, actors, body
+    build_scene, build_run, axis_of, mount, body
 ):
     rng = np.random.default_rng(4)
     distance = rng.uniform(8.0, 50.0, 1500)
@@ -169,8 +170,8 @@ def test_a_vru_in_the_open_is_detected_if_and_only_if_it_is_high_enough(
     )
     candidate = mount("any", [0.0, 0.0, 5.0], pitch_deg=-12.0)
     detector = Detector(min_iou=0.5, min_box_height_px=22.0)
-    heights, inside = _heights_px(actors[body], poses, candidate)
     run = build_run(poses, vru=body)
+    heights, inside = _heights_px(run, poses, candidate)
     table = build_detection_table(
         build_scene(), [candidate], [run], axis_of([run]), detector=detector
     )

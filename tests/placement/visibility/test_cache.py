@@ -225,6 +225,14 @@ def _parked(run, actors, **changes):
     return replace(run, obstruction=(PlacedActor(actor=actor, pose=Pose(**pose)),))
 
 
+def _dented(run):
+    """The VRU's last shape a micrometre lower."""
+    *others, last = run.encounter.vru.shapes
+    last = replace(last, vertices_m=last.vertices_m * [1.0, 1.0, 1.0 - 1e-6])
+    vru = replace(run.encounter.vru, shapes=(*others, last))
+    return replace(run, encounter=replace(run.encounter, vru=vru))
+
+
 CHANGES = {
     "scene vertices": lambda i, a: {"scene": _moved(i["scene"])},
     "scene triangles": lambda i, a: {
@@ -282,6 +290,11 @@ CHANGES = {
         }
         for field in ("vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
     },
+    "VRU's shapes": lambda i, a: {
+        "runs": _first(i["runs"], lambda r: replace(r, vru_shape=(r.vru_shape + 1) % 8))
+    },
+    "a shape of the VRU": lambda i, a: {"runs": _first(i["runs"], _dented)},
+    "weather": lambda i, a: {"runs": _first(i["runs"], lambda r: replace(r, weather="night"))},
     "VRU": lambda i, a: {
         "runs": _first(
             i["runs"],

@@ -18,10 +18,14 @@ N_POINTS = 60
 END_M, SHAKE_M, N_SHAKEN = 1e-3, 2e-4, 6
 
 
-def _placed(actor, position_m, yaw_deg):
+def _placed(shape, position_m, yaw_deg):
     return to_world(
-        actor.vertices_m, Pose(position_m=np.append(position_m, 0.0), yaw_deg=yaw_deg)
-    ), actor.triangles
+        shape.vertices_m, Pose(position_m=np.append(position_m, 0.0), yaw_deg=yaw_deg)
+    ), shape.triangles
+
+
+def _vru_shape(run, frame):
+    return run.encounter.vru.shapes[run.vru_shape[frame]]
 
 
 def _naive_caster(scene, run, frame, library):
@@ -29,11 +33,11 @@ def _naive_caster(scene, run, frame, library):
     bodies = [
         (scene.vertices_m, scene.triangles),
         *(
-            _placed(parked.actor, parked.pose.position_m[:2], parked.pose.yaw_deg)
+            _placed(parked.actor.shapes[0], parked.pose.position_m[:2], parked.pose.yaw_deg)
             for parked in run.obstruction
         ),
-        _placed(run.encounter.vut, run.vut_position_m[frame], run.vut_yaw_deg[frame]),
-        _placed(run.encounter.vru, run.vru_position_m[frame], run.vru_yaw_deg[frame]),
+        _placed(run.encounter.vut.shapes[0], run.vut_position_m[frame], run.vut_yaw_deg[frame]),
+        _placed(_vru_shape(run, frame), run.vru_position_m[frame], run.vru_yaw_deg[frame]),
     ]
     first = np.cumsum([0, *(len(vertices) for vertices, _ in bodies)])
     # The middle only keeps the numbers small: rays are cast in single precision.
@@ -67,9 +71,13 @@ def _compare(scene, runs, eye, frames, *, library="embreex"):
     same, grazing, seen = [], [], []
     for frame in frames:
         run, local = runs[run_of[frame]], frame - first[run_of[frame]]
-        surface = next(s for s in world.surfaces if s.actor is run.encounter.vru)
+        surface = next(
+            s
+            for s in world.surfaces
+            if s.actor is run.encounter.vru and s.shape_index == run.vru_shape[local]
+        )
         points, _ = _placed(
-            replace(run.encounter.vru, vertices_m=surface.points_m),
+            replace(_vru_shape(run, local), vertices_m=surface.points_m),
             run.vru_position_m[local],
             run.vru_yaw_deg[local],
         )
@@ -252,6 +260,33 @@ def test_both_ray_libraries_see_the_same(build_scene, build_run, monkeypatch):
     first, second = seen.values()
     assert first.any()
     assert (first == second).mean() >= 0.999
+
+
+def test_each_frame_shows_its_own_shape(build_scene, build_run):
+    runs = [build_run([[10.0, 0.0, 90.0]], shapes=index, name=f"{index}") for index in (0, 2, 5)]
+    world = build_world(build_scene(), runs, n_points=N_POINTS, seed=0)
+    assert [surface.shape_index for surface in world.surfaces] == [0, 2, 5]
+    for frame, run in enumerate(runs):
+        view = world.views.view_of_frame[frame]
+        shape = _vru_shape(run, 0)
+        points = world.views.points_m[view] + world.origin_m - [10.0, 0.0, 0.0]
+        assert np.ptp(points[:, 1]) == pytest.approx(np.ptp(shape.vertices_m[:, 0]), abs=1e-5)
+
+
+def test_equal_obstructions_are_one_static_world(build_scene, build_run, actors):
+    def park(x_m):
+        pose = Pose(position_m=[x_m, 2.0, 0.0], yaw_deg=5.0)
+        return (PlacedActor(actor=actors["parked-van"], pose=pose),)
+
+    runs = [
+        build_run([[10.0, 0.0, 0.0]], obstruction=obstruction, name=f"{number}")
+        for number, obstruction in enumerate((park(3.0), (), park(3.0), park(3.5)))
+    ]
+    world = build_world(build_scene(), runs, n_points=N_POINTS, seed=0)
+    assert len(world.static) == 3
+    static = world.views.static_index[world.views.view_of_frame]
+    assert static[0] == static[2]
+    assert len(world.views.yaw_deg) == 3
 
 
 def test_the_same_pose_at_another_speed_is_cast_once(study_runs):

@@ -1,0 +1,243 @@
+"""Options that several commands share, and how their values are read."""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from functools import wraps
+from typing import Any
+
+import click
+
+from .question import DEFAULT_CASES, Question
+
+PHASES = ("aligned", "worst")
+_MAX_DIGITS = 100
+
+
+class OneOf(click.ParamType[str]):
+    """A word from a list; another one is told in this project's words."""
+
+    name = "name"
+
+    def __init__(self, words: Sequence[str]) -> None:
+        self.words = words
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """What the help shows for a value."""
+        return "[" + "|".join(self.words) + "]"
+
+    def convert(self, value: str, param: Any, ctx: Any) -> str:
+        """The value, checked."""
+        if value not in self.words:
+            raise input_error(option_name(param), value, "one of " + ", ".join(self.words))
+        return value
+
+
+class WholeNumber(click.ParamType[int]):
+    """A whole number from a least value on."""
+
+    name = "number"
+
+    def __init__(self, least: int, what: str) -> None:
+        self.least = least
+        self.what = what
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """What the help shows for a value."""
+        return "N"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> int:
+        """The value, checked."""
+        text = str(value)
+        # int() would also take 1_0, other scripts' digits and spaces.
+        is_whole = text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS
+        if not is_whole or int(text) < self.least:
+            raise input_error(option_name(param), value, f"{self.what}, at least {self.least}")
+        return int(text)
+
+
+class Number(click.ParamType[float]):
+    """A finite number, more than a limit or at least it."""
+
+    name = "number"
+
+    def __init__(self, metavar: str, what: str, *, may_be_zero: bool = False) -> None:
+        self.metavar = metavar
+        self.what = what
+        self.may_be_zero = may_be_zero
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """What the help shows for a value."""
+        return self.metavar
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """The value, checked."""
+        try:
+            number = float(value)
+        except ValueError:
+            number = -1.0
+        if not (0.0 < number < float("inf") or (self.may_be_zero and number == 0.0)):
+            least = "at least 0" if self.may_be_zero else "more than 0"
+            raise input_error(option_name(param), value, f"{self.what}, {least}")
+        return number
+
+
+def option_name(param: click.Parameter) -> str:
+    """The long name of an option."""
+    return max(param.opts, key=len)
+
+
+def input_error(where: str, got: object, expected: str) -> Exception:
+    """The error of a value that the user can mend."""
+    from geometry.errors import InputError
+
+    return InputError(where, got, expected)
+
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print JSON on stdout and nothing else."
+)
+quiet_option = click.option("--quiet", is_flag=True, help="No progress on stderr.")
+workers_option = click.option(
+    "--workers",
+    type=WholeNumber(1, "a number of threads"),
+    default=os.cpu_count() or 1,
+    show_default="one per processor",
+    help="Threads.",
+)
+layout_option = click.option(
+    "--layout", "layout_names", multiple=True, help="carlancap-12, or a layout file."
+)
+
+
+def _cases_option(default: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    return click.option(
+        "--cases",
+        metavar="CASES",
+        default=default,
+        show_default=True,
+        help="A set - study, protocol-4.5.1, all - or names with commas between; CPNA stands for "
+        "CPNA-25 and CPNA-75. `place-rsus scenarios list` shows them.",
+    )
+
+
+_SELECTION_OPTIONS = (
+    click.option(
+        "--speeds",
+        default="",
+        metavar="KMH",
+        help="VUT speeds: 30,50 or 20-40 (the case's own speeds in that range); default: all.",
+    ),
+    click.option(
+        "--approaches",
+        default="",
+        metavar="ARMS",
+        help="From where the VUT comes: north,east; default: every arm of the junction.",
+    ),
+)
+_DRIVE_OPTIONS = (
+    click.option(
+        "--weather",
+        default="day",
+        show_default=True,
+        metavar="WEATHER",
+        help="day,night,rain: each run is driven in each.",
+    ),
+    click.option("--force", is_flag=True, help="Drive speeds that the protocol does not."),
+)
+_BRAKING_OPTIONS = (
+    click.option(
+        "--deceleration",
+        "deceleration_mps2",
+        type=Number("M/S2", "m/s^2"),
+        help="Of full braking; default: the study's 7.72.",
+    ),
+    click.option(
+        "--brake-build-up",
+        "build_up_s",
+        type=Number("SECONDS", "seconds", may_be_zero=True),
+        help="Until braking is full; default: the study's 0.",
+    ),
+    click.option(
+        "--latency",
+        "latency_s",
+        type=Number("SECONDS", "seconds", may_be_zero=True),
+        help="From the confirming frame to braking; default: the study's 0.025.",
+    ),
+    click.option(
+        "--confirmations",
+        "n_confirmations",
+        type=WholeNumber(1, "a number of frames"),
+        help="Detected frames in a row that confirm; default: the study's 3.",
+    ),
+    click.option(
+        "--phase",
+        type=OneOf(PHASES),
+        default="aligned",
+        show_default=True,
+        help="aligned: a frame falls on the impact; worst: of ten phases the one that loses most.",
+    ),
+)
+_WEIGHT_OPTION = click.option(
+    "--weights",
+    default="run",
+    show_default=True,
+    metavar="HOW",
+    help="run: every run counts the same; case: every case; euroncap-rating-2026: by its points; "
+    "or a CSV file with case, approach, weight.",
+)
+
+
+def question_options(
+    *, cases: str = DEFAULT_CASES, has_weights: bool = True
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Options that say what is driven; the command gets them as one `question`.
+
+    Parameters
+    ----------
+    cases : str
+        What is driven unless the user says.
+    has_weights : bool
+        Whether the command weighs runs.
+    """
+    weights = [_WEIGHT_OPTION] if has_weights else []
+    return _into_question(
+        _cases_option(cases), *_SELECTION_OPTIONS, *_DRIVE_OPTIONS, *weights, *_BRAKING_OPTIONS
+    )
+
+
+def one_run_options() -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Options and the argument that name a single run, and how it brakes, as one `question`."""
+    return _into_question(
+        click.argument("cases", metavar="CASE"),
+        click.option(
+            "--approach", "approaches", required=True, metavar="ARM", help="Such as east."
+        ),
+        click.option(
+            "--speed",
+            "speeds",
+            required=True,
+            type=Number("KMH", "km/h"),
+            callback=lambda _context, _param, value: f"{value:g}",
+            help="Of the VUT.",
+        ),
+        *_DRIVE_OPTIONS,
+        *_BRAKING_OPTIONS,
+    )
+
+
+def _into_question(
+    *options: Callable[[Callable[..., Any]], Callable[..., Any]],
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def with_question(*args: Any, **values: Any) -> Any:
+            names = [field.name for field in fields(Question) if field.name in values]
+            question = Question(**{name: values.pop(name) for name in names})
+            return command(*args, question=question, **values)
+
+        for option in reversed(options):
+            with_question = option(with_question)
+        return with_question
+
+    return decorate

@@ -1,0 +1,175 @@
+"""From a question to what is driven, and to the setting in which layouts are judged."""
+
+import logging
+from dataclasses import dataclass, replace
+
+from geometry.actors import pick_actor
+from geometry.errors import InputError, Unquoted
+from geometry.junction import build_junction
+from geometry.scene import Scene
+from placement.detector import load_detector
+from placement.setting import Setting
+from scenarios.aeb import AebRule, load_aeb_rule
+from scenarios.exposure import weigh
+from scenarios.runs import WEATHERS, Refusal, Run, build_frame_axis, build_runs
+from scenarios.selection import select_cases
+
+from .question import Question
+
+_log = logging.getLogger(__name__)
+
+
+def build_rule(question: Question) -> AebRule:
+    """The study's braking rule, with what the question changes."""
+    changes = {
+        name: getattr(question, name)
+        for name in ("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations")
+        if getattr(question, name) is not None
+    }
+    return replace(load_aeb_rule(), **changes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drives:
+    """What a question makes of a scene.
+
+    Attributes
+    ----------
+    runs : tuple of Run
+        What is driven.
+    refused : tuple of Refusal
+        What the junction does not carry.
+    left_out : tuple of Refusal
+        Cases none of whose speeds were asked for.
+    """
+
+    runs: tuple[Run, ...]
+    refused: tuple[Refusal, ...]
+    left_out: tuple[Refusal, ...]
+
+
+def drive(question: Question, scene: Scene) -> Drives:
+    """Lay the cases of a question on a scene's junction.
+
+    Parameters
+    ----------
+    question : Question
+        Cases, speeds, approaches, weathers, braking.
+    scene : Scene
+        The junction.
+
+    Returns
+    -------
+    drives : Drives
+        There may be no runs.
+
+    Raises
+    ------
+    InputError
+        A word of the question is unknown, or a speed is none that the protocol drives.
+    """
+    selection = select_cases(question.cases, speeds=question.speeds or None, force=question.force)
+    for beyond in selection.beyond:
+        _log.warning("--force: %s km/h are not speeds of the protocol", beyond)
+    known = tuple(build_junction(scene).arms)
+    approaches = _words(question.approaches, "--approaches", known) or known
+    weathers = _words(question.weather, "--weather", WEATHERS)
+    if not weathers:
+        raise InputError("--weather", question.weather, "one or more of " + ", ".join(WEATHERS))
+    runs, refused = build_runs(
+        scene,
+        selection.cases,
+        vut=pick_actor("vut", "vut"),
+        rule=build_rule(question),
+        approaches=approaches,
+        weathers=weathers,
+        phase=question.phase,
+    )
+    left_out = tuple(
+        Refusal(
+            case=case,
+            approach=approach,
+            speeds_kmh=case.vut_speeds_kmh,
+            reason=f"none of the speeds asked for ({question.speeds}) is one of this case",
+        )
+        for case in selection.left_out
+        for approach in approaches
+    )
+    return Drives(runs=runs, refused=refused, left_out=left_out)
+
+
+def drive_one(question: Question, scene: Scene) -> Run:
+    """The only run of a question.
+
+    Raises
+    ------
+    InputError
+        As :func:`drive`; the question names no run, or several.
+    """
+    drives = drive(question, scene)
+    if not drives.runs and (*drives.refused, *drives.left_out):
+        refusal = (*drives.refused, *drives.left_out)[0]
+        raise InputError(
+            f"{refusal.case.name} from the {refusal.approach}",
+            Unquoted(refusal.reason),
+            "a case that this approach carries",
+        )
+    if len(drives.runs) != 1:
+        ids = ", ".join(run.id for run in drives.runs)
+        raise InputError(question.cases, Unquoted(f"{len(drives.runs)} runs ({ids})"), "one run")
+    return drives.runs[0]
+
+
+def build_setting(question: Question, scene: Scene) -> Setting:
+    """All that a layout is placed in and judged by.
+
+    Parameters
+    ----------
+    question : Question
+        What is driven and how much it counts.
+    scene : Scene
+        The junction.
+
+    Returns
+    -------
+    setting : Setting
+        At least one run.
+
+    Raises
+    ------
+    InputError
+        As :func:`drive`; no approach carries one of the cases; the weights do not fit the runs.
+    """
+    drives = drive(question, scene)
+    runs = drives.runs
+    driven = {run.case.name for run in runs}
+    for refusal in drives.refused:
+        if refusal.case.name not in driven:
+            raise InputError(
+                "--cases",
+                Unquoted(f"{refusal.case.name}, which no approach carries"),
+                f"a case that can be driven at {scene.name} (from the {refusal.approach}: "
+                f"{refusal.reason})",
+            )
+    if any(run.weather != "day" for run in runs):
+        _log.warning(
+            "weather: runs are counted in each, but detections do not depend on it: "
+            "the geometric detector looks at boxes only"
+        )
+    return Setting(
+        scene=scene,
+        runs=runs,
+        axis=build_frame_axis(runs, weigh(runs, question.weights)),
+        rule=build_rule(question),
+        detector=load_detector(),
+        refusals=(*drives.refused, *drives.left_out),
+    )
+
+
+def _words(text: str, where: str, known: tuple[str, ...]) -> tuple[str, ...]:
+    """Words with commas between, each once."""
+    words = tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+    for word in words:
+        if word not in known:
+            raise InputError(where, word, "one or more of " + ", ".join(known))
+    return words

@@ -1,0 +1,281 @@
+"""Two bodies that move towards one another: how far apart they are, and when they first touch."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from geometry.actors import Actor
+from geometry.arrays import BoolArray, FloatArray
+from geometry.errors import InputError
+from geometry.footprints import FootprintSizes, gaps_between
+
+from .paths import Motion
+
+_LONGEST_S = 600.0  # nobody looks any further
+_FIRST_STEP_S = 0.25
+_STEP_GROWTH = 0.05
+_CONTACT_TOLERANCE_S = 1.0e-7
+GRAZING_M = 1.0e-7  # nearer is contact: cells in which the bodies move less are not divided
+_N_PARTS = 8  # of a cell along one time
+_PART_MIDDLES = (2.0 * np.arange(_N_PARTS) + 1.0) / _N_PARTS - 1.0
+_N_TOGETHER = 1024  # cells to divide in one go
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Encounter:
+    """Two bodies on collision course: without braking they first touch at time 0.
+
+    Attributes
+    ----------
+    vut, vru : Actor
+        The bodies; only their footprints count here.
+    vut_motion, vru_motion : Motion
+        Without braking; the VUT is up to speed when it sets off. Paths are those of the middle of
+        the footprint.
+    """
+
+    vut: Actor
+    vut_motion: Motion
+    vru: Actor
+    vru_motion: Motion
+    _sizes: FootprintSizes = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.vut_motion.acceleration_distance_m != 0.0:
+            raise InputError(
+                "encounter.vut_motion.acceleration_distance_m",
+                self.vut_motion.acceleration_distance_m,
+                "0: the VUT is up to speed when it sets off",
+            )
+        sizes = FootprintSizes(
+            length_a_m=self.vut.length_m,
+            width_a_m=self.vut.width_m,
+            length_b_m=self.vru.length_m,
+            width_b_m=self.vru.width_m,
+        )
+        object.__setattr__(self, "_sizes", sizes)
+
+    def separation_m(self, vut_distance_m: FloatArray, vru_distance_m: FloatArray) -> FloatArray:
+        """Separation of the footprints after distances along their paths.
+
+        Parameters
+        ----------
+        vut_distance_m, vru_distance_m : (...,) float
+            Leading axes broadcast. [m]
+
+        Returns
+        -------
+        separation_m : (...,) float
+            Zero or less: they touch; see :func:`geometry.footprints.footprint_separation`. [m]
+        """
+        separation: FloatArray = self.gaps_m(vut_distance_m, vru_distance_m).max(axis=0)
+        return separation
+
+    def gaps_m(self, vut_distance_m: FloatArray, vru_distance_m: FloatArray) -> FloatArray:
+        """Gaps along the four normals, (4, ...); see :func:`geometry.footprints.gaps_between`."""
+        vut_position, vut_yaw = self.vut_motion.path.at(vut_distance_m)
+        vru_position, vru_yaw = self.vru_motion.path.at(vru_distance_m)
+        return gaps_between(vru_position - vut_position, vut_yaw, vru_yaw, sizes=self._sizes)
+
+    @property
+    def vut_reach(self) -> float:
+        """How far any point of the VUT may move while it drives a metre."""
+        return 1.0 + self.vut_motion.path.max_turn_rad_per_m * _half_diagonal_m(self.vut)
+
+    @property
+    def vru_reach(self) -> float:
+        """How far any point of the VRU may move while it moves on by a metre."""
+        return 1.0 + self.vru_motion.path.max_turn_rad_per_m * _half_diagonal_m(self.vru)
+
+    @property
+    def near_m(self) -> float:
+        """Separation up to which :meth:`max_gap_bend_mps2` holds, in metres."""
+        return _half_diagonal_m(self.vut) + _half_diagonal_m(self.vru)
+
+    @property
+    def small_m(self) -> float:
+        """Neither body gets past the other while they move less than this, in metres."""
+        return 0.25 * sum(min(body.length_m, body.width_m) for body in (self.vut, self.vru))
+
+    def max_gap_bend_mps2(self, deceleration_mps2: float) -> float:
+        """How much the change of a gap changes per second while the bodies are near.
+
+        Parameters
+        ----------
+        deceleration_mps2 : float
+            Of the VUT at most. [m/s^2]
+
+        Returns
+        -------
+        bend_mps2 : float
+            Bound of the second derivative of each of :meth:`gaps_m` by time. [m/s^2]
+
+        Notes
+        -----
+        A gap is n . d - r: d from middle to middle, the normal n turns with its body, the reach r
+        of both bodies along n depends on the angle between them. Near means that d is at most
+        three times the half diagonals of both together, and r once.
+        """
+        bend = speed = turning = turning_change = 0.0
+        for motion, acceleration_mps2 in (
+            (self.vut_motion, deceleration_mps2),
+            (self.vru_motion, self.vru_motion.acceleration_mps2),
+        ):
+            turn, v = motion.path.max_turn_rad_per_m, motion.speed_mps
+            bend += acceleration_mps2 + 3.0 * turn * v**2
+            speed += v
+            turning += turn * v
+            turning_change += (
+                motion.path.max_turn_change_rad_per_m2 * v**2 + turn * acceleration_mps2
+            )
+        return bend + 2.0 * turning * speed + (turning_change + turning**2) * 4.0 * self.near_m
+
+
+def first_contact_s(encounter: Encounter) -> float:
+    """When the bodies first touch if nobody brakes.
+
+    Parameters
+    ----------
+    encounter : Encounter
+        Who meets whom.
+
+    Returns
+    -------
+    first_contact_s : float
+        From the earlier one's start on, within a tenth of a microsecond; infinite if they do not
+        touch within ten minutes of it. [s]
+    """
+    vut, vru = encounter.vut_motion, encounter.vru_motion
+    speed = encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
+
+    def measure(cells: Cells) -> Measures:
+        time, moves = cells.first_s, speed * cells.half_first_s
+        separation = encounter.separation_m(vut.distance_m(time), vru.distance_m(time))
+        may_touch = separation <= moves
+        return Measures(
+            may_touch=may_touch,
+            touches=(separation <= 0.0) | (may_touch & (moves <= GRAZING_M)),
+            is_cut_along_first=np.ones(len(time), dtype=bool),
+        )
+
+    # The further in the future, the longer the looks: bodies that part are far apart by then.
+    n_cells = int(np.log1p(_LONGEST_S * _STEP_GROWTH / _FIRST_STEP_S) / np.log1p(_STEP_GROWTH)) + 1
+    after_s = np.expm1(np.arange(n_cells + 1) * np.log1p(_STEP_GROWTH))
+    edges = min(vut.start_time_s, vru.start_time_s) + after_s * (_FIRST_STEP_S / _STEP_GROWTH)
+    middle: FloatArray = 0.5 * (edges[1:] + edges[:-1])
+    nothing = np.zeros(n_cells)
+    cells = Cells(
+        first_s=middle,
+        second_s=nothing,
+        half_first_s=0.5 * np.diff(edges),
+        half_second_s=nothing,
+    )
+    _, touch_s = find_first_touch(cells, measure, tolerance_s=_CONTACT_TOLERANCE_S)
+    return touch_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cells:
+    """Rectangles in the plane of two times.
+
+    Attributes
+    ----------
+    first_s, second_s : (n,) float
+        Middle of each cell. [s]
+    half_first_s, half_second_s : (n,) float
+        Half its size along each time. [s]
+    """
+
+    first_s: FloatArray
+    second_s: FloatArray
+    half_first_s: FloatArray
+    half_second_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measures:
+    """What is known of cells.
+
+    Attributes
+    ----------
+    may_touch : (n,) bool
+        False: there is no contact anywhere in the cell.
+    touches : (n,) bool
+        True: there is one at the middle of its first time.
+    is_cut_along_first : (n,) bool
+        Along which time to divide it: where more is unknown.
+    """
+
+    may_touch: BoolArray
+    touches: BoolArray
+    is_cut_along_first: BoolArray
+
+
+def find_first_touch(
+    cells: Cells, measure: Callable[[Cells], Measures], *, tolerance_s: float
+) -> tuple[float, float]:
+    """Smallest first time at which there is a contact.
+
+    Parameters
+    ----------
+    cells : Cells
+        Cover everything that shall be looked at.
+    measure : callable
+        Looks at cells. It must say of all small ones, say by ``GRAZING_M``, that they do or do not
+        touch: else the search might not end.
+    tolerance_s : float
+        How near the two answers shall come. [s]
+
+    Returns
+    -------
+    safe_s, touch_s : float
+        No contact before the one, contact at the other; both infinite if there is none. [s]
+
+    Notes
+    -----
+    Branch and bound: a cell whose bodies are further apart than they can move within it holds no
+    contact, so nothing is overlooked between two looks. The others are divided, the earliest
+    first.
+    """
+    pool = np.stack([cells.first_s, cells.second_s, cells.half_first_s, cells.half_second_s])
+    pool, touch_s = _look(pool, measure, np.inf)
+    while pool.shape[1] > 0:
+        begin = pool[0] - pool[2]
+        safe_s = float(begin.min())
+        if touch_s - safe_s <= tolerance_s:
+            return safe_s, touch_s
+        waiting = pool[:, :0]
+        if len(begin) > _N_TOGETHER:
+            order = np.argpartition(begin, _N_TOGETHER)
+            pool, waiting = pool[:, order[:_N_TOGETHER]], pool[:, order[_N_TOGETHER:]]
+        divided, touch_s = _look(_divide(pool), measure, touch_s)
+        waiting = waiting[:, waiting[0] - waiting[2] < touch_s]
+        pool = np.concatenate([divided, waiting], axis=1)
+    return touch_s, touch_s
+
+
+def _divide(pool: FloatArray) -> FloatArray:
+    """Cut each cell into equal parts. Rows: middles, halves, whether along the first time."""
+    middle, half = pool[:2], pool[2:4]
+    is_cut = np.stack([pool[4] > 0.0, pool[4] == 0.0])
+    middles = middle[:, :, None] + np.where(is_cut, half, 0.0)[:, :, None] * _PART_MIDDLES
+    halves = np.repeat(np.where(is_cut, half / _N_PARTS, half), _N_PARTS, axis=1)
+    return np.concatenate([middles.reshape(2, -1), halves])
+
+
+def _look(
+    pool: FloatArray, measure: Callable[[Cells], Measures], touch_s: float
+) -> tuple[FloatArray, float]:
+    """Cells that may hold an earlier contact, as :func:`_divide` takes them; the earliest one."""
+    seen = measure(
+        Cells(first_s=pool[0], second_s=pool[1], half_first_s=pool[2], half_second_s=pool[3])
+    )
+    if seen.touches.any():
+        touch_s = min(touch_s, float(pool[0][seen.touches].min()))
+    kept = seen.may_touch & (pool[0] - pool[2] < touch_s)
+    return np.concatenate([pool[:4], seen.is_cut_along_first[None, :]])[:, kept], touch_s
+
+
+def _half_diagonal_m(body: Actor) -> float:
+    return 0.5 * float(np.hypot(body.length_m, body.width_m))

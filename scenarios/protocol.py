@@ -1,0 +1,309 @@
+"""Cases laid on the approaches of any junction, by the rules of the protocol."""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+from scipy.constants import kmh
+
+from geometry.actors import Actor, PlacedActor
+from geometry.errors import InputError
+from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
+from geometry.scene import Lane
+from geometry.toml_files import load_toml, take, take_number
+
+from .cases import Case
+from .obstruction import place_beside_vru, place_beside_vut, place_wall
+from .paths import StraightPath, TurnPath, travel_time_s
+from .staging import CannotCarryError, Staging, find_meeting, impact_offset_m, set_off
+from .turns import pick_turn
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Rules:
+    """``data/laying.toml``."""
+
+    start_before_curve_s: float
+    max_lane_bend_m: float
+    max_skew_deg: float
+
+
+@cache
+def _load_rules() -> _Rules:
+    table = take(load_toml(files(__package__) / "data" / "laying.toml"), "vut", "laying.toml")
+    return _Rules(**{key: take_number(table, key, "laying.toml: vut") for key in _Rules.__slots__})
+
+
+def stage_by_protocol(
+    case: Case, junction: Junction, approach: str, *, vut_speed_kmh: float, vut: Actor
+) -> Staging:
+    """Lay a case on an approach.
+
+    Parameters
+    ----------
+    case : Case
+        What is driven.
+    junction : Junction
+        Its arms.
+    approach : str
+        Name of the arm from which the VUT comes.
+    vut_speed_kmh : float
+        Constant. [km/h]
+    vut : Actor
+        The vehicle under test.
+
+    Returns
+    -------
+    staging : Staging
+        The run begins when the VRU sets off; turning: also 1 s before the VUT enters the curve.
+        The VUT comes along its lane, and straight on backwards where the map ends.
+
+    Raises
+    ------
+    CannotCarryError
+        The lanes do not allow it; the text says why.
+    InputError
+        There is no such arm.
+
+    Notes
+    -----
+    The VUT drives in the lane at the kerb; before a left turn, in the one at the road's axis.
+    Pedestrians cross on the arm's crosswalk; whoever moves ahead of the VUT is reached there.
+    """
+    if approach not in junction.arms:
+        raise InputError("approach", approach, "one of " + ", ".join(junction.arms))
+    arm = junction.arms[approach]
+    if not arm.entry_lanes:
+        raise CannotCarryError(f"no lane leads into the junction from the {approach}")
+    lay = {"crossing": _lay_crossing, "longitudinal": _lay_longitudinal, "turning": _lay_turning}
+    return lay[case.kind](case, junction, arm, vut_speed_kmh, vut)
+
+
+def _lay_crossing(
+    case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
+) -> Staging:
+    lane = arm.entry_lanes[0]
+    vut_line, _ = _straight(lane, is_in=True)
+    vru_line = _crossing_line(case, junction, arm, vut_line)
+    # Far enough back for any gap between the lines; the impact lies near their crossing.
+    behind_m = 2.0 * (vut.length_m + case.vru.length_m)
+    nominal_m = float(vut_line.coordinates(vru_line.point_m)[0])
+    path = StraightPath(start_m=vut_line.at(nominal_m - behind_m), yaw_deg=vut_line.yaw_deg)
+    meeting = find_meeting(
+        case, vut=vut, vut_path=path, vru_line=vru_line, search_m=(0.0, 2.0 * behind_m)
+    )
+    travel_m = _travel_m(case, meeting.vru_distance_m)
+    begin_s = -_travel_s(case, travel_m)
+    driven_m = -begin_s * vut_speed_kmh * kmh
+    _check_straight(lane, driven_m)
+    encounter = set_off(
+        case,
+        vut=vut,
+        vut_path=StraightPath(
+            start_m=vut_line.at(nominal_m - behind_m + meeting.vut_distance_m - driven_m),
+            yaw_deg=vut_line.yaw_deg,
+        ),
+        vut_start_s=begin_s,
+        vut_speed_kmh=vut_speed_kmh,
+        vru_line=vru_line,
+        vru_distance_m=meeting.vru_distance_m,
+        vru_travel_m=travel_m,
+    )
+    obstruction: tuple[PlacedActor, ...] = ()
+    if case.obstruction is not None:
+        place = {
+            "beside-vut": place_beside_vut,
+            "beside-vru": place_beside_vru,
+            "wall": place_wall,
+        }[case.obstruction.kind]
+        obstruction = place(
+            case.obstruction, vut=vut, vut_line=vut_line, vru=case.vru, vru_line=vru_line
+        )
+    return Staging(encounter=encounter, obstruction=obstruction)
+
+
+def _lay_longitudinal(
+    case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
+) -> Staging:
+    lane = arm.entry_lanes[0]
+    vut_line, _ = _straight(lane, is_in=True)
+    offset_m = impact_offset_m(case, vut)
+    impact_m = float(vut_line.coordinates(vut_line.crossing_with(arm.crosswalk))[0])
+    travel_m = _travel_m(case, 0.0)
+    before_lane_m = travel_m + 0.5 * case.vru.length_m - impact_m - lane_length_m(lane)
+    if before_lane_m > 0.0:
+        raise CannotCarryError(
+            f"the VRU would set off {before_lane_m:.1f} m before the mapped lane begins"
+        )
+    begin_s = -_travel_s(case, travel_m)
+    driven_m = -begin_s * vut_speed_kmh * kmh
+    _check_straight(lane, max(travel_m, driven_m))
+    gap_m = 0.5 * (vut.length_m + case.vru.length_m)
+    encounter = set_off(
+        case,
+        vut=vut,
+        vut_path=StraightPath(
+            start_m=vut_line.at(impact_m - gap_m - driven_m), yaw_deg=vut_line.yaw_deg
+        ),
+        vut_start_s=begin_s,
+        vut_speed_kmh=vut_speed_kmh,
+        vru_line=Line(point_m=vut_line.at(impact_m, offset_m), direction=vut_line.direction),
+        vru_distance_m=0.0,
+        vru_travel_m=travel_m,
+    )
+    return Staging(encounter=encounter, obstruction=())
+
+
+def _lay_turning(
+    case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
+) -> Staging:
+    rules = _load_rules()
+    is_far = case.turn == "far"
+    entry_lane = arm.entry_lanes[-1 if is_far else 0]
+    entry, _ = _straight(entry_lane, is_in=True)
+    target = _arm_at(junction, entry, to_left=is_far)
+    if target is None or not target.exit_lanes:
+        raise CannotCarryError(f"no lane leads out of the junction on the {case.turn} side")
+    exit_lane = target.exit_lanes[-1 if is_far else 0]
+    exit_line, _ = _straight(exit_lane, is_in=False)
+    angle_deg = abs((exit_line.yaw_deg - entry.yaw_deg + 180.0) % 360.0 - 180.0)
+    try:
+        turn = pick_turn(case.turn, vut_speed_kmh)
+    except InputError as error:
+        raise CannotCarryError(str(error)) from None
+    try:
+        turn = turn.turned_by(angle_deg)
+    except InputError:
+        raise CannotCarryError(f"the arms meet at {angle_deg:.0f} degrees") from None
+    corner = entry.crossing_with(exit_line)
+    for lane, line, sign, what in (
+        (entry_lane, entry, -1.0, "begin"),
+        (exit_lane, exit_line, 1.0, "end"),
+    ):
+        in_lane_m = sign * float(line.coordinates(corner)[0]) + turn.tangent_m
+        if in_lane_m > lane_length_m(lane):
+            raise CannotCarryError(f"the turn would {what} beyond the mapped lane {lane.id}")
+
+    vru_line = _turning_line(case, arm, target, entry, exit_line, is_far=is_far)
+
+    def path_with(straight_m: float) -> TurnPath:
+        before_corner_m = float(entry.coordinates(corner)[0]) - turn.tangent_m
+        return TurnPath(
+            start_m=entry.at(before_corner_m - straight_m),
+            yaw_deg=entry.yaw_deg,
+            straight_m=straight_m,
+            turn=turn,
+            wheelbase_m=vut.wheelbase_m,
+            front_axle_ahead_m=vut.front_axle_ahead_m,
+        )
+
+    path = path_with(0.0)
+    meeting = find_meeting(
+        case,
+        vut=vut,
+        vut_path=path,
+        vru_line=vru_line,
+        search_m=(0.0, turn.length_m + lane_length_m(exit_lane)),
+    )
+    travel_m = _travel_m(case, meeting.vru_distance_m)
+    speed_mps = vut_speed_kmh * kmh
+    begin_s = -max(
+        _travel_s(case, travel_m), meeting.vut_distance_m / speed_mps + rules.start_before_curve_s
+    )
+    straight_m = -begin_s * speed_mps - meeting.vut_distance_m
+    _check_straight(entry_lane, straight_m)
+    encounter = set_off(
+        case,
+        vut=vut,
+        vut_path=path_with(straight_m),
+        vut_start_s=begin_s,
+        vut_speed_kmh=vut_speed_kmh,
+        vru_line=vru_line,
+        vru_distance_m=meeting.vru_distance_m,
+        vru_travel_m=travel_m,
+    )
+    return Staging(encounter=encounter, obstruction=())
+
+
+def _crossing_line(case: Case, junction: Junction, arm: Arm, vut_line: Line) -> Line:
+    """The VRU's line, from where it crosses the VUT's."""
+    assert case.vru_line is not None
+    is_near = case.vru_side == "near"
+    if case.vru_line.along == "crosswalk":
+        point = vut_line.crossing_with(arm.crosswalk)
+        return Line(point_m=point, direction=vut_line.left if is_near else -vut_line.left)
+    side = _arm_at(junction, vut_line, to_left=not is_near)
+    if side is None or not side.entry_lanes:
+        raise CannotCarryError(f"no lane leads into the junction from the {case.vru_side} side")
+    lane = side.entry_lanes[0 if case.vru_line.lane == "outer" else -1]
+    middle, _ = _straight(lane, is_in=True)
+    beside = Line(point_m=middle.at(0.0, case.vru_line.left_m), direction=middle.direction)
+    return Line(point_m=beside.crossing_with(vut_line), direction=beside.direction)
+
+
+def _turning_line(
+    case: Case, arm: Arm, target: Arm, entry: Line, exit_line: Line, *, is_far: bool
+) -> Line:
+    """The VRU's line, from where it crosses the lane into which the VUT turns."""
+    assert case.vru_line is not None
+    direction = entry.direction if case.vru_direction == "same" else -entry.direction
+    if case.vru_line.along == "crosswalk":
+        return Line(point_m=exit_line.crossing_with(target.crosswalk), direction=direction)
+    outside_m = case.vru_line.left_m
+    if not is_far:
+        kerb_lane, is_in, kerb_side = arm.lanes_in[0], True, -1.0
+    elif arm.lanes_out:
+        kerb_lane, is_in, kerb_side = arm.lanes_out[0], False, -1.0
+    else:  # a one-way road: the kerb is to the left of its lanes
+        kerb_lane, is_in, kerb_side = arm.lanes_in[-1], True, 1.0
+    middle, _ = _straight(kerb_lane, is_in=is_in)
+    beside = Line(
+        point_m=middle.at(0.0, kerb_side * (0.5 * kerb_lane.width_m + outside_m)),
+        direction=direction,
+    )
+    return Line(point_m=beside.crossing_with(exit_line), direction=direction)
+
+
+def _arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
+    """The arm to the left or right of the VUT; None if there is none about at a right angle."""
+    side = vut_line.left if to_left else -vut_line.left
+    best, best_cosine = None, np.cos(np.radians(_load_rules().max_skew_deg))
+    for arm in junction.arms.values():
+        lanes, is_in = (arm.lanes_in, True) if arm.lanes_in else (arm.lanes_out, False)
+        line, _ = _straight(lanes[0], is_in=is_in)
+        cosine = float(line.direction @ side) * (-1.0 if is_in else 1.0)
+        if cosine >= best_cosine:
+            best, best_cosine = arm, cosine
+    return best
+
+
+_STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
+
+
+def _straight(lane: Lane, *, is_in: bool) -> tuple[Line, float]:
+    return lane_line(lane, is_in=is_in, length_m=_STRAIGHT_M)
+
+
+def _check_straight(lane: Lane, driven_m: float) -> None:
+    _, off_line_m = lane_line(lane, is_in=True, length_m=min(driven_m, _STRAIGHT_M))
+    if off_line_m > _load_rules().max_lane_bend_m:
+        raise CannotCarryError(
+            f"lane {lane.id} is not straight: {off_line_m:.1f} m off its line before the junction"
+        )
+
+
+def _travel_m(case: Case, vru_distance_m: float) -> float:
+    """The VRU's way from rest to the impact; `vru_distance_m`: its middle past the line's point."""
+    if case.steady_distance_m is not None:
+        return case.acceleration_distance_m + case.steady_distance_m
+    assert case.start_distance_m is not None
+    return case.start_distance_m + vru_distance_m + case.vru_reference_m
+
+
+def _travel_s(case: Case, travel_m: float) -> float:
+    return travel_time_s(
+        travel_m,
+        speed_mps=case.vru_speed_kmh * kmh,
+        acceleration_distance_m=case.acceleration_distance_m,
+    )

@@ -1,0 +1,205 @@
+"""The study's own cases: start and collision points of its released generator."""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from scipy.constants import kmh
+
+from geometry.actors import Actor, PlacedActor, pick_actor
+from geometry.arrays import FloatArray, float_array
+from geometry.errors import InputError, Unquoted
+from geometry.frames import from_carla_points, from_carla_yaw
+from geometry.parking import park_row
+from geometry.toml_files import Table, load_toml, pick, take_list, take_number, take_text
+
+from .cases import Case, load_cases
+from .encounters import Encounter
+from .paths import Motion, StraightPath
+from .staging import Staging, impact_offset_m
+
+_ON_LINE_TOLERANCE_M = 0.05
+_ANGLE_TOLERANCE_DEG = 1.0
+_FILES = ("town05_runs.toml",)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CasePlacement:
+    """Where a case is driven at a junction. World frame.
+
+    Attributes
+    ----------
+    scene_name : str
+        The junction.
+    case : Case
+        What is driven.
+    approach : str
+        The arm from which the VUT comes.
+    vut_path, vru_path : StraightPath
+        From the start points on.
+    vru_meeting_m : float
+        Distance along the VRU's path from its start to where the middle of the VRU is at the
+        impact. [m]
+    vut_meeting_m : float
+        Distance along the VUT's path from its start to the point beside the VRU's middle. [m]
+    obstruction : tuple of PlacedActor
+        Parked bodies that belong to this case only.
+    """
+
+    scene_name: str
+    case: Case
+    approach: str
+    vut_path: StraightPath
+    vru_path: StraightPath
+    vut_meeting_m: float
+    vru_meeting_m: float
+    obstruction: tuple[PlacedActor, ...]
+
+
+@cache
+def load_placements() -> tuple[CasePlacement, ...]:
+    """Where the study's cases are driven at its junction, from ``data/town05_runs.toml``."""
+    placements: list[CasePlacement] = []
+    for name in _FILES:
+        table = load_toml(files(__package__) / "data" / name)
+        scene_name = take_text(table, "scene", name)
+        parked = tuple(
+            body
+            for index, row in enumerate(table.get("parked_rows", []))
+            for body in _build_row(row, f"{name}: parked_rows[{index}]")
+        )
+        placements += [
+            _build_placement(entry, f"{name}: placements[{index}]", scene_name, parked)
+            for index, entry in enumerate(take_list(table, "placements", name))
+        ]
+    return tuple(placements)
+
+
+def find_placement(scene_name: str, case: Case, approach: str) -> CasePlacement | None:
+    """Where a case is driven from an approach of a scene; None if no file says."""
+    for placement in load_placements():
+        wanted = (placement.scene_name, placement.case.name, placement.approach)
+        if wanted == (scene_name, case.name, approach):
+            return placement
+    return None
+
+
+def stage_published(placement: CasePlacement, *, vut_speed_kmh: float, vut: Actor) -> Staging:
+    """Set a run up as the study's generator does.
+
+    Parameters
+    ----------
+    placement : CasePlacement
+        Starts and meeting point.
+    vut_speed_kmh : float
+        Constant. [km/h]
+    vut : Actor
+        The vehicle under test.
+
+    Returns
+    -------
+    staging : Staging
+        Both stand at their start, set off at full speed and keep it. At the impact the middle of
+        the VRU is at the meeting point, and the VUT's front at its flank (longitudinal: its rear).
+    """
+    case = placement.case
+    vut_speed, vru_speed = vut_speed_kmh * kmh, case.vru_speed_kmh * kmh
+    gap_m = 0.5 * (case.vru.width_m if case.kind == "crossing" else case.vru.length_m)
+    vut_distance = placement.vut_meeting_m - 0.5 * vut.length_m - gap_m
+    vru_distance = placement.vru_meeting_m + impact_offset_m(case, vut) * _crossing_sign(placement)
+    encounter = Encounter(
+        vut=vut,
+        vut_motion=Motion(
+            path=placement.vut_path, speed_mps=vut_speed, start_time_s=-vut_distance / vut_speed
+        ),
+        vru=case.vru,
+        vru_motion=Motion(
+            path=placement.vru_path, speed_mps=vru_speed, start_time_s=-vru_distance / vru_speed
+        ),
+    )
+    return Staging(encounter=encounter, obstruction=placement.obstruction)
+
+
+def _crossing_sign(placement: CasePlacement) -> float:
+    """+1 if the VRU walks towards the VUT's left, -1 towards its right, 0 along its path."""
+    if placement.case.kind == "longitudinal":
+        return 0.0
+    ahead, walking = placement.vut_path.direction, placement.vru_path.direction
+    return float(np.sign(ahead[0] * walking[1] - ahead[1] * walking[0]))
+
+
+def _build_placement(
+    entry: Table, where: str, scene_name: str, parked: tuple[PlacedActor, ...]
+) -> CasePlacement:
+    case = pick(load_cases(), take_text(entry, "case", where), f"{where}.case")
+    approach = take_text(entry, "approach", where)
+    vut_path = _build_path(entry, "vut", where)
+    vru_path = _build_path(entry, "vru", where)
+    point = take_list(entry, "collision_point_m", where)
+    collision = from_carla_points(float_array(point, (2,), f"{where}.collision_point_m"))
+    if case.kind == "crossing":
+        vut_meeting, vru_meeting = _crossing_distances(vut_path, vru_path, where)
+    else:
+        if vut_path.direction @ vru_path.direction < np.cos(np.radians(_ANGLE_TOLERANCE_DEG)):
+            raise InputError(
+                where,
+                Unquoted(f"headings {vut_path.yaw_deg:g} and {vru_path.yaw_deg:g} degrees"),
+                "one heading for VUT and VRU",
+            )
+        vut_meeting = float((collision - vut_path.start_m) @ vut_path.direction)
+        vru_meeting = float((collision - vru_path.start_m) @ vru_path.direction)
+    met_m, _ = vut_path.at(vut_meeting)
+    east, north = collision - met_m
+    beside_m = abs(vut_path.direction[0] * north - vut_path.direction[1] * east)
+    if beside_m > _ON_LINE_TOLERANCE_M:
+        raise InputError(f"{where}.collision_point_m", point, "a point on the VUT's path")
+    if not (vut_meeting > 0.0 and vru_meeting > 0.0):
+        raise InputError(
+            where, Unquoted("paths that meet behind a start"), "starts before the meeting point"
+        )
+    return CasePlacement(
+        scene_name=scene_name,
+        case=case,
+        approach=approach,
+        vut_path=vut_path,
+        vru_path=vru_path,
+        vut_meeting_m=vut_meeting,
+        vru_meeting_m=vru_meeting,
+        obstruction=parked,
+    )
+
+
+def _build_path(entry: Table, body: str, where: str) -> StraightPath:
+    start = take_list(entry, f"{body}_start_m", where)
+    return StraightPath(
+        start_m=from_carla_points(float_array(start, (2,), f"{where}.{body}_start_m")),
+        yaw_deg=float(from_carla_yaw(take_number(entry, f"{body}_yaw_deg", where))),
+    )
+
+
+def _crossing_distances(a: StraightPath, b: StraightPath, where: str) -> tuple[float, float]:
+    # At the impact the gap between the bodies' middles is half the VRU's width only if it crosses
+    # squarely.
+    angle_deg = float(np.degrees(np.arccos(np.clip(abs(a.direction @ b.direction), 0.0, 1.0))))
+    if angle_deg < 90.0 - _ANGLE_TOLERANCE_DEG:
+        raise InputError(
+            where, Unquoted(f"paths at {angle_deg:.1f} degrees"), "perpendicular paths"
+        )
+    matrix = np.stack([a.direction, -b.direction], axis=1)
+    distances = np.linalg.solve(matrix, b.start_m - a.start_m)
+    return float(distances[0]), float(distances[1])
+
+
+def _build_row(row: dict[str, Any], where: str) -> tuple[PlacedActor, ...]:
+    first: FloatArray = float_array(take_list(row, "first_m", where), (2,), f"{where}.first_m")
+    return park_row(
+        [
+            pick_actor(name, f"{where}.actors[{index}]")
+            for index, name in enumerate(take_list(row, "actors", where))
+        ],
+        first_bumper_m=from_carla_points(first),
+        yaw_deg=float(from_carla_yaw(take_number(row, "yaw_deg", where))),
+        gap_m=take_number(row, "gap_m", where),
+    )

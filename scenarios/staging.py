@@ -1,0 +1,218 @@
+"""How a run is set up: who moves how, past what, before anybody brakes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.constants import kmh
+from scipy.optimize import brentq
+
+from geometry.actors import Actor, PlacedActor
+from geometry.arrays import FloatArray
+from geometry.footprints import footprint_corners, footprint_separation
+from geometry.junction import Line
+
+from .cases import Case
+from .encounters import Encounter, first_contact_s
+from .paths import Motion, Path, StraightPath, travel_time_s
+
+_SCAN_STEP_M = 0.1
+_NEVER_PARALLEL = 1.0e-6
+
+
+class CannotCarryError(Exception):
+    """A case cannot be laid on an approach; the text says why."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Staging:
+    """A run without its frames.
+
+    Attributes
+    ----------
+    encounter : Encounter
+        Bodies and motions; the impact is at time 0.
+    obstruction : tuple of PlacedActor
+        Parked bodies that belong to this run only.
+    """
+
+    encounter: Encounter
+    obstruction: tuple[PlacedActor, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Meeting:
+    """Where the bodies are at the impact.
+
+    Attributes
+    ----------
+    vut_distance_m : float
+        Along the VUT's path. [m]
+    vru_distance_m : float
+        Of the middle of the VRU along its line, from the line's point. [m]
+    """
+
+    vut_distance_m: float
+    vru_distance_m: float
+
+
+def find_meeting(
+    case: Case, *, vut: Actor, vut_path: Path, vru_line: Line, search_m: tuple[float, float]
+) -> Meeting:
+    """Where the VRU meets the VUT at the case's impact position.
+
+    Parameters
+    ----------
+    case : Case
+        Impact position and the VRU's point that meets it.
+    vut : Actor
+        The vehicle under test.
+    vut_path : Path
+        Of the VUT.
+    vru_line : Line
+        On which the middle of the VRU moves.
+    search_m : tuple of float
+        First and last distance along the VUT's path to look at. [m]
+
+    Returns
+    -------
+    meeting : Meeting
+        Front: the VRU's point is `impact_percent` across the VUT's width, and the VUT's front has
+        just reached the VRU's box. Side: the point is on the VUT's side.
+
+    Raises
+    ------
+    CannotCarryError
+        The VUT's path does not lead there.
+    """
+    gap = _gap_to_side if case.impact_face == "side" else _gap_to_front
+    distances = np.arange(search_m[0], search_m[1] + _SCAN_STEP_M, _SCAN_STEP_M)
+    gaps, _ = gap(case, vut, vut_path, vru_line, distances)
+    closes = np.flatnonzero((gaps[:-1] > 0.0) & (gaps[1:] <= 0.0))
+    if len(closes) == 0:
+        raise CannotCarryError("the VUT's way and the VRU's do not meet")
+    first = int(closes[0])
+
+    def gap_at(distance_m: float) -> float:
+        return float(gap(case, vut, vut_path, vru_line, np.array([distance_m]))[0][0])
+
+    vut_distance_m = float(brentq(gap_at, distances[first], distances[first + 1], xtol=1.0e-10))
+    _, vru_distance = gap(case, vut, vut_path, vru_line, np.array([vut_distance_m]))
+    return Meeting(vut_distance_m=vut_distance_m, vru_distance_m=float(vru_distance[0]))
+
+
+def impact_offset_m(case: Case, vut: Actor) -> float:
+    """Where a VRU meets the VUT's front: metres to the left of the VUT's centreline."""
+    return vut.width_m * (case.impact_percent - 50.0) / 100.0
+
+
+def set_off(
+    case: Case,
+    *,
+    vut: Actor,
+    vut_path: Path,
+    vut_start_s: float,
+    vut_speed_kmh: float,
+    vru_line: Line,
+    vru_distance_m: float,
+    vru_travel_m: float,
+) -> Encounter:
+    """Encounter whose bodies first touch at time 0.
+
+    Parameters
+    ----------
+    case : Case
+        Who moves.
+    vut : Actor
+        The vehicle under test.
+    vut_path : Path
+        From where the VUT is at `vut_start_s`.
+    vut_start_s : float
+        When it sets off. [s]
+    vut_speed_kmh : float
+        Constant. [km/h]
+    vru_line, vru_distance_m : Line, float
+        Where the middle of the VRU is at the impact: so far along the line. [m]
+    vru_travel_m : float
+        From rest to there. [m]
+
+    Returns
+    -------
+    encounter : Encounter
+        Where the corner of a turning VUT would touch a moment before the impact position is
+        reached, both set off that moment later.
+
+    Raises
+    ------
+    CannotCarryError
+        The bodies do not touch.
+    """
+    travel_s = travel_time_s(
+        vru_travel_m,
+        speed_mps=case.vru_speed_kmh * kmh,
+        acceleration_distance_m=case.acceleration_distance_m,
+    )
+    start_m = vru_line.at(vru_distance_m - vru_travel_m)
+
+    def later(seconds: float) -> Encounter:
+        return Encounter(
+            vut=vut,
+            vut_motion=Motion(
+                path=vut_path, speed_mps=vut_speed_kmh * kmh, start_time_s=vut_start_s + seconds
+            ),
+            vru=case.vru,
+            vru_motion=Motion(
+                path=StraightPath(start_m=start_m, yaw_deg=vru_line.yaw_deg),
+                speed_mps=case.vru_speed_kmh * kmh,
+                start_time_s=seconds - travel_s,
+                acceleration_distance_m=case.acceleration_distance_m,
+            ),
+        )
+
+    encounter = later(0.0)
+    early_s = first_contact_s(encounter)
+    if not np.isfinite(early_s):
+        raise CannotCarryError("the bodies do not touch")
+    return later(-early_s)
+
+
+def _gap_to_front(
+    case: Case, vut: Actor, vut_path: Path, vru_line: Line, distance_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Separation while the VRU's point is at the impact position, and where the VRU then is."""
+    position, yaw_deg = vut_path.at(distance_m)
+    yaw = np.radians(yaw_deg)
+    left = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
+    across = left @ vru_line.direction
+    across = np.where(np.abs(across) < _NEVER_PARALLEL, _NEVER_PARALLEL, across)
+    offset = ((vru_line.point_m - position) * left).sum(axis=-1)
+    along = (impact_offset_m(case, vut) - offset) / across - case.vru_reference_m
+    middle = vru_line.point_m + along[:, None] * vru_line.direction
+    is_ahead = ((middle - position) * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)).sum(axis=-1)
+    separation = footprint_separation(
+        footprint_corners(position, yaw_deg, length_m=vut.length_m, width_m=vut.width_m),
+        footprint_corners(
+            middle,
+            np.full(len(middle), vru_line.yaw_deg),
+            length_m=case.vru.length_m,
+            width_m=case.vru.width_m,
+        ),
+    )
+    return np.where(is_ahead > 0.0, separation, np.inf), along
+
+
+def _gap_to_side(
+    case: Case, vut: Actor, vut_path: Path, vru_line: Line, distance_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """How far the impact position on the VUT's side is from the VRU's line, and where along it."""
+    position, yaw_deg = vut_path.at(distance_m)
+    yaw = np.radians(yaw_deg)
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    left = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
+    ahead_m = (case.impact_percent / 100.0 - 0.5) * vut.length_m
+    left_m = 0.5 * vut.width_m * (1.0 if case.turn == "far" else -1.0)
+    coordinates = vru_line.coordinates(position + ahead_m * ahead + left_m * left)
+    # Positive until the VUT gets to the line: coming from its right, if it turns left beside a
+    # VRU that goes the same way.
+    is_from_right = (case.turn == "far") == (case.vru_direction == "same")
+    gap = -coordinates[:, 1] if is_from_right else coordinates[:, 1]
+    return gap, coordinates[:, 0] - case.vru_reference_m

@@ -1,0 +1,152 @@
+import logging
+
+import numpy as np
+import pytest
+from junctions import build_scene, lanes_of
+
+from experiments.driving import build_rule, build_setting, drive, drive_one
+from experiments.question import Question
+from experiments.scenario_list import list_rows, scenario_table
+from geometry.errors import InputError
+from geometry.scene_files import load_study_scene
+from scenarios.aeb import load_aeb_rule
+from scenarios.cases import load_case_sets
+
+
+def t_junction():
+    """No northern arm."""
+    lanes = [
+        lane
+        for arm, bearing in (("east", 0.0), ("west", 180.0), ("south", 270.0))
+        for lane in lanes_of(arm, bearing)
+    ]
+    return build_scene(lanes)
+
+
+@pytest.fixture(scope="module")
+def study():
+    return drive(Question(), load_study_scene())
+
+
+def test_all_cases_of_the_study_are_driven_from_all_approaches(study):
+    assert not study.refused
+    driven = {(run.case.name, run.approach) for run in study.runs}
+    names = [case.name for case in load_case_sets()["study"]]
+    assert driven == {(n, a) for n in names for a in ("north", "east", "south", "west")}
+    assert len(study.runs) == 240
+
+
+def test_the_rule_is_the_studys_but_for_what_the_question_changes():
+    assert build_rule(Question()) == load_aeb_rule()
+    rule = build_rule(
+        Question(deceleration_mps2=5.0, build_up_s=0.3, latency_s=0.0, n_confirmations=1)
+    )
+    assert (rule.deceleration_mps2, rule.build_up_s) == (5.0, 0.3)
+    assert (rule.latency_s, rule.n_confirmations) == (0.0, 1)
+    assert rule.frame_rate_hz == load_aeb_rule().frame_rate_hz
+
+
+def test_weaker_and_slower_brakes_must_begin_earlier():
+    def last_s(**options):
+        question = Question(cases="CPFA-50", approaches="east", speeds="40", **options)
+        return drive_one(question, load_study_scene()).last_brake_time_s
+
+    assert last_s(deceleration_mps2=4.0) < last_s() < 0.0
+    # Half the build-up time is lost.
+    assert last_s(build_up_s=0.4) == pytest.approx(last_s() - 0.2, abs=0.02)
+
+
+def test_weathers_multiply_the_runs_and_are_said_to_change_nothing_yet(caplog):
+    question = Question(cases="CPTAns-50", weather="day, night,rain")
+    with caplog.at_level(logging.WARNING):
+        setting = build_setting(question, load_study_scene())
+    assert len(setting.runs) == 12
+    assert setting.axis.weathers[:3] == ("day", "night", "rain")
+    assert "detections do not depend on it" in caplog.text
+
+
+def test_forced_speeds_are_warned_about(caplog):
+    question = Question(cases="CBTAfs-100", approaches="east", speeds="25", force=True)
+    with caplog.at_level(logging.WARNING):
+        run = drive_one(question, load_study_scene())
+    assert run.vut_speed_kmh == 25.0
+    assert "--force: CBTAfs-100: 25 km/h are not speeds of the protocol" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"approaches": "up"}, "--approaches: got 'up'; expected one or more of east, north"),
+        ({"weather": "snow"}, "--weather: got 'snow'; expected one or more of day, night, rain"),
+        ({"weather": ","}, "--weather: got ','; expected one or more of day, night, rain"),
+        ({"cases": "CPXX"}, "--cases: got 'CPXX'; expected one of study, protocol-4.5.1, all"),
+        ({"speeds": "130"}, "--speeds: got 130; expected 10 to 60 km/h as the protocol drives"),
+        ({"weights": "none"}, "--weights: got 'none'; expected run, case, euroncap-rating-2026"),
+        ({"deceleration_mps2": 0.0}, "aeb.deceleration_mps2: got 0.0; expected a positive number"),
+    ],
+)
+def test_questions_that_cannot_be_answered_say_why(options, message):
+    question = Question(**{"cases": "CPNA-25", **options})
+    with pytest.raises(InputError) as caught:
+        build_setting(question, load_study_scene())
+    assert str(caught.value).startswith(message)
+
+
+def test_a_case_that_no_approach_carries_is_told_with_a_reason():
+    lanes = [*lanes_of("east", 0.0), *lanes_of("west", 180.0)]
+    with pytest.raises(InputError) as caught:
+        build_setting(Question(cases="CPTAns-50"), build_scene(lanes))
+    assert str(caught.value) == (
+        "--cases: got CPTAns-50, which no approach carries; expected a case that can be driven at "
+        "protocol (from the east: no lane leads out of the junction on the near side)"
+    )
+
+
+def test_what_some_approaches_do_not_carry_is_kept_with_its_reason():
+    setting = build_setting(Question(cases="CPTAfs-50"), t_junction())
+    assert {run.approach for run in setting.runs} == {"east", "south"}
+    (refusal,) = setting.refusals
+    assert (refusal.approach, refusal.speeds_kmh) == ("west", (10.0, 15.0, 20.0))
+
+
+def test_the_list_has_a_row_per_case_and_approach():
+    rows = list_rows(drive(Question(cases="CPTAfs-50,CPNA-25"), t_junction()))
+    assert [(row["case"], row["approach"]) for row in rows] == [
+        ("CPTAfs-50", "east"),
+        ("CPTAfs-50", "south"),
+        ("CPTAfs-50", "west"),
+        ("CPNA-25", "east"),
+        ("CPNA-25", "west"),
+        ("CPNA-25", "south"),
+    ]
+    west = rows[2]
+    assert (west["speeds_kmh"], west["n_runs"], west["last_brake_time_s"]) == ([], 0, [])
+    assert west["reason"] == "no lane leads out of the junction on the far side"
+    crossing = rows[3]
+    assert crossing["reason"] is None
+    assert crossing["n_runs"] == len(crossing["speeds_kmh"]) == 11
+    # Stopping short of the flank: v / (2 a).
+    speeds = np.array(crossing["speeds_kmh"]) / 3.6
+    assert crossing["last_brake_time_s"] == pytest.approx(-speeds / (2.0 * 7.72), abs=1e-3)
+
+
+def test_speeds_that_a_case_does_not_have_are_listed_as_not_driven():
+    drives = drive(Question(cases="CPTAns-50,CPNA-25", speeds="40"), load_study_scene())
+    row = list_rows(drives)[-1]
+    assert row["case"] == "CPTAns-50"
+    assert row["reason"] == "none of the speeds asked for (40) is one of this case"
+    text = scenario_table(list_rows(drives))
+    assert "not driven: none of the speeds asked for (40)" in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert text.endswith("4 runs of 2 cases")
+
+
+def test_one_run_must_be_named():
+    with pytest.raises(InputError, match=r"CPNA: got 2 runs \(CPNA-25/east/40, CPNA-75/east/40\)"):
+        drive_one(Question(cases="CPNA", approaches="east", speeds="40"), load_study_scene())
+    with pytest.raises(InputError) as caught:
+        drive_one(Question(cases="CPTAfs-50", approaches="west", speeds="10"), t_junction())
+    assert str(caught.value) == (
+        "CPTAfs-50 from the west: got no lane leads out of the junction on the far side; "
+        "expected a case that this approach carries"
+    )

@@ -1,0 +1,273 @@
+"""Cases on Euro NCAP's own junction: the protocol's numbers come out."""
+
+import dataclasses
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from junctions import ARMS, build_scene, lanes_of, protocol_scene, turned
+
+from geometry.junction import build_junction
+from geometry.scene import Lane
+from scenarios.cases import load_case_sets, load_cases
+from scenarios.protocol import stage_by_protocol
+from scenarios.staging import CannotCarryError, impact_offset_m
+
+GOLDEN = tomllib.loads(
+    (Path(__file__).parents[1] / "golden" / "euroncap_vru.toml").read_text(encoding="utf-8")
+)
+JUNCTION = build_junction(protocol_scene())
+LINE_X_M = -9.5  # where the western arm is crossed: origin of the path frame
+LANE_Y_M = -1.75
+
+
+@pytest.fixture(scope="module")
+def golf(actors):
+    """The VUT that the files assume."""
+    return dataclasses.replace(actors["vut"], name="golf", **GOLDEN["vut"])
+
+
+def stage(name, golf, *, speed_kmh=None, approach="west", junction=JUNCTION):
+    case = load_cases()[name]
+    speed_kmh = speed_kmh or case.vut_speeds_kmh[0]
+    return stage_by_protocol(case, junction, approach, vut_speed_kmh=speed_kmh, vut=golf)
+
+
+def at(motion, time_s):
+    position, yaw_deg = motion.path.at(motion.distance_m(time_s))
+    return np.asarray(position), float(yaw_deg)
+
+
+def off_deg(one_deg, other_deg):
+    return (one_deg - other_deg + 180.0) % 360.0 - 180.0
+
+
+def front_of(encounter):
+    position, yaw_deg = at(encounter.vut_motion, 0.0)
+    return position + 0.5 * encounter.vut.length_m * turned([1.0, 0.0], yaw_deg)
+
+
+@pytest.mark.parametrize("name", GOLDEN["crossing"])
+@pytest.mark.parametrize("speed_kmh", [10.0, 35.0, 60.0])
+def test_crossing_bodies_meet_where_the_protocol_says(golf, name, speed_kmh):
+    golden = GOLDEN["crossing"][name]
+    origin = np.array([LINE_X_M, LANE_Y_M]) if golden["frame"] == "path" else np.zeros(2)
+    encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
+    vru, vru_yaw_deg = at(encounter.vru_motion, 0.0)
+    assert front_of(encounter) - origin == pytest.approx(golden["vut_front_m"], abs=1e-5)
+    assert vru - origin == pytest.approx(golden["vru_middle_m"], abs=1e-5)
+    assert vru_yaw_deg == pytest.approx(golden["vru_yaw_deg"])
+    assert encounter.vut_motion.speed_mps == pytest.approx(speed_kmh / 3.6)
+
+
+@pytest.mark.parametrize("name", [n for n in GOLDEN["crossing"] if n.startswith("CP")])
+def test_crossing_pedestrians_take_the_protocols_time(golf, name):
+    motion = stage(name, golf).encounter.vru_motion
+    golden_s = GOLDEN["crossing"][name]["time_start_to_impact_s"]
+    # The facts count from the hip where CPFA's files count from the box: 0.06 m.
+    assert -motion.start_time_s == pytest.approx(golden_s, abs=6e-4)
+
+
+@pytest.mark.parametrize("name", [n for n in GOLDEN["crossing"] if n.startswith("CB")])
+def test_crossing_bicycles_start_where_the_files_say_and_keep_their_speed_over_the_last_metres(
+    golf, name
+):
+    golden = GOLDEN["crossing"][name]
+    motion = stage(name, golf).encounter.vru_motion
+    assert motion.path.start_m == pytest.approx(golden["vru_start_m"], abs=1e-3)
+    acceleration = motion.speed_mps**2 / (2.0 * motion.acceleration_distance_m)
+    assert acceleration == pytest.approx(golden["acceleration_mps2"], abs=5e-4)
+    up_to_speed_s = motion.start_time_s + 2.0 * motion.acceleration_distance_m / motion.speed_mps
+    assert -up_to_speed_s == pytest.approx(golden["steady_time_s"], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", [n for n, g in GOLDEN["crossing"].items() if "bodies" in g])
+def test_obstructions_stand_at_the_protocols_gaps(golf, name):
+    golden = GOLDEN["crossing"][name]
+    origin = np.array([LINE_X_M, LANE_Y_M]) if golden["frame"] == "path" else np.zeros(2)
+    parked = {body.actor.name: body for body in stage(name, golf).obstruction}
+    assert parked.keys() == golden["bodies"].keys()
+    for actor_name, box in golden["bodies"].items():
+        body = parked[actor_name]
+        size = np.abs(turned([body.actor.length_m, body.actor.width_m], body.pose.yaw_deg))
+        size = size[[0, 1]]
+        middle = body.pose.position_m[:2] - origin
+        for axis, limits in enumerate((box["x_m"], box["y_m"])):
+            half_m = 0.5 * size[axis]
+            # The files place reference points: a gap of 0.2 m comes out as 0.22.
+            assert [middle[axis] - half_m, middle[axis] + half_m] == pytest.approx(
+                limits, abs=0.021
+            )
+
+
+@pytest.mark.parametrize("name", GOLDEN["longitudinal"])
+def test_whoever_is_ahead_sets_off_at_the_protocols_trigger_gap(golf, name):
+    golden = GOLDEN["longitudinal"][name]
+    assert list(load_cases()[name].vut_speeds_kmh) == golden["vut_speeds_kmh"]
+    for speed_kmh, gap_m in zip(golden["vut_speeds_kmh"], golden["trigger_gap_m"], strict=True):
+        encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
+        start_s = encounter.vru_motion.start_time_s
+        assert -start_s == pytest.approx(golden["time_start_to_impact_s"], abs=1e-6)
+        vut, _ = at(encounter.vut_motion, start_s)
+        vru, _ = at(encounter.vru_motion, start_s)
+        ahead_m, left_m = vru - vut
+        half_m = 0.5 * (encounter.vut.length_m + encounter.vru.length_m)
+        assert ahead_m - half_m == pytest.approx(gap_m, abs=6e-4)
+        assert left_m == pytest.approx(golden["vru_left_m"], abs=1e-9)
+
+
+@pytest.mark.parametrize("name", GOLDEN["turning"])
+def test_turns_lead_over_the_pedestrians_line_where_the_protocol_says(golf, name):
+    golden = GOLDEN["turning"][name]
+    assert list(load_cases()[name].vut_speeds_kmh) == golden["vut_speeds_kmh"]
+    for index, speed_kmh in enumerate(golden["vut_speeds_kmh"]):
+        encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
+        motion = encounter.vru_motion
+        assert motion.path.start_m == pytest.approx(golden["vru_start_m"], abs=1e-6)
+        assert off_deg(motion.path.yaw_deg, golden["vru_yaw_deg"]) == pytest.approx(0.0, abs=1e-9)
+        path = encounter.vut_motion.path
+        begin, _ = path.front_axle_at(path.straight_m)
+        assert begin == pytest.approx(golden["curve_start_m"][index], abs=2e-4)
+        line, _ = path.front_axle_at(path.straight_m + golden["path_after_curve_start_m"][index])
+        assert line == pytest.approx(golden["line_crossing_m"][index], abs=2e-4)
+
+
+@pytest.mark.parametrize("name", GOLDEN["cbta"]["y_m"])
+def test_bicycles_beside_a_turning_vut_ride_on_the_protocols_line(golf, name):
+    motion = stage(name, golf).encounter.vru_motion
+    assert motion.path.start_m[1] == pytest.approx(GOLDEN["cbta"]["y_m"][name])
+    golden_deg = GOLDEN["cbta"]["yaw_deg"][name]
+    assert off_deg(motion.path.yaw_deg, golden_deg) == pytest.approx(0.0, abs=1e-9)
+    steady_m = motion.distance_m(0.0) - motion.acceleration_distance_m
+    # A corner may touch a moment before the foremost point does.
+    tolerance_m = 0.4 if name.endswith("side") else 0.02
+    assert steady_m == pytest.approx(GOLDEN["cbta"]["steady_distance_m"], abs=tolerance_m)
+
+
+@pytest.mark.parametrize("name", [n for n, c in load_cases().items() if c.impact_face == "front"])
+def test_every_case_meets_the_front_at_its_share_of_the_width(golf, name):
+    case = load_cases()[name]
+    encounter = stage(name, golf).encounter
+    vut, yaw_deg = at(encounter.vut_motion, 0.0)
+    vru, vru_yaw_deg = at(encounter.vru_motion, 0.0)
+    point = vru + case.vru_reference_m * turned([1.0, 0.0], vru_yaw_deg)
+    if case.kind == "longitudinal":
+        point = vru
+    left_m = (point - vut) @ turned([0.0, 1.0], yaw_deg)
+    # Where a corner touches a moment early, the point is still that moment's way off.
+    tolerance_m = 1e-5 if case.kind != "turning" else 0.02
+    assert left_m == pytest.approx(impact_offset_m(case, golf), abs=tolerance_m)
+
+
+@pytest.mark.parametrize("name", ["CBTAfs-side", "CBTAns-side"])
+def test_side_impacts_meet_the_side_at_their_share_of_the_length(golf, name):
+    encounter = stage(name, golf).encounter
+    vut, yaw_deg = at(encounter.vut_motion, 0.0)
+    vru, vru_yaw_deg = at(encounter.vru_motion, 0.0)
+    nose = vru + 0.5 * encounter.vru.length_m * turned([1.0, 0.0], vru_yaw_deg)
+    ahead_m, left_m = turned(nose - vut, -yaw_deg)
+    side = 1.0 if name == "CBTAfs-side" else -1.0
+    # The VUT is still turning: a corner of the bicycle's box touches before its foremost point.
+    assert side * left_m - 0.5 * golf.width_m == pytest.approx(0.125, abs=0.125)
+    assert ahead_m == pytest.approx(0.25 * golf.length_m, abs=0.2)
+
+
+@pytest.mark.parametrize("name", load_cases())
+def test_every_approach_of_a_symmetric_junction_gives_the_same_run_turned(golf, name):
+    west = stage(name, golf, approach="west").encounter
+    for approach in ("east", "north", "south"):
+        other = stage(name, golf, approach=approach).encounter
+        angle_deg = ARMS[approach] - ARMS["west"]
+        for motion, turned_motion in (
+            (west.vut_motion, other.vut_motion),
+            (west.vru_motion, other.vru_motion),
+        ):
+            times_s = np.linspace(-6.0, 0.0, 7)
+            position, yaw_deg = motion.path.at(motion.distance_m(times_s))
+            other_position, other_yaw_deg = turned_motion.path.at(turned_motion.distance_m(times_s))
+            assert turned(position, angle_deg) == pytest.approx(other_position, abs=1e-6)
+            assert np.abs(off_deg(yaw_deg + angle_deg, other_yaw_deg)).max() < 1e-6
+
+
+def refusal(name, golf, lanes, approach="west", **scene_fields):
+    junction = build_junction(build_scene(lanes, **scene_fields))
+    with pytest.raises(CannotCarryError) as caught:
+        stage(name, golf, approach=approach, junction=junction)
+    return str(caught.value)
+
+
+def arms_without(*names):
+    return [
+        lane for arm, bearing in ARMS.items() if arm not in names for lane in lanes_of(arm, bearing)
+    ]
+
+
+def test_a_junction_without_the_arm_that_a_case_needs_cannot_carry_it(golf):
+    no_left, no_right = arms_without("north"), arms_without("south")
+    assert refusal("CPTAfs-50", golf, no_left) == (
+        "no lane leads out of the junction on the far side"
+    )
+    assert refusal("CPTAns-50", golf, no_right) == (
+        "no lane leads out of the junction on the near side"
+    )
+    assert refusal("CBNA-50", golf, no_right) == (
+        "no lane leads into the junction from the near side"
+    )
+    one_way = [*arms_without("west"), *lanes_of("west", 180.0, has_in=False)]
+    assert refusal("CPNA-25", golf, one_way) == "no lane leads into the junction from the west"
+
+
+def test_a_short_lane_cannot_carry_whoever_rides_ahead_from_rest(golf):
+    lanes = [*arms_without("west"), *lanes_of("west", 180.0, arm_m=10.0)]
+    # 31.5 m to ride and half a bicycle; 2 m of them inside the mouth.
+    assert refusal("CBLA-50", golf, lanes) == (
+        "the VRU would set off 20.4 m before the mapped lane begins"
+    )
+
+
+def test_a_turn_that_ends_beyond_the_mapped_lane_cannot_be_carried(golf):
+    lanes = [*arms_without("north"), *lanes_of("north", 90.0, arm_m=2.0)]
+    junction = build_junction(build_scene(lanes))
+    with pytest.raises(CannotCarryError, match="would end beyond the mapped lane north-out-0"):
+        stage("CPTAfs-50", golf, speed_kmh=20.0, junction=junction)
+
+
+def test_a_bent_approach_cannot_carry_a_straight_drive(golf):
+    bent = Lane(
+        id="bent",
+        kind="driving",
+        width_m=3.5,
+        centreline_m=[[-80.0, 10.0], [-30.0, -1.75], [-11.5, -1.75]],
+    )
+    text = refusal("CPLA-50", golf, [*arms_without("west"), bent])
+    assert text.startswith("lane bent is not straight: ")
+
+
+def test_arms_that_meet_askew_still_carry_turns_with_their_own_angle(golf):
+    lanes = [*arms_without("north"), *lanes_of("north", 75.0)]
+    encounter = stage(
+        "CPTAfs-50", golf, speed_kmh=15.0, junction=build_junction(build_scene(lanes))
+    ).encounter
+    path = encounter.vut_motion.path
+    _, tangent_deg = path.front_axle_at(path.straight_m + path.turn.length_m + 5.0)
+    assert tangent_deg == pytest.approx(75.0)
+
+
+def test_sets_hold_the_protocols_cases_and_the_studys_speeds():
+    sets = load_case_sets()
+    assert len(sets["protocol-4.5.1"]) == 19
+    assert {case.name for case in sets["protocol-4.5.1"]} >= {
+        "CPNA-25", "CPNA-75", "CPFA-50", "CPNCO-50", "CPLA-25", "CPLA-50", "CPTAfs-50", "CPTAfo-50",
+        "CPTAns-50", "CPTAno-50", "CBNA-50", "CBNAO-50", "CBFA-50", "CBLA-25", "CBLA-50",
+    }  # fmt: skip
+    study = {case.name: case.vut_speeds_kmh for case in sets["study"]}
+    every_five = tuple(np.arange(20.0, 61.0, 5.0))
+    for name in ("CPNC-50", "CPNCO-50", "CPLA-50", "CBNA"):
+        assert study[name] == every_five
+    assert study["CBLA"] == every_five[1:]
+    for name, speeds in study.items():
+        if name.startswith(("CPTAf", "CBTAf")):
+            assert speeds == (10.0, 15.0, 20.0)
+        if name.startswith(("CPTAn", "CBTAn")):
+            assert speeds == (10.0,)
