@@ -41,11 +41,11 @@ _EXIT_BAD_INPUT = 2
     epilog="""\b
 Examples:
   place-rsus --budget 3                            the best three cameras
-  place-rsus --budget 2 --fusion single            each must confirm by itself
+  place-rsus --budget 2 --fusion single            each must confirm alone
   place-rsus --budget 3 --json --quiet | jq .apr   for a machine
   place-rsus --budget 3 --cases protocol-4.5.1 --weights case
-  place-rsus --budget 3 --cases CPNCO-50,CBNA --speeds 40-60 --approaches north
-  place-rsus scenarios list                        what can be driven here, and what not
+  place-rsus --budget 3 --cases CPNCO-50,CBNA --speeds 40-60
+  place-rsus scenarios list                        what can be driven here
   place-rsus evaluate --layout carlancap-12        the study's 12 cameras
   place-rsus compare --layout results/latest/layout.json --layout carlancap-12
   place-rsus export --layout results/latest/layout.json --format carla

@@ -14,11 +14,11 @@ from .question import Question
 @click.group(
     epilog="""\b
 Examples:
-  place-rsus scenarios list                                every case, on every approach
+  place-rsus scenarios list                     every case, on every approach
   place-rsus scenarios list --cases study --json
   place-rsus scenarios show CPNCO-50 --approach east --speed 40
-  place-rsus scenarios show CPTAfs-50 --approach north --speed 20 --out turn.gif
-  place-rsus scenarios export CBNA --approach west --speed 60 --out cbna.xosc"""
+  place-rsus scenarios show CPTAfs-50 --approach north --speed 20 --out a.gif
+  place-rsus scenarios export CBNA --approach west --speed 60 --out a.xosc"""
 )
 def scenarios() -> None:
     """What is driven at the junction: list it, look at it, export it."""
@@ -60,7 +60,7 @@ def list_scenarios(
     epilog="""\b
 Examples:
   place-rsus scenarios show CPNCO-50 --approach east --speed 40
-  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out turn.gif"""
+  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif"""
 )
 @one_run_options()
 @click.option(
@@ -99,7 +99,7 @@ def show(progress: StageProgress, *, question: Question, out: Path | None, quiet
 @scenarios.command(
     epilog="""\b
 Example:
-  place-rsus scenarios export CPTAns-50 --approach east --speed 10 --out turn.xosc"""
+  place-rsus scenarios export CPNA-25 --approach east --speed 10 --out a.xosc"""
 )
 @one_run_options()
 @click.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")

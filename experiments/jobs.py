@@ -23,7 +23,12 @@ from .question import Question
 from .report import GREEDY, pick_heatmap_runs, write_report
 from .result_folder import MARKER, check_result_folder, new_result_folder
 from .study import load_carlancap_layout
-from .summary import summarise_comparison, summarise_layout, summarise_placement
+from .summary import (
+    summarise_comparison,
+    summarise_drives,
+    summarise_layout,
+    summarise_placement,
+)
 
 
 def run_placement(
@@ -84,6 +89,7 @@ def run_placement(
         [placement.layout, placement.greedy, study], setting, workers, progress
     )
     summary = summarise_placement(placement, found=found, greedy=greedy, baseline=baseline)
+    summary |= summarise_drives(setting)
     evaluations = {found.layout.name: found, GREEDY: greedy, baseline.layout.name: baseline}
     _write_results(
         out,
@@ -183,6 +189,7 @@ def _judge(
         summary = summarise_layout(verdicts[0], setting.rule)
     else:
         summary = summarise_comparison(verdicts[0], verdicts[1], setting.rule)
+    summary |= summarise_drives(setting)
     if out is None:
         summary["seconds"] = progress.finish()
         return summary

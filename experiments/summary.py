@@ -11,6 +11,7 @@ from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, apr_one_
 from placement.layout import layout_records
 from placement.optimiser import placement_value, run_margins_s
 from placement.pipeline import Placement
+from placement.setting import Setting
 from scenarios.aeb import AebRule
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
@@ -158,6 +159,35 @@ def summarise_comparison(
         "baseline": summarise_evaluation(baseline, rule),
         "runs_gained": runs[ours & ~theirs].tolist(),
         "runs_lost": runs[theirs & ~ours].tolist(),
+    }
+
+
+def summarise_drives(setting: Setting) -> dict[str, Any]:
+    """What a result was found on: cases, weathers, and what could not be driven.
+
+    Parameters
+    ----------
+    setting : Setting
+        Runs and refusals.
+
+    Returns
+    -------
+    summary : dict
+        ``{"cases": [..], "weathers": [..], "not_driven": [{"case", "approach", "speeds_kmh",
+        "reason"}]}``
+    """
+    return {
+        "cases": list(dict.fromkeys(setting.axis.cases)),
+        "weathers": list(dict.fromkeys(setting.axis.weathers)),
+        "not_driven": [
+            {
+                "case": refusal.case.name,
+                "approach": refusal.approach,
+                "speeds_kmh": list(refusal.speeds_kmh),
+                "reason": refusal.reason,
+            }
+            for refusal in setting.refusals
+        ],
     }
 
 

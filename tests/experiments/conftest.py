@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import jobs
+from experiments import cli, jobs
 from geometry.scene_files import load_study_scene
 from placement.candidates import load_candidate_grid
 from placement.detector import load_detector
@@ -54,3 +54,21 @@ def without_figures(monkeypatch):
     """Leaves out what takes longest to write."""
     monkeypatch.setattr(jobs, "write_report", lambda *given, **options: None)
     monkeypatch.setattr(jobs, "to_png", lambda figure: b"")
+
+
+@pytest.fixture
+def run(capsys, tmp_path, monkeypatch):
+    """Runs a command in an empty folder: exit code, stdout, stderr."""
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
+
+    def run_command(*arguments: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            cli.main([str(argument) for argument in arguments])
+        code = ended.value.code
+        assert isinstance(code, int)
+        return code, *capsys.readouterr()
+
+    return run_command

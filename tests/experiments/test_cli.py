@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import cli, jobs
+from experiments import jobs
 from experiments.progress import StageProgress
 
 UNIT = {
@@ -42,24 +42,6 @@ KEYS = {
     "versions",
 }
 STAGES = ("setting", "detection table", "optimise", "greedy", "evaluate", "write results")
-
-
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Runs a command in an empty folder: exit code, stdout, stderr."""
-    (tmp_path / "work").mkdir()
-    monkeypatch.chdir(tmp_path / "work")
-    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
-
-    def run_command(*arguments: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            cli.main([str(argument) for argument in arguments])
-        code = ended.value.code
-        assert isinstance(code, int)
-        return code, *capsys.readouterr()
-
-    return run_command
 
 
 @pytest.fixture
@@ -397,7 +379,7 @@ def test_comparison_of_a_layout_with_itself_finds_no_difference(run, small_study
 
 
 def test_what_json_lacks_becomes_null(run, monkeypatch):
-    monkeypatch.setattr(jobs, "run_evaluation", lambda **options: {"gap": float("inf")})
+    monkeypatch.setattr(jobs, "run_evaluation", lambda *given, **options: {"gap": float("inf")})
     assert run("evaluate", "--layout", "carlancap-12", "--json", "--quiet") == (
         0,
         '{\n  "gap": null\n}\n',

@@ -106,7 +106,7 @@ def test_heatmap_marks_confirmations_and_names_outcomes(evaluation):
             assert label.get_text() == ("avoided" if row.is_avoided[run_index] else late)
 
 
-def test_bars_are_as_long_as_the_aprs(frame_axis, camera):
+def test_cells_tell_the_apr_of_every_case_and_party(frame_axis, camera):
     evaluations = {
         name: build_evaluation(frame_axis, camera, name=name, seed=seed)
         for seed, name in enumerate(["found", "greedy", "carlancap-12"])
@@ -114,24 +114,31 @@ def test_bars_are_as_long_as_the_aprs(frame_axis, camera):
     (axes,) = plot_apr_by_case(evaluations).axes
     found = evaluations["found"]
     verdicts = [*(item.rsu_all for item in evaluations.values()), found.vut, found.vut_and_rsus]
-    assert len(axes.containers) == len(verdicts)
-    for bars, verdict in zip(axes.containers, verdicts, strict=True):
-        expected = [*apr_by_case(verdict, frame_axis).values(), apr(verdict, frame_axis)]
-        np.testing.assert_allclose([bar.get_width() for bar in bars], 100.0 * np.array(expected))
-    groups = [label.get_text() for label in axes.get_yticklabels()]
-    assert groups == ["A", "B", "all runs"]
-    values = [text.get_text() for text in axes.texts]
-    assert len(values) == 15
-    assert values[2] == percent(apr(found.rsu_all, frame_axis))
-
-
-def test_bars_of_one_figure_differ_without_colour(frame_axis, camera):
-    evaluations = {
-        name: build_evaluation(frame_axis, camera, name=name) for name in ("a", "b", "c")
+    expected = np.array(
+        [
+            [apr(verdict, frame_axis), *apr_by_case(verdict, frame_axis).values()]
+            for verdict in verdicts
+        ]
+    ).T
+    np.testing.assert_array_equal(np.asarray(axes.get_images()[0].get_array()), expected)
+    cells = {text.get_position(): text.get_text() for text in axes.texts}
+    assert cells == {
+        (column, row): percent(share) for (row, column), share in np.ndenumerate(expected)
     }
-    (axes,) = plot_apr_by_case(evaluations).axes
-    hatches = [bars.patches[0].get_hatch() for bars in axes.containers]
-    assert len(set(hatches)) == len(hatches)
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["all runs", "A", "B"]
+    assert len(axes.get_xticklabels()) == len(verdicts)
+
+
+def test_cells_are_the_darker_the_more_is_left_and_their_numbers_stand_out(frame_axis, camera):
+    evaluation = build_evaluation(frame_axis, camera, name="a")
+    (axes,) = plot_apr_by_case({"a": evaluation}).axes
+    (image,) = axes.get_images()
+    lightness = image.cmap(image.norm(np.linspace(0.0, 1.0, 11)))[:, :3].mean(axis=1)
+    assert (np.diff(lightness) > 0.0).all()
+    for text in axes.texts:
+        column, row = text.get_position()
+        cell = image.cmap(image.norm(image.get_array()[row, column]))[0]
+        assert abs(cell - (1.0 if text.get_color() == "white" else 0.0)) > 0.35
 
 
 def test_figures_are_the_same_bytes_each_time(evaluation):

@@ -6,11 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.path import Path
 
+from experiments.driving import build_setting
 from experiments.figures import to_png
 from experiments.plan import ground_footprint, plot_plan
-from experiments.study import build_study_setting, load_carlancap_layout
+from experiments.question import Question
+from experiments.study import load_carlancap_layout
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose
+from geometry.scene_files import load_study_scene
 from geometry.sensors import project_points
 from placement.candidates import CandidatePose
 from placement.layout import Layout
@@ -20,7 +23,7 @@ CAMERA = load_cameras()["carla-ncap-rgb"]
 
 @pytest.fixture(scope="module")
 def setting():
-    return build_study_setting()
+    return build_setting(Question(cases="CPNC-50,CBNA,CBLA"), load_study_scene())
 
 
 def is_inside(points_m, corners_m):

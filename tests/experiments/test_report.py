@@ -5,9 +5,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from experiments.driving import build_setting
+from experiments.question import Question
 from experiments.report import render_report, write_report
-from experiments.study import build_study_setting, load_carlancap_layout
+from experiments.study import load_carlancap_layout
 from geometry.errors import InputError
+from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout, layout_records
@@ -49,7 +52,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def setting():
-    return build_study_setting()
+    return build_setting(Question(cases="CPNC-50,CBNA,CBLA"), load_study_scene())
 
 
 def build_evaluation(setting, layout, *, seed, share=0.9):
@@ -209,7 +212,7 @@ def test_every_unit_and_every_run_appears(page, setting):
     words = Page(page).words
     for unit in ("corner-se/7m/0", "corner-ne/7m/1"):
         assert unit in words
-    rows = re.findall(r'<th scope="row">(?:CBNA|CBLA|CPNC-50)</th>', page)
+    rows = re.findall(r'<th scope="row">(?:CBNA|CBLA|CPNC-50)/\w+/\d+</th>', page)
     assert len(rows) == setting.axis.n_runs
 
 

@@ -24,6 +24,7 @@ def test_a_table_takes_one_bit_per_frame(frame_axis, n_frames):
         run_ids=("r",),
         cases=("A",),
         approaches=("north",),
+        weathers=("day",),
         vut_speed_kmh=np.array([20.0]),
         weight=np.array([1.0]),
         last_brake_time_s=np.array([-0.5]),
