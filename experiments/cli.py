@@ -91,7 +91,7 @@ Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted,
 @click.option(
     "--time-limit",
     type=Number("SECONDS", "seconds"),
-    default=30.0,
+    default=20.0,
     show_default=True,
     help="For the optimiser; when it is up, the best layout found and its gap are given.",
 )

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from junctions import ARMS, build_scene, lanes_of, protocol_scene, turned
 
 from geometry.junction import build_junction
@@ -271,3 +273,60 @@ def test_sets_hold_the_protocols_cases_and_the_studys_speeds():
             assert speeds == (10.0, 15.0, 20.0)
         if name.startswith(("CPTAn", "CBTAn")):
             assert speeds == (10.0,)
+
+
+def test_a_wall_hides_the_studys_cyclist_until_17_m_before_where_no_starts_are_published(golf):
+    case = load_cases()["CBNA"]
+    staging = stage("CBNA", golf, speed_kmh=40.0)
+    (wall,) = staging.obstruction
+    length_m, thickness_m, height_m = case.obstruction.wall_size_m
+    assert (wall.actor.length_m, wall.actor.width_m, wall.actor.height_m) == (
+        length_m,
+        thickness_m,
+        height_m,
+    )
+    # Along the cyclist's way, 1 m beside its box, on the side from which the VUT comes.
+    assert wall.pose.position_m[:2] == pytest.approx(
+        [0.41 - 0.25 - 1.0 - 0.5 * thickness_m, LANE_Y_M - 17.0 - 0.5 * length_m]
+    )
+    assert off_deg(wall.pose.yaw_deg, 90.0) == pytest.approx(0.0, abs=1e-9)
+
+
+@given(
+    percent=st.floats(0.0, 100.0),
+    speed_kmh=st.floats(5.0, 80.0),
+    vru_speed_kmh=st.floats(2.0, 20.0),
+    name=st.sampled_from(["CPNA-25", "CPNCO-50", "CPFA-50"]),
+)
+@settings(deadline=None, max_examples=40)
+def test_from_the_other_side_a_run_is_the_mirror_image(
+    golf, percent, speed_kmh, vru_speed_kmh, name
+):
+    case = dataclasses.replace(
+        load_cases()[name], impact_percent=percent, vru_speed_kmh=vru_speed_kmh
+    )
+    other = dataclasses.replace(
+        case,
+        impact_percent=100.0 - percent,
+        vru_side="far" if case.vru_side == "near" else "near",
+    )
+    staged, mirrored = (
+        stage_by_protocol(one, JUNCTION, "west", vut_speed_kmh=speed_kmh, vut=golf)
+        for one in (case, other)
+    )
+    times_s = np.linspace(-5.0, 0.0, 11)
+    flip = np.array([1.0, -1.0])
+    for motion, mirror in (
+        (staged.encounter.vut_motion, mirrored.encounter.vut_motion),
+        (staged.encounter.vru_motion, mirrored.encounter.vru_motion),
+    ):
+        position, yaw_deg = motion.path.at(motion.distance_m(times_s))
+        image, image_yaw_deg = mirror.path.at(mirror.distance_m(times_s))
+        assert (position - [0.0, LANE_Y_M]) * flip == pytest.approx(
+            image - [0.0, LANE_Y_M], abs=1e-5
+        )
+        assert np.abs(off_deg(-np.asarray(yaw_deg), image_yaw_deg)).max() < 1e-9
+    for body, image in zip(staged.obstruction, mirrored.obstruction, strict=True):
+        assert (body.pose.position_m[:2] - [0.0, LANE_Y_M]) * flip == pytest.approx(
+            image.pose.position_m[:2] - [0.0, LANE_Y_M]
+        )
