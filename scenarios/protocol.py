@@ -84,7 +84,7 @@ def _lay_crossing(
     case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
     lane = arm.entry_lanes[0]
-    vut_line, _ = _straight(lane, is_in=True)
+    vut_line = _line(lane, is_in=True)
     vru_line = _crossing_line(case, junction, arm, vut_line)
     # Far enough back for any gap between the lines; the impact lies near their crossing.
     behind_m = 2.0 * (vut.length_m + case.vru.length_m)
@@ -127,7 +127,7 @@ def _lay_longitudinal(
     case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
     lane = arm.entry_lanes[0]
-    vut_line, _ = _straight(lane, is_in=True)
+    vut_line = _line(lane, is_in=True)
     offset_m = impact_offset_m(case, vut)
     impact_m = float(vut_line.coordinates(vut_line.crossing_with(arm.crosswalk))[0])
     travel_m = _travel_m(case, 0.0)
@@ -161,12 +161,12 @@ def _lay_turning(
     rules = _load_rules()
     is_far = case.turn == "far"
     entry_lane = arm.entry_lanes[-1 if is_far else 0]
-    entry, _ = _straight(entry_lane, is_in=True)
+    entry = _line(entry_lane, is_in=True)
     target = _arm_at(junction, entry, to_left=is_far)
     if target is None or not target.exit_lanes:
         raise CannotCarryError(f"no lane leads out of the junction on the {case.turn} side")
     exit_lane = target.exit_lanes[-1 if is_far else 0]
-    exit_line, _ = _straight(exit_lane, is_in=False)
+    exit_line = _line(exit_lane, is_in=False)
     angle_deg = abs((exit_line.yaw_deg - entry.yaw_deg + 180.0) % 360.0 - 180.0)
     try:
         turn = pick_turn(case.turn, vut_speed_kmh)
@@ -237,7 +237,7 @@ def _crossing_line(case: Case, junction: Junction, arm: Arm, vut_line: Line) -> 
     if side is None or not side.entry_lanes:
         raise CannotCarryError(f"no lane leads into the junction from the {case.vru_side} side")
     lane = side.entry_lanes[0 if case.vru_line.lane == "outer" else -1]
-    middle, _ = _straight(lane, is_in=True)
+    middle = _line(lane, is_in=True)
     beside = Line(point_m=middle.at(0.0, case.vru_line.left_m), direction=middle.direction)
     return Line(point_m=beside.crossing_with(vut_line), direction=beside.direction)
 
@@ -257,7 +257,7 @@ def _turning_line(
         kerb_lane, is_in, kerb_side = arm.lanes_out[0], False, -1.0
     else:  # a one-way road: the kerb is to the left of its lanes
         kerb_lane, is_in, kerb_side = arm.lanes_in[-1], True, 1.0
-    middle, _ = _straight(kerb_lane, is_in=is_in)
+    middle = _line(kerb_lane, is_in=is_in)
     beside = Line(
         point_m=middle.at(0.0, kerb_side * (0.5 * kerb_lane.width_m + outside_m)),
         direction=direction,
@@ -271,7 +271,7 @@ def _arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
     best, best_cosine = None, np.cos(np.radians(_load_rules().max_skew_deg))
     for arm in junction.arms.values():
         lanes, is_in = (arm.lanes_in, True) if arm.lanes_in else (arm.lanes_out, False)
-        line, _ = _straight(lanes[0], is_in=is_in)
+        line = _line(lanes[0], is_in=is_in)
         cosine = float(line.direction @ side) * (-1.0 if is_in else 1.0)
         if cosine >= best_cosine:
             best, best_cosine = arm, cosine
@@ -281,8 +281,8 @@ def _arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
 _STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
 
 
-def _straight(lane: Lane, *, is_in: bool) -> tuple[Line, float]:
-    return lane_line(lane, is_in=is_in, length_m=_STRAIGHT_M)
+def _line(lane: Lane, *, is_in: bool) -> Line:
+    return lane_line(lane, is_in=is_in, length_m=_STRAIGHT_M)[0]
 
 
 def _check_straight(lane: Lane, driven_m: float) -> None:

@@ -17,6 +17,7 @@ from .paths import Motion, Path, StraightPath, travel_time_s
 
 _SCAN_STEP_M = 0.1
 _NEVER_PARALLEL = 1.0e-6
+_MAX_EARLY_S = 0.3  # a corner that touches before the impact position is a tenth of a second early
 
 
 class CannotCarryError(Exception):
@@ -144,7 +145,7 @@ def set_off(
     Raises
     ------
     CannotCarryError
-        The bodies do not touch.
+        The bodies do not touch, or do so long before, somewhere else.
     """
     travel_s = travel_time_s(
         vru_travel_m,
@@ -172,6 +173,8 @@ def set_off(
     early_s = first_contact_s(encounter)
     if not np.isfinite(early_s):
         raise CannotCarryError("the bodies do not touch")
+    if abs(early_s) > _MAX_EARLY_S:
+        raise CannotCarryError(f"the bodies would touch {-early_s:.1f} s before they should")
     return later(-early_s)
 
 
