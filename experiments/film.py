@@ -25,6 +25,7 @@ from geometry.poses import Pose, to_world
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
 from placement.evaluator import load_vut_camera
+from placement.visibility.casting import build_static_mesh
 from scenarios.runs import Run
 
 from .figures import BLUE, SKY, VERMILION, literal
@@ -168,14 +169,8 @@ class _Sightlines:
     def __init__(self, scene: Scene, run: Run) -> None:
         self.run = run
         self.origin = np.append(scene.outline_m.mean(axis=0), 0.0)
-        vertices, triangles = [scene.vertices_m], [np.asarray(scene.triangles)]
-        for body in run.obstruction:
-            shape = body.actor.shapes[0]
-            triangles.append(np.asarray(shape.triangles) + sum(map(len, vertices)))
-            vertices.append(to_world(shape.vertices_m, body.pose))
-        self.caster: RayCaster = build_caster(
-            np.concatenate(vertices) - self.origin, np.concatenate(triangles), library="embreex"
-        )
+        vertices, triangles = build_static_mesh(scene, run.obstruction, self.origin)
+        self.caster: RayCaster = build_caster(vertices, triangles, library="embreex")
         self.lens = load_vut_camera().pose_on(run.encounter.vut).position_m
 
     def eye(self, frame: int) -> FloatArray:

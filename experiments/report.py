@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from geometry.atomic_files import write_atomically
 from geometry.errors import InputError, Unquoted
+from geometry.junction import COMPASS
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share
 from placement.layout import Layout, layout_records
 from placement.setting import Setting
@@ -40,16 +41,6 @@ from .sentences import (
 FILE_NAME = "report.html"
 GREEDY = "greedy"
 _PLAN_RANGE_M = 35.0
-_COMPASS = (
-    "east",
-    "north-east",
-    "north",
-    "north-west",
-    "west",
-    "south-west",
-    "south",
-    "south-east",
-)
 
 
 def write_report(
@@ -189,7 +180,7 @@ def _unit_rows(layout: Layout) -> list[list[str]]:
             *(number(record[key]) for key in ("x_m", "y_m", "z_m")),
             number(record["yaw_deg"], 1),
             number(record["pitch_deg"], 1),
-            _COMPASS[round(record["yaw_deg"] / 45.0) % 8],
+            COMPASS[round(record["yaw_deg"] / 45.0) % 8],
             record["camera"],
         ]
         for record in layout_records(layout)
@@ -304,7 +295,7 @@ def _plans(
             + " ".join(
                 f"Camera {labels[unit.id]} at {number(unit.pose.position_m[0], 1)} m east, "
                 f"{number(unit.pose.position_m[1], 1)} m north, looking to the "
-                f"{_COMPASS[round(unit.pose.yaw_deg / 45.0) % 8]}."
+                f"{COMPASS[round(unit.pose.yaw_deg / 45.0) % 8]}."
                 for unit in item.layout.units
             ),
         )

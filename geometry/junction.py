@@ -10,7 +10,7 @@ from .arrays import FloatArray, float_array, freeze
 from .errors import InputError
 from .scene import Lane, Scene
 
-_COMPASS = (
+COMPASS = (
     "east",
     "north-east",
     "north",
@@ -169,7 +169,7 @@ def build_junction(scene: Scene) -> Junction:
     bearings = np.array([_outward_bearing_deg(lane, is_in=is_in) for is_in, lane in ends])
     names = _arm_names(bearings)
     arms = {}
-    for name in sorted(set(names), key=_COMPASS.index):
+    for name in sorted(set(names), key=COMPASS.index):
         members = [end for end, other in zip(ends, names, strict=True) if other == name]
         arms[name] = _build_arm(name, members, scene)
     return Junction(name=scene.name, arms=arms)
@@ -281,7 +281,7 @@ def _arm_names(bearings_deg: FloatArray) -> list[str]:
         spreads = [_spread_deg(bearings_deg[index == one]) for one in np.unique(index)]
         if step == 1 or max(spreads) <= _ARM_SPREAD_DEG:
             break
-    return [_COMPASS[one] for one in index]
+    return [COMPASS[one] for one in index]
 
 
 def _spread_deg(bearings_deg: FloatArray) -> float:

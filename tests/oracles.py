@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from geometry.footprints import footprint_corners, footprint_separation
+
 
 def rectangle_polygon(centre, yaw_deg, length_m, width_m):
     """Corners of a rectangle, counter-clockwise, as plain tuples."""
@@ -136,3 +138,17 @@ def naive_confirmed(detected, n):
         counter = counter + 1 if seen else 0
         confirmed.append(counter >= n)
     return confirmed
+
+
+def separation_m(encounter, time_s):
+    """Separation of the footprints at times if nobody brakes, from their corners."""
+    corners = []
+    for body, motion in (
+        (encounter.vut, encounter.vut_motion),
+        (encounter.vru, encounter.vru_motion),
+    ):
+        position, yaw = motion.path.at(motion.distance_m(time_s))
+        corners.append(
+            footprint_corners(position, yaw, length_m=body.length_m, width_m=body.width_m)
+        )
+    return footprint_separation(*corners)

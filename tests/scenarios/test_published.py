@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles import separation_m
 
 from geometry.actors import PlacedActor
 from geometry.errors import InputError
-from geometry.footprints import footprint_corners, footprint_separation
 from geometry.frames import to_carla_points, to_carla_yaw
 from scenarios import published
 from scenarios.published import stage_published
@@ -34,19 +34,6 @@ def _runs_of(runs, placement):
         for run in runs
         if (run.case.name, run.approach) == (placement.case.name, placement.approach)
     ]
-
-
-def _separation(encounter, time_s):
-    corners = []
-    for body, motion in (
-        (encounter.vut, encounter.vut_motion),
-        (encounter.vru, encounter.vru_motion),
-    ):
-        position, yaw = motion.path.at(motion.distance_m(time_s))
-        corners.append(
-            footprint_corners(position, yaw, length_m=body.length_m, width_m=body.width_m)
-        )
-    return footprint_separation(*corners)
 
 
 def test_all_ten_published_placements_are_there():
@@ -144,7 +131,7 @@ def test_a_crossing_may_be_a_degree_out_of_square(monkeypatch, actors, vru_yaw_d
     (placement,) = _load(monkeypatch, _changed(vru_yaw_deg=vru_yaw_deg))
     for speed_kmh in placement.case.vut_speeds_kmh:
         encounter = stage_published(placement, vut_speed_kmh=speed_kmh, vut=actors["vut"]).encounter
-        assert _separation(encounter, np.array([0.0])) == pytest.approx(0.0, abs=0.01)
+        assert separation_m(encounter, np.array([0.0])) == pytest.approx(0.0, abs=0.01)
 
 
 def test_a_placement_without_parked_bodies_has_none(monkeypatch):

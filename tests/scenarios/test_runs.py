@@ -6,28 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from junctions import ARMS, LANE_M, protocol_scene, turned
+from oracles import separation_m
 
 from geometry.errors import InputError
-from geometry.footprints import footprint_corners, footprint_separation
 from geometry.scene import Lane
 from geometry.scene_files import load_study_scene
 from scenarios.aeb import has_contact
 from scenarios.cases import load_cases, pick_cases
 from scenarios.exposure import weight_per_run
 from scenarios.runs import FrameAxis, build_frame_axis, build_runs
-
-
-def _separation(encounter, time_s):
-    corners = []
-    for body, motion in (
-        (encounter.vut, encounter.vut_motion),
-        (encounter.vru, encounter.vru_motion),
-    ):
-        position, yaw = motion.path.at(motion.distance_m(time_s))
-        corners.append(
-            footprint_corners(position, yaw, length_m=body.length_m, width_m=body.width_m)
-        )
-    return footprint_separation(*corners)
 
 
 def _vru_in_vut_frame(encounter):
@@ -80,8 +67,8 @@ def test_every_case_is_carried_or_refused_with_a_reason(all_runs):
 def test_without_braking_every_run_of_every_case_first_touches_at_its_impact(all_runs):
     runs, _ = all_runs
     for run in runs:
-        before = _separation(run.encounter, np.linspace(-25.0, -1e-3, 2501))
-        at, after = _separation(run.encounter, np.array([0.0, 5e-3]))
+        before = separation_m(run.encounter, np.linspace(-25.0, -1e-3, 2501))
+        at, after = separation_m(run.encounter, np.array([0.0, 5e-3]))
         assert (before > 0.0).all(), run.id
         assert at == pytest.approx(0.0, abs=1e-5), run.id
         assert after < 0.0, run.id
@@ -218,8 +205,8 @@ def test_things_in_the_way_are_named(actors, rule):
 
 def test_without_braking_every_run_first_touches_at_time_0(runs):
     for run in runs:
-        before = _separation(run.encounter, np.linspace(-25.0, -1e-3, 5001))
-        at, after = _separation(run.encounter, np.array([0.0, 1e-3]))
+        before = separation_m(run.encounter, np.linspace(-25.0, -1e-3, 5001))
+        at, after = separation_m(run.encounter, np.array([0.0, 1e-3]))
         assert (before > 0.0).all(), run.id
         assert at == pytest.approx(0.0, abs=1e-9), run.id
         assert after < 0.0, run.id
