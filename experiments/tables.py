@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 _WIDTH = 80
-_COLUMN = 11
+_COLUMN = 13
 
 
 def _percent(ratio: float) -> str:
@@ -37,7 +37,7 @@ def _apr_text(parties: dict[str, dict[str, Any]]) -> list[str]:
     rows = []
     for start in range(0, len(names), per_block):
         block = names[start : start + per_block]
-        heads = [textwrap.wrap(name, _COLUMN - 2) for name in block]
+        heads = [textwrap.wrap(name, _COLUMN - 1, break_on_hyphens=False) for name in block]
         height = max(map(len, heads))
         if start:
             rows.append("")

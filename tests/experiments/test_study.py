@@ -106,7 +106,7 @@ def test_the_published_findings_come_out(setting, layout):
     assert fast.sum() == 8
     assert not evaluation.vut.is_avoided[fast].any()
     # Frames in which the VUT detects: 13.97, 5.12 and 89.20 %; the first and the last set a
-    # dimension and a threshold, the second comes out as 7.6 %.
+    # dimension and a threshold, the second comes out as 7.7 %.
     shares = [
         detected_share(evaluation.vut, axis, cases == case) for case in ("CPNC-50", "CBNA", "CBLA")
     ]
