@@ -21,7 +21,7 @@ from geometry.arrays import BoolArray, FloatArray
 from geometry.atomic_files import write_atomically
 from geometry.errors import InputError
 from geometry.footprints import footprint_corners
-from geometry.poses import Pose, to_world
+from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
 from placement.evaluator import load_vut_camera
@@ -171,7 +171,8 @@ class _Sightlines:
         self.origin = np.append(scene.outline_m.mean(axis=0), 0.0)
         vertices, triangles = build_static_mesh(scene, run.obstruction, self.origin)
         self.caster: RayCaster = build_caster(vertices, triangles, library="embreex")
-        self.lens = load_vut_camera().pose_on(run.encounter.vut).position_m
+        self.vut_camera = load_vut_camera()
+        self.lens = self.vut_camera.pose_on(run.encounter.vut).position_m
 
     def eye(self, frame: int) -> FloatArray:
         pose = _pose(self.run.vut_position_m[frame], self.run.vut_yaw_deg[frame])
@@ -179,7 +180,7 @@ class _Sightlines:
         return np.asarray(eye)
 
     def free(self, frame: int) -> BoolArray:
-        """Whether the line to each point is free."""
+        """Whether each point is in the image and the line to it free."""
         vru = self.run.encounter.vru
         points = np.array(
             [
@@ -196,7 +197,17 @@ class _Sightlines:
         length = np.linalg.norm(vectors, axis=1, keepdims=True)
         vectors *= 1.0 - _END_M / length
         origins = np.repeat(eye[None], len(vectors), axis=0).astype(np.float32)
-        return ~self.caster.is_blocked(origins, vectors.astype(np.float32))
+        is_free = ~self.caster.is_blocked(origins, vectors.astype(np.float32))
+        return is_free & self._is_in_image(vectors, float(self.run.vut_yaw_deg[frame]))
+
+    def _is_in_image(self, vectors_m: FloatArray, vut_yaw_deg: float) -> BoolArray:
+        """Whether points, seen from the level camera, lie inside its image."""
+        camera = self.vut_camera.camera
+        ahead, left, up = (vectors_m @ body_rotation(vut_yaw_deg)).T
+        is_inside: BoolArray = ahead > 0.0
+        is_inside &= np.abs(left) * camera.focal_length_px <= 0.5 * camera.width_px * ahead
+        is_inside &= np.abs(up) * camera.focal_length_px <= 0.5 * camera.height_px * ahead
+        return is_inside
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,7 +272,7 @@ class _Stage:
         free = self.sightlines.free(frame)
         eye = self.sightlines.eye(frame)[:2]
         target = self.run.vru_position_m[frame]
-        camera = load_vut_camera().camera
+        camera = self.sightlines.vut_camera.camera
         yaw = np.radians(self.run.vut_yaw_deg[frame])
         half = np.radians(0.5 * camera.horizontal_fov_deg)
         edges = eye + _FAR_M * np.array(
