@@ -37,11 +37,10 @@ from placement.setting import Setting
 from placement.visibility.build import N_POINTS, build_detection_table
 from placement.visibility.casting import (
     World,
-    build_static_mesh,
     build_world,
     cast_sight,
-    find_obstructions,
 )
+from placement.visibility.obstructions import build_static_mesh, find_obstructions
 
 from .driving import build_setting
 from .question import Question

@@ -25,11 +25,11 @@ from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
 from placement.evaluator import load_vut_camera
-from placement.visibility.casting import build_static_mesh
+from placement.visibility.obstructions import build_static_mesh
 from scenarios.runs import Run
 
 from .figures import BLUE, SKY, VERMILION, literal
-from .plan import PARKED_STYLE, draw_parked, draw_scene
+from .ground import PARKED_STYLE, draw_parked, draw_scene
 
 STILLS = (".png", ".svg", ".pdf")
 ANIMATION = ".gif"

@@ -1,7 +1,7 @@
 """Plan of the junction: where the units are, and what ground they look at."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
-from scipy.spatial import ConvexHull
 
-from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
-from geometry.footprints import footprint_corners
 from geometry.poses import camera_rotation
-from geometry.scene import Lane, Scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 from placement.setting import Setting
@@ -35,17 +31,11 @@ from .figures import (
     literal,
     unit_labels,
 )
+from .ground import CLASS_STYLES, PARKED_STYLE, SITE_STYLE, draw_parked, draw_scene
 
 _UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
 _LINE_STYLES = ("-", "--", "-.", ":")
 _HALO = withStroke(linewidth=3.0, foreground="white")
-_CLASS_STYLES: dict[str, dict[str, Any]] = {
-    "building": {"facecolor": "#c9c4bb", "edgecolor": "#8d887f", "linewidth": 0.8},
-    "wall": {"facecolor": "#5b5b5b", "edgecolor": "#5b5b5b", "linewidth": 1.2},
-    "vegetation": {"facecolor": "#b7d3ae", "edgecolor": "#7d9c73", "linewidth": 0.6},
-    "parked vehicle": {"facecolor": "#a9a9a9", "edgecolor": "#6e6e6e", "linewidth": 0.6},
-    "traffic light": {"facecolor": "#7a7a7a", "edgecolor": "#7a7a7a", "linewidth": 0.8},
-}
 
 
 def ground_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
@@ -150,68 +140,6 @@ def _clip(corners: FloatArray, inside: FloatArray) -> FloatArray:
         if there > 0.0:
             kept.append(corners[index])
     return np.array(kept).reshape(-1, 2)
-
-
-def draw_scene(axes: Axes, scene: Scene) -> None:
-    """Draw lanes, sites, buildings and walls; later things go on top up to zorder 6.5."""
-    axes.set_facecolor("#f4f2ee")
-    for lane in scene.lanes:
-        is_parking = lane.kind == "parking"
-        axes.add_patch(
-            Polygon(
-                _lane_polygon(lane),
-                facecolor="#ececec" if is_parking else "#dedede",
-                edgecolor="white",
-                linewidth=0.8,
-                zorder=1,
-            )
-        )
-    axes.add_patch(Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1))
-    for index, instance in enumerate(scene.instances):
-        if instance.class_name in _CLASS_STYLES:
-            triangles = scene.triangles[scene.triangle_instance == index]
-            points = scene.vertices_m[np.unique(triangles), :2]
-            hull = points[ConvexHull(points).vertices]
-            axes.add_patch(Polygon(hull, zorder=6.5, **_CLASS_STYLES[instance.class_name]))
-    sites = np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
-    axes.plot(*sites.T, linestyle="none", zorder=5, **_SITE_STYLE)
-
-
-def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
-    """Draw bodies that belong to single cases: footprints, each once."""
-    for body in {body.key: body for body in bodies}.values():
-        corners = footprint_corners(
-            body.pose.position_m[:2],
-            body.pose.yaw_deg,
-            length_m=body.actor.length_m,
-            width_m=body.actor.width_m,
-        )
-        axes.add_patch(Polygon(corners, zorder=2.2, **PARKED_STYLE))
-
-
-PARKED_STYLE: dict[str, Any] = {
-    "facecolor": "#f2f2f2",
-    "edgecolor": "#8a8a8a",
-    "linewidth": 0.7,
-    "hatch": "....",
-}
-_SITE_STYLE: dict[str, Any] = {
-    "marker": "o",
-    "markersize": 4.0,
-    "markerfacecolor": "white",
-    "markeredgecolor": "#444444",
-    "markeredgewidth": 0.9,
-}
-
-
-def _lane_polygon(lane: Lane) -> FloatArray:
-    direction = np.gradient(lane.centreline_m, axis=0)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    left = 0.5 * lane.width_m * np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-    polygon: FloatArray = np.concatenate(
-        [lane.centreline_m + left, (lane.centreline_m - left)[::-1]]
-    )
-    return polygon
 
 
 _PATH_STYLES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -392,11 +320,11 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
     present = {instance.class_name for instance in setting.scene.instances}
     things = [
         Patch(label=name, **style)
-        for name, style in _CLASS_STYLES.items()
+        for name, style in CLASS_STYLES.items()
         if name in present and name != "traffic light"
     ]
     if any(run.obstruction for run in setting.runs):
         things.append(Patch(label="parked body or wall of single cases", **PARKED_STYLE))
-    site = Line2D([], [], label="pole or mast: possible site", linestyle="none", **_SITE_STYLE)
+    site = Line2D([], [], label="pole or mast: possible site", linestyle="none", **SITE_STYLE)
     impact = Line2D([], [], label="collision point", **_IMPACT_STYLE)
     return [*units, *paths, impact, site, *things]

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.actors import Actor, PlacedActor, Shape
+from geometry.actors import Actor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.poses import body_rotation, to_world
+from geometry.poses import body_rotation
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
 from scenarios.runs import Run
 
+from .obstructions import build_static_mesh, find_obstructions, obstruction_key
 from .surface import Surface, build_surface
 
 _OFF_SURFACE_M = 1.0e-3
@@ -148,50 +149,10 @@ def build_world(scene: Scene, runs: Sequence[Run], *, n_points: int, seed: int) 
     )
 
 
-def find_obstructions(
-    runs: Sequence[Run],
-) -> dict[tuple[object, ...], tuple[PlacedActor, ...]]:
-    """Distinct obstructions in the order of `World.static`, by their content."""
-    return {_obstruction_key(run): run.obstruction for run in runs}
-
-
-def build_static_mesh(
-    scene: Scene, obstruction: tuple[PlacedActor, ...], origin_m: FloatArray
-) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Vertices and triangles of a scene with an obstruction, relative to an origin.
-
-    Parameters
-    ----------
-    scene : Scene
-        What stands still in all runs.
-    obstruction : tuple of PlacedActor
-        What stands still in some.
-    origin_m : (3,) float
-        Of `World`. [m]
-
-    Returns
-    -------
-    vertices_m : (n, 3) float
-        Relative to the origin. [m]
-    triangles : (m, 3) int32
-        Vertex indices.
-    """
-    vertices, triangles = [scene.vertices_m], [scene.triangles]
-    for parked in obstruction:
-        shape = parked.actor.shapes[0]
-        triangles.append((shape.triangles + sum(map(len, vertices))).astype(np.int32))
-        vertices.append(to_world(shape.vertices_m, parked.pose))
-    return np.concatenate(vertices) - origin_m, np.concatenate(triangles)
-
-
 def _find_shapes(runs: Sequence[Run]) -> list[tuple[Actor, int]]:
     """Every shape in which a VRU is seen."""
     found = {(run.encounter.vru, index): None for run in runs for index in np.unique(run.vru_shape)}
     return [(actor, int(index)) for actor, index in found]
-
-
-def _obstruction_key(run: Run) -> tuple[object, ...]:
-    return tuple(parked.key for parked in run.obstruction)
 
 
 def _shape_caster(shape: Shape) -> RayCaster:
@@ -214,7 +175,7 @@ def _build_views(
                     run.vru_position_m - origin_m[:2],
                     run.vru_yaw_deg,
                     [numbers[run.encounter.vru, int(index)] for index in run.vru_shape],
-                    np.full(len(run.time_s), obstructions.index(_obstruction_key(run))),
+                    np.full(len(run.time_s), obstructions.index(obstruction_key(run))),
                 ]
             )
             for run in runs
