@@ -1,5 +1,6 @@
 import os
 import pty
+import select
 import signal
 import subprocess
 import sys
@@ -62,7 +63,9 @@ def test_a_terminal_gets_a_bar_that_is_gone_in_the_end(monkeypatch):
         time.sleep(0.3)  # the bar is drawn ten times a second
         progress.stop()
         progress.stop()
-        shown = os.read(main_end, 100_000).decode()
+        shown = ""
+        while select.select([main_end], [], [], 0.1)[0]:  # a read may give a part only
+            shown += os.read(main_end, 100_000).decode()
     os.close(main_end)
     assert "detection table" in shown
     assert "3/7" in shown

@@ -211,7 +211,8 @@ def test_interruption_leaves_the_other_units_unseen(
 
     def from_roadside(surroundings, pose, camera, *, min_height_px):
         n_seen.append(1)
-        return Boxes(amodal_px=np.zeros((0, 4)), visible_px=np.zeros((0, 4)))
+        nothing = np.zeros((len(surroundings.vru_poses), 4))
+        return Boxes(amodal_px=nothing, visible_px=nothing)
 
     def from_vut(surroundings, vut_camera, *, min_height_px):
         raise KeyboardInterrupt
