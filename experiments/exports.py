@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -144,7 +144,7 @@ def margin_s(verdict: Verdict, axis: FrameAxis, rule: AebRule) -> FloatArray:
 
 
 def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
-    """Accident prevention ratios of every party, by case and approach.
+    """Accident prevention ratios of every party, by case, approach and weather.
 
     Parameters
     ----------
@@ -154,8 +154,9 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
     Returns
     -------
     table : DataFrame
-        Columns layout, party, case, approach, apr, n_runs, n_avoided. "all" stands for every
-        case or every approach.
+        Columns layout, party, case, approach, weather, apr, n_runs, n_avoided. "all" stands for
+        every case, approach or weather; a single weather has no rows of its own. The ratio is
+        missing where none of the runs has weight.
     """
     return pd.DataFrame(
         [
@@ -164,6 +165,7 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
                 "party": party,
                 "case": case,
                 "approach": approach,
+                "weather": weather,
                 "apr": apr(verdict, evaluation.axis, mask),
                 "n_runs": int(mask.sum()),
                 "n_avoided": int((verdict.is_avoided & mask).sum()),
@@ -172,7 +174,8 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
             for party, verdict in parties(evaluation).items()
             for case in (ALL, *dict.fromkeys(evaluation.axis.cases))
             for approach in (ALL, *dict.fromkeys(evaluation.axis.approaches))
-            for mask in [_run_mask(evaluation.axis, case, approach)]
+            for weather in (ALL, *_several(evaluation.axis.weathers))
+            for mask in [_run_mask(evaluation.axis, case, approach, weather)]
             if mask.any()
         ]
     )
@@ -269,13 +272,21 @@ def _finite(value: object) -> object:
     return value
 
 
-def _run_mask(axis: FrameAxis, case: str, approach: str) -> BoolArray:
-    cases, approaches = np.array(axis.cases), np.array(axis.approaches)
+def _several(words: Sequence[str]) -> tuple[str, ...]:
+    """Each word once; none where there is but one."""
+    different = tuple(dict.fromkeys(words))
+    return different if len(different) > 1 else ()
+
+
+def _run_mask(axis: FrameAxis, case: str, approach: str, weather: str) -> BoolArray:
     mask: BoolArray = np.ones(axis.n_runs, dtype=bool)
-    if case != ALL:
-        mask &= cases == case
-    if approach != ALL:
-        mask &= approaches == approach
+    for wanted, words in (
+        (case, axis.cases),
+        (approach, axis.approaches),
+        (weather, axis.weathers),
+    ):
+        if wanted != ALL:
+            mask &= np.array(words) == wanted
     return mask
 
 

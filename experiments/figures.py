@@ -1,6 +1,5 @@
 """Figures of evaluations: APR by case, heatmaps. Built without pyplot's global state."""
 
-import math
 import textwrap
 import warnings
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,9 @@ from matplotlib.patches import Patch
 from geometry.arrays import BoolArray
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case
 from placement.layout import Layout
+from scenarios.runs import FrameAxis
+
+from .tables import percent
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008): told apart with any colour vision.
 BLUE, SKY, GREEN, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#F0E442"
@@ -48,29 +50,19 @@ def unit_labels(layout: Layout) -> dict[str, str]:
     return {unit_id: f"#{number}" for number, unit_id in enumerate(ids, start=1)}
 
 
-def percent(share: float) -> str:
-    """A share of 1 in print, with one digit: what is not quite all or none is never shown as it.
-
-    NaN (no run counts) is shown as a dash.
-
-    Examples
-    --------
-    >>> percent(0.5), percent(0.99999), percent(0.00001)
-    ('50.0 %', '>99.9 %', '<0.1 %')
-    """
-    if math.isnan(share):
-        return "\N{EN DASH}"
-    if 0.9995 <= share < 1.0 - 1.0e-9:
-        return ">99.9 %"
-    if 1.0e-9 < share < 0.0005:
-        return "<0.1 %"
-    return f"{100.0 * share:.1f} %"
-
-
 def literal(name: str) -> str:
     """A name for matplotlib to draw letter by letter: no mathematics, and never left out."""
     escaped = name.replace("$", r"\$")
     return f" {escaped}" if escaped.startswith("_") else escaped
+
+
+def describe_run(axis: FrameAxis, run_index: int) -> str:
+    """A run in words: case, approach, speed, and the weather unless it is day."""
+    weather = axis.weathers[run_index]
+    return (
+        f"{axis.cases[run_index]} from the {axis.approaches[run_index]} at "
+        f"{axis.vut_speed_kmh[run_index]:g} km/h" + (f", {weather}" if weather != "day" else "")
+    )
 
 
 def plot_apr_by_case(evaluations: Mapping[str, Evaluation]) -> Figure:
@@ -173,7 +165,7 @@ def build_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
 
 
 _SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
-_DARK_BELOW = 0.55
+_DARK_BELOW = 0.34  # where white and black stand out from the cell alike
 _HEAD_WIDTH = 16
 
 
@@ -250,10 +242,7 @@ def _draw_heatmap(
     _draw_last_moment(axes, float(axis.last_brake_time_s[run_index]), len(rows))
     avoided = "avoided" if evaluation.rsu_all.is_avoided[run_index] else "not avoided"
     axes.set_title(
-        literal(
-            f"{axis.cases[run_index]} from the {axis.approaches[run_index]} at "
-            f"{axis.vut_speed_kmh[run_index]:g} km/h: {avoided} by all RSUs together"
-        ),
+        literal(f"{describe_run(axis, run_index)}: {avoided} by all RSUs together"),
         fontsize=9,
         fontweight="bold",
         loc="left",

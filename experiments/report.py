@@ -22,7 +22,7 @@ from placement.layout import Layout, layout_records
 from placement.setting import Setting
 
 from .exports import margin_s
-from .figures import percent, plot_apr_by_case, plot_heatmap, to_png, unit_labels
+from .figures import describe_run, plot_apr_by_case, plot_heatmap, to_png, unit_labels
 from .plan import plot_plan
 from .sentences import (
     NOTHING,
@@ -31,12 +31,16 @@ from .sentences import (
     assumptions,
     count_cameras,
     describe_cases,
+    describe_hopeless,
     describe_refusals,
     disagreement,
+    is_weighted,
     number,
+    outcome,
     proof,
     title,
 )
+from .tables import percent
 
 FILE_NAME = "report.html"
 GREEDY = "greedy"
@@ -112,7 +116,7 @@ def render_report(
         proof=proof(summary),
         stages=[_stage_row(stage) for stage in summary.get("stages", ())],
         solver=summary.get("solver", NOTHING),
-        is_weighted=not np.allclose(subject.axis.weight, subject.axis.weight[0]),
+        is_weighted=is_weighted(subject.axis),
         apr_table=_apr_table(evaluations),
         apr_figure=_apr_figure(evaluations),
         alone=[_alone(name, item) for name, item in detailed.items()],
@@ -124,9 +128,10 @@ def render_report(
         disagreement=disagreement(summary),
         assumptions=assumptions(summary, setting),
         cases=describe_cases(setting),
+        hopeless=describe_hopeless(setting),
         not_driven=describe_refusals(setting),
-        run_columns=["run", "last moment (s)", *evaluations, "VUT"],
-        run_rows=_run_rows(setting, evaluations),
+        run_table=_run_table(setting, evaluations),
+        n_hit=int((~subject.rsu_all.is_avoided).sum()),
         command=command,
         seconds=[(stage, f"{value:.1f}") for stage, value in summary.get("seconds", {}).items()],
         versions=list(summary.get("versions", {}).items()),
@@ -246,29 +251,38 @@ def _alone(name: str, evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def _run_rows(setting: Setting, evaluations: Mapping[str, Evaluation]) -> list[list[str]]:
-    """A row per run, those with the least time to spare first."""
+def _run_table(setting: Setting, evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
+    """A row per run, those with the least time to spare first: hits come before the rest."""
     subject = next(iter(evaluations.values()))
     axis = subject.axis
     verdicts = [*(item.rsu_all for item in evaluations.values()), subject.vut]
     margins = [margin_s(verdict, axis, setting.rule) for verdict in verdicts]
-    return [
+    has_weathers, has_weights = len(set(axis.weathers)) > 1, is_weighted(axis)
+    rows = [
         [
             axis.run_ids[index],
+            *([axis.weathers[index]] if has_weathers else []),
+            *([percent(float(axis.weight[index]))] if has_weights else []),
             number(axis.last_brake_time_s[index]),
             *(
-                _outcome(bool(verdict.is_avoided[index]), float(margin[index]))
+                outcome(bool(verdict.is_avoided[index]), float(margin[index]))
                 for verdict, margin in zip(verdicts, margins, strict=True)
             ),
         ]
         for index in np.argsort(margins[0], kind="stable")
     ]
-
-
-def _outcome(is_avoided: bool, margin: float) -> str:
-    if is_avoided:
-        return f"avoided, {number(margin)} s"
-    return f"HIT, {number(-margin)} s late" if math.isfinite(margin) else "HIT, not confirmed"
+    return {
+        "caption": "Runs: case / from / speed in km/h" + (" / weather" if has_weathers else ""),
+        "columns": [
+            "run",
+            *(["weather"] if has_weathers else []),
+            *(["weight"] if has_weights else []),
+            "last moment (s)",
+            *evaluations,
+            "VUT",
+        ],
+        "rows": rows,
+    }
 
 
 # ---------------------------------------------------------------- figures
@@ -330,18 +344,21 @@ def pick_heatmap_runs(setting: Setting, evaluation: Evaluation) -> tuple[str, ..
     Returns
     -------
     run_ids : tuple of str
-        The study's own, at the speeds at which it shows them or near, where they are driven; else
-        of the three hardest cases the run with the least time to spare.
+        At most three, of different cases: the study's own, at the speeds at which it shows them
+        or near, where they are driven; then of the hardest other cases the run that counts and
+        has the least time to spare.
     """
     axis = evaluation.axis
-    known = tuple(run_id for run_id in _STUDY_HEATMAPS if run_id in axis.run_ids)
-    if known:
-        return known
+    picked = {
+        axis.cases[axis.run_ids.index(run_id)]: run_id
+        for run_id in _STUDY_HEATMAPS
+        if run_id in axis.run_ids
+    }
     margin = margin_s(evaluation.rsu_all, axis, setting.rule)
-    hardest: dict[str, str] = {}
     for index in np.argsort(margin, kind="stable"):
-        hardest.setdefault(axis.cases[index], axis.run_ids[index])
-    return tuple(hardest.values())[:_MAX_HEATMAPS]
+        if axis.weight[index] > 0.0:
+            picked.setdefault(axis.cases[index], axis.run_ids[index])
+    return tuple(picked.values())[:_MAX_HEATMAPS]
 
 
 _STUDY_HEATMAPS = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
@@ -365,10 +382,7 @@ def _heatmap(evaluation: Evaluation, run_index: int) -> _Picture:
         **{labels[unit_id]: verdict for unit_id, verdict in evaluation.units.items()},
         "all RSUs": evaluation.rsu_all,
     }
-    run = (
-        f"{axis.cases[run_index]} from the {axis.approaches[run_index]} at "
-        f"{axis.vut_speed_kmh[run_index]:g} km/h"
-    )
+    run = describe_run(axis, run_index)
     last_moment = number(axis.last_brake_time_s[run_index])
     confirmed = [
         f"{name} at {number(verdict.confirmation_time_s[run_index], 1)} s"

@@ -9,8 +9,9 @@ import numpy as np
 from geometry.arrays import BoolArray
 from placement.evaluation import Evaluation, Verdict, apr
 from placement.setting import Setting
+from scenarios.runs import FrameAxis
 
-from .figures import percent
+from .tables import percent
 
 NOTHING = "\N{EN DASH}"
 STAGES = {
@@ -20,6 +21,7 @@ STAGES = {
     "mean_margin_s": "mean time to spare",
 }
 """Names of the optimiser's objectives."""
+_SAME_TIME_S = 1.0e-9
 
 
 def title(
@@ -133,8 +135,9 @@ def assumptions(summary: Mapping[str, Any], setting: Setting) -> list[tuple[str,
         (
             "Runs",
             f"{axis.n_runs} runs, {axis.n_frames} frames at {rule.frame_rate_hz:g} Hz. Every run "
-            "ends in an impact unless the car brakes.",
+            f"ends in an impact unless the car brakes. {_phase(setting)}",
         ),
+        ("Weights", _weights(setting)),
         (
             "Detection",
             f"A road user counts as detected in a frame if the box around its visible part "
@@ -152,7 +155,7 @@ def assumptions(summary: Mapping[str, Any], setting: Setting) -> list[tuple[str,
             "the car's path. The road user keeps going.",
         ),
         ("Avoided", "The outlines of car and road user on the road never touch."),
-        *_weather_terms(setting),
+        ("Weather", _weather(setting)),
     ]
     if "fusion" in summary:
         terms.append(("Cameras together", _FUSIONS.get(summary["fusion"], summary["fusion"])))
@@ -167,17 +170,42 @@ def _onset(build_up_s: float) -> str:
     return f"reached linearly {build_up_s:g} s after the onset"
 
 
-def _weather_terms(setting: Setting) -> list[tuple[str, str]]:
+def _phase(setting: Setting) -> str:
+    shift_s = [float(-run.time_s[-1]) for run in setting.runs]
+    n_shifted = sum(value > _SAME_TIME_S for value in shift_s)
+    if not n_shifted:
+        return "One frame falls on the moment of the impact."
+    return (
+        "Frames fall as unfavourably as they can, run by run: the last one that still allows to "
+        f"brake in time comes as early as possible. In {count_runs(n_shifted)} the last frame lies "
+        f"before the impact, by up to {1000.0 * max(shift_s):.0f} ms."
+    )
+
+
+def is_weighted(axis: FrameAxis) -> bool:
+    """Whether some runs count more than others."""
+    return not np.allclose(axis.weight, axis.weight[0], rtol=1.0e-9, atol=0.0)
+
+
+def _weights(setting: Setting) -> str:
+    axis = setting.axis
+    if not is_weighted(axis):
+        return "Every run counts the same."
+    counted = axis.weight[axis.weight > 0.0]
+    low, high = (percent(float(share)) for share in (counted.min(), counted.max()))
+    text = f"Runs count differently: from {low} to {high} of the whole each."
+    n_without = axis.n_runs - len(counted)
+    if n_without:
+        text += f" {count_runs(n_without)} of weight 0 {_verb(n_without)} driven, but not counted."
+    return text
+
+
+def _weather(setting: Setting) -> str:
     weathers = list(dict.fromkeys(run.weather for run in setting.runs))
+    text = f"{', '.join(weathers)}."
     if weathers == ["day"]:
-        return []
-    return [
-        (
-            "Weather",
-            f"{', '.join(weathers)}. It does not change what is detected: the detector looks at "
-            "boxes only.",
-        )
-    ]
+        return text
+    return f"{text} It does not change what is detected: the detector looks at boxes only."
 
 
 _FUSIONS = {
@@ -186,40 +214,113 @@ _FUSIONS = {
 }
 
 
-def describe_cases(setting: Setting) -> list[dict[str, str]]:
-    """The cases that are driven: what, how fast, from where, how late braking may begin."""
-    described = []
-    for name in dict.fromkeys(run.case.name for run in setting.runs):
-        runs = [run for run in setting.runs if run.case.name == name]
+def describe_cases(setting: Setting) -> dict[str, Any]:
+    """The cases that are driven: what, how fast, from where, how late braking may begin.
+
+    Parameters
+    ----------
+    setting : Setting
+        Runs and their weights.
+
+    Returns
+    -------
+    table : dict
+        Caption, columns and rows: one row per case. A case's share of the weight is told where
+        not every run counts the same.
+    """
+    has_weights = is_weighted(setting.axis)
+    every = dict.fromkeys(
+        [
+            *(run.approach for run in setting.runs),
+            *(refusal.approach for refusal in setting.refusals),
+        ]
+    )
+    rows = []
+    for name, indices in _runs_by_case(setting).items():
+        runs = [setting.runs[index] for index in indices]
         case = runs[0].case
-        last = sorted(-run.last_brake_time_s for run in runs if np.isfinite(run.last_brake_time_s))
-        described.append(
-            {
-                "name": name,
-                "title": case.title,
-                "speeds": _span(sorted({run.vut_speed_kmh for run in runs})),
-                "vru": case.vru.class_name,
-                "vru_speed": f"{case.vru_speed_kmh:g}",
-                "approaches": ", ".join(dict.fromkeys(run.approach for run in runs)),
-                "n_runs": str(len(runs)),
-                "last_moments": _span([round(time_s, 2) for time_s in last]) if last else NOTHING,
-            }
+        approaches = dict.fromkeys(run.approach for run in runs)
+        last_s = [run.last_brake_time_s for run in runs if math.isfinite(run.last_brake_time_s)]
+        rows.append(
+            [
+                name,
+                case.title,
+                f"{case.vru.name}, {case.vru_speed_kmh:g}\N{NO-BREAK SPACE}km/h",
+                _steps(sorted({run.vut_speed_kmh for run in runs})),
+                "all" if len(approaches) == len(every) > 1 else ", ".join(approaches),
+                str(len(runs)),
+                *([percent(float(setting.axis.weight[indices].sum()))] if has_weights else []),
+                number(min(last_s, default=None)),
+                number(max(last_s, default=None)),
+            ]
         )
-    return described
+    return {
+        "caption": "Cases" + (f"; from all: {', '.join(every)}" if len(every) > 1 else ""),
+        "columns": [
+            "case",
+            "what happens",
+            "road user",
+            "car (km/h)",
+            "from",
+            "runs",
+            *(["weight"] if has_weights else []),
+            "last moment, earliest (s)",
+            "latest (s)",
+        ],
+        "rows": rows,
+    }
+
+
+def describe_hopeless(setting: Setting) -> list[str]:
+    """Which cases have runs that no braking avoids, in sentences."""
+    sentences = []
+    for name, indices in _runs_by_case(setting).items():
+        n_runs = sum(not math.isfinite(setting.runs[index].last_brake_time_s) for index in indices)
+        if n_runs:
+            sentences.append(f"In {count_runs(n_runs)} of {name} no braking avoids the impact.")
+    return sentences
 
 
 def describe_refusals(setting: Setting) -> list[str]:
-    """What was asked for and cannot be driven, in sentences."""
+    """What was asked for and cannot be driven, in sentences; approaches share one with a reason."""
+    approaches: dict[tuple[str, tuple[float, ...], str], list[str]] = {}
+    for refusal in setting.refusals:
+        key = (refusal.case.name, refusal.speeds_kmh, refusal.reason)
+        approaches.setdefault(key, []).append(refusal.approach)
     return [
-        f"{refusal.case.name} from the {refusal.approach} at "
-        f"{', '.join(f'{speed:g}' for speed in refusal.speeds_kmh)} km/h: {refusal.reason}."
-        for refusal in setting.refusals
+        f"{case} from the {_and(arms)} at {', '.join(f'{speed:g}' for speed in speeds)} km/h: "
+        f"{reason.removesuffix('.')}."
+        for (case, speeds, reason), arms in approaches.items()
     ]
 
 
-def _span(values: Sequence[float]) -> str:
-    low, high = f"{values[0]:g}", f"{values[-1]:g}"
-    return low if low == high else f"{low} to {high}"
+def _runs_by_case(setting: Setting) -> dict[str, list[int]]:
+    indices: dict[str, list[int]] = {}
+    for index, run in enumerate(setting.runs):
+        indices.setdefault(run.case.name, []).append(index)
+    return indices
+
+
+def _and(words: Sequence[str]) -> str:
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _steps(values: Sequence[float]) -> str:
+    """Ascending values: as a range where the steps between them are equal, else each."""
+    steps = np.diff(values)
+    if len(values) > 2 and np.allclose(steps, steps[0]):
+        return f"{values[0]:g} to {values[-1]:g} by {steps[0]:g}"
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def count_runs(n_runs: int) -> str:
+    """'1 run', '2 runs' and so on."""
+    return "1 run" if n_runs == 1 else f"{n_runs} runs"
+
+
+def _verb(count: int) -> str:
+    return "is" if count == 1 else "are"
 
 
 def count_cameras(units: Sized) -> str:
@@ -229,9 +330,10 @@ def count_cameras(units: Sized) -> str:
 
 
 def _score(verdict: Verdict, evaluation: Evaluation) -> str:
+    by_weight = " by weight" if is_weighted(evaluation.axis) else ""
     return (
         f"{int(verdict.is_avoided.sum())} of {evaluation.axis.n_runs} runs "
-        f"(APR {percent(apr(verdict, evaluation.axis))})"
+        f"(APR{by_weight} {percent(apr(verdict, evaluation.axis))})"
     )
 
 
@@ -247,6 +349,13 @@ def _together(evaluation: Evaluation, summary: Mapping[str, Any]) -> Verdict:
         ),
         is_avoided=any_alone,
     )
+
+
+def outcome(is_avoided: bool, margin_s: float) -> str:
+    """How a run ends, with the time to spare or the time by which braking comes too late."""
+    if is_avoided:
+        return f"avoided, {number(margin_s)} s"
+    return f"HIT, {number(-margin_s)} s late" if math.isfinite(margin_s) else "HIT, not confirmed"
 
 
 def number(value: float | None, digits: int = 2) -> str:

@@ -1,16 +1,36 @@
 """Results as plain text for a terminal, at most 80 columns wide."""
 
+import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 _WIDTH = 80
-_COLUMN = 13
+_COLUMN, _NARROWEST = 13, 9
 
 
-def _percent(ratio: float) -> str:
-    return f"{100.0 * ratio:6.1f} %"
+_MAX_ID_WIDTH = 22
+_TOGETHER = "fused: in each frame, any of the cameras may detect"
+
+
+def percent(share: float) -> str:
+    """A share of 1 in print, with one digit: what is not quite all or none is never shown as it.
+
+    NaN (no run counts) is shown as a dash.
+
+    Examples
+    --------
+    >>> percent(0.5), percent(0.99999), percent(0.00001)
+    ('50.0 %', '>99.9 %', '<0.1 %')
+    """
+    if math.isnan(share):
+        return "\N{EN DASH}"
+    if 0.9995 <= share < 1.0 - 1.0e-9:
+        return ">99.9 %"
+    if 1.0e-9 < share < 0.0005:
+        return "<0.1 %"
+    return f"{100.0 * share:.1f} %"
 
 
 def _short(text: str, width: int) -> str:
@@ -18,9 +38,13 @@ def _short(text: str, width: int) -> str:
 
 
 def _units_text(units: list[dict[str, Any]]) -> list[str]:
-    rows = [f"  {'unit':<6} {'site':<11} {'x m':>8} {'y m':>8} {'z m':>6} {'yaw':>7} {'pitch':>7}"]
+    # Ids are the heads of columns further down: they are cut only where they must be.
+    width = min(max(6, *(len(unit["id"]) for unit in units)), _MAX_ID_WIDTH)
+    rows = [
+        f"  {'unit':<{width}} {'site':<11} {'x m':>8} {'y m':>8} {'z m':>6} {'yaw':>7} {'pitch':>7}"
+    ]
     rows += [
-        f"  {_short(unit['id'], 6):<6} {_short(unit['site'] or '-', 11):<11} "
+        f"  {_short(unit['id'], width):<{width}} {_short(unit['site'] or '-', 11):<11} "
         f"{unit['x_m']:8.2f} {unit['y_m']:8.2f} {unit['z_m']:6.2f} "
         f"{unit['yaw_deg']:7.1f} {unit['pitch_deg']:7.1f}"
         for unit in units
@@ -32,12 +56,13 @@ def _apr_text(parties: dict[str, dict[str, Any]]) -> list[str]:
     """APR by case: a row per case, a column per party, as many columns as fit side by side."""
     cases = list(next(iter(parties.values()))["by_case"])
     first = max(len("all runs"), *map(len, cases)) + 4
-    per_block = max(1, (_WIDTH - first) // _COLUMN)
     names = list(parties)
+    column = _column_width(names, _WIDTH - first)
+    per_block = max(1, (_WIDTH - first) // column)
     rows = []
     for start in range(0, len(names), per_block):
         block = names[start : start + per_block]
-        heads = [textwrap.wrap(name, _COLUMN - 1, break_on_hyphens=False) for name in block]
+        heads = [textwrap.wrap(name, column - 1, break_on_hyphens=False) for name in block]
         height = max(map(len, heads))
         if start:
             rows.append("")
@@ -48,24 +73,41 @@ def _apr_text(parties: dict[str, dict[str, Any]]) -> list[str]:
                 for head in heads
             ]
             left = "  APR" if line == height - 1 else ""
-            rows.append(f"{left:<{first}}" + "".join(f"{word:>{_COLUMN}}" for word in words))
+            rows.append(f"{left:<{first}}" + "".join(f"{word:>{column}}" for word in words))
         for case in ("", *cases):
             values = [
                 parties[name]["by_case"][case] if case else parties[name]["all"] for name in block
             ]
             rows.append(
                 f"  {case or 'all runs':<{first - 2}}"
-                + "".join(f"{_percent(value).strip():>{_COLUMN}}" for value in values)
+                + "".join(f"{percent(value):>{column}}" for value in values)
             )
     return [row.rstrip() for row in rows]
+
+
+def _column_width(names: Sequence[str], width: int) -> int:
+    """The widest column that needs the fewest blocks and breaks no word that it need not break."""
+    longest = max(len(word) for name in names for word in name.split())
+    widths = range(_COLUMN, max(_NARROWEST, min(longest + 1, _COLUMN)) - 1, -1)
+    return min(widths, key=lambda column: math.ceil(len(names) / max(1, width // column)))
+
+
+def _gap(gap: float) -> str:
+    return f"{100.0 * gap:.2f} %" if math.isfinite(gap) else "open"
+
+
+def _explained(*heads: str) -> list[str]:
+    return textwrap.wrap(
+        "; ".join(heads) + ".", _WIDTH, initial_indent="  ", subsequent_indent="  "
+    )
 
 
 def placement_table(summary: dict[str, Any], out: Path) -> str:
     """The main job's result: units, proof, APR of all parties."""
     stages = {stage["name"]: stage for stage in summary["stages"]}
     names = {
-        "apr": ("accidents prevented", _percent),
-        "apr_one_failed": ("if the worst one fails", _percent),
+        "apr": ("accidents prevented", percent),
+        "apr_one_failed": ("if the worst one fails", percent),
         "smallest_margin_s": ("smallest margin", lambda value: f"{value:6.3f} s"),
         "mean_margin_s": ("mean margin", lambda value: f"{value:6.3f} s"),
     }
@@ -79,7 +121,7 @@ def placement_table(summary: dict[str, Any], out: Path) -> str:
     ]
     for key, (words, show) in names.items():
         stage = stages[key]
-        gap = "proven" if stage["gap"] == 0.0 else f"{100.0 * stage['gap']:.2f} %"
+        gap = "proven" if stage["gap"] == 0.0 else _gap(stage["gap"])
         lines.append(
             f"  {words:<24} {show(stage['objective']):>9} {show(stage['bound']):>9} {gap:>8}"
         )
@@ -95,8 +137,9 @@ def placement_table(summary: dict[str, Any], out: Path) -> str:
                 f"{summary['baseline_name']} fused": baseline["rsu_all"],
             }
         ),
+        *_explained(_TOGETHER, "greedy: cameras chosen one by one"),
         "",
-        f"Table and evaluator disagree on {_percent(summary['surrogate_disagreement']).strip()} "
+        f"Table and evaluator disagree on {percent(summary['surrogate_disagreement'])} "
         "of the runs.",
         f"Written to {out}: report.html and more.",
     ]
@@ -107,7 +150,7 @@ def evaluation_table(summary: dict[str, Any], out: Path | None) -> str:
     """One layout's result: units and the APR of each."""
     evaluation = summary["evaluation"]
     lines = [
-        f"{summary['name']} on {summary['runs']} runs:",
+        *textwrap.wrap(f"{summary['name']} on {summary['runs']} runs:", _WIDTH),
         *_units_text(summary["layout"]),
         "",
         *_apr_text(
@@ -118,6 +161,7 @@ def evaluation_table(summary: dict[str, Any], out: Path | None) -> str:
                 "VUT's camera only": evaluation["vut"],
             }
         ),
+        *_explained("each unit by itself", _TOGETHER),
     ]
     if out is not None:
         lines += ["", f"Written to {out}: report.html and more."]
@@ -138,7 +182,10 @@ def comparison_table(summary: dict[str, Any], out: Path | None) -> str:
     """Two layouts' results side by side, and the runs in which they differ."""
     evaluation, baseline = summary["evaluation"], summary["baseline"]
     lines = [
-        f"{summary['name']} against {summary['baseline_name']} on {summary['runs']} runs:",
+        *textwrap.wrap(
+            f"{summary['name']} against {summary['baseline_name']} on {summary['runs']} runs:",
+            _WIDTH,
+        ),
         *_apr_text(
             {
                 summary["name"]: evaluation["rsu_all"],
@@ -148,6 +195,7 @@ def comparison_table(summary: dict[str, Any], out: Path | None) -> str:
                 "VUT's camera only": evaluation["vut"],
             }
         ),
+        *_explained("each layout's cameras are " + _TOGETHER),
         *_runs_text("runs gained:", summary["runs_gained"]),
         *_runs_text("runs lost:  ", summary["runs_lost"]),
     ]

@@ -1,5 +1,6 @@
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -26,7 +27,7 @@ from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout, layout_records, load_layout
-from scenarios.aeb import confirmation_time_s, is_in_time
+from scenarios.aeb import confirmation_time_s, is_in_time, load_aeb_rule
 
 CRS = load_study_scene().crs
 
@@ -194,15 +195,44 @@ def test_json_text_has_null_for_what_json_lacks():
 def test_apr_table_agrees_with_the_evaluation(evaluation):
     table = apr_table({"mine": evaluation})
     assert list(table.columns) == [
-        "layout", "party", "case", "approach", "apr", "n_runs", "n_avoided",
+        "layout", "party", "case", "approach", "weather", "apr", "n_runs", "n_avoided",
     ]  # fmt: skip
     for party, verdict in parties(evaluation).items():
         rows = table[(table.party == party) & (table.approach == "all")].set_index("case")
+        assert set(rows.weather) == {"all"}  # there is but one
         assert rows.loc["all", "apr"] == apr(verdict, evaluation.axis)
         assert rows.loc["all", "n_runs"] == 3
         assert rows.loc["all", "n_avoided"] == verdict.is_avoided.sum()
         assert rows.loc["A", "apr"] == apr(verdict, evaluation.axis, np.array([True, True, False]))
         assert rows.loc["B", "n_avoided"] == verdict.is_avoided[2]
+
+
+def test_apr_table_tells_several_weathers_apart(evaluation):
+    axis = replace(evaluation.axis, weathers=("day", "night", "day"))
+    evaluation = replace(evaluation, axis=axis)
+    table = apr_table({"mine": evaluation}).set_index(["party", "case", "approach", "weather"])
+    assert table.index.is_unique
+    for party, verdict in parties(evaluation).items():
+        for weather in ("day", "night"):
+            mask = np.array([word == weather for word in axis.weathers])
+            row = table.loc[(party, "all", "all", weather)]
+            assert row.apr == apr(verdict, axis, mask)
+            assert (row.n_runs, row.n_avoided) == (
+                mask.sum(),
+                (verdict.is_avoided & mask).sum(),
+            )
+        assert table.loc[(party, "all", "all", "all")].apr == apr(verdict, axis)
+    runs = runs_table({"mine": evaluation}, load_aeb_rule())
+    assert runs.weather.tolist() == list(axis.weathers) * len(parties(evaluation))
+
+
+def test_apr_table_leaves_the_ratio_of_runs_without_weight_open(evaluation):
+    axis = replace(evaluation.axis, weight=np.array([0.5, 0.5, 0.0]))
+    table = apr_table({"mine": replace(evaluation, axis=axis)})
+    rows = table[(table.case == "B") & (table.approach == "all")]
+    assert len(rows) == 6
+    assert rows.apr.isna().all()
+    assert (rows.n_runs == 1).all()
 
 
 def test_runs_table_has_one_row_per_party_and_run(evaluation, rule, tmp_path):

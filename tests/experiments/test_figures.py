@@ -1,20 +1,25 @@
+from dataclasses import replace
+from itertools import pairwise
+
 import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from experiments.figures import (
-    percent,
+    describe_run,
     plot_apr_by_case,
     plot_heatmap,
     plot_heatmaps,
     to_png,
     unit_labels,
 )
+from experiments.tables import percent
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case
 from placement.layout import Layout
+from scenarios.runs import FrameAxis
 
 matplotlib.use("agg")
 RED = "#CC0000"
@@ -166,13 +171,42 @@ def test_unit_labels_are_ids_only_where_all_are_short(frame_axis, camera):
     assert unit_labels(long) == {"RSU0": "#1", "corner-ne/7m/45": "#2"}
 
 
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [(1.0, "100.0 %"), (0.9996, ">99.9 %"), (0.9994, "99.9 %"), (0.0, "0.0 %"), (0.0004, "<0.1 %")],
-)
-def test_percent_never_rounds_to_all_or_nothing(share, text):
-    assert percent(share) == text
+def test_a_run_in_words_names_its_weather_unless_it_is_day(frame_axis, camera):
+    axis = replace(frame_axis, weathers=("day", "night", "rain"))
+    words = [describe_run(axis, index) for index in range(3)]
+    place = [
+        f"{case} from the {approach} at {speed:g} km/h"
+        for case, approach, speed in zip(
+            axis.cases, axis.approaches, axis.vut_speed_kmh, strict=True
+        )
+    ]
+    assert words == [place[0], f"{place[1]}, night", f"{place[2]}, rain"]
+    drawn = texts(plot_heatmap(build_evaluation(axis, camera), 1))
+    assert any(text.startswith(f"{words[1]}: ") for text in drawn)
 
 
-def test_percent_of_nothing_is_a_dash():
-    assert percent(float("nan")) == "\N{EN DASH}"
+@pytest.mark.parametrize("n_cases", [1, 13, 30])
+def test_every_row_stands_apart_however_many_cases_there_are(camera, n_cases):
+    axis = FrameAxis(
+        run_ids=tuple(f"CBTAfs-{case}/north/20" for case in range(n_cases)),
+        cases=tuple(f"CBTAfs-{case}" for case in range(n_cases)),
+        approaches=("north",) * n_cases,
+        weathers=("day",) * n_cases,
+        vut_speed_kmh=np.full(n_cases, 20.0),
+        weight=np.full(n_cases, 1.0 / n_cases),
+        last_brake_time_s=np.full(n_cases, -0.5),
+        run_start=np.arange(n_cases + 1),
+        time_s=np.zeros(n_cases),
+    )
+    figure = plot_apr_by_case({"found": build_evaluation(axis, camera, name="found")})
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
+    assert len(boxes) == n_cases + 1
+    for above, below in pairwise(boxes):
+        assert above.y0 > below.y1
+    page = figure.bbox
+    for text in (*axes.get_xticklabels(), *axes.get_yticklabels(), *axes.texts):
+        box = text.get_window_extent()
+        assert page.x0 <= box.x0 < box.x1 <= page.x1
+        assert page.y0 <= box.y0 < box.y1 <= page.y1

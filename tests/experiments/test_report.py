@@ -1,20 +1,26 @@
 import base64
+import html
+import math
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
 from experiments.driving import build_setting
+from experiments.exports import margin_s
 from experiments.question import Question
-from experiments.report import render_report, write_report
+from experiments.report import pick_heatmap_runs, render_report, write_report
 from experiments.study import load_carlancap_layout
+from experiments.tables import percent
 from geometry.errors import InputError
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout, layout_records
 from scenarios.aeb import confirmation_time_s, is_in_time
+from scenarios.runs import Refusal, build_frame_axis
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 COMMAND = "place-rsus --budget 2 --out 'a <folder>'"
@@ -332,3 +338,195 @@ def test_write_report_writes_the_page(tmp_path, setting, evaluations, evaluation
     path = write_report(tmp_path, plain_summary(one["found"]), setting, one, command=COMMAND)
     assert path == tmp_path / "report.html"
     assert path.read_text(encoding="utf-8") == evaluation_page
+
+
+def table_rows(page, caption):
+    """Cells of the table with this caption, head first."""
+    (table,) = [
+        text
+        for text in re.findall(r"<table>.*?</table>", page, re.DOTALL)
+        if f"<caption>{caption}" in text
+    ]
+    return [
+        [html.unescape(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL)]
+        for row in re.findall(r"<tr>.*?</tr>", table, re.DOTALL)
+    ]
+
+
+def page_of(setting, layout, *, seed=5):
+    evaluation = build_evaluation(setting, layout, seed=seed)
+    page = render_report(plain_summary(evaluation), setting, {"found": evaluation}, command=COMMAND)
+    return page, evaluation
+
+
+@pytest.fixture(scope="module")
+def layout():
+    return Layout(name="found", units=load_carlancap_layout().units[:1])
+
+
+def with_weights(setting, weight):
+    return replace(setting, axis=replace(setting.axis, weight=weight))
+
+
+def test_every_case_is_listed_with_its_runs_and_last_moments(evaluation_page, setting):
+    head, *rows = table_rows(evaluation_page, "Cases; from all: east, north, west, south<")
+    assert "weight" not in head
+    assert [row[0] for row in rows] == ["CPNC-50", "CBNA", "CBLA"]
+    for name, title, who, speeds, approaches, n_runs, earliest, latest in rows:
+        runs = [run for run in setting.runs if run.case.name == name]
+        case = runs[0].case
+        assert (title, who) == (case.title, f"{case.vru.name}, {case.vru_speed_kmh:g}\xa0km/h")
+        driven = [run.vut_speed_kmh for run in runs]
+        assert speeds == f"{min(driven):g} to {max(driven):g} by 5"
+        assert set(driven) == set(np.arange(min(driven), max(driven) + 5.0, 5.0))
+        assert approaches == "all"
+        assert int(n_runs) == len(runs)
+        last_s = [run.last_brake_time_s for run in runs]
+        for text, value in ((earliest, min(last_s)), (latest, max(last_s))):
+            assert text == f"{value:.2f}".replace("-", "\N{MINUS SIGN}")
+
+
+def test_a_case_that_some_approaches_do_not_carry_names_the_others(setting, layout):
+    keeps = [
+        not (run.case.name == "CBNA" and run.approach in ("north", "west"))
+        and not (run.case.name == "CBLA" and run.vut_speed_kmh not in (25.0, 60.0))
+        for run in setting.runs
+    ]
+    runs = tuple(run for run, kept in zip(setting.runs, keeps, strict=True) if kept)
+    axis = build_frame_axis(runs, np.full(len(runs), 1.0 / len(runs)))
+    _, *rows = table_rows(page_of(replace(setting, runs=runs, axis=axis), layout)[0], "Cases")
+    by_case = {row[0]: (row[3], row[4]) for row in rows}
+    assert by_case == {
+        "CPNC-50": ("20 to 60 by 5", "all"),
+        "CBNA": ("20 to 60 by 5", "east, south"),
+        "CBLA": ("25, 60", "all"),
+    }
+
+
+def test_what_no_braking_avoids_is_told(setting, layout):
+    runs = tuple(
+        replace(run, last_brake_time_s=-math.inf) if run.id == "CBNA/east/60" else run
+        for run in setting.runs
+    )
+    hopeless = replace(setting, runs=runs, axis=build_frame_axis(runs, setting.axis.weight))
+    page, _ = page_of(hopeless, layout)
+    assert "In 1 run of CBNA no braking avoids the impact." in Page(page).words
+    assert "inf" not in "".join(table_rows(page, "Cases")[2])
+    assert "no braking avoids" not in Page(page_of(setting, layout)[0]).words
+
+
+def test_what_is_not_driven_is_told_with_its_reason(setting, layout, evaluation_page):
+    cbna, cbla = (
+        next(run.case for run in setting.runs if run.case.name == name) for name in ("CBNA", "CBLA")
+    )
+    refusals = (
+        Refusal(case=cbna, approach="north", speeds_kmh=(20.0, 25.0), reason="no lane <here>"),
+        Refusal(case=cbna, approach="west", speeds_kmh=(20.0, 25.0), reason="no lane <here>"),
+        Refusal(case=cbna, approach="west", speeds_kmh=(30.0,), reason="too short"),
+        Refusal(case=cbla, approach="south", speeds_kmh=(50.0,), reason="too short"),
+    )
+    page, _ = page_of(replace(setting, refusals=refusals), layout)
+    words = Page(page).words
+    assert (
+        "Not driven CBNA from the north and west at 20, 25 km/h: no lane <here>. "
+        "CBNA from the west at 30 km/h: too short. CBLA from the south at 50 km/h: too short."
+    ) in words
+    assert "Not driven" not in Page(evaluation_page).words
+
+
+def test_equal_weights_are_told_and_take_no_column(evaluation_page):
+    words = Page(evaluation_page).words
+    assert "Every run counts the same." in words
+    assert "by weight" not in words
+    assert table_rows(evaluation_page, "Runs")[0][:2] == ["run", "last moment (s)"]
+
+
+def test_unequal_weights_are_told_by_case_and_run(setting, layout):
+    is_counted = np.array([run.case.name != "CBNA" for run in setting.runs])
+    weight = np.where(is_counted, np.arange(1.0, len(is_counted) + 1.0), 0.0)
+    weight /= weight.sum()
+    weighted = with_weights(setting, weight)
+    page, evaluation = page_of(weighted, layout)
+    words = Page(page).words
+    assert "is the share of the runs, by weight, in which the car brakes" in words
+    assert f"(APR by weight {percent(apr(evaluation.rsu_all, weighted.axis))})" in words
+    lightest = percent(weight[weight > 0.0].min())
+    assert f"from {lightest} to {percent(weight.max())} of the whole each." in words
+    assert f"{int((~is_counted).sum())} runs of weight 0 are driven, but not counted." in words
+    head, *rows = table_rows(page, "Cases")
+    share = {row[0]: row[head.index("weight")] for row in rows}
+    for name in ("CPNC-50", "CBNA", "CBLA"):
+        of_case = np.array([run.case.name == name for run in setting.runs])
+        assert share[name] == percent(float(weight[of_case].sum()))
+    head, *rows = table_rows(page, "Runs")
+    index_of = {run.id: index for index, run in enumerate(setting.runs)}
+    assert all(row[head.index("weight")] == percent(weight[index_of[row[0]]]) for row in rows)
+    apr_of = {row[0]: row[1:] for row in table_rows(page, "Accident prevention ratio by case")}
+    assert apr_of["CBNA"] == ["\N{EN DASH}"] * 3
+
+
+def test_runs_that_are_hit_come_first_and_are_counted(evaluation_page, evaluations):
+    head, *rows = table_rows(evaluation_page, "Runs")
+    outcomes = [row[head.index("found")].split(",")[0] for row in rows]
+    n_hit = int((~evaluations["found"].rsu_all.is_avoided).sum())
+    assert 0 < n_hit < len(rows)
+    assert outcomes == ["HIT"] * n_hit + ["avoided"] * (len(rows) - n_hit)
+    assert f"{len(rows)} runs, {n_hit} of them hit: " in Page(evaluation_page).words
+
+
+def test_several_weathers_are_told_and_have_a_column(evaluation_page):
+    question = Question(cases="CBLA", approaches="east", weather="day,night")
+    setting = build_setting(question, load_study_scene())
+    page, _ = page_of(setting, Layout(name="found", units=load_carlancap_layout().units[:1]))
+    words = Page(page).words
+    assert "day, night. It does not change what is detected: the detector looks at boxes" in words
+    head, *rows = table_rows(page, "Runs")
+    assert head[1] == "weather"
+    assert {row[1] for row in rows} == {"day", "night"}
+    assert all(("/night" in row[0]) == (row[1] == "night") for row in rows)
+    assert "weather" not in table_rows(evaluation_page, "Runs")[0]
+    assert "It does not change what is detected" not in Page(evaluation_page).words
+
+
+def test_braking_and_the_phase_of_the_frames_are_told(setting, layout, evaluation_page):
+    words = Page(evaluation_page).words
+    assert "constant from the onset" in words
+    assert "One frame falls on the moment of the impact." in words
+    question = Question(cases="CBLA", approaches="east", phase="worst", build_up_s=0.3)
+    worst = build_setting(question, load_study_scene())
+    words = Page(page_of(worst, layout)[0]).words
+    assert "reached linearly 0.3 s after the onset" in words
+    shift_s = [-run.time_s[-1] for run in worst.runs]
+    n_shifted = sum(value > 0.0 for value in shift_s)
+    assert n_shifted > 0
+    assert f"In {n_shifted} runs the last frame lies before the impact, by up to " in words
+    assert f"{1000.0 * max(shift_s):.0f} ms." in words
+
+
+def test_heatmaps_are_of_the_studys_runs_where_they_are_driven(setting, evaluations):
+    study = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
+    assert pick_heatmap_runs(setting, evaluations["found"]) == study
+
+
+def test_heatmaps_are_otherwise_of_the_hardest_runs_that_count_each_of_another_case(layout):
+    question = Question(cases="CPNC-50,CPLA-50,CPNCO-50,CPTAfs-50,CBTAfo-50")
+    setting = build_setting(question, load_study_scene())
+    evaluation = build_evaluation(setting, layout, seed=5)
+    first, *others = pick_heatmap_runs(setting, evaluation)
+    assert first == "CPNC-50/east/55"
+    margin = margin_s(evaluation.rsu_all, setting.axis, setting.rule)
+    by_id = dict(zip(setting.axis.run_ids, margin, strict=True))
+    cases = [run_id.split("/")[0] for run_id in others]
+    assert len({"CPNC-50", *cases}) == 3
+    left = [by_id[run_id] for run_id in by_id if not run_id.startswith("CPNC-50")]
+    assert by_id[others[0]] == min(left)
+    for case, run_id in zip(cases, others, strict=True):
+        assert by_id[run_id] == min(by_id[i] for i in by_id if i.startswith(f"{case}/"))
+    # What does not count is not drawn.
+    weight = np.array([case != cases[0] for case in setting.axis.cases], dtype=float)
+    uncounted = replace(setting.axis, weight=weight / weight.sum())
+    picked = pick_heatmap_runs(
+        replace(setting, axis=uncounted), replace(evaluation, axis=uncounted)
+    )
+    assert not any(run_id.startswith(f"{cases[0]}/") for run_id in picked)
+    assert len(picked) == 3

@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ from experiments.exports import to_json_text
 from experiments.summary import (
     disagreeing_runs,
     summarise_comparison,
+    summarise_drives,
     summarise_evaluation,
     summarise_layout,
     versions,
@@ -19,7 +21,7 @@ from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
 from placement.optimiser import PlacementProblem
 from scenarios.aeb import load_aeb_rule
-from scenarios.runs import FrameAxis
+from scenarios.runs import FrameAxis, Refusal
 
 RULE = load_aeb_rule()
 N_RUNS = 49  # 49 times 1/49 is not 1 in floating point, when added one by one
@@ -125,6 +127,28 @@ def test_versions_name_what_the_numbers_depend_on():
     found = versions()
     assert {"place-rsus", "python", "cvxpy", "highspy", "numpy", "scipy", "trimesh"} < set(found)
     assert sum(name.startswith("rays: ") for name in found) == 1
+
+
+def test_drives_are_cases_weathers_and_what_is_not_driven(axis):
+    refusal = Refusal(
+        case=SimpleNamespace(name="C"), approach="north", speeds_kmh=(20.0, 25.0), reason="no lane"
+    )
+    axis = replace(axis, weathers=("night", "day") + ("night",) * (N_RUNS - 2))
+    setting = SimpleNamespace(axis=axis, refusals=(refusal,))
+    assert json.loads(to_json_text(summarise_drives(setting))) == {
+        "cases": ["A", "B"],
+        "weathers": ["night", "day"],
+        "not_driven": [
+            {"case": "C", "approach": "north", "speeds_kmh": [20.0, 25.0], "reason": "no lane"}
+        ],
+    }
+
+
+def test_drives_take_no_name_that_a_summary_has(evaluation_of, axis):
+    drives = summarise_drives(SimpleNamespace(axis=axis, refusals=()))
+    summary = summarise_comparison(evaluation_of(3), evaluation_of(5, "other"), RULE)
+    assert not set(drives) & set(summary)
+    assert drives["not_driven"] == []
 
 
 def test_disagreement_is_judged_under_the_fusion_asked_for(evaluation_of, rule):
