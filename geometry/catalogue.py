@@ -1,10 +1,14 @@
-"""Named sensor models, read from ``data/sensors.toml``."""
+"""Named sensor models, read from ``data/sensors.toml`` and ``data/lidars.toml``."""
 
 from functools import cache
 from importlib.resources import files
 
+from .lidar import LidarModel, load_lidars
 from .sensors import CameraModel
 from .toml_files import load_toml, pick, take, take_number
+
+Sensor = CameraModel | LidarModel
+SENSOR_KINDS = ("camera", "lidar")
 
 
 @cache
@@ -25,8 +29,19 @@ def load_cameras() -> dict[str, CameraModel]:
     }
 
 
+def sensor_kind(sensor: Sensor) -> str:
+    """One of ``SENSOR_KINDS``."""
+    return "lidar" if isinstance(sensor, LidarModel) else "camera"
+
+
 def pick_camera(name: str, where: str) -> CameraModel:
-    """Camera model by name.
+    """Camera model by name; see :func:`pick_sensor`."""
+    camera: CameraModel = pick(load_cameras(), name, where)
+    return camera
+
+
+def pick_sensor(name: str, where: str, *, kind: str | None = None) -> Sensor:
+    """Sensor model by name.
 
     Parameters
     ----------
@@ -34,10 +49,12 @@ def pick_camera(name: str, where: str) -> CameraModel:
         Name in the catalogue.
     where : str
         What named it, for the error message.
+    kind : str, optional
+        One of ``SENSOR_KINDS``; by default any.
 
     Returns
     -------
-    camera : CameraModel
+    sensor : CameraModel or LidarModel
         The model.
 
     Raises
@@ -45,5 +62,10 @@ def pick_camera(name: str, where: str) -> CameraModel:
     InputError
         The name is unknown.
     """
-    camera: CameraModel = pick(load_cameras(), name, where)
-    return camera
+    known: dict[str, Sensor] = {}
+    if kind != "lidar":
+        known |= load_cameras()
+    if kind != "camera":
+        known |= load_lidars()
+    sensor: Sensor = pick(known, name, where)
+    return sensor

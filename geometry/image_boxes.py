@@ -81,16 +81,15 @@ def mask_box(mask: ArrayLike, *, x_min_px: int = 0, y_min_px: int = 0) -> FloatA
         Zeros if no pixel is set.
     """
     pixels = np.asarray(mask, dtype=bool)
-    rows = np.flatnonzero(pixels.any(axis=1))
-    columns = np.flatnonzero(pixels.any(axis=0))
-    if rows.size == 0:
+    rows, columns = np.asarray(pixels.any(axis=1)), np.asarray(pixels.any(axis=0))
+    if not rows.any():
         return np.zeros(4)
     return np.array(
         [
-            x_min_px + columns[0],
-            y_min_px + rows[0],
-            x_min_px + columns[-1] + 1,
-            y_min_px + rows[-1] + 1,
+            x_min_px + columns.argmax(),
+            y_min_px + rows.argmax(),
+            x_min_px + len(columns) - columns[::-1].argmax(),
+            y_min_px + len(rows) - rows[::-1].argmax(),
         ],
         dtype=np.float64,
     )

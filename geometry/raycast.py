@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import BoolArray
+from .arrays import BoolArray, IntArray
 from .errors import InputError, Unquoted
 
 FloatRays = NDArray[np.float32]
@@ -44,6 +44,24 @@ class RayCaster(Protocol):
             Hit at origin + share * vector; infinite where nothing is hit.
         """
 
+    def first_triangle(
+        self, origins_m: FloatRays, vectors_m: FloatRays
+    ) -> tuple[FloatRays, IntArray]:
+        """How far along each vector the first triangle is, and which one.
+
+        Parameters
+        ----------
+        origins_m, vectors_m : (n, 3) float32
+            Starts and directions, of any length. [m]
+
+        Returns
+        -------
+        share : (n,) float32
+            As :meth:`first_hit`.
+        triangle_index : (n,) int64
+            Row of the triangles given; -1 where nothing is hit.
+        """
+
 
 class Open3dCaster:
     """Rays by Open3D's RaycastingScene, on all processors.
@@ -67,7 +85,7 @@ class Open3dCaster:
         """See :class:`RayCaster`."""
         if self._is_empty or len(origins_m) == 0:
             return np.zeros(len(origins_m), dtype=bool)
-        rays = self._tensor(_rays(origins_m, vectors_m))
+        rays = self._tensor.from_numpy(_rays(origins_m, vectors_m))
         blocked: BoolArray = self._scene.test_occlusions(
             rays, tnear=0.0, tfar=1.0, nthreads=self.n_threads
         ).numpy()
@@ -77,9 +95,22 @@ class Open3dCaster:
         """See :class:`RayCaster`."""
         if self._is_empty or len(origins_m) == 0:
             return np.full(len(origins_m), np.inf, dtype=np.float32)
-        rays = self._tensor(_rays(origins_m, vectors_m))
+        rays = self._tensor.from_numpy(_rays(origins_m, vectors_m))
         share: FloatRays = self._scene.cast_rays(rays, nthreads=self.n_threads)["t_hit"].numpy()
         return share
+
+    def first_triangle(
+        self, origins_m: FloatRays, vectors_m: FloatRays
+    ) -> tuple[FloatRays, IntArray]:
+        """See :class:`RayCaster`."""
+        if self._is_empty or len(origins_m) == 0:
+            return _no_triangle(len(origins_m))
+        rays = self._tensor.from_numpy(_rays(origins_m, vectors_m))
+        hits = self._scene.cast_rays(rays, nthreads=self.n_threads)
+        share: FloatRays = hits["t_hit"].numpy()
+        index: IntArray = hits["primitive_ids"].numpy().astype(np.int64)
+        index[np.isinf(share)] = -1  # Embree's own sign for nothing is the largest uint32
+        return share, index
 
 
 class EmbreexCaster:
@@ -120,6 +151,19 @@ class EmbreexCaster:
         )
         share[share >= self._FAR] = np.inf
         return share
+
+    def first_triangle(
+        self, origins_m: FloatRays, vectors_m: FloatRays
+    ) -> tuple[FloatRays, IntArray]:
+        """See :class:`RayCaster`."""
+        if self._is_empty or len(origins_m) == 0:
+            return _no_triangle(len(origins_m))
+        ends = np.full(len(origins_m), self._FAR, dtype=np.float32)
+        hits = self._scene.run(*_contiguous(origins_m, vectors_m), dists=ends, output=1)
+        share: FloatRays = hits["tfar"]
+        index: IntArray = hits["primID"].astype(np.int64)
+        share[index < 0] = np.inf
+        return share, index
 
 
 CASTERS: dict[str, type[Open3dCaster] | type[EmbreexCaster]] = {
@@ -165,6 +209,13 @@ def build_caster(
     return CASTERS[library or caster_name()](vertices_m, triangles)
 
 
+def ray_lengths_m(vectors_m: FloatRays) -> FloatRays:
+    """Lengths of vectors, (n, 3) -> (n,): column by column, four times as fast as row by row."""
+    x, y, z = vectors_m.T
+    lengths: FloatRays = np.sqrt(x * x + y * y + z * z)
+    return lengths
+
+
 def _checked(
     vertices_m: ArrayLike, triangles: ArrayLike
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
@@ -180,6 +231,10 @@ def _checked(
             "triangles", int(outside[0]), f"vertex indices from 0 to {len(vertices) - 1}"
         )
     return vertices, faces
+
+
+def _no_triangle(n_rays: int) -> tuple[FloatRays, IntArray]:
+    return np.full(n_rays, np.inf, dtype=np.float32), np.full(n_rays, -1, dtype=np.int64)
 
 
 def _rays(origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:

@@ -91,6 +91,47 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
     np.testing.assert_allclose(hits, other.first_hit(origins, vectors), rtol=1e-5)
 
 
+@needs_open3d
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=15)
+def test_open3d_and_embreex_name_the_same_first_triangle(seed):
+    rng = np.random.default_rng(seed)
+    vertices = rng.uniform(-50.0, 50.0, (90, 3))
+    triangles = rng.integers(0, 90, (60, 3))
+    origins, vectors = _random_rays(rng, 4000, 60.0)
+    casters = [build_caster(vertices, triangles, library=name) for name in raycast.CASTERS]
+    (one_share, one), (other_share, other) = (
+        caster.first_triangle(origins, vectors) for caster in casters
+    )
+    np.testing.assert_allclose(one_share, other_share, rtol=1e-5)
+    assert (one >= 0).any()
+    # Where two triangles cross or share an edge, either may come first.
+    assert (one == other).mean() > 0.999
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=15)
+def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, seed):
+    rng = np.random.default_rng(seed)
+    vertices = rng.uniform(-50.0, 50.0, (90, 3))
+    triangles = np.array([rng.choice(90, 3, replace=False) for _ in range(60)])
+    caster = build_caster(vertices, triangles, library=library)
+    origins, vectors = _random_rays(rng, 2000, 60.0)
+    share, index = caster.first_triangle(origins, vectors)
+    assert (share.dtype, index.dtype) == (np.float32, np.int64)
+    np.testing.assert_array_equal(share, caster.first_hit(origins, vectors))
+    is_hit = np.isfinite(share)
+    assert is_hit.any()
+    assert np.array_equal(is_hit, index >= 0)
+    assert (index[~is_hit] == -1).all()
+    a, b, c = np.swapaxes(vertices[triangles[index[is_hit]]], 0, 1)
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    hits = origins[is_hit] + share[is_hit, None] * vectors[is_hit]
+    assert np.einsum("ij,ij->i", hits - a, normals) == pytest.approx(0.0, abs=2e-3)
+
+
 @pytest.mark.parametrize("library", LIBRARIES)
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=15)
@@ -111,6 +152,9 @@ def test_nothing_is_hit_where_nothing_is(library):
     origins, vectors = _random_rays(np.random.default_rng(0), 10, 5.0)
     assert not caster.is_blocked(origins, vectors).any()
     assert np.isposinf(caster.first_hit(origins, vectors)).all()
+    share, index = caster.first_triangle(origins, vectors)
+    assert np.isposinf(share).all()
+    assert (index == -1).all()
 
 
 @pytest.mark.parametrize("library", LIBRARIES)
@@ -118,6 +162,7 @@ def test_no_rays_give_no_answers(library):
     none = np.zeros((0, 3), dtype=np.float32)
     assert _wall(library).is_blocked(none, none).shape == (0,)
     assert _wall(library).first_hit(none, none).shape == (0,)
+    assert [len(part) for part in _wall(library).first_triangle(none, none)] == [0, 0]
 
 
 @pytest.mark.parametrize("library", LIBRARIES)

@@ -1,0 +1,326 @@
+"""LiDAR models: scan pattern, and which pulses come back."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import expit, logit
+
+from .arrays import FloatArray, IntArray
+from .errors import InputError
+from .toml_files import Table, load_toml, take, take_number
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LidarModel:
+    """A LiDAR without moving base: lines and columns at equal steps of angle, all at one instant.
+
+    Attributes
+    ----------
+    name : str
+        Name in the catalogue.
+    horizontal_fov_deg, vertical_fov_deg : float
+        Full angles, more than 0 and less than 180. [deg]
+    n_lines : int
+        Scan lines, one above the other.
+    points_per_second : float
+        Pulses, whether they come back or not. [1/s]
+    frame_rate_hz : float
+        Scans per second. [Hz]
+    range_m : float
+        Nothing farther is reported. [m]
+    reference_range_m, reference_reflectivity, reference_probability : float
+        A surface of this reflectivity, met squarely in clear air at this distance, sends a pulse
+        back with this probability. [m]
+    threshold_width : float
+        Of the logistic step between no return and return, in the logarithm of the signal.
+    wavelength_nm : float
+        Of the laser. [nm]
+    range_noise_m : float
+        One standard deviation. [m]
+    near_m : float
+        Nothing nearer is reported. [m]
+    price_eur : float
+        Price of one unit. [EUR]
+    """
+
+    name: str
+    horizontal_fov_deg: float
+    vertical_fov_deg: float
+    n_lines: int
+    points_per_second: float
+    frame_rate_hz: float
+    range_m: float
+    reference_range_m: float
+    reference_reflectivity: float
+    reference_probability: float
+    threshold_width: float
+    wavelength_nm: float
+    range_noise_m: float
+    near_m: float
+    price_eur: float
+
+    def __post_init__(self) -> None:
+        for field in ("horizontal_fov_deg", "vertical_fov_deg"):
+            self._check(field, 0.0 < getattr(self, field) < 180.0, "0 < degrees < 180")
+        is_count = isinstance(self.n_lines, int) and not isinstance(self.n_lines, bool)
+        self._check("n_lines", is_count and self.n_lines > 0, "a whole number of lines, > 0")
+        for field in (
+            "points_per_second",
+            "frame_rate_hz",
+            "range_m",
+            "reference_range_m",
+            "threshold_width",
+            "wavelength_nm",
+            "near_m",
+        ):
+            self._check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
+        for field in ("range_noise_m", "price_eur"):
+            self._check(field, 0.0 <= getattr(self, field) < math.inf, "a number, at least 0")
+        self._check("near_m", self.near_m < self.range_m, "metres, less than range_m")
+        self._check(
+            "reference_reflectivity", 0.0 < self.reference_reflectivity <= 1.0, "0 < share <= 1"
+        )
+        self._check(
+            "reference_probability", 0.0 < self.reference_probability < 1.0, "0 < probability < 1"
+        )
+        self._check("points_per_second", self.n_columns > 0, "a point per line and frame or more")
+
+    def _check(self, field: str, is_valid: bool, expected: str) -> None:
+        if not is_valid:
+            raise InputError(f"{self.name}.{field}", getattr(self, field), expected)
+
+    @property
+    def n_columns(self) -> int:
+        """Points per line and frame."""
+        return round(self.points_per_second / self.frame_rate_hz) // self.n_lines
+
+    @property
+    def diagonal_fov_deg(self) -> float:
+        """Full angle between opposite corners, in degrees: all beams lie within this cone."""
+        corner = math.cos(math.radians(0.5 * self.horizontal_fov_deg)) * math.cos(
+            math.radians(0.5 * self.vertical_fov_deg)
+        )
+        return 2.0 * math.degrees(math.acos(corner))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LidarDetection:
+    """What it takes to find a road user in a point cloud, by class.
+
+    Attributes
+    ----------
+    min_points : mapping
+        From "pedestrian", "child", "cyclist" to points in one frame.
+    reflectivity : mapping
+        To the share of the light that comes back diffusely, 0 .. 1.
+    """
+
+    min_points: Mapping[str, int]
+    reflectivity: Mapping[str, float]
+
+
+def beam_directions(lidar: LidarModel) -> FloatArray:
+    """Where the beams of one frame go.
+
+    Parameters
+    ----------
+    lidar : LidarModel
+        Scan pattern.
+
+    Returns
+    -------
+    directions : (n_lines, n_columns, 3) float
+        Unit vectors, body frame (x ahead, y left, z up); from the lowest line up, from right to
+        left. Each beam is in the middle of its cell of azimuth and elevation.
+    """
+    elevation = np.radians(_cell_centres(lidar.vertical_fov_deg, lidar.n_lines))[:, None]
+    azimuth = np.radians(_cell_centres(lidar.horizontal_fov_deg, lidar.n_columns))[None, :]
+    level = np.cos(elevation)
+    up = np.broadcast_to(np.sin(elevation), (lidar.n_lines, lidar.n_columns))
+    directions: FloatArray = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), up], -1)
+    return directions
+
+
+def beam_window(lidar: LidarModel, low_deg: ArrayLike, high_deg: ArrayLike) -> IntArray:
+    """Beams within boxes of angles, limits included.
+
+    Parameters
+    ----------
+    lidar : LidarModel
+        Scan pattern.
+    low_deg, high_deg : (..., 2) float
+        Azimuth (to the left) and elevation, seen from the sensor. [deg]
+
+    Returns
+    -------
+    window : (..., 4) int
+        First line, first column, and the line and column after the last, as in
+        ``beam_directions(lidar)[window[0]:window[2], window[1]:window[3]]``; equal where there
+        are none.
+    """
+    counts = np.array([lidar.n_lines, lidar.n_columns])
+    fov_deg = np.array([lidar.vertical_fov_deg, lidar.horizontal_fov_deg])
+    low, high = (
+        (np.asarray(limit, dtype=np.float64)[..., ::-1] / fov_deg + 0.5) * counts - 0.5
+        for limit in (low_deg, high_deg)
+    )
+    # Angles of beams are rounded in their last digits: a limit on a beam is not to lose it.
+    first = np.clip(np.ceil(low - _INDEX_SLACK), 0, counts)
+    end = np.clip(np.floor(high + _INDEX_SLACK) + 1.0, first, counts)
+    window: IntArray = np.concatenate([first, end], axis=-1).astype(np.int64)
+    return window
+
+
+_INDEX_SLACK = 1.0e-9
+
+
+def beams_per_steradian(lidar: LidarModel, elevation_deg: ArrayLike) -> FloatArray:
+    """Density of beams in a direction.
+
+    Parameters
+    ----------
+    lidar : LidarModel
+        Scan pattern.
+    elevation_deg : (...,) float
+        Seen from the sensor, inside its field of view. [deg]
+
+    Returns
+    -------
+    density : (...,) float
+        One beam per cell of azimuth and elevation. [1/sr]
+    """
+    azimuth_step = math.radians(lidar.horizontal_fov_deg / lidar.n_columns)
+    elevation_step = math.radians(lidar.vertical_fov_deg / lidar.n_lines)
+    level = np.cos(np.radians(np.asarray(elevation_deg, dtype=np.float64)))
+    density: FloatArray = 1.0 / (azimuth_step * elevation_step * level)
+    return density
+
+
+def return_probability(
+    lidar: LidarModel,
+    distance_m: ArrayLike,
+    *,
+    reflectivity: ArrayLike,
+    incidence_cos: ArrayLike,
+    extinction_per_m: ArrayLike,
+) -> FloatArray:
+    """How likely a pulse that hits something comes back strong enough to be reported.
+
+    Parameters
+    ----------
+    lidar : LidarModel
+        Its range at a known reflectivity.
+    distance_m : (...,) float
+        To what is hit. [m]
+    reflectivity : (...,) float
+        Diffuse, 0 .. 1.
+    incidence_cos : (...,) float
+        Cosine between beam and surface normal, 0 .. 1.
+    extinction_per_m : (...,) float
+        Of the air, one way. [1/m]
+
+    Returns
+    -------
+    probability : (...,) float
+        `reference_probability` where the signal is that of the reference; 0 outside
+        `near_m` .. `range_m`.
+
+    References
+    ----------
+    .. [1] R. Rasshofer et al., "Influences of weather phenomena on automotive laser radar systems",
+       Adv. Radio Sci. 9, 2011: LiDAR equation for a diffuse target larger than the beam,
+       reflectivity x cos(incidence) / distance^2 x exp(-2 extinction x distance).
+    """
+    distance = np.asarray(distance_m, dtype=np.float64)
+    is_inside = (distance >= lidar.near_m) & (distance <= lidar.range_m)
+    distance = np.where(is_inside, distance, lidar.reference_range_m)
+    share = np.asarray(reflectivity, dtype=np.float64) * np.asarray(incidence_cos, dtype=np.float64)
+    with np.errstate(divide="ignore"):  # grazing or black: no signal, logarithm -inf
+        log_signal = (
+            np.log(share / lidar.reference_reflectivity)
+            + 2.0 * np.log(lidar.reference_range_m / distance)
+            - 2.0 * np.asarray(extinction_per_m, dtype=np.float64) * distance
+        )
+    step = expit(log_signal / lidar.threshold_width + logit(lidar.reference_probability))
+    probability: FloatArray = np.where(is_inside, step, 0.0)
+    return probability
+
+
+def noisy_ranges(lidar: LidarModel, distance_m: ArrayLike, rng: np.random.Generator) -> FloatArray:
+    """Distances as the LiDAR reports them.
+
+    Parameters
+    ----------
+    lidar : LidarModel
+        Its noise.
+    distance_m : (...,) float
+        True distances. [m]
+    rng : numpy.random.Generator
+        Of the noise.
+
+    Returns
+    -------
+    distance_m : (...,) float
+        With normal noise. [m]
+    """
+    distance = np.asarray(distance_m, dtype=np.float64)
+    noisy: FloatArray = distance + lidar.range_noise_m * rng.standard_normal(distance.shape)
+    return noisy
+
+
+@cache
+def load_lidars() -> dict[str, LidarModel]:
+    """All LiDAR models of the catalogue, by name, from ``data/lidars.toml``."""
+    return {
+        name: _read_lidar(name, entry) for name, entry in take(_data(), "lidars", _FILE).items()
+    }
+
+
+@cache
+def load_lidar_detection() -> LidarDetection:
+    """What it takes to find a road user in a point cloud, from ``data/lidars.toml``."""
+    return _read_detection(take(_data(), "detection", _FILE))
+
+
+_FILE = "lidars.toml"
+
+
+@cache
+def _data() -> Table:
+    return load_toml(files(__package__) / "data" / _FILE)
+
+
+def _read_lidar(name: str, entry: Table) -> LidarModel:
+    where = f"{_FILE}: {name}"
+    numbers = [field.name for field in fields(LidarModel) if field.type is float]
+    return LidarModel(
+        name=name,
+        n_lines=take(entry, "n_lines", where),
+        **{key: take_number(entry, key, where) for key in numbers},
+    )
+
+
+def _read_detection(table: Table) -> LidarDetection:
+    min_points: dict[str, int] = {}
+    reflectivity: dict[str, float] = {}
+    for name, entry in table.items():
+        where = f"{_FILE}: detection.{name}"
+        count = take(entry, "min_points", where)
+        if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+            raise InputError(f"{where}.min_points", count, "a whole number of points, > 0")
+        share = take_number(entry, "reflectivity", where)
+        if not 0.0 < share <= 1.0:
+            raise InputError(f"{where}.reflectivity", share, "0 < share <= 1")
+        min_points[name], reflectivity[name] = count, share
+    return LidarDetection(min_points=min_points, reflectivity=reflectivity)
+
+
+def _cell_centres(extent: float, n_cells: int) -> FloatArray:
+    """Middles of equal cells, symmetric about 0, (n_cells,)."""
+    centres: FloatArray = ((np.arange(n_cells) + 0.5) / n_cells - 0.5) * extent
+    return centres

@@ -1,0 +1,273 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from strategies import numbers
+
+from geometry import lidar as lidar_module
+from geometry.errors import InputError
+from geometry.lidar import (
+    LidarModel,
+    beam_directions,
+    beam_window,
+    beams_per_steradian,
+    load_lidar_detection,
+    load_lidars,
+    noisy_ranges,
+    return_probability,
+)
+
+STUDY = load_lidars()["carla-ncap-lidar"]
+SQUARE_CLEAR = {"reflectivity": 0.1, "incidence_cos": 1.0, "extinction_per_m": 0.0}
+
+
+@st.composite
+def lidars(draw) -> LidarModel:
+    n_lines = draw(st.integers(1, 30))
+    return dataclasses.replace(
+        STUDY,
+        horizontal_fov_deg=draw(numbers(1.0, 179.0)),
+        vertical_fov_deg=draw(numbers(1.0, 179.0)),
+        n_lines=n_lines,
+        points_per_second=10.0 * draw(st.integers(n_lines, 30 * n_lines)),
+    )
+
+
+def angles_deg(directions):
+    azimuth = np.degrees(np.arctan2(directions[..., 1], directions[..., 0]))
+    elevation = np.degrees(np.arctan2(directions[..., 2], np.hypot(*directions[..., :2].T).T))
+    return azimuth, elevation
+
+
+def probability_at(distance_m, lidar=STUDY, **changes):
+    return return_probability(lidar, distance_m, **(SQUARE_CLEAR | changes))
+
+
+def test_the_studys_lidar_is_that_of_its_table_of_sensors():
+    # CarlaNCAP study, table of sensors.
+    assert (STUDY.horizontal_fov_deg, STUDY.vertical_fov_deg) == (72.0, 30.0)
+    assert (STUDY.n_lines, STUDY.frame_rate_hz, STUDY.range_m) == (52, 10.0, 250.0)
+    assert STUDY.points_per_second == 90_000.0
+    assert STUDY.n_columns == 173  # 9000 points per frame on 52 lines, rounded down
+
+
+@given(lidars())
+def test_no_more_beams_than_points_and_less_than_a_column_is_left_over(lidar):
+    n_points = lidar.points_per_second / lidar.frame_rate_hz
+    n_beams = lidar.n_lines * lidar.n_columns
+    assert n_beams <= n_points + 1e-6 < n_beams + lidar.n_lines + 1e-3
+
+
+@given(lidars())
+def test_beams_are_unit_vectors_in_the_middle_of_equal_cells(lidar):
+    directions = beam_directions(lidar)
+    assert directions.shape == (lidar.n_lines, lidar.n_columns, 3)
+    assert np.linalg.norm(directions, axis=-1) == pytest.approx(1.0, abs=1e-12)
+    azimuth, elevation = angles_deg(directions)
+    for angles, fov_deg, count in (
+        (azimuth, lidar.horizontal_fov_deg, lidar.n_columns),
+        (elevation.T, lidar.vertical_fov_deg, lidar.n_lines),
+    ):
+        step = fov_deg / count
+        expected = -0.5 * fov_deg + step * (np.arange(count) + 0.5)
+        np.testing.assert_allclose(angles, np.broadcast_to(expected, angles.shape), atol=1e-9)
+
+
+def test_beams_go_from_the_lowest_line_up_and_from_right_to_left():
+    directions = beam_directions(STUDY)
+    assert directions[0, 0] @ [0.0, 1.0, 0.0] < 0.0 < directions[0, -1] @ [0.0, 1.0, 0.0]
+    assert directions[0, 0, 2] < 0.0 < directions[-1, 0, 2]
+    assert (directions[..., 0] > 0.0).all()
+
+
+@given(lidars())
+def test_the_diagonal_cone_touches_the_corners_and_holds_every_beam(lidar):
+    half_width, half_height = (
+        math.radians(0.5 * lidar.horizontal_fov_deg),
+        math.radians(0.5 * lidar.vertical_fov_deg),
+    )
+    corner_x = math.cos(half_height) * math.cos(half_width)
+    limit = math.cos(math.radians(0.5 * lidar.diagonal_fov_deg))
+    assert limit == pytest.approx(corner_x, abs=1e-9)
+    assert (beam_directions(lidar)[..., 0] >= limit - 1e-9).all()
+
+
+@given(lidars(), st.tuples(*[numbers(-100.0, 100.0)] * 4))
+def test_a_window_holds_exactly_the_beams_within_its_angles(lidar, limits):
+    low, high = np.sort(np.array(limits).reshape(2, 2), axis=0)
+    first_line, first_column, end_line, end_column = beam_window(lidar, low, high)
+    azimuth, elevation = angles_deg(beam_directions(lidar))
+    inside = np.zeros(azimuth.shape, dtype=bool)
+    inside[first_line:end_line, first_column:end_column] = True
+    slack = 1e-6  # beams on a limit may be rounded to either side
+    surely = (
+        (azimuth > low[0] + slack)
+        & (azimuth < high[0] - slack)
+        & (elevation > low[1] + slack)
+        & (elevation < high[1] - slack)
+    )
+    possibly = (
+        (azimuth > low[0] - slack)
+        & (azimuth < high[0] + slack)
+        & (elevation > low[1] - slack)
+        & (elevation < high[1] + slack)
+    )
+    assert (surely <= inside).all()
+    assert (inside <= possibly).all()
+
+
+def test_windows_come_many_at_once_and_include_their_limits():
+    lidar = dataclasses.replace(
+        STUDY, horizontal_fov_deg=8.0, vertical_fov_deg=4.0, n_lines=4, points_per_second=320.0
+    )  # 8 columns at -3.5 .. 3.5 degrees, 4 lines at -1.5 .. 1.5
+    windows = beam_window(
+        lidar,
+        [[-90.0, -90.0], [-0.5, 0.5], [0.6, -0.4], [50.0, -1.0]],
+        [[90.0, 90.0], [1.5, 1.5], [1.4, 0.4], [60.0, 1.0]],
+    )
+    assert windows.tolist() == [[0, 0, 4, 8], [2, 3, 4, 6], [2, 5, 2, 5], [1, 8, 3, 8]]
+
+
+@given(lidars())
+def test_the_density_of_beams_sums_up_to_their_number(lidar):
+    half_width, half_height = (
+        math.radians(0.5 * lidar.horizontal_fov_deg),
+        math.radians(0.5 * lidar.vertical_fov_deg),
+    )
+    per_azimuth, _ = quad(
+        lambda e: float(beams_per_steradian(lidar, math.degrees(e))) * math.cos(e),
+        -half_height,
+        half_height,
+    )
+    n_beams = lidar.n_lines * lidar.n_columns
+    assert 2.0 * half_width * per_azimuth == pytest.approx(n_beams, rel=1e-9)
+
+
+def test_beams_on_a_pedestrian_ahead_are_its_solid_angle_times_the_density():
+    # 0.5 x 1.8 m seen squarely from 30 m: 0.001 sr; cells of 72/173 by 30/52 degrees.
+    cell = math.radians(72.0 / 173.0) * math.radians(30.0 / 52.0)
+    beams = 0.5 * 1.8 / 30.0**2 * beams_per_steradian(STUDY, 0.0)
+    assert beams == pytest.approx(0.001 / cell)
+    assert beams == pytest.approx(13.7, abs=0.05)
+
+
+def test_the_reference_target_comes_back_with_the_reference_probability():
+    assert probability_at(STUDY.reference_range_m) == pytest.approx(STUDY.reference_probability)
+    assert STUDY.reference_probability == 0.9
+
+
+@given(numbers(10.0, 240.0), numbers(0.01, 1.0), numbers(0.05, 1.0), numbers(0.0, 0.02), lidars())
+def test_the_log_odds_follow_the_lidar_equation(distance, reflectivity, cosine, extinction, lidar):
+    probability = return_probability(
+        lidar,
+        distance,
+        reflectivity=reflectivity,
+        incidence_cos=cosine,
+        extinction_per_m=extinction,
+    )
+    signal = reflectivity * cosine / distance**2 * math.exp(-2.0 * extinction * distance)
+    reference = lidar.reference_reflectivity / lidar.reference_range_m**2
+    odds = math.log(9.0) + math.log(signal / reference) / lidar.threshold_width
+    expected = 1.0 / (1.0 + math.exp(-odds)) if odds > -700.0 else 0.0
+    assert probability == pytest.approx(expected, rel=1e-9, abs=1e-300)
+
+
+def test_four_times_the_reflectivity_reaches_twice_as_far():
+    twice = 2.0 * STUDY.reference_range_m
+    assert probability_at(twice, reflectivity=0.4) == pytest.approx(0.9)
+
+
+@given(numbers(0.0, 0.05), numbers(0.01, 1.0))
+def test_probability_falls_with_distance_and_ends_at_the_range(extinction, reflectivity):
+    distance = np.linspace(STUDY.near_m, STUDY.range_m, 500)
+    probability = probability_at(distance, reflectivity=reflectivity, extinction_per_m=extinction)
+    assert (np.diff(probability) <= 0.0).all()
+    assert ((probability >= 0.0) & (probability <= 1.0)).all()
+    outside = [0.0, STUDY.near_m - 1e-9, STUDY.range_m + 1e-9, math.inf]
+    assert probability_at(outside, reflectivity=reflectivity).tolist() == [0.0] * 4
+
+
+def test_a_pulse_along_the_surface_or_on_black_is_lost():
+    assert probability_at(10.0, incidence_cos=0.0) == 0.0
+    assert probability_at(10.0, reflectivity=0.0) == 0.0
+
+
+def test_noise_has_the_spread_of_the_model_and_is_seeded():
+    distance = np.full((200, 200), 40.0)
+    noisy = noisy_ranges(STUDY, distance, np.random.default_rng(1))
+    assert noisy.shape == distance.shape
+    error = noisy - distance
+    assert error.mean() == pytest.approx(0.0, abs=4.0 * STUDY.range_noise_m / 200.0)
+    assert error.std() == pytest.approx(STUDY.range_noise_m, rel=0.02)
+    again = noisy_ranges(STUDY, distance, np.random.default_rng(1))
+    assert (again == noisy).all()
+
+
+def test_detection_asks_for_points_of_every_class_of_road_user():
+    detection = load_lidar_detection()
+    assert set(detection.min_points) == set(detection.reflectivity)
+    # Blickfeld's default for clusters; MMDetection3D for pedestrians and cyclists.
+    assert detection.min_points == {"pedestrian": 10, "child": 10, "cyclist": 10}
+    assert all(0.0 < share <= 1.0 for share in detection.reflectivity.values())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"horizontal_fov_deg": 180.0},
+            "horizontal_fov_deg: got 180.0; expected 0 < degrees < 180",
+        ),
+        ({"vertical_fov_deg": math.nan}, "vertical_fov_deg: got nan; expected 0 < degrees < 180"),
+        ({"n_lines": 0}, "n_lines: got 0; expected a whole number of lines, > 0"),
+        ({"n_lines": 2.0}, "n_lines: got 2.0; expected a whole number of lines, > 0"),
+        ({"n_lines": True}, "n_lines: got True; expected a whole number of lines, > 0"),
+        ({"range_m": math.inf}, "range_m: got inf; expected a positive number"),
+        ({"near_m": 0.0}, "near_m: got 0.0; expected a positive number"),
+        ({"near_m": 300.0}, "near_m: got 300.0; expected metres, less than range_m"),
+        ({"frame_rate_hz": 0.0}, "frame_rate_hz: got 0.0; expected a positive number"),
+        ({"range_noise_m": -0.1}, "range_noise_m: got -0.1; expected a number, at least 0"),
+        ({"price_eur": math.nan}, "price_eur: got nan; expected a number, at least 0"),
+        (
+            {"reference_reflectivity": 1.5},
+            "reference_reflectivity: got 1.5; expected 0 < share <= 1",
+        ),
+        (
+            {"reference_probability": 1.0},
+            "reference_probability: got 1.0; expected 0 < probability < 1",
+        ),
+        (
+            {"points_per_second": 500.0},
+            "points_per_second: got 500.0; expected a point per line and frame or more",
+        ),
+    ],
+)
+def test_lidar_model_says_what_is_wrong(change, message):
+    with pytest.raises(InputError) as caught:
+        dataclasses.replace(STUDY, name="cube", **change)
+    assert str(caught.value) == f"cube.{message}"
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        (
+            {"min_points": 0, "reflectivity": 0.1},
+            "min_points: got 0; expected a whole number of points, > 0",
+        ),
+        (
+            {"min_points": 2.5, "reflectivity": 0.1},
+            "min_points: got 2.5; expected a whole number of points, > 0",
+        ),
+        ({"min_points": 3, "reflectivity": 2.0}, "reflectivity: got 2.0; expected 0 < share <= 1"),
+        ({"min_points": 3}, "reflectivity: got nothing; expected a value"),
+    ],
+)
+def test_the_detection_table_says_what_is_wrong(entry, message):
+    with pytest.raises(InputError) as caught:
+        lidar_module._read_detection({"child": entry})
+    assert str(caught.value) == f"lidars.toml: detection.child.{message}"
