@@ -1,0 +1,147 @@
+"""``place-rsus render``: one frame of a run as a camera sees it."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .cli_options import (
+    WholeNumber,
+    input_error,
+    layout_option,
+    option_name,
+    quiet_option,
+    workers_option,
+)
+from .progress import StageProgress
+
+_MAX_DIGITS = 9
+
+
+class FrameNumber(click.ParamType[int]):
+    """A whole number, negative from the end."""
+
+    name = "number"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """What the help shows for a value."""
+        return "N"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> int:
+        """The value, checked."""
+        text = str(value)
+        digits = text.removeprefix("-")
+        if not (digits.isascii() and digits.isdigit() and len(digits) <= _MAX_DIGITS):
+            raise input_error(
+                option_name(param), value, "a frame of the run, such as 40, or -1 for the last"
+            )
+        return int(text)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  place-rsus render --layout carlancap-12 --run CPNC-50/east/40 --frame -13 --unit RSU3
+  place-rsus render --layout carlancap-12 --run CBNA/east/60/rain --frame -1 --unit VUT
+  place-rsus render --layout results/latest/layout.json --run CPNC-50/east/55 \\
+      --weather night --frame -20 --unit RSU1 --out night.jpg"""
+)
+@layout_option
+@click.option(
+    "--run",
+    "run_id",
+    required=True,
+    metavar="RUN",
+    help="case/approach/speed or case/approach/speed/weather.",
+)
+@click.option(
+    "--frame",
+    required=True,
+    type=FrameNumber(),
+    help="Of the run, from 0; negative: from the end, -1 is at the impact.",
+)
+@click.option(
+    "--unit", "unit_id", required=True, metavar="UNIT", help="One of the layout's, or VUT."
+)
+@click.option(
+    "--weather", metavar="WEATHER", help="day, night, rain or fog; default: that of the run."
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="File to write, .png or .jpg; -instances.png and -depth.png are written beside it; "
+    "default: a .png in results/renders.",
+)
+@click.option(
+    "--seed",
+    type=WholeNumber(0, "a whole number"),
+    default=0,
+    show_default=True,
+    help="Of sensor noise and rain.",
+)
+@quiet_option
+@workers_option
+@click.pass_obj
+def render(
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    run_id: str,
+    frame: int,
+    unit_id: str,
+    weather: str | None,
+    out: Path | None,
+    seed: int,
+    quiet: bool,
+    workers: int,
+) -> None:
+    """Render what a camera sees in one frame: colours, instances, depths."""
+    if len(layout_names) != 1:
+        got = f"{len(layout_names)} layouts" if layout_names else "nothing"
+        raise click.UsageError(f"--layout: got {got}; expected it once")
+    progress.start(quiet=quiet)
+    progress("lay the run", 0, 0)
+    from geometry.scene_files import load_study_scene
+
+    from . import rendering
+
+    scene = load_study_scene()
+    layout = _load_layout(layout_names[0])
+    run = rendering.find_run(run_id, scene, weather=weather)
+    frame_index = rendering.find_frame(run, frame)
+    viewpoint = rendering.find_viewpoint(layout, unit_id, run, frame_index)
+    path = out or _default_path(run, unit_id, frame_index)
+    rendering.check_picture_path(path)
+    progress("render", 0, 0)
+    picture = rendering.render(scene, run, frame_index, viewpoint, seed=seed, workers=workers)
+    try:
+        if out is None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        written = rendering.save_picture(path, picture)
+    except OSError as error:
+        raise click.UsageError(
+            f"--out: got {path}: {error.strerror or error}; expected a file that can be written"
+        ) from None
+    progress.stop()
+    for file in written:
+        click.echo(f"Written to {file}.")
+    click.echo(rendering.vru_sentence(picture))
+
+
+def _default_path(run: Any, unit_id: str, frame_index: int) -> Path:
+    parts = [*run.case.name.split("/"), run.approach, f"{run.vut_speed_kmh:g}", run.weather]
+    name = "_".join([*parts, f"frame-{frame_index}", unit_id])
+    return Path("results", "renders", name.replace(os.sep, "_") + ".png")
+
+
+def _load_layout(name: str) -> Any:
+    from placement.layout import load_layout
+
+    from .study import BASELINE_NAME, load_carlancap_layout
+
+    if name == BASELINE_NAME:
+        return load_carlancap_layout()
+    if not os.path.lexists(name):
+        raise input_error("--layout", name, f"{BASELINE_NAME}, or a layout file that exists")
+    return load_layout(Path(name))

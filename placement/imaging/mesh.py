@@ -1,0 +1,265 @@
+"""One mesh per frame: the scene, what parks in this run, the VUT and the VRU; each triangle named.
+
+Rays are cast in single precision: a frame's mesh has its origin at the camera.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from geometry.actors import Actor, PlacedActor, Shape
+from geometry.arrays import FloatArray
+from geometry.poses import Pose, body_rotation, to_world
+from geometry.raycast import FloatRays, RayCaster, build_caster
+from geometry.scene import Scene
+from scenarios.runs import Run
+
+from .rectangles import smallest_rectangle
+
+Index = NDArray[np.int32]
+
+ROUND = ("pedestrian", "cyclist")  # classes whose faces are shaded as if they were curved
+_CREASE_COS = 0.6  # people's faces that meet at less than about 50 degrees are shaded as one
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Thing:
+    """One thing in a picture.
+
+    Attributes
+    ----------
+    name : str
+        Of the scene's instance, "parked-1" .. , "vut" or "vru".
+    class_name : str
+        One of the scene's or of the actors' classes.
+    pose : Pose
+        Its body frame: on the road under its middle.
+    size_m : (3,) float
+        Length, width, height. [m]
+    actor : Actor or None
+        What it is; None for what only the scene knows.
+    """
+
+    name: str
+    class_name: str
+    pose: Pose
+    size_m: FloatArray
+    actor: Actor | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mesh:
+    """Triangles of things.
+
+    Attributes
+    ----------
+    vertices_m : (n, 3) float
+        World frame. [m]
+    triangles : (m, 3) int32
+        Vertex indices.
+    triangle_thing : (m,) int32
+        Index into `things`.
+    normals : (m, 3, 3) float32
+        Unit normals at the corners of each triangle; all the same where it is shaded flat.
+    things : tuple of Thing
+        What there is.
+    """
+
+    vertices_m: FloatArray
+    triangles: Index
+    triangle_thing: Index
+    normals: FloatRays
+    things: tuple[Thing, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FrameMesh:
+    """All triangles of one frame, ready for rays; the origin is at the camera, axes as the world's.
+
+    Attributes
+    ----------
+    origin_m : (3,) float
+        Of the mesh's frame. World frame. [m]
+    corners_m : (m, 3, 3) float32
+        Corners of the triangles. [m]
+    normals, triangle_thing, things
+        As in :class:`Mesh`.
+    caster : RayCaster
+        Rays against the triangles.
+    """
+
+    origin_m: FloatArray
+    corners_m: FloatRays
+    normals: FloatRays
+    triangle_thing: Index
+    things: tuple[Thing, ...]
+    caster: RayCaster
+
+
+def build_static_mesh(scene: Scene, obstruction: Sequence[PlacedActor]) -> Mesh:
+    """What stands still in a run.
+
+    Parameters
+    ----------
+    scene : Scene
+        The junction.
+    obstruction : sequence of PlacedActor
+        What parks in the run.
+
+    Returns
+    -------
+    mesh : Mesh
+        Things in the order of the scene's instances, then "parked-1", ...
+    """
+    static = Mesh(
+        vertices_m=scene.vertices_m,
+        triangles=scene.triangles,
+        triangle_thing=scene.triangle_instance,
+        normals=_flat_normals(scene.vertices_m, scene.triangles),
+        things=tuple(_scene_thing(scene, index) for index in range(len(scene.instances))),
+    )
+    parked = [
+        _body_mesh(f"parked-{number}", placed.actor, placed.actor.shapes[0], placed.pose)
+        for number, placed in enumerate(obstruction, start=1)
+    ]
+    return _join([static, *parked])
+
+
+def build_frame_mesh(
+    static: Mesh, run: Run, frame_index: int, origin_m: FloatArray, *, with_vut: bool
+) -> FrameMesh:
+    """Everything that there is in a frame.
+
+    Parameters
+    ----------
+    static : Mesh
+        Of the run's scene and obstruction.
+    run : Run
+        What drives.
+    frame_index : int
+        When.
+    origin_m : (3,) float
+        Of the new frame of coordinates, world frame. [m]
+    with_vut : bool
+        Whether the VUT is there to be seen.
+
+    Returns
+    -------
+    mesh : FrameMesh
+        The last things are "vut", if it is there, and "vru".
+    """
+    vru = run.encounter.vru
+    shape = vru.shapes[int(run.vru_shape[frame_index])]
+    bodies = [_body_mesh("vru", vru, shape, vru_pose(run, frame_index))]
+    if with_vut:
+        vut = run.encounter.vut
+        bodies.insert(0, _body_mesh("vut", vut, vut.shapes[0], vut_pose(run, frame_index)))
+    joined = _join([static, *bodies])
+    vertices = (joined.vertices_m - origin_m).astype(np.float32)
+    return FrameMesh(
+        origin_m=origin_m,
+        corners_m=vertices[joined.triangles],
+        normals=joined.normals,
+        triangle_thing=joined.triangle_thing,
+        things=joined.things,
+        caster=build_caster(vertices, joined.triangles),
+    )
+
+
+def vut_pose(run: Run, frame_index: int) -> Pose:
+    """Body frame of the VUT in a frame."""
+    return _road_pose(run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index])
+
+
+def vru_pose(run: Run, frame_index: int) -> Pose:
+    """Body frame of the VRU in a frame."""
+    return _road_pose(run.vru_position_m[frame_index], run.vru_yaw_deg[frame_index])
+
+
+def _road_pose(position_m: FloatArray, yaw_deg: float) -> Pose:
+    return Pose(position_m=np.append(position_m, 0.0), yaw_deg=float(yaw_deg))
+
+
+def _scene_thing(scene: Scene, index: int) -> Thing:
+    instance = scene.instances[index]
+    used = np.unique(scene.triangles[scene.triangle_instance == index])
+    points = scene.vertices_m[used] if len(used) else np.zeros((1, 3))
+    middle, yaw_rad, length_m, width_m = smallest_rectangle(points[:, :2])
+    low, high = points[:, 2].min(), points[:, 2].max()
+    return Thing(
+        name=instance.id,
+        class_name=instance.class_name,
+        pose=Pose(position_m=np.append(middle, low), yaw_deg=float(np.degrees(yaw_rad))),
+        size_m=np.array([length_m, width_m, high - low]),
+    )
+
+
+def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:
+    size_m = np.array([actor.length_m, actor.width_m, actor.height_m])
+    shade = _round_normals if actor.class_name in ROUND else _flat_normals
+    normals = shade(shape.vertices_m, shape.triangles)
+    R_world_body = body_rotation(pose.yaw_deg, pose.pitch_deg).astype(np.float32)
+    return Mesh(
+        vertices_m=to_world(shape.vertices_m, pose),
+        triangles=shape.triangles,
+        triangle_thing=np.zeros(len(shape.triangles), dtype=np.int32),
+        normals=normals @ R_world_body.T,
+        things=(
+            Thing(name=name, class_name=actor.class_name, pose=pose, size_m=size_m, actor=actor),
+        ),
+    )
+
+
+def _join(meshes: Sequence[Mesh]) -> Mesh:
+    n_vertices = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes)])
+    n_things = np.cumsum([0, *(len(mesh.things) for mesh in meshes)])
+    return Mesh(
+        vertices_m=np.concatenate([mesh.vertices_m for mesh in meshes]),
+        triangles=np.concatenate(
+            [mesh.triangles + n for mesh, n in zip(meshes, n_vertices[:-1], strict=True)]
+        ).astype(np.int32),
+        triangle_thing=np.concatenate(
+            [mesh.triangle_thing + n for mesh, n in zip(meshes, n_things[:-1], strict=True)]
+        ).astype(np.int32),
+        normals=np.concatenate([mesh.normals for mesh in meshes]),
+        things=tuple(thing for mesh in meshes for thing in mesh.things),
+    )
+
+
+def _flat_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
+    return np.repeat(_unit(_face_normals(vertices_m, triangles))[:, None], 3, axis=1)
+
+
+def _round_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
+    """At each corner the mean of the faces around it that turn away little, by their areas."""
+    by_area = _face_normals(vertices_m, triangles)
+    faces = _unit(by_area)
+    corner_vertex = triangles.ravel()
+    n_corners = len(corner_vertex)
+    at_vertex = csr_array(
+        (np.ones(n_corners, dtype=np.int8), (corner_vertex, np.arange(n_corners))),
+        shape=(len(vertices_m), n_corners),
+    )
+    pairs = (at_vertex.T @ at_vertex).tocoo()  # corners that share a vertex
+    own, other = pairs.row // 3, pairs.col // 3
+    is_one = np.einsum("ij,ij->i", faces[own], faces[other]) > _CREASE_COS
+    blend = csr_array(
+        (np.ones(int(is_one.sum()), dtype=np.float32), (pairs.row[is_one], other[is_one])),
+        shape=(n_corners, len(triangles)),
+    )
+    return _unit(np.asarray(blend @ by_area)).reshape(-1, 3, 3)
+
+
+def _face_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
+    a, b, c = np.swapaxes(vertices_m[triangles], 0, 1)
+    normals: FloatRays = np.cross(b - a, c - a).astype(np.float32)
+    return normals
+
+
+def _unit(vectors: FloatRays) -> FloatRays:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    unit: FloatRays = vectors / np.maximum(length, np.float32(1e-20))
+    return unit

@@ -1,0 +1,265 @@
+"""Some rows of a picture: cast, find out what was met, light it, let the air take its part."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.arrays import FloatArray, IntArray
+from geometry.raycast import FloatRays
+from geometry.sensors import CameraModel
+from geometry.toml_files import take, take_number
+from geometry.weather import Weather
+
+from .bodies import coat_cyclist, coat_pedestrian, coat_vehicle
+from .ground import GroundMap
+from .lamps import Lamp, load_lamp_table
+from .light import illuminance
+from .materials import Coat, Hits, Materials, Things
+from .mesh import ROUND, FrameMesh, Index
+from .sky import Sky
+from .surfaces import coat_facade, coat_ground, coat_plain, coat_wall
+
+_OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
+_LEAST_MIRROR = 0.012  # share; less is not worth a ray
+_GRAZING = np.float32(0.02)  # cosine: no pixel is longer on a surface
+# Schlick: towards grazing angles everything is mirrored; of glass, 24 times what is head-on.
+_GRAZING_GAIN = np.float32(24.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shot:
+    """All that a picture is made from.
+
+    Attributes
+    ----------
+    R_world_camera : (3, 3) float
+        Where the camera looks.
+    camera : CameraModel
+        Intrinsics.
+    mesh : FrameMesh
+        What there is; its origin is at the camera.
+    things : Things
+        Of the mesh, as arrays.
+    materials : Materials
+        What they look like.
+    ground : GroundMap
+        The road plane.
+    sky : Sky
+        Sun, sky and air.
+    lamps : tuple of Lamp
+        Those that are on.
+    weather : Weather
+        Wetness, lamps.
+    """
+
+    R_world_camera: FloatArray
+    camera: CameraModel
+    mesh: FrameMesh
+    things: Things
+    materials: Materials
+    ground: GroundMap
+    sky: Sky
+    lamps: tuple[Lamp, ...]
+    weather: Weather
+
+
+def shade_rays(shot: Shot, ways: FloatRays) -> tuple[FloatRays, Index, FloatRays]:
+    """Draw what some rays see.
+
+    Parameters
+    ----------
+    shot : Shot
+        What is drawn.
+    ways : (n, 3) float32
+        From the camera, one metre deep; axes as the world's.
+
+    Returns
+    -------
+    radiance : (n, 3) float32
+        Linear red, green, blue. [cd/m^2]
+    instance : (n,) int32
+        Things; -1 for sky.
+    depth_m : (n,) float32
+        Infinite for sky. [m]
+    """
+    camera, mesh, sky = shot.camera, shot.mesh, shot.sky
+    length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
+    near = np.float32(camera.near_m) / length  # rays start where drawing starts
+    depth, triangle = mesh.caster.first_triangle(near[:, None] * ways, ways)
+    depth = depth + near
+    is_hit = triangle >= 0
+    instance = np.full(len(ways), -1, dtype=np.int32)
+    radiance = np.empty((len(ways), 3), dtype=np.float32)
+    nothing = np.flatnonzero(~is_hit)
+    radiance[nothing] = sky.luminance(ways[nothing, 2] / length[nothing])
+    met = np.flatnonzero(is_hit)
+    instance[met] = mesh.triangle_thing.take(triangle[met])
+    kinds = _kinds(shot)[instance]
+    for kind in np.unique(kinds[met]).tolist():
+        index = np.flatnonzero(is_hit & (kinds == kind))
+        ahead = ways[index] / length[index, None]
+        distance = depth[index] * length[index]
+        hits = _look(shot, ahead, distance, triangle[index], is_round=_CLASSES[kind] in ROUND)
+        light = _shade(shot, _CLASSES[kind], hits, ahead)
+        sky.fade(light, distance)
+        radiance[index] = light
+    return radiance, instance, depth
+
+
+_CLASSES = (
+    "ground",
+    "building",
+    "wall",
+    "vegetation",
+    "lamp post",
+    "traffic light",
+    "parked vehicle",
+    "vehicle",
+    "pedestrian",
+    "cyclist",
+)
+
+
+def _kinds(shot: Shot) -> NDArray[np.int8]:
+    return np.array([_CLASSES.index(thing.class_name) for thing in shot.mesh.things], dtype=np.int8)
+
+
+def tile_rays(shot: Shot, rows: slice, columns: slice) -> FloatRays:
+    """Ways through the middles of a tile's pixels, one metre deep, (n, 3)."""
+    camera = shot.camera
+    focal = camera.focal_length_px
+    across = (np.arange(columns.start, columns.stop) + 0.5 - 0.5 * camera.width_px) / focal
+    down = (np.arange(rows.start, rows.stop) + 0.5 - 0.5 * camera.height_px) / focal
+    rotation = shot.R_world_camera
+    right = (across[:, None] * rotation[:, 0]).astype(np.float32)
+    ahead = (down[:, None] * rotation[:, 1] + rotation[:, 2]).astype(np.float32)
+    return (ahead[:, None] + right[None]).reshape(-1, 3)
+
+
+def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRays:
+    """Ways through points of the image, one metre deep, (n, 3)."""
+    camera = shot.camera
+    in_camera = np.empty((len(columns_px), 3), dtype=np.float32)
+    in_camera[:, 0] = (columns_px - 0.5 * camera.width_px) / camera.focal_length_px
+    in_camera[:, 1] = (rows_px - 0.5 * camera.height_px) / camera.focal_length_px
+    in_camera[:, 2] = 1.0
+    ways: FloatRays = in_camera @ shot.R_world_camera.T.astype(np.float32)
+    return ways
+
+
+def _look(
+    shot: Shot, ahead: FloatRays, distance: FloatRays, triangle: IntArray, *, is_round: bool
+) -> Hits:
+    """Points, normals and the size of pixels there."""
+    mesh = shot.mesh
+    local = ahead * distance[:, None]
+    flat = mesh.normals[:, 0].take(triangle, axis=0)
+    normals = _round_normals(mesh, triangle, local) if is_round else flat
+    cosine = np.einsum("ij,ij->i", normals, ahead)
+    normals[cosine > 0.0] *= -1.0
+    pixel = distance * np.float32(1.0 / shot.camera.focal_length_px)
+    pixel /= np.sqrt(np.maximum(np.abs(cosine), _GRAZING))
+    return Hits(
+        points_m=local + mesh.origin_m.astype(np.float32),
+        normals=normals,
+        thing=mesh.triangle_thing.take(triangle),
+        distance_m=distance,
+        pixel_m=pixel,
+    )
+
+
+def _round_normals(mesh: FrameMesh, triangle: IntArray, points: FloatRays) -> FloatRays:
+    """Normals at points in triangles, between those of the corners."""
+    corners, normals = mesh.corners_m.take(triangle, axis=0), mesh.normals.take(triangle, axis=0)
+    a, b, c = np.swapaxes(corners, 0, 1)
+    whole = np.cross(b - a, c - a)
+    area = np.maximum(np.einsum("ij,ij->i", whole, whole), np.float32(1e-20))
+    offset = points - a
+    share_b = np.einsum("ij,ij->i", np.cross(offset, c - a), whole) / area
+    share_c = np.einsum("ij,ij->i", np.cross(b - a, offset), whole) / area
+    shares = np.clip(np.stack([1.0 - share_b - share_c, share_b, share_c], axis=1), 0.0, 1.0)
+    mean = np.einsum("ij,ijk->ik", shares, normals)
+    length = np.linalg.norm(mean, axis=1, keepdims=True)
+    between: FloatRays = np.where(
+        length > 1e-3, mean / np.maximum(length, np.float32(1e-3)), normals[:, 0]
+    )
+    return between
+
+
+def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> FloatRays:
+    """Luminance of surfaces towards the camera, (n, 3), in cd/m^2."""
+    sky_share = None
+    if class_name == "ground":
+        coat, sky_share = coat_ground(
+            hits, shot.ground, shot.materials, wetness=shot.weather.wetness
+        )
+    else:
+        coat = _coat(shot, class_name, hits)
+    light = illuminance(
+        hits,
+        caster=shot.mesh.caster,
+        origin_m=shot.mesh.origin_m.astype(np.float32),
+        sky=shot.sky,
+        lamps=shot.lamps,
+        sky_share=sky_share,
+        ground_albedo=_ground_albedo(),
+    )
+    light *= coat.albedo
+    light *= np.float32(1.0 / np.pi)
+    light += coat.glow
+    _add_mirrored(shot, light, coat, hits, ahead)
+    return light
+
+
+def _coat(shot: Shot, class_name: str, hits: Hits) -> Coat:
+    materials, ground = shot.materials, shot.ground
+    match class_name:
+        case "building":
+            return coat_facade(hits, ground, materials, has_lamps=shot.weather.has_lamps)
+        case "wall":
+            return coat_wall(hits, ground, materials)
+        case "pedestrian":
+            return coat_pedestrian(hits, shot.things, materials)
+        case "cyclist":
+            return coat_cyclist(hits, shot.things, materials)
+        case "vehicle" | "parked vehicle":
+            return coat_vehicle(hits, shot.things, materials)
+    return coat_plain(hits, ground, materials.albedo[class_name.replace(" ", "-")])
+
+
+def _add_mirrored(shot: Shot, light: FloatRays, coat: Coat, hits: Hits, ahead: FloatRays) -> None:
+    """What glass, lacquer and water mirror: sky, or things without their own shadows."""
+    cosine = np.einsum("ij,ij->i", hits.normals, ahead)  # negative
+    away = 1.0 + cosine
+    share = coat.mirror * (1.0 + _GRAZING_GAIN * away**5)
+    mirrors = np.flatnonzero(share > _LEAST_MIRROR)
+    if not len(mirrors):
+        return
+    normals = hits.normals[mirrors]
+    ways = ahead[mirrors] - 2.0 * cosine[mirrors, None] * normals
+    ways[:, 2] += coat.rough[mirrors]
+    starts = hits.points_m[mirrors] - shot.mesh.origin_m.astype(np.float32)
+    starts += np.float32(_OFF_SURFACE_M) * normals
+    distance, triangle = shot.mesh.caster.first_triangle(starts, ways)
+    seen = shot.sky.luminance(ways[:, 2])
+    things = np.flatnonzero(triangle >= 0)
+    met = triangle[things]
+    facing = shot.mesh.normals[met, 0]
+    upness = facing[:, 2:]
+    sun = np.maximum(facing @ shot.sky.to_sun.astype(np.float32), 0.0)[:, None]
+    lux = (0.5 + 0.5 * upness) * shot.sky.sky_lux.astype(np.float32)
+    lux += _ground_albedo() * (0.5 - 0.5 * upness) * shot.sky.sky_lux.astype(np.float32)
+    lux += sun * shot.sky.sun_lux.astype(np.float32)
+    albedo = shot.things.mean_albedo[shot.mesh.triangle_thing[met]]
+    lux *= albedo * np.float32(1.0 / np.pi)
+    shot.sky.fade(lux, distance[things])
+    seen[things] = lux
+    light[mirrors] += np.minimum(share[mirrors], 0.9)[:, None] * seen
+
+
+@cache
+def _ground_albedo() -> float:
+    table = take(load_lamp_table(), "sky", "lamps.toml")
+    return take_number(table, "ground_albedo", "lamps.toml: sky")

@@ -1,0 +1,82 @@
+"""A floor, a wall, a lamp post: scenes whose light can be worked out by hand."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from geometry.actors import pick_actor
+from geometry.scene import Instance, Scene, Site
+from geometry.scene_files import load_study_scene
+from geometry.sensors import CameraModel
+from geometry.weather import Weather, load_weathers
+from scenarios.aeb import load_aeb_rule
+from scenarios.runs import Run, build_runs
+from scenarios.selection import select_cases
+
+
+@pytest.fixture(scope="session")
+def day() -> Weather:
+    return load_weathers()["day"]
+
+
+@pytest.fixture(scope="session")
+def dark(day: Weather) -> Weather:
+    """No light at all, clear air."""
+    return replace(day, name="dark", sun_lux=0.0, sky_lux=0.0)
+
+
+@pytest.fixture(scope="session")
+def small() -> CameraModel:
+    return CameraModel(
+        name="small",
+        width_px=240,
+        height_px=160,
+        horizontal_fov_deg=90.0,
+        frame_rate_hz=10.0,
+        near_m=0.1,
+        price_eur=0.0,
+    )
+
+
+@pytest.fixture(scope="session")
+def build_plain_scene() -> Callable[..., Scene]:
+    """A level ground and boxes on it: (class name, lowest corner, highest corner)."""
+
+    def build(*boxes: tuple[str, list[float], list[float]], sites: tuple[Site, ...] = ()) -> Scene:
+        ground = 300.0 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+        vertices, faces = [ground], [np.array([[0, 1, 2], [0, 2, 3]])]
+        owners, instances = [np.zeros(2)], [Instance(id="ground", class_name="ground")]
+        for number, (class_name, low, high) in enumerate(boxes, start=1):
+            mesh = trimesh.creation.box(bounds=np.array([low, high]))
+            faces.append(mesh.faces + sum(map(len, vertices)))
+            vertices.append(mesh.vertices)
+            owners.append(np.full(len(mesh.faces), number))
+            instances.append(Instance(id=f"{class_name}-{number}", class_name=class_name))
+        return Scene(
+            name="plain",
+            vertices_m=np.concatenate(vertices),
+            triangles=np.concatenate(faces),
+            triangle_instance=np.concatenate(owners),
+            instances=tuple(instances),
+            sites=sites,
+            outline_m=np.empty((0, 2)),
+            lanes=(),
+            crs="EPSG:32633",
+        )
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def study_run() -> Run:
+    runs, _ = build_runs(
+        load_study_scene(),
+        select_cases("CPNC-50", speeds="40").cases,
+        vut=pick_actor("vut", "test"),
+        rule=load_aeb_rule(),
+        approaches=["east"],
+    )
+    return runs[0]

@@ -1,0 +1,148 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geometry.raycast import build_caster
+from geometry.weather import load_weathers
+from placement.imaging.lamps import HeadLamp, StreetLamp, load_lamp_table
+from placement.imaging.light import illuminance
+from placement.imaging.materials import Hits
+from placement.imaging.sky import LUMINANCE, build_sky
+
+NOTHING = build_caster(np.zeros((0, 3)), np.zeros((0, 3), dtype=int))
+HERE = np.zeros(3, dtype=np.float32)
+
+
+def _hits(points, normals):
+    points = np.array(points, dtype=np.float32)
+    return Hits(
+        points_m=points,
+        normals=np.array(normals, dtype=np.float32),
+        thing=np.zeros(len(points), dtype=np.int32),
+        distance_m=np.ones(len(points), dtype=np.float32),
+        pixel_m=np.ones(len(points), dtype=np.float32),
+    )
+
+
+def _lux(hits, weather, *, lamps=(), caster=NOTHING, **options):
+    light = illuminance(
+        hits, caster=caster, origin_m=HERE, sky=build_sky(weather), lamps=lamps, **options
+    )
+    return light @ LUMINANCE
+
+
+def _lamp(**changes):
+    fields = {
+        "position_m": np.array([0.0, 0.0, 8.0]),
+        "colour": np.ones(3),
+        "reach_m": 100.0,
+        "radius_m": 0.2,
+        "flux_lm": 9000.0,
+        "inner_deg": 60.0,
+        "outer_deg": 80.0,
+        "spill": 0.0,
+    }
+    return StreetLamp(**(fields | changes))
+
+
+@given(elevation_deg=st.floats(1.0, 89.0), yaw_deg=st.floats(-180.0, 180.0))
+def test_a_wall_that_faces_the_sun_gets_its_light_by_the_cosine(elevation_deg, yaw_deg):
+    weather = replace(
+        load_weathers()["day"], sky_lux=0.0, sun_elevation_deg=elevation_deg, sun_yaw_deg=yaw_deg
+    )
+    yaw = np.radians(yaw_deg)
+    normals = [[np.cos(yaw), np.sin(yaw), 0.0], [0.0, 0.0, 1.0], [-np.cos(yaw), -np.sin(yaw), 0.0]]
+    lux = _lux(_hits(np.zeros((3, 3)), normals), weather)
+    elevation = np.radians(elevation_deg)
+    expected = 80000.0 * np.array([np.cos(elevation), np.sin(elevation), 0.0])
+    assert lux == pytest.approx(expected, rel=1e-4, abs=0.1)
+
+
+@pytest.mark.parametrize("name", sorted(load_weathers()))
+def test_level_ground_gets_the_skys_light_and_what_faces_down_what_the_ground_sends(name):
+    weather = replace(load_weathers()[name], sun_lux=0.0)
+    normals = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
+    lux = _lux(_hits(np.zeros((3, 3)), normals), weather, ground_albedo=0.2)
+    assert lux == pytest.approx(weather.sky_lux * np.array([1.0, 0.6, 0.2]), rel=1e-4)
+
+
+@pytest.mark.parametrize("name", sorted(load_weathers()))
+def test_the_skys_luminance_adds_up_to_its_illuminance(name):
+    weather = replace(load_weathers()[name], visibility_m=1.0e12, rain_rate_mmph=0.0)
+    edges = np.linspace(0.0, 1.0, 20_001)
+    sine = 0.5 * (edges[1:] + edges[:-1])
+    luminance = build_sky(weather).luminance(sine.astype(np.float32)) @ LUMINANCE
+    lux = 2.0 * np.pi * (luminance * sine).sum() * (edges[1] - edges[0])
+    assert lux == pytest.approx(weather.sky_lux, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["day", "rain", "fog"])
+def test_at_the_visibility_five_per_cent_of_contrast_are_left(name):
+    weather = replace(load_weathers()[name], rain_rate_mmph=0.0)
+    sky = build_sky(weather)
+    black, white = np.zeros((1, 3), np.float32), np.full((1, 3), 1000.0, np.float32)
+    way = np.array([weather.visibility_m], dtype=np.float32)
+    for luminance in (black, white):
+        sky.fade(luminance, way)
+    assert white - black == pytest.approx(0.05 * 1000.0, rel=1e-3)
+    assert black == pytest.approx(0.95 * sky.air_cdpm2[None], rel=1e-3)
+
+
+def test_a_wall_throws_a_shadow_as_long_as_the_sun_is_low():
+    weather = replace(
+        load_weathers()["day"], sky_lux=0.0, sun_elevation_deg=45.0, sun_yaw_deg=180.0
+    )
+    wall = build_caster([[0, -9, 0], [0, 9, 0], [0, 9, 2], [0, -9, 2]], [[0, 1, 2], [0, 2, 3]])
+    lux = _lux(_hits([[1.9, 0, 0], [2.1, 0, 0], [-1, 0, 0]], [[0, 0, 1]] * 3), weather, caster=wall)
+    assert lux == pytest.approx([0.0, 80000.0 * np.sqrt(0.5), 80000.0 * np.sqrt(0.5)], rel=1e-4)
+
+
+@given(aside_m=st.floats(0.0, 12.0))
+def test_a_lamps_light_falls_with_the_square_and_the_cosine(aside_m):
+    weather = replace(load_weathers()["day"], sun_lux=0.0, sky_lux=0.0)
+    lux = _lux(_hits([[aside_m, 0.0, 0.0]], [[0.0, 0.0, 1.0]]), weather, lamps=[_lamp()])
+    # Within the cone: I cos^3 / h^2.
+    expected = _lamp().peak_cd / 64.0 * (8.0 / np.hypot(8.0, aside_m)) ** 3
+    assert lux == pytest.approx([expected], rel=1e-3)
+
+
+def test_what_stands_before_a_lamp_takes_its_light():
+    weather = replace(load_weathers()["day"], sun_lux=0.0, sky_lux=0.0)
+    plate = build_caster([[-1, -1, 4], [1, -1, 4], [1, 1, 4], [-1, 1, 4]], [[0, 1, 2], [0, 2, 3]])
+    hits = _hits([[1.9, 0, 0], [2.1, 0, 0]], [[0, 0, 1]] * 2)
+    free = _lux(hits, weather, lamps=[_lamp()])
+    assert _lux(hits, weather, lamps=[_lamp()], caster=plate) == pytest.approx([0.0, free[1]])
+
+
+@pytest.mark.parametrize("spill", [0.0, 0.1])
+def test_a_street_lamp_sends_out_its_flux(spill):
+    cosine = np.linspace(-1.0, 1.0, 40_001)
+    middle = 0.5 * (cosine[1:] + cosine[:-1])
+    down = np.stack([np.sqrt(1.0 - middle**2), np.zeros_like(middle), -middle])
+    intensity = _lamp(spill=spill).intensity_cd(down.astype(np.float32))
+    flux = 2.0 * np.pi * intensity.sum() * (cosine[1] - cosine[0])
+    assert flux == pytest.approx(9000.0, rel=1e-3)
+
+
+def test_a_low_beam_keeps_to_the_regulations_limits():
+    beam = load_lamp_table()["head_lamp"]
+    lamp = HeadLamp(
+        position_m=np.zeros(3),
+        colour=np.ones(3),
+        reach_m=90.0,
+        radius_m=0.1,
+        R_world_lamp=np.eye(3),
+        beam=beam,
+    )
+
+    def candela(right_deg, up_deg):
+        right, up = np.radians([right_deg, up_deg])
+        way = [np.cos(up) * np.cos(right), -np.cos(up) * np.sin(right), np.sin(up)]
+        return float(lamp.intensity_cd(np.array(way, dtype=np.float32)[:, None])[0])
+
+    assert candela(-3.43, 0.57) <= 350.0  # B50L: oncoming drivers
+    assert candela(1.15, -0.57) >= 10_100.0  # 75R
+    assert candela(180.0, 0.0) == 0.0

@@ -1,0 +1,165 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.image_boxes import mask_box
+from geometry.poses import Pose
+from geometry.scene import Site
+from geometry.scene_files import load_study_scene
+from geometry.weather import load_weathers
+from placement.evaluator.surroundings import build_surroundings, render_frame
+from placement.imaging import build_backdrop, draw_picture, render_picture
+
+CORNER = Pose(
+    position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3
+)  # near the study's RSU3
+ABOVE = Pose(position_m=np.array([0.0, -12.0, 9.0]), yaw_deg=90.0, pitch_deg=-40.0)
+
+
+@pytest.fixture(scope="module")
+def backdrop(study_run):
+    return build_backdrop(load_study_scene(), study_run.obstruction)
+
+
+@pytest.fixture
+def draw(backdrop, study_run, small):
+    def draw_frame(weather, **options):
+        frame = len(study_run.time_s) - 1 - 5
+        return draw_picture(
+            backdrop, study_run, frame, CORNER, small, weather=load_weathers()[weather], **options
+        )
+
+    return draw_frame
+
+
+@pytest.mark.parametrize("weather", sorted(load_weathers()))
+def test_the_same_seed_gives_the_same_picture_whatever_the_threads(draw, weather):
+    one, same, other = (
+        draw(weather, seed=3),
+        draw(weather, seed=3, workers=2),
+        draw(weather, seed=4),
+    )
+    assert np.array_equal(one.rgb, same.rgb)
+    assert not np.array_equal(one.rgb, other.rgb)
+    assert np.array_equal(one.instance, other.instance)
+    assert np.array_equal(one.depth_m, other.depth_m)
+
+
+def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
+    picture = draw("day")
+    shape = (small.height_px, small.width_px)
+    assert (picture.rgb.shape, picture.rgb.dtype) == ((*shape, 3), np.uint8)
+    assert (picture.instance.shape, picture.instance.dtype) == (shape, np.int32)
+    assert (picture.depth_m.shape, picture.depth_m.dtype) == (shape, np.float32)
+    assert np.array_equal(picture.instance == -1, np.isinf(picture.depth_m))
+    assert picture.instance.max() < len(picture.names)
+    assert picture.names[-2:] == ("vut", "vru")
+    assert {"ground", "building-ne", "parked-1"} <= set(picture.names)
+
+
+@pytest.mark.parametrize("back", [0, 5, 12])
+@pytest.mark.parametrize("with_vut", [True, False])
+def test_instances_and_depths_are_those_of_the_evaluator(
+    backdrop, study_run, small, back, with_vut
+):
+    camera = replace(small, width_px=960, height_px=540)
+    frame = len(study_run.time_s) - 1 - back
+    view = render_frame(
+        build_surroundings(load_study_scene(), [study_run]),
+        frame,
+        CORNER,
+        camera,
+        with_vut=with_vut,
+    )
+    picture = draw_picture(
+        backdrop,
+        study_run,
+        frame,
+        CORNER,
+        camera,
+        weather=load_weathers()["day"],
+        with_vut=with_vut,
+    )
+    assert ("vut" in picture.names) == with_vut
+    vru = picture.instance == picture.names.index("vru")
+    box = mask_box(vru)
+    assert box.any()
+    # The evaluator casts each body in its own frame: rays along an edge may go either way.
+    assert box == pytest.approx(view.visible_box_px, abs=1.0)
+    is_same = np.isclose(picture.depth_m, view.depth_m, rtol=1e-4)
+    assert is_same.mean() > 0.9995
+
+
+def test_what_lies_in_the_shadow_is_darker(build_plain_scene, study_run, small, day):
+    weather = replace(day, sun_elevation_deg=45.0, sun_yaw_deg=180.0)
+    scene = build_plain_scene(("wall", [0.0, -20.0, 0.0], [0.2, 20.0, 6.0]))
+    picture = render_picture(scene, study_run, 0, ABOVE, small, weather=weather)
+    ground = picture.instance == picture.names.index("ground")
+    rows, columns = np.nonzero(ground)
+    from geometry.sensors import pixel_rays
+
+    rays = pixel_rays(columns, rows, ABOVE, small)
+    points = ABOVE.position_m + rays * picture.depth_m[rows, columns, None]
+    east, north = points[:, 0], points[:, 1]
+    near = np.abs(north) < 5.0
+    level = picture.rgb[rows, columns].mean(axis=1)
+    shaded = level[near & (east > 1.0) & (east < 5.5)]
+    lit = level[near & (east > 7.0) & (east < 12.0)]
+    assert len(shaded) > 100
+    assert len(lit) > 100
+    assert np.percentile(shaded, 99) < np.percentile(lit, 1)
+
+
+def test_night_without_lamps_is_dark_and_lamps_light_the_road(build_plain_scene, study_run, small):
+    night = load_weathers()["night"]
+    post = Site(
+        id="post",
+        position_m=np.array([0.0, 0.0, 0.0]),
+        kind="lamp post",
+        height_range_m=np.array([4.0, 8.0]),
+        capacity_units=1,
+    )
+
+    def mean(sites):
+        scene = build_plain_scene(sites=sites)
+        picture = render_picture(scene, study_run, 0, ABOVE, small, weather=night)
+        return picture.rgb[picture.instance >= 0].mean()
+
+    assert mean(()) < 16.0  # of 255
+    assert mean((post,)) > 2.0 * mean(())
+
+
+def test_fog_takes_the_contrast_of_what_is_far(draw):
+    clear, fog = draw("day"), draw("fog")
+    far = (clear.depth_m > 40.0) & np.isfinite(clear.depth_m)
+    assert far.sum() > 100
+    assert fog.rgb[far].std() < 0.4 * clear.rgb[far].std()
+
+
+@pytest.mark.parametrize("weather", ["day", "rain", "fog"])
+def test_no_face_is_black_by_day(draw, weather):
+    picture = draw(weather)
+    for index in np.unique(picture.instance[picture.instance >= 0]):
+        pixels = picture.rgb[picture.instance == index]
+        if len(pixels) > 50:
+            assert pixels.mean() > 15.0, picture.names[index]
+
+
+def test_the_vuts_own_camera_sees_its_headlights_not_itself(backdrop, study_run, small):
+    frame = 20
+    pose = Pose(
+        position_m=np.append(study_run.vut_position_m[frame], 1.4),
+        yaw_deg=float(study_run.vut_yaw_deg[frame]),
+    )
+    pictures = [
+        draw_picture(
+            backdrop, study_run, frame, pose, small, weather=weather, with_vut=False
+        ).rgb.astype(float)
+        for weather in (
+            load_weathers()["night"],
+            replace(load_weathers()["night"], has_lamps=False),
+        )
+    ]
+    below = np.s_[120:, 60:180]
+    assert pictures[0][below].mean() > 3.0 * pictures[1][below].mean()
