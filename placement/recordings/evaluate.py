@@ -1,0 +1,258 @@
+"""Recorded detections to verdicts: match, confirm, brake in time."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import BoolArray
+from geometry.errors import InputError
+from geometry.image_boxes import iou
+from scenarios.aeb import AebRule, is_in_time
+from scenarios.runs import FrameAxis, confirmation_times_s
+
+from ..detection_table import DetectionTable, pack_table
+from ..evaluation import Verdict
+from .drives import Drive
+from .folder_format import RecordingFormat, load_format
+from .lines import Label
+from .motion import is_same_direction, last_brake_time_s
+from .read import Found, Recording
+
+RECORDED = "recorded"
+"""Approach and weather of every drive: a recording does not tell them."""
+
+_FINDS = {"pedestrian": ("pedestrian",), "bicycle": ("bicycle", "pedestrian")}
+"""By class of VRU, which detections may match its label: a detector may find the rider."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordedEvaluation:
+    """Verdicts of the units of a recording.
+
+    Attributes
+    ----------
+    axis : FrameAxis
+        A run per drive, all of equal weight.
+    vut : Verdict, optional
+        The VUT's own camera alone; None where it is not recorded.
+    units : mapping of str to Verdict
+        Each roadside unit alone, by the name of its folder.
+    rsu_all : Verdict
+        All of them fused: in each frame any of them may be the detector.
+    vut_and_rsus : Verdict, optional
+        The same with the VUT's camera; None where that is not recorded.
+    n_ambiguous : int
+        Frames of a roadside unit with several VRUs of the drive's class in view: nothing tells
+        which one the VUT is about to hit, so that they count only if each of them is detected.
+    """
+
+    axis: FrameAxis
+    vut: Verdict | None
+    units: Mapping[str, Verdict]
+    rsu_all: Verdict
+    vut_and_rsus: Verdict | None
+    n_ambiguous: int
+
+
+def evaluate_recording(
+    recording: Recording, rule: AebRule, *, min_confidence: float = 0.0
+) -> RecordedEvaluation:
+    """Judge the units of a recording.
+
+    A unit detects the VRU of a drive in a frame if a detection overlaps its label by more than an
+    IoU of 0.5. Where several VRUs of the drive's class are labelled, the VUT's is the one whose
+    distance comes nearest to that of WorldData; of a roadside unit each of them must be detected. A
+    frame that is missing is not detected.
+
+    Parameters
+    ----------
+    recording : Recording
+        Labels and detections.
+    rule : AebRule
+        Confirmation, latency and braking.
+    min_confidence : float
+        Detections below do not count, 0 .. 1.
+
+    Returns
+    -------
+    evaluation : RecordedEvaluation
+        Drives are runs, in order.
+
+    Raises
+    ------
+    InputError
+        `min_confidence` is not within 0 .. 1.
+    """
+    if not 0.0 <= min_confidence <= 1.0:
+        raise InputError("--min-confidence", min_confidence, "a confidence, 0 .. 1")
+    form = load_format()
+    detected, n_ambiguous = {}, 0
+    for unit in recording.units:
+        detected[unit], n_several = _detected(recording, unit, form, min_confidence)
+        n_ambiguous += n_several
+    by_vut = None
+    if recording.has_vut:
+        by_vut, _ = _detected(recording, form.vut_folder, form, min_confidence)
+    axis = build_recorded_axis(recording, rule)
+    return _judge(axis, detected, by_vut, rule, n_ambiguous)
+
+
+def take_units(
+    evaluation: RecordedEvaluation, units: Sequence[str], rule: AebRule
+) -> RecordedEvaluation:
+    """The evaluation of some of the units only.
+
+    Parameters
+    ----------
+    evaluation : RecordedEvaluation
+        Of all units.
+    units : sequence of str
+        At least one of them.
+    rule : AebRule
+        As for the evaluation.
+    """
+    return _judge(
+        evaluation.axis,
+        {unit: evaluation.units[unit].detected for unit in units},
+        None if evaluation.vut is None else evaluation.vut.detected,
+        rule,
+        evaluation.n_ambiguous,
+    )
+
+
+def recorded_table(evaluation: RecordedEvaluation) -> DetectionTable:
+    """Detection table whose rows are the roadside units, by the names of their folders."""
+    return pack_table(
+        tuple(evaluation.units),
+        evaluation.axis,
+        np.stack([verdict.detected for verdict in evaluation.units.values()]),
+    )
+
+
+def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
+    """Frames of the drives, laid end to end; runs are called "recording/SCENARIO/KMH".
+
+    Parameters
+    ----------
+    recording : Recording
+        Its drives.
+    rule : AebRule
+        How the VUT brakes.
+
+    Returns
+    -------
+    axis : FrameAxis
+        Cases are "scenario-3-pedestrian" and so on.
+    """
+    form, drives = load_format(), recording.drives
+    return FrameAxis(
+        run_ids=_run_ids(drives),
+        cases=tuple(f"scenario-{drive.scenario}-{drive.vru_class}" for drive in drives),
+        approaches=(RECORDED,) * len(drives),
+        weathers=(RECORDED,) * len(drives),
+        vut_speed_kmh=np.array([drive.vut_speed_mps * 3.6 for drive in drives]),
+        weight=np.full(len(drives), 1.0 / len(drives)),
+        last_brake_time_s=np.array([_last_brake_time_s(drive, rule, form) for drive in drives]),
+        run_start=np.cumsum([0, *(drive.n_frames for drive in drives)]),
+        time_s=np.concatenate(
+            [np.arange(1 - drive.n_frames, 1) / form.frame_rate_hz for drive in drives]
+        ),
+    )
+
+
+def is_longitudinal(drive: Drive) -> bool:
+    """Whether the VUT catches up with a VRU that goes its way."""
+    return is_same_direction(
+        vut_speed_mps=drive.vut_speed_mps,
+        vru_speed_mps=drive.vru_speed_mps,
+        closing_speed_mps=drive.closing_speed_mps,
+        form=load_format(),
+    )
+
+
+def _last_brake_time_s(drive: Drive, rule: AebRule, form: RecordingFormat) -> float:
+    return last_brake_time_s(
+        vut_speed_mps=drive.vut_speed_mps,
+        vru_speed_mps=drive.vru_speed_mps,
+        is_same_direction=is_longitudinal(drive),
+        rule=rule,
+    )
+
+
+def _run_ids(drives: Sequence[Drive]) -> tuple[str, ...]:
+    """Ids; a speed that is driven again gets a number."""
+    ids: list[str] = []
+    n_times: dict[str, int] = {}
+    for drive in drives:
+        name = f"recording/{drive.scenario}/{round(drive.vut_speed_mps * 3.6)}"
+        n_times[name] = n_times.get(name, 0) + 1
+        ids.append(name if n_times[name] == 1 else f"{name}/{n_times[name]}")
+    return tuple(ids)
+
+
+def _detected(
+    recording: Recording, unit: str, form: RecordingFormat, min_confidence: float
+) -> tuple[BoolArray, int]:
+    """Frames in which a unit detects the VRU, and in how many several are in view."""
+    all_labels, all_found = recording.labels[unit], recording.detections[unit]
+    detected, n_several = [], 0
+    for drive in recording.drives:
+        for key, distance_m in zip(drive.frames, drive.distance_m.tolist(), strict=True):
+            labels = [
+                label for label in all_labels.get(key, ()) if label.class_name == drive.vru_class
+            ]
+            if unit == form.vut_folder and len(labels) > 1:
+                labels = [min(labels, key=lambda label: abs(label.distance_m - distance_m))]
+            n_several += len(labels) > 1 and not np.isnan(distance_m)
+            found = (
+                [
+                    one
+                    for one in all_found.get(key, ())
+                    if one.confidence >= min_confidence
+                    and one.class_name in _FINDS[drive.vru_class]
+                ]
+                if labels
+                else []
+            )
+            detected.append(not np.isnan(distance_m) and _is_match(labels, found, form))
+    return np.array(detected), n_several
+
+
+def _is_match(labels: Sequence[Label], found: Sequence[Found], form: RecordingFormat) -> bool:
+    """Whether there is a label, and each one overlaps a detection."""
+    if not labels or not found:
+        return False
+    overlap = iou(
+        np.array([label.box_px for label in labels])[:, None],
+        np.array([one.box_px for one in found])[None],
+    )
+    return bool((overlap.max(axis=1) > form.min_iou).all())
+
+
+def _judge(
+    axis: FrameAxis,
+    detected: Mapping[str, BoolArray],
+    by_vut: BoolArray | None,
+    rule: AebRule,
+    n_ambiguous: int,
+) -> RecordedEvaluation:
+    any_unit = np.logical_or.reduce(list(detected.values()))
+    return RecordedEvaluation(
+        axis=axis,
+        vut=None if by_vut is None else _verdict(by_vut, axis, rule),
+        units={unit: _verdict(frames, axis, rule) for unit, frames in detected.items()},
+        rsu_all=_verdict(any_unit, axis, rule),
+        vut_and_rsus=None if by_vut is None else _verdict(any_unit | by_vut, axis, rule),
+        n_ambiguous=n_ambiguous,
+    )
+
+
+def _verdict(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> Verdict:
+    confirmation = confirmation_times_s(detected, axis, n_confirmations=rule.n_confirmations)
+    return Verdict(
+        detected=detected,
+        confirmation_time_s=confirmation,
+        onset_time_s=confirmation + rule.latency_s,
+        is_avoided=is_in_time(confirmation, axis.last_brake_time_s, latency_s=rule.latency_s),
+    )

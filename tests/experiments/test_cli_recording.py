@@ -1,0 +1,154 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from placement.recordings import WrittenDrive, write_recording
+
+BOX = np.array([100.0, 200.0, 140.0, 300.0])
+BESIDE = (
+    "got it beside --recording; expected one of them: a recording has units and drives of its own"
+)
+KEYS = {
+    "layout",
+    "budget",
+    "fusion",
+    "runs",
+    "apr",
+    "bound",
+    "gap",
+    "apr_without_worst_unit",
+    "evaluation",
+    "baseline",
+    "surrogate_disagreement",
+    "seconds",
+    "versions",
+    "skipped",
+}
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """Unit 0 detects in the first half of a drive of 20 frames, unit 1 nowhere, the car always."""
+    n_frames = 20
+    share = {"0": np.arange(n_frames) < 10, "1": np.zeros(n_frames), "car": np.ones(n_frames)}
+    drive = WrittenDrive(
+        scenario=3,
+        vru_class="bicycle",
+        vut_speed_mps=10.0,
+        vru_speed_mps=4.0,
+        distance_m=2.0 + np.arange(n_frames)[::-1],
+        labels_px={unit: np.tile(BOX, (n_frames, 1)) for unit in share},
+        detections_px={unit: np.outer(seen, BOX) for unit, seen in share.items()},
+        label_distance_m={unit: np.full(n_frames, 20.0) for unit in share},
+    )
+    write_recording(tmp_path / "ncap_data", [drive])
+    return tmp_path / "ncap_data"
+
+
+def test_a_recording_is_evaluated(run, recording):
+    code, out, err = run("evaluate", "--recording", recording, "--json")
+    assert (code, err) == (0, "read recording ...\nevaluate ...\n")
+    summary = json.loads(out, parse_constant=pytest.fail)
+    assert set(summary) >= KEYS
+    evaluation = summary["evaluation"]
+    assert [evaluation[key]["all"] for key in ("vut", "rsu_all", "vut_and_rsus")] == [1.0] * 3
+    assert [evaluation["units"][unit]["all"] for unit in ("RSU0", "RSU1")] == [1.0, 0.0]
+    assert evaluation["units"]["RSU0"]["by_case"] == {"scenario-3-bicycle": 1.0}
+    assert summary["detected_share"]["units"] == {"RSU0": 0.5, "RSU1": 0.0}
+    assert list(Path().iterdir()) == []
+
+
+def test_the_best_recorded_unit_is_chosen(run, recording):
+    code, out, err = run("--budget", 1, "--recording", recording, "--json", "--quiet")
+    assert (code, err) == (0, "")
+    summary = json.loads(out, parse_constant=pytest.fail)
+    assert set(summary) >= KEYS | {"stages", "solver", "baseline_name", "greedy", "candidates"}
+    assert summary["layout"] == [{"id": "RSU0", "folder": "0"}]
+    assert (summary["apr"], summary["bound"], summary["gap"]) == (1.0, 1.0, 0.0)
+    assert summary["baseline"]["rsu_all"]["all"] == 1.0
+    assert list(Path().iterdir()) == []
+
+
+def test_tables_are_printed(run, recording):
+    code, out, _ = run("evaluate", "--recording", recording, "--quiet")
+    assert code == 0
+    assert "RSU0" in out
+    assert "Skipped: 30 frames between drives (bodies back at their starts)." in out
+    code, out, _ = run("--budget", 1, "--recording", recording, "--quiet", "--fusion", "single")
+    assert code == 0
+    assert out.startswith("Best 1 of 2 recorded units on 1 drives (fusion single): RSU0\n")
+
+
+def test_a_summary_is_written_where_asked_for(run, recording):
+    for command in (["evaluate"], ["--budget", 1]):
+        code, out, _ = run(*command, "--recording", recording, "--out", "mine", "--json", "--quiet")
+        assert code == 0
+        assert [path.name for path in Path("mine").iterdir()] == ["summary.json"]
+        assert json.loads(Path("mine/summary.json").read_text()) == json.loads(out)
+
+
+def test_braking_and_confidence_are_heard(run, recording):
+    # Unit 0 is confirmed at -1.7 s; 10 / (2 * 2.9) = 1.72 s.
+    for arguments, apr in (
+        (["--deceleration", 2.9], 0.0),
+        (["--deceleration", 3.0], 1.0),
+        (["--latency", 1.5], 0.0),
+        (["--confirmations", 11], 0.0),
+        (["--min-confidence", 1], 1.0),
+    ):
+        code, out, _ = run(*("evaluate", "--recording", recording, "--json", "--quiet"), *arguments)
+        assert code == 0
+        assert json.loads(out)["apr"] == apr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("evaluate --layout carlancap-12", f"--layout: {BESIDE}"),
+        ("evaluate --cases CBNA", f"--cases: {BESIDE}"),
+        ("evaluate --weather night", f"--weather: {BESIDE}"),
+        ("evaluate --weights case", f"--weights: {BESIDE}"),
+        ("evaluate --phase worst", f"--phase: {BESIDE}"),
+        ("evaluate --workers 1", f"--workers: {BESIDE}"),
+        ("--budget 1 --cases CBNA", f"--cases: {BESIDE}"),
+        ("--budget 1 --seed 1", f"--seed: {BESIDE}"),
+        ("--budget 1 --no-study-poses", f"--study-poses: {BESIDE}"),
+        ("--budget 1 --no-cache", f"--cache: {BESIDE}"),
+        ("--budget 3", "--budget: got 3; expected at most 2, the units recorded"),
+        ("", "--budget: got nothing; expected a whole number of units, at least 1"),
+        (
+            "evaluate --min-confidence -1",
+            "--min-confidence: got '-1'; expected a confidence, 0 to 1",
+        ),
+        ("evaluate --min-confidence 2", "--min-confidence: got '2'; expected a confidence, 0 to 1"),
+    ],
+)
+def test_what_makes_no_sense_beside_a_recording_is_one_line(run, recording, arguments, message):
+    code, out, err = run(*arguments.split(), "--recording", recording, "--quiet")
+    assert (code, out, err) == (2, "", f"place-rsus: {message}\n")
+
+
+def test_a_confidence_needs_a_recording(run):
+    for command in ("evaluate --layout carlancap-12", "--budget 1"):
+        assert run(*command.split(), "--min-confidence", 0.5) == (
+            2,
+            "",
+            "place-rsus: --min-confidence: got it without --recording; expected both\n",
+        )
+
+
+def test_a_bad_recording_is_one_line(run, recording):
+    (recording / "0/3_4.txt").write_text("pedestrian 1 2 nan 4 5\n")
+    for command in (["evaluate"], ["--budget", 1]):
+        assert run(*command, "--recording", recording, "--quiet") == (
+            2,
+            "",
+            f"place-rsus: {recording}/0/3_4.txt:1: max_x: got 'nan'; expected a finite number\n",
+        )
+    assert run("evaluate", "--recording", "nowhere", "--quiet") == (
+        2,
+        "",
+        "place-rsus: nowhere: got No such file or directory; expected a folder with a recording\n",
+    )
