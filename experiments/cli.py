@@ -20,11 +20,15 @@ from .cli_options import (
     option_name,
     question_options,
     quiet_option,
+    seed_option,
     workers_option,
 )
+from .cli_recording import check_recording_options, is_given, recording_options
+from .cli_render import render
 from .cli_scenarios import scenarios
 from .progress import Interrupted, StageProgress, ending_on_signals
 from .question import Question
+from .recording_tables import recorded_placement_table, recording_table
 
 if TYPE_CHECKING:
     from placement.layout import Layout
@@ -45,8 +49,10 @@ Examples:
   place-rsus --budget 3 --json --quiet | jq .apr   for a machine
   place-rsus --budget 3 --cases protocol-4.5.1 --weights case
   place-rsus --budget 3 --cases CPNCO-50,CBNA --speeds 40-60
+  place-rsus --budget 3 --weather day,night,fog --detector response
   place-rsus scenarios list                        what can be driven here
   place-rsus evaluate --layout carlancap-12        the study's 12 cameras
+  place-rsus --budget 3 --recording ncap_data      the best recorded units
   place-rsus compare --layout results/latest/layout.json --layout carlancap-12
   place-rsus export --layout results/latest/layout.json --format carla
 
@@ -71,15 +77,17 @@ Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted,
     show_default=True,
     help="Folder for report, layout, tables and figures; earlier results there are replaced.",
 )
+@recording_options
 @question_options()
 @json_option
 @quiet_option
+@seed_option
 @click.option(
-    "--seed",
-    type=WholeNumber(0, "a whole number"),
-    default=0,
-    show_default=True,
-    help="Of the points spread over the road users.",
+    "--sensors",
+    default="",
+    metavar="NAMES",
+    help="Models to choose from, with commas between: carla-ncap-rgb,carla-ncap-lidar; default: "
+    "the study's camera.",
 )
 @workers_option
 @click.option(
@@ -108,11 +116,14 @@ def cli(
     *,
     budget: int | None,
     fusion: str,
+    recording: Path | None,
+    min_confidence: float,
     question: Question,
     out: Path,
     as_json: bool,
     quiet: bool,
     seed: int,
+    sensors: str,
     workers: int,
     study_poses: bool,
     time_limit: float,
@@ -141,12 +152,31 @@ def cli(
             "--budget: got nothing; expected a whole number of units, at least 1"
         )
     progress: StageProgress = context.obj
+    check_recording_options(recording)
+    if recording is not None:
+        progress.start(quiet=quiet)
+        from . import recording_jobs
+
+        folder = out if is_given("out") else None
+        summary = recording_jobs.run_recorded_placement(
+            question,
+            folder=recording,
+            budget_units=budget,
+            fusion=fusion,
+            min_confidence=min_confidence,
+            time_limit_s=time_limit,
+            out=folder,
+            progress=progress,
+        )
+        _print(summary, progress, as_json, lambda: recorded_placement_table(summary, folder))
+        return
     jobs = _start(progress, quiet=quiet)
     summary = jobs.run_placement(
         question,
         budget_units=budget,
         fusion=fusion,
         out=out,
+        sensors=sensors,
         seed=seed,
         workers=workers,
         includes_study_poses=study_poses,
@@ -162,32 +192,53 @@ def cli(
     epilog="""\b
 Examples:
   place-rsus evaluate --layout carlancap-12
-  place-rsus evaluate --layout results/latest/layout.json --out results/mine"""
+  place-rsus evaluate --layout results/latest/layout.json --out results/mine
+  place-rsus evaluate --recording ncap_data"""
 )
 @layout_option
+@recording_options
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a report; else none.")
 @question_options()
 @json_option
 @quiet_option
+@seed_option
 @workers_option
 @click.pass_obj
 def evaluate(
     progress: StageProgress,
     *,
     layout_names: tuple[str, ...],
+    recording: Path | None,
+    min_confidence: float,
     out: Path | None,
     question: Question,
     as_json: bool,
     quiet: bool,
+    seed: int,
     workers: int,
 ) -> None:
-    """Evaluate a layout by full perception and emergency braking."""
+    """Evaluate a layout by full perception and emergency braking, or recorded detections."""
+    check_recording_options(recording)
+    if recording is not None:
+        progress.start(quiet=quiet)
+        from . import recording_jobs
+
+        summary = recording_jobs.run_recording(
+            question,
+            folder=recording,
+            min_confidence=min_confidence,
+            out=out,
+            progress=progress,
+        )
+        _print(summary, progress, as_json, lambda: recording_table(summary, out))
+        return
     (layout,) = _load_layouts(layout_names, 1)
     jobs = _start(progress, quiet=quiet)
     summary = jobs.run_evaluation(
         question,
         layout=layout,
         out=out,
+        seed=seed,
         workers=workers,
         command=_command_line(),
         progress=progress,
@@ -207,6 +258,7 @@ Example:
 @question_options()
 @json_option
 @quiet_option
+@seed_option
 @workers_option
 @click.pass_obj
 def compare(
@@ -217,6 +269,7 @@ def compare(
     question: Question,
     as_json: bool,
     quiet: bool,
+    seed: int,
     workers: int,
 ) -> None:
     """Compare two layouts on the same runs; the second is the baseline."""
@@ -227,6 +280,7 @@ def compare(
         subject=subject,
         baseline=baseline,
         out=out,
+        seed=seed,
         workers=workers,
         command=_command_line(),
         progress=progress,
@@ -268,6 +322,7 @@ def export(*, layout_names: tuple[str, ...], format_name: str, out: Path | None)
         ) from None
 
 
+cli.add_command(render)
 cli.add_command(scenarios)
 
 

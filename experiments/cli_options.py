@@ -82,6 +82,23 @@ class Number(click.ParamType[float]):
         return number
 
 
+class Share(Number):
+    """A number from 0 to 1."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__("SHARE", what, may_be_zero=True)
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """The value, checked."""
+        try:
+            number = float(value)
+        except ValueError:
+            number = -1.0
+        if not 0.0 <= number <= 1.0:
+            raise input_error(option_name(param), value, f"{self.what}, 0 to 1")
+        return number
+
+
 def option_name(param: click.Parameter) -> str:
     """The long name of an option."""
     return max(param.opts, key=len)
@@ -104,6 +121,13 @@ workers_option = click.option(
     default=os.cpu_count() or 1,
     show_default="one per processor",
     help="Threads.",
+)
+seed_option = click.option(
+    "--seed",
+    type=WholeNumber(0, "a whole number"),
+    default=0,
+    show_default=True,
+    help="Of all that is left to chance: points on the road users, misses, lost messages.",
 )
 layout_option = click.option(
     "--layout", "layout_names", multiple=True, help="carlancap-12, or a layout file."
@@ -141,7 +165,7 @@ _DRIVE_OPTIONS = (
         default="day",
         show_default=True,
         metavar="WEATHER",
-        help="day,night,rain: each run is driven in each.",
+        help="day,night,rain,fog: each run is driven in each.",
     ),
     click.option("--force", is_flag=True, help="Drive speeds that the protocol does not."),
 )
@@ -178,6 +202,37 @@ _BRAKING_OPTIONS = (
         help="aligned: a frame falls on the impact; worst: of ten phases the one that loses most.",
     ),
 )
+_PERCEPTION_OPTIONS = (
+    click.option(
+        "--detector",
+        default="geometric",
+        show_default=True,
+        metavar="HOW",
+        help="Of cameras: geometric (by boxes), response (misses by size, cover, class, weather), "
+        "a .toml file with a response table, or an .onnx network that looks at rendered pictures.",
+    ),
+    click.option(
+        "--vut-sensors",
+        default="camera",
+        show_default=True,
+        metavar="SENSORS",
+        help="What the VUT itself looks with: camera,lidar.",
+    ),
+    click.option(
+        "--packet-loss",
+        type=Share("a share of lost messages"),
+        default=0.0,
+        show_default=True,
+        help="Of the RSUs' and road users' messages, frame by frame; in the evaluation.",
+    ),
+    click.option(
+        "--vam-rate",
+        type=Share("a share of equipped road users"),
+        default=0.0,
+        show_default=True,
+        help="Of the road users who announce themselves (VRU awareness messages).",
+    ),
+)
 _WEIGHT_OPTION = click.option(
     "--weights",
     default="run",
@@ -198,11 +253,11 @@ def question_options(
     cases : str
         What is driven unless the user says.
     has_weights : bool
-        Whether the command weighs runs.
+        Whether the command weighs runs and judges layouts on them.
     """
-    weights = [_WEIGHT_OPTION] if has_weights else []
+    judging = [_WEIGHT_OPTION, *_PERCEPTION_OPTIONS] if has_weights else []
     return _into_question(
-        _cases_option(cases), *_SELECTION_OPTIONS, *_DRIVE_OPTIONS, *weights, *_BRAKING_OPTIONS
+        _cases_option(cases), *_SELECTION_OPTIONS, *_DRIVE_OPTIONS, *judging, *_BRAKING_OPTIONS
     )
 
 

@@ -2,13 +2,15 @@
 
 import logging
 from dataclasses import dataclass, replace
+from typing import cast
 
 from geometry.actors import pick_actor
 from geometry.errors import InputError, Unquoted
 from geometry.junction import build_junction
 from geometry.scene import Scene
-from placement.detector import load_detector
-from placement.setting import Setting
+from placement.detectors import Detector, PlanningDetector, load_detector, load_planning_detector
+from placement.links import Links
+from placement.setting import VUT_SENSORS, Setting
 from scenarios.aeb import AebRule, load_aeb_rule
 from scenarios.exposure import weigh
 from scenarios.runs import WEATHERS, Refusal, Run, build_frame_axis, build_runs
@@ -151,19 +153,30 @@ def build_setting(question: Question, scene: Scene) -> Setting:
                 f"a case that can be driven at {scene.name} (from the {refusal.approach}: "
                 f"{refusal.reason})",
             )
-    if any(run.weather != "day" for run in runs):
-        _log.warning(
-            "weather: runs are counted in each, but detections do not depend on it: "
-            "the geometric detector looks at boxes only"
-        )
+    detector = load_detector(question.detector, where="--detector")
     return Setting(
         scene=scene,
         runs=runs,
         axis=build_frame_axis(runs, weigh(runs, question.weights)),
         rule=build_rule(question),
-        detector=load_detector(),
+        detector=detector,
+        planner=_planner(detector),
         refusals=(*drives.refused, *drives.left_out),
+        links=Links(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
+        vut_sensors=_words(question.vut_sensors, "--vut-sensors", VUT_SENSORS) or ("",),
     )
+
+
+def _planner(detector: Detector) -> PlanningDetector:
+    """What the detection table counts on: a network cannot be foretold, boxes stand in for it."""
+    if not detector.needs_pictures:
+        return cast(PlanningDetector, detector)
+    _log.warning(
+        "--detector %s: judged on rendered pictures, about a second each; poses are chosen by the "
+        "geometric detector",
+        detector.name,
+    )
+    return load_planning_detector()
 
 
 def _words(text: str, where: str, known: tuple[str, ...]) -> tuple[str, ...]:

@@ -9,12 +9,13 @@ import numpy as np
 import pandas as pd
 
 from geometry.arrays import BoolArray, FloatArray
+from geometry.catalogue import Sensor
 from geometry.errors import InputError
 from geometry.frames import to_carla_points, to_carla_yaw, to_geographic
+from geometry.lidar import LidarModel
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import SCHEMA, Layout, layout_records
-from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
 ALL = "all"
@@ -112,16 +113,17 @@ FORMATS: Mapping[str, Callable[[Layout, str], str]] = {
 
 
 def parties(evaluation: Evaluation) -> dict[str, Verdict]:
-    """Every sensing party of an evaluation: "vut", each unit's id, "rsu_all", "vut_and_rsus"."""
+    """Every sensing party of an evaluation: "vut", each unit's id, "rsu_all" and so on."""
     return {
         "vut": evaluation.vut,
         **evaluation.units,
         "rsu_all": evaluation.rsu_all,
         "vut_and_rsus": evaluation.vut_and_rsus,
+        **evaluation.others,
     }
 
 
-def margin_s(verdict: Verdict, axis: FrameAxis, rule: AebRule) -> FloatArray:
+def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
     """Last brake time minus (confirmation + latency), per run.
 
     Parameters
@@ -130,16 +132,14 @@ def margin_s(verdict: Verdict, axis: FrameAxis, rule: AebRule) -> FloatArray:
         Whose.
     axis : FrameAxis
         Runs.
-    rule : AebRule
-        Its latency counts.
 
     Returns
     -------
     margin_s : (n_runs,) float
         Negative: too late. Minus infinity: never confirmed, or no braking avoids. [s]
     """
-    # At most one infinity of each sign: a confirmation is never -inf, so this is never NaN.
-    margin: FloatArray = axis.last_brake_time_s - (verdict.confirmation_time_s + rule.latency_s)
+    # At most one infinity of each sign: an onset is never -inf, so this is never NaN.
+    margin: FloatArray = axis.last_brake_time_s - verdict.onset_time_s
     return margin
 
 
@@ -181,15 +181,13 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
     )
 
 
-def runs_table(evaluations: Mapping[str, Evaluation], rule: AebRule) -> pd.DataFrame:
+def runs_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
     """Every run's outcome for every party.
 
     Parameters
     ----------
     evaluations : mapping of str to Evaluation
         By the layout's display name.
-    rule : AebRule
-        Its latency counts in the margin.
 
     Returns
     -------
@@ -214,7 +212,7 @@ def runs_table(evaluations: Mapping[str, Evaluation], rule: AebRule) -> pd.DataF
                         "weight": axis.weight,
                         "last_brake_time_s": _missing(axis.last_brake_time_s),
                         "confirmation_time_s": _missing(verdict.confirmation_time_s),
-                        "margin_s": _missing(margin_s(verdict, axis, rule)),
+                        "margin_s": _missing(margin_s(verdict, axis)),
                         "is_avoided": verdict.is_avoided,
                         "detected_share": np.add.reduceat(verdict.detected, axis.run_start[:-1])
                         / np.diff(axis.run_start),
@@ -236,19 +234,41 @@ def _longitude_latitude(positions_m: FloatArray, crs: str) -> FloatArray:
     return lon_lat_deg
 
 
+def _carla_blueprint(sensor: Sensor) -> dict[str, Any]:
+    tick = {"sensor_tick": str(1.0 / sensor.frame_rate_hz)}
+    if isinstance(sensor, LidarModel):
+        half_deg = 0.5 * sensor.vertical_fov_deg
+        return {
+            "blueprint": "sensor.lidar.ray_cast",
+            "attributes": {
+                "channels": str(sensor.n_lines),
+                "range": str(sensor.range_m),
+                "points_per_second": str(int(sensor.points_per_second)),
+                "rotation_frequency": str(sensor.frame_rate_hz),
+                "upper_fov": str(half_deg),
+                "lower_fov": str(-half_deg),
+                "horizontal_fov": str(sensor.horizontal_fov_deg),
+                **tick,
+            },
+        }
+    return {
+        "blueprint": "sensor.camera.rgb",
+        "attributes": {
+            "image_size_x": str(sensor.width_px),
+            "image_size_y": str(sensor.height_px),
+            "fov": str(sensor.horizontal_fov_deg),
+            **tick,
+        },
+    }
+
+
 def _carla_record(unit: CandidatePose) -> dict[str, Any]:
-    camera, pose = unit.camera, unit.pose
+    pose = unit.pose
     # Adding zero turns -0.0 into 0.0.
     x_m, y_m, z_m = (to_carla_points(pose.position_m) + 0.0).tolist()
     return {
         "id": unit.id,
-        "blueprint": "sensor.camera.rgb",
-        "attributes": {
-            "image_size_x": str(camera.width_px),
-            "image_size_y": str(camera.height_px),
-            "fov": str(camera.horizontal_fov_deg),
-            "sensor_tick": str(1.0 / camera.frame_rate_hz),
-        },
+        **_carla_blueprint(unit.sensor),
         "transform": {
             "location": {"x": x_m, "y": y_m, "z": z_m},
             "rotation": {

@@ -15,6 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from geometry.arrays import BoolArray
+from geometry.catalogue import sensor_kind
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case
 from placement.layout import Layout
 from scenarios.runs import FrameAxis
@@ -173,7 +174,7 @@ def _apr_columns(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, f
     """APR of all runs and of each case, by sensing party."""
     subject_name, subject = next(iter(evaluations.items()))
     verdicts: dict[str, tuple[Evaluation, Verdict]] = {
-        f"{name}: {_n_cameras(evaluation)}": (evaluation, evaluation.rsu_all)
+        f"{name}: {_n_sensors(evaluation)}": (evaluation, evaluation.rsu_all)
         for name, evaluation in evaluations.items()
     }
     verdicts["car (VUT) alone"] = (subject, subject.vut)
@@ -187,9 +188,11 @@ def _apr_columns(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, f
     }
 
 
-def _n_cameras(evaluation: Evaluation) -> str:
-    n_units = len(evaluation.units)
-    return "1 camera" if n_units == 1 else f"{n_units} cameras together"
+def _n_sensors(evaluation: Evaluation) -> str:
+    units = evaluation.layout.units
+    kinds = {sensor_kind(unit.sensor) for unit in units}
+    one, many = ("camera", "cameras") if kinds == {"camera"} else ("sensor", "sensors")
+    return f"1 {one}" if len(units) == 1 else f"{len(units)} {many} together"
 
 
 # ---------------------------------------------------------------- heatmaps

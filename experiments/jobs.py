@@ -6,8 +6,9 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from geometry.catalogue import pick_sensor
 from geometry.scene_files import load_study_scene
-from placement.candidates import build_candidates, load_candidate_grid
+from placement.candidates import CandidateGrid, build_candidates, load_candidate_grid
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layouts
 from placement.layout import Layout, check_layout
@@ -37,6 +38,7 @@ def run_placement(
     budget_units: int,
     fusion: Any,
     out: Path,
+    sensors: str,
     seed: int,
     workers: int,
     includes_study_poses: bool,
@@ -65,7 +67,7 @@ def run_placement(
     study = load_carlancap_layout()
     candidates = build_candidates(
         setting.scene,
-        load_candidate_grid(),
+        _grid(sensors),
         extra=study.units if includes_study_poses else (),
     )
 
@@ -86,9 +88,9 @@ def run_placement(
         on_progress=report,
     )
     found, greedy, baseline = _evaluate(
-        [placement.layout, placement.greedy, study], setting, workers, progress
+        [placement.layout, placement.greedy, study], setting, seed, workers, progress
     )
-    summary = summarise_placement(placement, found=found, greedy=greedy, baseline=baseline)
+    summary = summarise_placement(placement, setting, found=found, greedy=greedy, baseline=baseline)
     summary |= summarise_drives(setting)
     evaluations = {found.layout.name: found, GREEDY: greedy, baseline.layout.name: baseline}
     _write_results(
@@ -108,6 +110,7 @@ def run_evaluation(
     *,
     layout: Layout,
     out: Path | None,
+    seed: int,
     workers: int,
     command: str,
     progress: StageProgress,
@@ -124,7 +127,15 @@ def run_evaluation(
     InputError
         A unit hangs underground or inside something, or `out` cannot be written.
     """
-    return _judge(question, [layout], out=out, workers=workers, command=command, progress=progress)
+    return _judge(
+        question,
+        [layout],
+        out=out,
+        seed=seed,
+        workers=workers,
+        command=command,
+        progress=progress,
+    )
 
 
 def run_comparison(
@@ -133,6 +144,7 @@ def run_comparison(
     subject: Layout,
     baseline: Layout,
     out: Path | None,
+    seed: int,
     workers: int,
     command: str,
     progress: StageProgress,
@@ -153,6 +165,7 @@ def run_comparison(
         question,
         [subject, baseline],
         out=out,
+        seed=seed,
         workers=workers,
         command=command,
         progress=progress,
@@ -171,6 +184,7 @@ def _judge(
     layouts: Sequence[Layout],
     *,
     out: Path | None,
+    seed: int,
     workers: int,
     command: str,
     progress: StageProgress,
@@ -184,7 +198,7 @@ def _judge(
     layouts = _with_distinct_names(layouts)
     for layout in layouts:
         check_layout(layout, setting.scene)
-    verdicts = _evaluate(layouts, setting, workers, progress)
+    verdicts = _evaluate(layouts, setting, seed, workers, progress)
     if len(verdicts) == 1:
         summary = summarise_layout(verdicts[0], setting.rule)
     else:
@@ -205,6 +219,16 @@ def _judge(
     return summary
 
 
+def _grid(sensors: str) -> CandidateGrid:
+    """The default grid, with sensors by name, commas between; none: the default one's."""
+    names = dict.fromkeys(name.strip() for name in sensors.split(",") if name.strip())
+    if not names:
+        return load_candidate_grid()
+    return replace(
+        load_candidate_grid(), sensors=tuple(pick_sensor(name, "--sensors") for name in names)
+    )
+
+
 def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
     """Layouts under names of their own: one whose name is taken gets a number."""
     taken = {GREEDY}
@@ -218,16 +242,17 @@ def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
 
 
 def _evaluate(
-    layouts: Sequence[Layout], setting: Setting, workers: int, progress: StageProgress
+    layouts: Sequence[Layout],
+    setting: Setting,
+    seed: int,
+    workers: int,
+    progress: StageProgress,
 ) -> list[Evaluation]:
     progress("evaluate", 0, 0)
     return evaluate_layouts(
         layouts,
-        setting.scene,
-        setting.runs,
-        setting.axis,
-        rule=setting.rule,
-        detector=setting.detector,
+        setting,
+        seed=seed,
         workers=workers,
         on_progress=lambda done, total: progress("evaluate", done, total),
     )
@@ -254,7 +279,7 @@ def _write_results(
         _write_text(new / "layout.csv", exports.to_csv(subject.layout))
         _write_text(new / "layout.geojson", exports.to_geojson(subject.layout, setting.scene.crs))
         exports.apr_table(evaluations).to_csv(new / "apr.csv", index=False)
-        exports.runs_table(evaluations, setting.rule).to_parquet(new / "runs.parquet")
+        exports.runs_table(evaluations).to_parquet(new / "runs.parquet")
         figures = {
             "plan": plot_plan(setting, subject.layout, others=others),
             "apr_by_case": plot_apr_by_case(evaluations),

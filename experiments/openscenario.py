@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.toml_files import Table, pick, take, take_number, take_text
+from geometry.toml_files import Table, pick, take, take_text
+from geometry.weather import pick_weather
 from scenarios.runs import Run
 
 from .openscenario_bodies import (
@@ -271,8 +272,9 @@ def _build_environment(weather: str) -> Any:
     xosc = load_xosc()
     sky: Table = pick(load_table("weather"), weather, "weather")
     where = f"{TABLE}: weather.{weather}"
-    rain_mm_per_h = take_number(sky, "rain_mm_per_h", where)
-    falling = xosc.PrecipitationType.rain if rain_mm_per_h > 0.0 else xosc.PrecipitationType.dry
+    light = pick_weather(weather, "weather")
+    is_raining = light.rain_rate_mmph > 0.0
+    falling = xosc.PrecipitationType.rain if is_raining else xosc.PrecipitationType.dry
     time: dt.datetime = take(sky, "date_time", where)
     return xosc.Environment(
         weather,
@@ -280,12 +282,12 @@ def _build_environment(weather: str) -> Any:
         xosc.Weather(
             getattr(xosc.FractionalCloudCover, take_text(sky, "cloud_cover", where)),
             sun=xosc.Sun(
-                take_number(sky, "illuminance_lux", where),
-                to_radians(take_number(sky, "sun_azimuth_deg", where)),
-                to_radians(take_number(sky, "sun_elevation_deg", where)),
+                light.level_lux,
+                to_radians((90.0 - light.sun_yaw_deg) % 360.0),  # clockwise from north
+                to_radians(light.sun_elevation_deg),
             ),
-            fog=xosc.Fog(take_number(sky, "fog_visual_range_m", where)),
-            precipitation=xosc.Precipitation(falling, rain_mm_per_h),
+            fog=xosc.Fog(light.visibility_m),
+            precipitation=xosc.Precipitation(falling, light.rain_rate_mmph),
         ),
         # 1: the runs brake alike in every weather.
         xosc.RoadCondition(1.0, wetness=getattr(xosc.Wetness, take_text(sky, "wetness", where))),

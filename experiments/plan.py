@@ -54,18 +54,19 @@ def ground_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
         A convex polygon, counter-clockwise; empty if the camera sees no ground there. World
         frame. [m]
     """
-    position, camera = unit.pose.position_m, unit.camera
+    position = unit.pose.position_m
     angles = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
     corners = position[:2] + max_range_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    half_width, half_height = 0.5 * camera.width_px, 0.5 * camera.height_px
-    focal = camera.focal_length_px
+    half_width, half_height = np.tan(
+        np.radians([0.5 * unit.sensor.horizontal_fov_deg, 0.5 * unit.sensor.vertical_fov_deg])
+    )
     # Inward normals of the planes through the lens and the image's four sides. Camera frame.
     normals_camera = np.array(
         [
-            [focal, 0.0, half_width],
-            [-focal, 0.0, half_width],
-            [0.0, focal, half_height],
-            [0.0, -focal, half_height],
+            [1.0, 0.0, half_width],
+            [-1.0, 0.0, half_width],
+            [0.0, 1.0, half_height],
+            [0.0, -1.0, half_height],
         ]
     )
     R_world_camera = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg)

@@ -25,6 +25,12 @@ class Question:
         Drive speeds that the protocol does not.
     deceleration_mps2, build_up_s, latency_s, n_confirmations
         In place of the study's, see :class:`scenarios.aeb.AebRule`.
+    detector : str
+        See :func:`placement.detectors.load_detector`.
+    vut_sensors : str
+        Of the VUT itself, with commas between, see :class:`placement.setting.Setting`.
+    packet_loss, vam_rate : float
+        See :class:`placement.links.Links`.
     """
 
     cases: str = DEFAULT_CASES
@@ -38,3 +44,7 @@ class Question:
     build_up_s: float | None = None
     latency_s: float | None = None
     n_confirmations: int | None = None
+    detector: str = "geometric"
+    vut_sensors: str = "camera"
+    packet_loss: float = 0.0
+    vam_rate: float = 0.0

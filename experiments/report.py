@@ -29,7 +29,7 @@ from .sentences import (
     STAGES,
     answer,
     assumptions,
-    count_cameras,
+    count_sensors,
     describe_cases,
     describe_hopeless,
     describe_refusals,
@@ -109,7 +109,7 @@ def render_report(
         title=title(summary, setting, evaluations),
         answer=answer(summary, shown),
         layouts=[
-            {"caption": f"Cameras of {name}", "rows": _unit_rows(item.layout)}
+            {"caption": f"Units of {name}", "rows": _unit_rows(item.layout)}
             for name, item in detailed.items()
         ],
         plans=_plans(setting, detailed, [] if is_comparison else [*shown.values()][1:]),
@@ -126,6 +126,16 @@ def render_report(
         ],
         rule=setting.rule,
         disagreement=disagreement(summary),
+        disagreements=[
+            [
+                entry["run_id"],
+                entry["party"],
+                "table" if entry["on_table"] else "evaluator",
+                entry["n_frames"],
+                entry["cause"],
+            ]
+            for entry in summary.get("disagreements", ())
+        ],
         assumptions=assumptions(summary, setting),
         cases=describe_cases(setting),
         hopeless=describe_hopeless(setting),
@@ -186,7 +196,7 @@ def _unit_rows(layout: Layout) -> list[list[str]]:
             number(record["yaw_deg"], 1),
             number(record["pitch_deg"], 1),
             COMPASS[round(record["yaw_deg"] / 45.0) % 8],
-            record["camera"],
+            record.get("camera") or record["lidar"],
         ]
         for record in layout_records(layout)
     ]
@@ -215,7 +225,7 @@ def _apr_table(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
     subject = next(iter(evaluations.values()))
     verdicts = [
         *(
-            (f"{name}: {count_cameras(item.units)}", item, item.rsu_all)
+            (f"{name}: {count_sensors(item.layout)}", item, item.rsu_all)
             for name, item in evaluations.items()
         ),
         ("car (VUT) alone", subject, subject.vut),
@@ -242,7 +252,7 @@ def _alone(name: str, evaluation: Evaluation) -> dict[str, Any]:
     units = evaluation.units.items()
     detected = [percent(detected_share(verdict, evaluation.axis)) for _, verdict in units]
     return {
-        "caption": f"APR of each camera of {name} by itself",
+        "caption": f"APR of each unit of {name} by itself",
         "columns": ["case", *(labels[unit_id] for unit_id, _ in units)],
         "rows": [
             *_case_rows([(evaluation, verdict) for _, verdict in units]),
@@ -256,7 +266,7 @@ def _run_table(setting: Setting, evaluations: Mapping[str, Evaluation]) -> dict[
     subject = next(iter(evaluations.values()))
     axis = subject.axis
     verdicts = [*(item.rsu_all for item in evaluations.values()), subject.vut]
-    margins = [margin_s(verdict, axis, setting.rule) for verdict in verdicts]
+    margins = [margin_s(verdict, axis) for verdict in verdicts]
     has_weathers, has_weights = len(set(axis.weathers)) > 1, is_weighted(axis)
     rows = [
         [
@@ -301,8 +311,8 @@ def _plans(
             ),
             title=f"Plan of {setting.scene.name} with {name}",
             caption=(
-                "Coloured outlines: the ground in each camera's image, up to "
-                f"{_PLAN_RANGE_M:g} m; the cameras see farther. Walls and parked cars hide parts "
+                "Coloured outlines: the ground in each sensor's field of view, up to "
+                f"{_PLAN_RANGE_M:g} m; they see farther. Walls and parked cars hide parts "
                 "of it, which is taken into account in the numbers but not drawn here."
             ),
             alt="Plan of the junction, north up. "
@@ -354,7 +364,7 @@ def pick_heatmap_runs(setting: Setting, evaluation: Evaluation) -> tuple[str, ..
         for run_id in _STUDY_HEATMAPS
         if run_id in axis.run_ids
     }
-    margin = margin_s(evaluation.rsu_all, axis, setting.rule)
+    margin = margin_s(evaluation.rsu_all, axis)
     for index in np.argsort(margin, kind="stable"):
         if axis.weight[index] > 0.0:
             picked.setdefault(axis.cases[index], axis.run_ids[index])

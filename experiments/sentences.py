@@ -1,13 +1,16 @@
 """What a result says, in plain sentences; every number in them comes from the result."""
 
 import math
-from collections.abc import Mapping, Sequence, Sized
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from geometry.arrays import BoolArray
+from geometry.catalogue import sensor_kind
 from placement.evaluation import Evaluation, Verdict, apr
+from placement.layout import Layout
+from placement.links import Links
 from placement.setting import Setting
 from scenarios.runs import FrameAxis
 
@@ -16,7 +19,7 @@ from .tables import percent
 NOTHING = "\N{EN DASH}"
 STAGES = {
     "apr": "APR",
-    "apr_one_failed": "APR if the most needed camera fails",
+    "apr_one_failed": "APR if the most needed unit fails",
     "smallest_margin_s": "smallest time to spare",
     "mean_margin_s": "mean time to spare",
 }
@@ -31,10 +34,10 @@ def title(
     place = setting.scene.name
     if "stages" in summary:
         subject = next(iter(evaluations.values()))
-        return f"Where to mount {count_cameras(subject.units)} at {place}"
+        return f"Where to mount {count_sensors(subject.layout)} at {place}"
     if len(evaluations) > 1:
-        return f"Roadside cameras at {place}: {' and '.join(evaluations)} compared"
-    return f"Roadside cameras at {place}: {next(iter(evaluations))}"
+        return f"Roadside sensors at {place}: {' and '.join(evaluations)} compared"
+    return f"Roadside sensors at {place}: {next(iter(evaluations))}"
 
 
 def answer(summary: Mapping[str, Any], shown: Mapping[str, Evaluation]) -> list[str]:
@@ -54,18 +57,18 @@ def answer(summary: Mapping[str, Any], shown: Mapping[str, Evaluation]) -> list[
         verb = "avoids" if len(subject.units) == 1 else "avoid"
         how = ", each by itself," if summary.get("fusion") == "single" else ""
         sentences = [
-            f"{count_cameras(subject.units)}{how} {verb} {score}",
+            f"{count_sensors(subject.layout)}{how} {verb} {score}",
             _proof_in_short(summary),
         ]
     else:
-        sentences = [f"{subject_name} ({count_cameras(subject.units)}) avoids {score}"]
+        sentences = [f"{subject_name} ({count_sensors(subject.layout)}) avoids {score}"]
     sentences += [
-        f"{name} ({count_cameras(item.units)}) avoids {_score(item.rsu_all, item)}"
+        f"{name} ({count_sensors(item.layout)}) avoids {_score(item.rsu_all, item)}"
         for name, item in others
     ]
     if not is_placement:
         sentences += [_difference(subject_name, subject, name, item) for name, item in others]
-    sentences.append(f"The car's own camera alone avoids {_score(subject.vut, subject)}")
+    sentences.append(f"The car by itself avoids {_score(subject.vut, subject)}")
     left = summary.get("evaluation", {}).get("apr_without_worst_unit")
     if left is not None:
         sentences.append(_one_failed(left, subject))
@@ -96,8 +99,8 @@ def proof(summary: Mapping[str, Any]) -> str:
 
 def _one_failed(left: float, subject: Evaluation) -> str:
     if len(subject.units) == 1:
-        return "If this one camera fails, only the car's own is left"
-    return f"If any one camera fails, the others still reach an APR of {percent(left)} or more"
+        return "If this one unit fails, only the car itself is left"
+    return f"If any one unit fails, the others still reach an APR of {percent(left)} or more"
 
 
 def _difference(name: str, ours: Evaluation, other_name: str, theirs: Evaluation) -> str:
@@ -129,7 +132,7 @@ def disagreement(summary: Mapping[str, Any]) -> str | None:
 
 def assumptions(summary: Mapping[str, Any], setting: Setting) -> list[tuple[str, str]]:
     """What the numbers rest on: pairs of term and text."""
-    rule, detector, axis = setting.rule, setting.detector, setting.axis
+    rule, axis = setting.rule, setting.axis
     frame_s = 1.0 / rule.frame_rate_hz
     terms = [
         (
@@ -140,9 +143,8 @@ def assumptions(summary: Mapping[str, Any], setting: Setting) -> list[tuple[str,
         ("Weights", _weights(setting)),
         (
             "Detection",
-            f"A road user counts as detected in a frame if the box around its visible part "
-            f"overlaps the box around all of it by more than {detector.min_iou:g} (intersection "
-            f"over union) and is at least {detector.min_box_height_px:g} pixels high.",
+            f"{setting.detector.description} The car itself looks with: "
+            f"{' and '.join(setting.vut_sensors)}.",
         ),
         (
             "Confirmation",
@@ -157,10 +159,12 @@ def assumptions(summary: Mapping[str, Any], setting: Setting) -> list[tuple[str,
         ("Avoided", "The outlines of car and road user on the road never touch."),
         ("Weather", _weather(setting)),
     ]
+    if setting.links != Links():
+        terms.append(("Radio", _radio(setting.links)))
     if "fusion" in summary:
-        terms.append(("Cameras together", _FUSIONS.get(summary["fusion"], summary["fusion"])))
+        terms.append(("Units together", _FUSIONS.get(summary["fusion"], summary["fusion"])))
     if "budget" in summary:
-        terms.append(("Budget", count_cameras(range(summary["budget"])) + "."))
+        terms.append(("Budget", _several(summary["budget"], "unit", "units") + "."))
     return terms
 
 
@@ -205,12 +209,22 @@ def _weather(setting: Setting) -> str:
     text = f"{', '.join(weathers)}."
     if weathers == ["day"]:
         return text
-    return f"{text} It does not change what is detected: the detector looks at boxes only."
+    return f"{text} It takes contrast from cameras and pulses from LiDARs."
+
+
+def _radio(links: Links) -> str:
+    lost = f"{percent(links.packet_loss)} of all messages are lost, frame by frame."
+    if links.vam_rate == 0.0:
+        return lost
+    return (
+        f"{lost} {percent(links.vam_rate)} of the road users announce themselves (VRU awareness "
+        "messages), and the car trusts the position that they send."
+    )
 
 
 _FUSIONS = {
-    "any": "A frame counts if any camera detects the road user in it.",
-    "single": "One camera must confirm the road user by itself.",
+    "any": "A frame counts if any unit detects the road user in it.",
+    "single": "One unit must confirm the road user by itself.",
 }
 
 
@@ -323,10 +337,18 @@ def _verb(count: int) -> str:
     return "is" if count == 1 else "are"
 
 
-def count_cameras(units: Sized) -> str:
-    """'1 camera', '2 cameras' and so on."""
-    n_units = len(units)
-    return "1 camera" if n_units == 1 else f"{n_units} cameras"
+def count_sensors(layout: Layout) -> str:
+    """'1 camera', '2 cameras and 1 LiDAR' and so on."""
+    kinds = [sensor_kind(unit.sensor) for unit in layout.units]
+    return " and ".join(
+        _several(kinds.count(kind), one, many)
+        for kind, one, many in (("camera", "camera", "cameras"), ("lidar", "LiDAR", "LiDARs"))
+        if kind in kinds
+    )
+
+
+def _several(count: int, one: str, many: str) -> str:
+    return f"{count} {one if count == 1 else many}"
 
 
 def _score(verdict: Verdict, evaluation: Evaluation) -> str:
@@ -347,6 +369,7 @@ def _together(evaluation: Evaluation, summary: Mapping[str, Any]) -> Verdict:
         confirmation_time_s=np.min(
             [unit.confirmation_time_s for unit in evaluation.units.values()], axis=0
         ),
+        onset_time_s=np.min([unit.onset_time_s for unit in evaluation.units.values()], axis=0),
         is_avoided=any_alone,
     )
 

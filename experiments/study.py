@@ -43,7 +43,7 @@ def load_carlancap_layout() -> Layout:
                     yaw_deg=take_number(entry, "yaw_deg", here),
                     pitch_deg=take_number(entry, "pitch_deg", here),
                 ),
-                camera=camera,
+                sensor=camera,
             )
         )
     return Layout(name=take_text(table, "name", where), units=tuple(units))

@@ -1,12 +1,14 @@
 """The numbers of a result as one plain object: what ``--json`` prints and the report shows."""
 
 import platform
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from geometry.raycast import caster_name
+from placement.agreement import find_disagreements
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, apr_one_failed
 from placement.layout import layout_records
 from placement.optimiser import placement_value, run_margins_s
@@ -32,7 +34,8 @@ def summarise_evaluation(evaluation: Evaluation, rule: AebRule) -> dict[str, Any
     -------
     summary : dict
         ``{"vut": {"all": p, "by_case": {case: p}}, "rsu_all", "vut_and_rsus", "units": {id: ..},
-        "apr_without_worst_unit": p}``
+        "apr_without_worst_unit": p}``, and "vam" and "all_sources" where road users announce
+        themselves.
     """
 
     def ratios(verdict: Verdict) -> dict[str, Any]:
@@ -44,12 +47,14 @@ def summarise_evaluation(evaluation: Evaluation, rule: AebRule) -> dict[str, Any
         "rsu_all": ratios(evaluation.rsu_all),
         "vut_and_rsus": ratios(evaluation.vut_and_rsus),
         "units": {name: ratios(verdict) for name, verdict in evaluation.units.items()},
+        **{name: ratios(verdict) for name, verdict in evaluation.others.items()},
         "apr_without_worst_unit": apr_one_failed(evaluation, rule),
     }
 
 
 def summarise_placement(
     placement: Placement,
+    setting: Setting,
     *,
     found: Evaluation,
     greedy: Evaluation,
@@ -61,6 +66,8 @@ def summarise_placement(
     ----------
     placement : Placement
         What the optimiser found.
+    setting : Setting
+        What it was found in.
     found, greedy, baseline : Evaluation
         Of the layout found, the greedy one and the study's.
 
@@ -99,6 +106,12 @@ def summarise_placement(
             **summarise_evaluation(greedy, rule),
         },
         "surrogate_disagreement": float(np.mean(disagreeing_runs(placement, found))),
+        "disagreements": [
+            asdict(disagreement)
+            for disagreement in find_disagreements(
+                setting, problem.table, found, placement.pose_index
+            )
+        ],
     }
 
 
@@ -123,6 +136,7 @@ def summarise_layout(evaluation: Evaluation, rule: AebRule) -> dict[str, Any]:
     return {
         "name": evaluation.layout.name,
         "layout": layout_records(evaluation.layout),
+        "cost_eur": sum(unit.sensor.price_eur for unit in evaluation.layout.units),
         "budget": None,
         "fusion": "any",
         "runs": evaluation.axis.n_runs,
@@ -163,7 +177,7 @@ def summarise_comparison(
 
 
 def summarise_drives(setting: Setting) -> dict[str, Any]:
-    """What a result was found on: cases, weathers, and what could not be driven.
+    """What a result was found on: cases, weathers, perception, and what could not be driven.
 
     Parameters
     ----------
@@ -173,12 +187,16 @@ def summarise_drives(setting: Setting) -> dict[str, Any]:
     Returns
     -------
     summary : dict
-        ``{"cases": [..], "weathers": [..], "not_driven": [{"case", "approach", "speeds_kmh",
+        ``{"cases": [..], "weathers": [..], "detector", "vut_sensors": [..], "packet_loss",
+        "vam_rate", "not_driven": [{"case", "approach", "speeds_kmh",
         "reason"}]}``
     """
     return {
         "cases": list(dict.fromkeys(setting.axis.cases)),
         "weathers": list(dict.fromkeys(setting.axis.weathers)),
+        "detector": setting.detector.name,
+        "vut_sensors": list(setting.vut_sensors),
+        **asdict(setting.links),
         "not_driven": [
             {
                 "case": refusal.case.name,

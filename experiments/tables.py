@@ -11,7 +11,8 @@ _COLUMN, _NARROWEST = 13, 9
 
 
 _MAX_ID_WIDTH = 22
-_TOGETHER = "fused: in each frame, any of the cameras may detect"
+_MAX_DISAGREEMENTS = 5
+_TOGETHER = "fused: in each frame, any of the units may detect"
 
 
 def percent(share: float) -> str:
@@ -116,6 +117,7 @@ def placement_table(summary: dict[str, Any], out: Path) -> str:
         f"Best {len(summary['layout'])} of {summary['candidates']} poses on {summary['runs']} runs "
         f"(fusion {summary['fusion']}):",
         *_units_text(summary["layout"]),
+        _cost_text(summary),
         "",
         f"  {'on the detection table':<24} {'found':>9} {'bound':>9} {'gap':>8}",
     ]
@@ -131,19 +133,46 @@ def placement_table(summary: dict[str, Any], out: Path) -> str:
         *_apr_text(
             {
                 "these, fused": evaluation["rsu_all"],
-                "and VUT's camera": evaluation["vut_and_rsus"],
-                "VUT's camera only": evaluation["vut"],
+                "with the VUT": evaluation["vut_and_rsus"],
+                "VUT alone": evaluation["vut"],
                 "greedy, fused": summary["greedy"]["rsu_all"],
                 f"{summary['baseline_name']} fused": baseline["rsu_all"],
+                **_announced(evaluation),
             }
         ),
-        *_explained(_TOGETHER, "greedy: cameras chosen one by one"),
+        *_explained(_TOGETHER, "greedy: units chosen one by one"),
         "",
         f"Table and evaluator disagree on {percent(summary['surrogate_disagreement'])} "
         "of the runs.",
+        *_disagreements(summary["disagreements"]),
         f"Written to {out}: report.html and more.",
     ]
     return "\n".join(lines)
+
+
+def _cost_text(summary: dict[str, Any]) -> str:
+    return f"  sensors: {summary['cost_eur']:,.0f} EUR by the catalogue, without poles or mounting"
+
+
+def _announced(evaluation: dict[str, Any]) -> dict[str, Any]:
+    """Columns for road users who announce themselves, where there are any."""
+    words = {"vam": "VAM alone", "all_sources": "all and VAM"}
+    return {words[key]: evaluation[key] for key in words if key in evaluation}
+
+
+def _disagreements(disagreements: list[dict[str, Any]]) -> list[str]:
+    """One entry per unit and run that they see differently, the first few."""
+    lines = []
+    for entry in disagreements[:_MAX_DISAGREEMENTS]:
+        verdict = "table avoids" if entry["on_table"] else "evaluator avoids"
+        lines += textwrap.wrap(
+            f"{entry['party']} in {entry['run_id']}: only the {verdict}; {entry['cause']}",
+            _WIDTH,
+            initial_indent="  ",
+            subsequent_indent="    ",
+        )
+    n_left = len(disagreements) - _MAX_DISAGREEMENTS
+    return lines + ([f"  and {n_left} more in summary.json"] if n_left > 0 else [])
 
 
 def evaluation_table(summary: dict[str, Any], out: Path | None) -> str:
@@ -152,13 +181,15 @@ def evaluation_table(summary: dict[str, Any], out: Path | None) -> str:
     lines = [
         *textwrap.wrap(f"{summary['name']} on {summary['runs']} runs:", _WIDTH),
         *_units_text(summary["layout"]),
+        _cost_text(summary),
         "",
         *_apr_text(
             {
                 **evaluation["units"],
                 "all, fused": evaluation["rsu_all"],
-                "and VUT's camera": evaluation["vut_and_rsus"],
-                "VUT's camera only": evaluation["vut"],
+                "with the VUT": evaluation["vut_and_rsus"],
+                "VUT alone": evaluation["vut"],
+                **_announced(evaluation),
             }
         ),
         *_explained("each unit by itself", _TOGETHER),
@@ -192,10 +223,10 @@ def comparison_table(summary: dict[str, Any], out: Path | None) -> str:
                 f"{summary['name']} and VUT": evaluation["vut_and_rsus"],
                 summary["baseline_name"]: baseline["rsu_all"],
                 f"{summary['baseline_name']} and VUT": baseline["vut_and_rsus"],
-                "VUT's camera only": evaluation["vut"],
+                "VUT alone": evaluation["vut"],
             }
         ),
-        *_explained("each layout's cameras are " + _TOGETHER),
+        *_explained("each layout's units are " + _TOGETHER),
         *_runs_text("runs gained:", summary["runs_gained"]),
         *_runs_text("runs lost:  ", summary["runs_lost"]),
     ]

@@ -7,9 +7,10 @@ layout by full perception and emergency braking. Every stage can be entered with
 
 from .candidates import CandidateGrid, CandidatePose, build_candidates, load_candidate_grid
 from .detection_table import DetectionTable
-from .detector import Detector, load_detector
+from .detectors import Detector, load_detector
 from .evaluation import Evaluation, Verdict, apr, apr_by_case
 from .layout import Certificate, Layout, Stage, load_layout
+from .links import Links
 from .setting import Setting
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Detector",
     "Evaluation",
     "Layout",
+    "Links",
     "Setting",
     "Stage",
     "Verdict",

@@ -1,4 +1,4 @@
-"""Candidate poses: every site x height x camera x yaw x pitch."""
+"""Candidate poses: every site x height x sensor x yaw x pitch."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,17 +8,17 @@ from importlib.resources import files
 import numpy as np
 
 from geometry.arrays import FloatArray, float_array
-from geometry.catalogue import pick_camera
+from geometry.catalogue import Sensor, pick_sensor
 from geometry.errors import InputError, Unquoted
 from geometry.poses import Pose
 from geometry.scene import Scene
-from geometry.sensors import CameraModel
 from geometry.toml_files import load_toml, take_list, take_number
+from scenarios.aeb import AebRule
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CandidatePose:
-    """A camera that could be mounted.
+    """A sensor that could be mounted.
 
     Attributes
     ----------
@@ -28,14 +28,21 @@ class CandidatePose:
         Site of the scene that carries it; empty for a pose that belongs to no known site.
     pose : Pose
         Where it is and looks. World frame.
-    camera : CameraModel
+    sensor : CameraModel or LidarModel
         What is mounted.
+    latency_s : float, optional
+        From its frame to the onset of braking; by default that of the braking rule. [s]
     """
 
     id: str
     site_id: str
     pose: Pose
-    camera: CameraModel
+    sensor: Sensor
+    latency_s: float | None = None
+
+    def latency(self, rule: AebRule) -> float:
+        """Its own latency, or the rule's, in seconds."""
+        return rule.latency_s if self.latency_s is None else self.latency_s
 
     def __repr__(self) -> str:
         return f"CandidatePose({self.id!r})"
@@ -53,14 +60,14 @@ class CandidateGrid:
         Yaws are the multiples of this all around; it divides 360. [deg]
     pitches_deg : (n,) float
         Positive up. [deg]
-    cameras : tuple of CameraModel
+    sensors : tuple of CameraModel or LidarModel
         Models to choose from.
     """
 
     heights_m: FloatArray
     yaw_step_deg: float
     pitches_deg: FloatArray
-    cameras: tuple[CameraModel, ...]
+    sensors: tuple[Sensor, ...]
 
     def __post_init__(self) -> None:
         for field in ("heights_m", "pitches_deg"):
@@ -77,8 +84,8 @@ class CandidateGrid:
             raise InputError("grid.yaw_step_deg", step_deg, "0 < degrees <= 360")
         if not abs(self.n_yaws * step_deg - 360.0) <= 1.0e-9:
             raise InputError("grid.yaw_step_deg", step_deg, "degrees that divide 360 evenly")
-        if not self.cameras:
-            raise InputError("grid.cameras", Unquoted("none"), "at least one")
+        if not self.sensors:
+            raise InputError("grid.sensors", Unquoted("none"), "at least one")
 
     @property
     def n_yaws(self) -> int:
@@ -89,7 +96,7 @@ class CandidateGrid:
 def build_candidates(
     scene: Scene, grid: CandidateGrid, *, extra: Sequence[CandidatePose] = ()
 ) -> tuple[CandidatePose, ...]:
-    """Every site x height x camera x yaw x pitch, and some more by name.
+    """Every site x height x sensor x yaw x pitch, and some more by name.
 
     Parameters
     ----------
@@ -116,18 +123,18 @@ def build_candidates(
     yaws_deg = (360.0 * np.arange(1, grid.n_yaws + 1) / grid.n_yaws - 180.0).round(12)
     candidates = [
         CandidatePose(
-            id=f"{site.id}/{height_m:g}m/{yaw_deg:g}/{pitch_deg:g}/{camera.name}",
+            id=f"{site.id}/{height_m:g}m/{yaw_deg:g}/{pitch_deg:g}/{sensor.name}",
             site_id=site.id,
             pose=Pose(
                 position_m=site.position_m + [0.0, 0.0, height_m],
                 yaw_deg=yaw_deg,
                 pitch_deg=pitch_deg,
             ),
-            camera=camera,
+            sensor=sensor,
         )
         for site in scene.sites
         for height_m in np.unique(np.clip(grid.heights_m, *site.height_range_m))
-        for camera in grid.cameras
+        for sensor in grid.sensors
         for yaw_deg in yaws_deg
         for pitch_deg in grid.pitches_deg
     ]
@@ -150,7 +157,7 @@ def load_candidate_grid() -> CandidateGrid:
         pitches_deg=float_array(
             take_list(table, "pitches_deg", where), (-1,), f"{where}: pitches_deg"
         ),
-        cameras=tuple(
-            pick_camera(name, f"{where}: cameras") for name in take_list(table, "cameras", where)
+        sensors=tuple(
+            pick_sensor(name, f"{where}: sensors") for name in take_list(table, "sensors", where)
         ),
     )

@@ -1,14 +1,14 @@
 """Verdicts of a layout by full perception + AEB."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, freeze
 from scenarios.aeb import AebRule, is_in_time
 from scenarios.exposure import weight_share
-from scenarios.runs import FrameAxis, confirmation_times_s
+from scenarios.runs import FrameAxis, onset_times_s
 
 from .layout import Layout
 
@@ -20,20 +20,23 @@ class Verdict:
     Attributes
     ----------
     detected : (n_frames,) bool
-        Frames in which the VRU is detected.
+        Frames in which the VRU is detected, and the VUT gets to know it.
     confirmation_time_s : (n_runs,) float
         First confirmation, relative to the impact; infinite if there is none. [s]
+    onset_time_s : (n_runs,) float
+        When braking sets in after it; infinite if it never does. [s]
     is_avoided : (n_runs,) bool
         Whether braking after it avoids the impact.
     """
 
     detected: BoolArray
     confirmation_time_s: FloatArray
+    onset_time_s: FloatArray
     is_avoided: BoolArray
 
     def __post_init__(self) -> None:
-        for field in ("detected", "confirmation_time_s", "is_avoided"):
-            object.__setattr__(self, field, freeze(getattr(self, field)))
+        for name in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
+            object.__setattr__(self, name, freeze(getattr(self, name)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -47,13 +50,16 @@ class Evaluation:
     axis : FrameAxis
         Runs and frames.
     vut : Verdict
-        The VUT's own camera alone.
+        The VUT's own sensors alone.
     units : mapping of str to Verdict
         Each unit of the layout alone, by id, in the layout's order.
     rsu_all : Verdict
         All units fused: in each frame any of them may be the detector.
     vut_and_rsus : Verdict
-        The same with the VUT's camera.
+        The same with the VUT's own sensors.
+    others : mapping of str to Verdict
+        Further parties, where asked for: "vam", VRUs that announce themselves; "all_sources", they
+        with the VUT and all units.
     """
 
     layout: Layout
@@ -62,6 +68,7 @@ class Evaluation:
     units: Mapping[str, Verdict]
     rsu_all: Verdict
     vut_and_rsus: Verdict
+    others: Mapping[str, Verdict] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return (
@@ -97,6 +104,27 @@ def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
     return {case: apr(verdict, axis, cases == case) for case in dict.fromkeys(axis.cases)}
 
 
+def earliest_arrival_s(parties: Sequence[tuple[BoolArray, float]], axis: FrameAxis) -> FloatArray:
+    """When the VUT first knows of a detection made in each frame.
+
+    Parameters
+    ----------
+    parties : sequence of pair of (n_frames,) bool and float
+        Detected frames, and how long it takes until the VUT knows. [s]
+    axis : FrameAxis
+        Runs and frames.
+
+    Returns
+    -------
+    arrival_s : (n_frames,) float
+        Infinite where nobody detects. [s]
+    """
+    arrival = np.full(axis.n_frames, np.inf)
+    for detected, latency_s in parties:
+        arrival = np.minimum(arrival, np.where(detected, axis.time_s + latency_s, np.inf))
+    return arrival
+
+
 def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
     """Smallest accident prevention ratio of the units, fused, that is left when one of them fails.
 
@@ -113,14 +141,14 @@ def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
         0 .. 1; 0 for a layout of one unit.
     """
     axis = evaluation.axis
-    detected = {name: verdict.detected for name, verdict in evaluation.units.items()}
+    parties = [
+        (evaluation.units[unit.id].detected, unit.latency(rule)) for unit in evaluation.layout.units
+    ]
     smallest = 1.0
-    for failed in detected:
-        left = np.zeros(axis.n_frames, dtype=bool)
-        for name, frames in detected.items():
-            left |= frames & (name != failed)
-        confirmation = confirmation_times_s(left, axis, n_confirmations=rule.n_confirmations)
-        in_time = is_in_time(confirmation, axis.last_brake_time_s, latency_s=rule.latency_s)
+    for failed in range(len(parties)):
+        arrival = earliest_arrival_s(parties[:failed] + parties[failed + 1 :], axis)
+        _, onset = onset_times_s(arrival, axis, n_confirmations=rule.n_confirmations)
+        in_time = is_in_time(onset, axis.last_brake_time_s, latency_s=0.0)
         smallest = min(smallest, weight_share(in_time, axis.weight))
     return smallest
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.catalogue import pick_camera
+from geometry.catalogue import SENSOR_KINDS, pick_sensor, sensor_kind
 from geometry.errors import InputError, Unquoted
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
@@ -18,7 +18,7 @@ from geometry.scene import Scene, containing_instance
 from .candidates import CandidatePose
 
 SCHEMA = "place-rsus/layout/1"
-RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus")
+RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
 """Names of the sensing parties that are no unit: no unit may be called so."""
 
 _MAX_DISTANCE_M = 1000.0  # from a scene's middle; beyond, a unit or a frame has been mixed up
@@ -121,7 +121,10 @@ def relative_gap(objective: float, bound: float) -> float:
 
 
 def layout_records(layout: Layout) -> list[dict[str, Any]]:
-    """Units as plain records: id, site, x_m, y_m, z_m, yaw_deg, pitch_deg, camera."""
+    """Units as plain records: id, site, x_m, y_m, z_m, yaw_deg, pitch_deg, camera or lidar.
+
+    A unit with a latency of its own has latency_s, too.
+    """
     return [
         {
             "id": unit.id,
@@ -131,7 +134,8 @@ def layout_records(layout: Layout) -> list[dict[str, Any]]:
             "z_m": float(unit.pose.position_m[2]),
             "yaw_deg": unit.pose.yaw_deg,
             "pitch_deg": unit.pose.pitch_deg,
-            "camera": unit.camera.name,
+            sensor_kind(unit.sensor): unit.sensor.name,
+            **({} if unit.latency_s is None else {"latency_s": unit.latency_s}),
         }
         for unit in layout.units
     ]
@@ -152,26 +156,33 @@ def layout_from_records(name: str, records: Sequence[Any], where: str) -> Layout
     Raises
     ------
     InputError
-        A field is missing or not of its kind, an id is repeated, a camera is unknown.
+        A field is missing or not of its kind, an id is repeated, a sensor is unknown.
     """
     units = []
     for index, record in enumerate(records):
         here = f"{where}: layout[{index}]"
         if not isinstance(record, Mapping):
             raise InputError(here, record, "an object with the fields of a unit")
-        for key in ("id", "camera", *_NUMBERS):
+        kinds = [kind for kind in SENSOR_KINDS if kind in record]
+        if len(kinds) > 1:
+            raise InputError(here, Unquoted(" and ".join(kinds)), "one of them")
+        kind = kinds[0] if kinds else SENSOR_KINDS[0]
+        for key in ("id", kind, *_NUMBERS):
             if key not in record:
                 raise InputError(f"{here}.{key}", Unquoted("nothing"), "a value")
-        for key in ("id", "camera"):
+        for key in ("id", kind):
             if not isinstance(record[key], str) or not record[key]:
                 raise InputError(f"{here}.{key}", record[key], "text")
-        for key in _NUMBERS:
+        latency_s = record.get("latency_s")
+        for key in (*_NUMBERS, *(["latency_s"] if latency_s is not None else [])):
             value = record[key]
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
             if not (is_number and abs(value) <= sys.float_info.max):
                 raise InputError(f"{here}.{key}", value, "a finite number")
         if not -90.0 <= record["pitch_deg"] <= 90.0:
             raise InputError(f"{here}.pitch_deg", record["pitch_deg"], "-90 .. 90 degrees")
+        if latency_s is not None and latency_s < 0.0:
+            raise InputError(f"{here}.latency_s", latency_s, "seconds, at least 0")
         site = record.get("site", "")
         if not isinstance(site, str):
             raise InputError(f"{here}.site", site, "text")
@@ -184,7 +195,8 @@ def layout_from_records(name: str, records: Sequence[Any], where: str) -> Layout
                     yaw_deg=record["yaw_deg"],
                     pitch_deg=record["pitch_deg"],
                 ),
-                camera=pick_camera(record["camera"], f"{here}.camera"),
+                sensor=pick_sensor(record[kind], f"{here}.{kind}", kind=kind),
+                latency_s=latency_s,
             )
         )
     return Layout(name=name, units=tuple(units))

@@ -191,7 +191,7 @@ def obtain_table(
     """
     if cache_folder is not None:
         fingerprint = table_fingerprint(
-            setting.scene, candidates, setting.runs, setting.detector, seed=seed
+            setting.scene, candidates, setting.runs, setting.planner, seed=seed
         )
         path = cache_folder / f"table-{fingerprint}.npz"
         cached = load_table(path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis)
@@ -204,7 +204,7 @@ def obtain_table(
         candidates,
         setting.runs,
         setting.axis,
-        detector=setting.detector,
+        detector=setting.planner,
         seed=seed,
         workers=workers,
         on_progress=lambda done, total: on_progress("detection table", done, total),

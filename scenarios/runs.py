@@ -10,6 +10,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.junction import Junction, build_junction
 from geometry.scene import Scene
+from geometry.weather import load_weathers
 
 from .aeb import AebRule, confirmation_time_s, last_brake_time_s
 from .cases import Case
@@ -19,7 +20,7 @@ from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
 from .staging import CannotCarryError, Staging
 
-WEATHERS = ("day", "night", "rain")
+WEATHERS = tuple(load_weathers())
 PHASES = ("aligned", "worst")
 _N_PHASES = 10  # "worst" looks at so many, evenly spaced over one frame
 _GRID_TOLERANCE = 1.0e-6  # of a frame
@@ -203,6 +204,39 @@ def confirmation_times_s(
         ],
         axis=-1,
     )
+
+
+def onset_times_s(
+    arrival_s: FloatArray, axis: FrameAxis, *, n_confirmations: int
+) -> tuple[FloatArray, FloatArray]:
+    """When the VRU of each run is confirmed, and when the VUT knows, if messages take their time.
+
+    Parameters
+    ----------
+    arrival_s : (n_frames,) float
+        When the VUT knows of a detection made in each frame; infinite where there is none. [s]
+    axis : FrameAxis
+        Runs and frames.
+    n_confirmations : int
+        Consecutive frames needed: the VUT knows when the last of their messages has arrived.
+
+    Returns
+    -------
+    confirmation_s : (n_runs,) float
+        Time of the last frame of the window that is known first; infinite if there is none. [s]
+    onset_s : (n_runs,) float
+        When it is known: braking sets in. [s]
+    """
+    known = np.full(axis.n_frames, np.inf)
+    if axis.n_frames >= n_confirmations:
+        windows = np.lib.stride_tricks.sliding_window_view(arrival_s, n_confirmations)
+        known[n_confirmations - 1 :] = windows.max(axis=1)
+    start = axis.run_start[:-1].repeat(np.diff(axis.run_start))
+    known[np.arange(axis.n_frames) - start < n_confirmations - 1] = np.inf
+    onset = np.minimum.reduceat(known, axis.run_start[:-1])
+    first = [int(np.argmin(known[axis.frames_of(run)])) for run in range(axis.n_runs)]
+    confirmation = np.where(np.isfinite(onset), axis.time_s[axis.run_start[:-1] + first], np.inf)
+    return confirmation, onset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

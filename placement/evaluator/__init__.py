@@ -7,7 +7,7 @@ every frame, for roadside cameras and for the one that ``vut_camera`` places on 
 """
 
 from .evaluate import evaluate_layout, evaluate_layouts
-from .perceive import Boxes, perceive_from_roadside, perceive_from_vut
+from .perceive import perceive_from_roadside, perceive_from_vut
 from .render import STATIC, VRU, VUT, View
 from .surroundings import Surroundings, build_surroundings, render_frame
 from .vut_camera import VutCamera, load_vut_camera
@@ -16,7 +16,6 @@ __all__ = [
     "STATIC",
     "VRU",
     "VUT",
-    "Boxes",
     "Surroundings",
     "View",
     "VutCamera",

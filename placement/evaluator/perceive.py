@@ -1,4 +1,4 @@
-"""Visible and amodal box of the VRU in every frame, from pixels.
+"""What images show of the VRU in every frame, from pixels.
 
 Each unit is a camera that is fixed to something: an RSU to the world, the VUT's camera to the
 VUT. Seen from there many instants look the same but for the VUT: such a sight is rendered once.
@@ -15,40 +15,26 @@ from geometry.poses import Pose
 from geometry.raycast import FloatRays
 from geometry.sensors import CameraModel
 
-from .render import Lens, Solid, build_lens, cast_crops, crop_boxes
+from ..detectors import Evidence, aspects_deg
+from .render import Lens, Solid, build_lens, cast_crops, crop_boxes, inside_shares
 from .surroundings import Surroundings, relative_road_poses
 from .vut_camera import VutCamera
 
-_MAX_RAYS = 1 << 17  # per cast: large enough for numpy's overhead, small enough for the cache
+_MAX_RAYS = 1 << 16  # per cast: large enough for numpy's overhead, small enough for the cache
 _LARGE_PX = 1 << 13  # from this area on, only the edges of a crop are looked at first
 _EDGE_PX = 4  # the VRU begins one to two pixels inside its crop
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Boxes:
-    """Boxes of the VRU in a unit's image, frame by frame; zeros where there is none.
-
-    Attributes
-    ----------
-    amodal_px : (n_frames, 4) float
-        Of the whole VRU inside the image. [px]
-    visible_px : (n_frames, 4) float
-        Of the part that is seen. [px]
-    """
-
-    amodal_px: FloatArray
-    visible_px: FloatArray
-
-    def __post_init__(self) -> None:
-        for field in ("amodal_px", "visible_px"):
-            object.__setattr__(self, field, freeze(getattr(self, field)))
-
-
 def perceive_from_roadside(
-    surroundings: Surroundings, pose: Pose, camera: CameraModel, *, min_height_px: float = 0.0
-) -> Boxes:
-    """Boxes that a fixed camera sees.
+    surroundings: Surroundings,
+    pose: Pose,
+    camera: CameraModel,
+    *,
+    min_height_px: float = 0.0,
+    with_shares: bool = False,
+) -> Evidence:
+    """What a fixed camera sees.
 
     Parameters
     ----------
@@ -60,10 +46,13 @@ def perceive_from_roadside(
         What is mounted.
     min_height_px : float
         Where the VRU's box cannot be this high nothing is cast, and boxes are zeros. [px]
+    with_shares : bool
+        Whether visible share and cut-off share are wanted; else they are 1, and many rays are
+        saved.
 
     Returns
     -------
-    boxes : Boxes
+    evidence : Evidence
         One row per frame.
     """
     return _perceive(
@@ -73,13 +62,18 @@ def perceive_from_roadside(
         vru_poses=surroundings.vru_poses,
         vut_poses=surroundings.vut_poses,
         min_height_px=min_height_px,
+        with_shares=with_shares,
     )
 
 
 def perceive_from_vut(
-    surroundings: Surroundings, vut_camera: VutCamera, *, min_height_px: float = 0.0
-) -> Boxes:
-    """Boxes that the VUT's own camera sees; the VUT itself is not drawn.
+    surroundings: Surroundings,
+    vut_camera: VutCamera,
+    *,
+    min_height_px: float = 0.0,
+    with_shares: bool = False,
+) -> Evidence:
+    """What the VUT's own camera sees; the VUT itself is not drawn.
 
     Parameters
     ----------
@@ -87,12 +81,12 @@ def perceive_from_vut(
         What there is.
     vut_camera : VutCamera
         The camera and its place on the VUT.
-    min_height_px : float
+    min_height_px, with_shares
         As in :func:`perceive_from_roadside`. [px]
 
     Returns
     -------
-    boxes : Boxes
+    evidence : Evidence
         One row per frame.
     """
     vut_poses = surroundings.vut_poses
@@ -103,6 +97,7 @@ def perceive_from_vut(
         vru_poses=relative_road_poses(surroundings.vru_poses, vut_poses),
         vut_poses=None,
         min_height_px=min_height_px,
+        with_shares=with_shares,
     )
 
 
@@ -116,6 +111,7 @@ class _Sights:
     static_poses: FloatArray  # (n, 3)
     vru_poses: FloatArray  # (n, 3)
     crops: IntArray  # (n, 4): where to look for the VRU; zeros: nowhere
+    farthest_m: FloatArray  # (n,): depth of the VRU's farthest vertex
 
     def take(self, indices: IntArray, crops: IntArray) -> "_Sights":
         return replace(
@@ -123,6 +119,7 @@ class _Sights:
             static_poses=self.static_poses[indices],
             vru_poses=self.vru_poses[indices],
             crops=crops,
+            farthest_m=self.farthest_m[indices],
         )
 
 
@@ -134,6 +131,10 @@ class _Glimpse:
     visible_mask: BoolArray  # (h, w)
     depth_m: FloatRays  # of the visible pixels
 
+    @property
+    def visible_share(self) -> float:
+        return _share(self.visible_mask, self.amodal_mask)
+
 
 def _perceive(
     surroundings: Surroundings,
@@ -143,10 +144,13 @@ def _perceive(
     vru_poses: FloatArray,
     vut_poses: FloatArray | None,
     min_height_px: float,
-) -> Boxes:
-    """Boxes from poses relative to the frame in which the lens stands."""
+    with_shares: bool,
+) -> Evidence:
+    """Evidence from poses relative to the frame in which the lens stands."""
     n_frames = len(vru_poses)
     amodal, visible = np.zeros((n_frames, 4)), np.zeros((n_frames, 4))
+    shares = np.ones(n_frames)
+    inside, distance = np.ones(n_frames), np.empty(n_frames)
     kinds = np.stack([surroundings.static_index, surroundings.vru_index], axis=1)
     for static_index, vru_index in np.unique(kinds, axis=0):
         frames = np.flatnonzero((kinds == [static_index, vru_index]).all(axis=1))
@@ -162,14 +166,38 @@ def _perceive(
             min_height_px,
         )
         vut = None if vut_poses is None else (surroundings.vut, vut_poses[frames])
-        amodal[frames], visible[frames] = _boxes(sights, sight_of_frame, vut)
-    return Boxes(amodal_px=amodal, visible_px=visible)
+        amodal[frames], visible[frames], shares[frames] = _boxes(
+            sights, sight_of_frame, vut, with_shares=with_shares
+        )
+        hull_m = surroundings.vrus[vru_index].hull_m
+        distance[frames] = distances_m(lens.pose, vru_poses[frames], hull_m)
+        if with_shares:
+            inside[frames] = inside_shares(lens, hull_m, poses[first][:, 3:])[sight_of_frame]
+    return Evidence(
+        visible_px=freeze(visible),
+        amodal_px=freeze(amodal),
+        contrast=surroundings.contrast(distance),
+        visible_share=shares,
+        inside_share=inside,
+        aspect_deg=aspects_deg(vru_poses[:, :2] - lens.pose.position_m[:2], vru_poses[:, 2]),
+        vru_class=surroundings.vru_class,
+        draw_index=surroundings.draw_index,
+    )
+
+
+def distances_m(pose: Pose, vru_poses: FloatArray, hull_m: FloatArray) -> FloatArray:
+    """From a sensor to the middle of the VRU, (n,), in metres."""
+    offsets = np.empty((len(vru_poses), 3))
+    offsets[:, :2] = vru_poses[:, :2] - pose.position_m[:2]
+    offsets[:, 2] = 0.5 * hull_m[:, 2].max() - pose.position_m[2]
+    distance: FloatArray = np.linalg.norm(offsets, axis=1)
+    return distance
 
 
 def _find_sights(
     lens: Lens, static: Solid, vru: Solid, poses: FloatArray, min_height_px: float
 ) -> _Sights:
-    crops, _ = crop_boxes(lens, vru.hull_m, poses[:, 3:])
+    crops, depths_m = crop_boxes(lens, vru.hull_m, poses[:, 3:])
     crops[crops[:, 3] - crops[:, 1] < min_height_px] = 0
     return _Sights(
         lens=lens,
@@ -178,15 +206,21 @@ def _find_sights(
         static_poses=poses[:, :3],
         vru_poses=poses[:, 3:],
         crops=crops,
+        farthest_m=depths_m[:, 1],
     )
 
 
 def _boxes(
-    sights: _Sights, sight_of_frame: IntArray, vut: tuple[Solid, FloatArray] | None
-) -> tuple[FloatArray, FloatArray]:
-    """Amodal and visible box per frame."""
+    sights: _Sights,
+    sight_of_frame: IntArray,
+    vut: tuple[Solid, FloatArray] | None,
+    *,
+    with_shares: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Amodal and visible box, and visible share, per frame."""
     n_sights = len(sights.crops)
     amodal, visible = np.zeros((n_sights, 4)), np.zeros((n_sights, 4))
+    shares = np.ones(n_sights)
     before = (
         np.empty(0, dtype=np.int64)
         if vut is None
@@ -197,7 +231,7 @@ def _boxes(
     areas = _areas(sights.crops)
 
     is_open = areas > 0
-    large = np.flatnonzero((areas >= _LARGE_PX) & ~is_behind_vut)
+    large = np.flatnonzero((areas >= _LARGE_PX) & ~is_behind_vut & (not with_shares))
     for batch in _batches(large, np.full(n_sights, _LARGE_PX)):
         boxes, is_settled = _boxes_from_edges(sights.take(batch, sights.crops[batch]))
         amodal[batch[is_settled]] = visible[batch[is_settled]] = boxes[is_settled]
@@ -209,13 +243,14 @@ def _boxes(
         for sight, crop, glimpse in zip(batch.tolist(), taken.crops, _look(taken), strict=True):
             amodal[sight] = _box(glimpse.amodal_mask, crop)
             visible[sight] = _box(glimpse.visible_mask, crop)
+            shares[sight] = glimpse.visible_share if with_shares else 1.0
             if is_behind_vut[sight]:
                 glimpses[sight] = glimpse
 
-    visible = visible[sight_of_frame]
+    visible, shares = visible[sight_of_frame], shares[sight_of_frame]
     if vut is not None:
-        _hide_behind_vut(visible, sights, sight_of_frame, before, vut, glimpses)
-    return amodal[sight_of_frame], visible
+        _hide_behind_vut(visible, shares, sights, sight_of_frame, before, vut, glimpses)
+    return amodal[sight_of_frame], visible, shares
 
 
 def _look(sights: _Sights) -> Iterator[_Glimpse]:
@@ -276,16 +311,16 @@ def _frames_with_vut_before(
 ) -> IntArray:
     """Frames in which the VUT may hide a part of the VRU."""
     vut_crops, vut_depth = crop_boxes(sights.lens, vut.hull_m, vut_poses)
-    _, vru_depth = crop_boxes(sights.lens, sights.vru.hull_m, sights.vru_poses)
     crops = sights.crops[sight_of_frame]
     low = np.maximum(crops[:, :2], vut_crops[:, :2])
     high = np.minimum(crops[:, 2:], vut_crops[:, 2:])
-    is_before = vut_depth[:, 0] < vru_depth[sight_of_frame, 1]
+    is_before = vut_depth[:, 0] < sights.farthest_m[sight_of_frame]
     return np.flatnonzero((low < high).all(axis=1) & is_before)
 
 
 def _hide_behind_vut(
     visible: FloatArray,
+    shares: FloatArray,
     sights: _Sights,
     sight_of_frame: IntArray,
     frames: IntArray,
@@ -305,6 +340,7 @@ def _hide_behind_vut(
             glimpse = glimpses[sight]
             seen = _thin(glimpse.visible_mask, glimpse.depth_m < depth)
             visible[frame] = _box(seen, sights.crops[sight])
+            shares[frame] = _share(seen, glimpse.amodal_mask)
 
 
 def _thin(mask: BoolArray, keep: BoolArray) -> BoolArray:
@@ -312,6 +348,12 @@ def _thin(mask: BoolArray, keep: BoolArray) -> BoolArray:
     left = mask.copy()
     left[mask] = keep
     return left
+
+
+def _share(part: BoolArray, whole: BoolArray) -> float:
+    """Pixels of a part by those of the whole; 1 where there are none."""
+    n_whole = np.count_nonzero(whole)
+    return np.count_nonzero(part) / n_whole if n_whole else 1.0
 
 
 def _box(mask: BoolArray, crop: IntArray) -> FloatArray:

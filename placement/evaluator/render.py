@@ -15,7 +15,7 @@ from geometry.actors import PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.image_boxes import mask_box
 from geometry.poses import Pose, body_rotation, camera_rotation, to_world
-from geometry.raycast import FloatRays, RayCaster, build_caster
+from geometry.raycast import FloatRays, RayCaster, build_caster, ray_lengths_m
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, pixel_rays
 
@@ -32,10 +32,13 @@ class Solid:
         Rays against the triangles.
     hull_m : (n, 3) float
         Vertices of the convex hull; none for the static world. [m]
+    normals : (n_triangles, 3) float
+        Unit normals; none for the static world.
     """
 
     caster: RayCaster
     hull_m: FloatArray
+    normals: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,14 +51,14 @@ class Lens:
         Resolution, field of view, nearest distance that is drawn.
     pose : Pose
         Where it is and looks: in the world frame, or in that of the vehicle that carries it.
-    across, down : (width_px, 3) and (height_px, 3) float
+    across, down : (width_px, 3) and (height_px, 3) float32
         The ray of pixel (row, column), one metre deep, is ``across[column] + down[row]``.
     """
 
     camera: CameraModel
     pose: Pose
-    across: FloatArray
-    down: FloatArray
+    across: FloatRays
+    down: FloatRays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -110,6 +113,7 @@ def build_body(shape: Shape, *, library: str | None = None) -> Solid:
     return Solid(
         caster=build_caster(shape.vertices_m, shape.triangles, library=library),
         hull_m=shape.vertices_m[hull],
+        normals=_normals(shape),
     )
 
 
@@ -149,7 +153,16 @@ def build_static(
             np.concatenate(vertices) - [*middle_m, 0.0], np.concatenate(triangles), library=library
         ),
         hull_m=np.empty((0, 3)),
+        normals=np.empty((0, 3)),
     )
+
+
+def _normals(shape: Shape) -> FloatArray:
+    """Unit normals of a shape's triangles, (n_triangles, 3)."""
+    a, b, c = np.moveaxis(shape.vertices_m[shape.triangles], 1, 0)
+    across = np.cross(b - a, c - a)
+    normals: FloatArray = across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
+    return normals
 
 
 def build_lens(pose: Pose, camera: CameraModel) -> Lens:
@@ -173,8 +186,8 @@ def build_lens(pose: Pose, camera: CameraModel) -> Lens:
     return Lens(
         camera=camera,
         pose=pose,
-        across=across,
-        down=down - across[0],
+        across=across.astype(np.float32),
+        down=(down - across[0]).astype(np.float32),
     )
 
 
@@ -248,11 +261,7 @@ def crop_boxes(
         Depth of the nearest and the farthest vertex along the optical axis. [m]
     """
     camera = lens.camera
-    rotations, origins = _into_body(lens, road_poses)
-    R_body_camera = rotations.transpose(0, 2, 1) @ camera_rotation(
-        lens.pose.yaw_deg, lens.pose.pitch_deg
-    )
-    right, down, depth = np.moveaxis((hull_m - origins[:, None, :]) @ R_body_camera, -1, 0)
+    right, down, depth = _hulls_in_camera(lens, hull_m, road_poses)
     size_px = np.array([camera.width_px, camera.height_px], dtype=np.float64)
     low, high = np.empty((len(road_poses), 2)), np.empty((len(road_poses), 2))
     is_outside = (depth <= 0.0).all(axis=1)
@@ -276,6 +285,30 @@ def crop_boxes(
     ).astype(np.int64)
     crops[is_outside | (crops[:, 2:] <= crops[:, :2]).any(axis=1)] = 0
     return crops, depths
+
+
+def inside_shares(lens: Lens, hull_m: FloatArray, road_poses: FloatArray) -> FloatArray:
+    """Part of a body's box that the image's edges do not cut off.
+
+    Parameters
+    ----------
+    lens, hull_m, road_poses
+        As for :func:`crop_boxes`.
+
+    Returns
+    -------
+    inside_share : (n,) float
+        0 .. 1; 0 where the body reaches behind the lens.
+    """
+    right, down, depth = _hulls_in_camera(lens, hull_m, road_poses)
+    inside = np.ones(len(road_poses))
+    with np.errstate(divide="ignore", invalid="ignore"):  # replaced below
+        for aside, size_px in ((right, lens.camera.width_px), (down, lens.camera.height_px)):
+            pixels = 0.5 * size_px + lens.camera.focal_length_px * aside / depth
+            low, high = pixels.min(axis=1), pixels.max(axis=1)
+            cut = np.clip(high, 0.0, size_px) - np.clip(low, 0.0, size_px)
+            inside *= cut / np.maximum(high - low, 1.0e-9)
+    return np.where(depth.min(axis=1) > _MIN_DEPTH_M, inside, 0.0)
 
 
 def cast_crops(
@@ -311,9 +344,10 @@ def cast_crops(
     ends = np.cumsum(counts).tolist()
     parts = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
     directions = np.empty((ends[-1], 3), dtype=np.float32)
+    turns = rotations.astype(np.float32)
     for index, (x_min, y_min, x_max, y_max) in enumerate(crops_px.tolist()):
-        across = (lens.across[x_min:x_max] @ rotations[index]).astype(np.float32)
-        down = (lens.down[y_min:y_max] @ rotations[index]).astype(np.float32)
+        across = lens.across[x_min:x_max] @ turns[index]
+        down = lens.down[y_min:y_max] @ turns[index]
         rays = directions[parts[index]]
         if masks is None:
             np.add(across[None], down[:, None], out=rays.reshape(*shapes[index], 3))
@@ -321,7 +355,7 @@ def cast_crops(
             rows, columns = np.nonzero(masks[index])
             np.add(across[columns], down[rows], out=rays)
     # Rays start where drawing starts: at the nearest distance from the lens.
-    near_depth = lens.camera.near_m / np.sqrt(np.einsum("ij,ij->i", directions, directions))
+    near_depth = lens.camera.near_m / ray_lengths_m(directions)
     starts = near_depth[:, None] * directions
     for part, origin in zip(parts, origins.astype(np.float32), strict=True):
         starts[part] += origin
@@ -330,6 +364,15 @@ def cast_crops(
 
 
 _MIN_DEPTH_M = 1.0e-6
+
+
+def _hulls_in_camera(lens: Lens, hull_m: FloatArray, road_poses: FloatArray) -> FloatArray:
+    """Right, down and depth of every vertex at every pose, (3, n, n_vertices)."""
+    rotations, origins = _into_body(lens, road_poses)
+    R_body_camera = rotations.transpose(0, 2, 1) @ camera_rotation(
+        lens.pose.yaw_deg, lens.pose.pitch_deg
+    )
+    return np.moveaxis((hull_m - origins[:, None, :]) @ R_body_camera, -1, 0)
 
 
 def _into_body(lens: Lens, road_poses: FloatArray) -> tuple[FloatArray, FloatArray]:

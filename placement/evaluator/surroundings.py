@@ -11,8 +11,10 @@ from geometry.errors import InputError
 from geometry.poses import Pose, body_rotation, wrap_deg
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
+from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
+from ..detectors import VRU_CLASSES, vru_class
 from .render import Solid, View, build_body, build_lens, build_static, render_view
 
 
@@ -32,6 +34,14 @@ class Surroundings:
         Which of them is there.
     static_poses, vru_poses, vut_poses : (n_frames, 3) float
         Road poses: east, north, yaw. World frame. [m], [deg]
+    draw_index : (n_frames,) int
+        See :class:`placement.detectors.Evidence`.
+    vru_class : (n_frames,) int
+        Into ``VRU_CLASSES``.
+    weathers : tuple of Weather
+        Distinct weathers.
+    weather_index : (n_frames,) int
+        Which of them it is.
     """
 
     statics: tuple[Solid, ...]
@@ -43,17 +53,34 @@ class Surroundings:
     static_poses: FloatArray
     vru_poses: FloatArray
     vut_poses: FloatArray
+    draw_index: IntArray
+    vru_class: IntArray
+    weathers: tuple[Weather, ...]
+    weather_index: IntArray
 
     def take(self, frames: IntArray) -> "Surroundings":
         """Keep some frames, by index."""
-        return replace(
-            self,
-            static_index=self.static_index[frames],
-            vru_index=self.vru_index[frames],
-            static_poses=self.static_poses[frames],
-            vru_poses=self.vru_poses[frames],
-            vut_poses=self.vut_poses[frames],
-        )
+        return replace(self, **{name: getattr(self, name)[frames] for name in _PER_FRAME})
+
+    def contrast(self, distance_m: FloatArray) -> FloatArray:
+        """Contrast of the VRU at a distance in every frame's weather, (n_frames,)."""
+        contrast = np.empty(len(distance_m))
+        for index, weather in enumerate(self.weathers):
+            frames = self.weather_index == index
+            contrast[frames] = weather.contrast * weather.transmission(distance_m[frames])
+        return contrast
+
+
+_PER_FRAME = (
+    "static_index",
+    "vru_index",
+    "static_poses",
+    "vru_poses",
+    "vut_poses",
+    "draw_index",
+    "vru_class",
+    "weather_index",
+)
 
 
 def build_surroundings(
@@ -90,6 +117,8 @@ def build_surroundings(
     vru_poses = np.concatenate([_road_poses(run.vru_position_m, run.vru_yaw_deg) for run in runs])
     middle_m = 0.5 * (vru_poses[:, :2].min(axis=0) + vru_poses[:, :2].max(axis=0))
     n_frames = [len(run.time_s) for run in runs]
+    weathers = list(dict.fromkeys(run.weather for run in runs))
+    classes = [VRU_CLASSES.index(vru_class(run.encounter.vru)) for run in runs]
     return Surroundings(
         statics=tuple(
             build_static(scene, obstruction, middle_m=middle_m, library=library)
@@ -107,6 +136,10 @@ def build_surroundings(
         vut_poses=np.concatenate(
             [_road_poses(run.vut_position_m, run.vut_yaw_deg) for run in runs]
         ),
+        draw_index=draw_index(runs),
+        vru_class=np.repeat(classes, n_frames),
+        weathers=tuple(pick_weather(name, "runs: weather") for name in weathers),
+        weather_index=np.repeat([weathers.index(run.weather) for run in runs], n_frames),
     )
 
 
@@ -181,6 +214,19 @@ def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> Fl
     relative[:, :2] = (offsets @ rotations)[:, 0]
     relative[:, 2] = wrap_deg(road_poses[:, 2] - carrier_poses[:, 2])
     return relative
+
+
+def draw_index(runs: Sequence[Run]) -> IntArray:
+    """Number of each frame: the same in all weathers, with a gap between two runs."""
+    start: dict[int, int] = {}
+    numbers, free = [], 0
+    for run in runs:
+        key = id(run.encounter)  # one and the same in all weathers
+        if key not in start:
+            start[key] = free
+            free += len(run.time_s) + 1
+        numbers.append(start[key] + np.arange(len(run.time_s)))
+    return np.concatenate(numbers)
 
 
 def _road_poses(position_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:

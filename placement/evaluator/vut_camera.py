@@ -1,4 +1,4 @@
-"""The VUT's own camera: which model, and where on the vehicle."""
+"""The VUT's own camera: which model, and where on the vehicle; its LiDAR at the same place."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -8,9 +8,10 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.catalogue import pick_camera
+from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose
 from geometry.sensors import CameraModel
-from geometry.toml_files import load_toml, take_number, take_text
+from geometry.toml_files import load_toml, pick, take_number, take_text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,3 +60,12 @@ def load_vut_camera() -> VutCamera:
         ahead_per_half_length=take_number(table, "ahead_per_half_length", where),
         up_per_half_height=take_number(table, "up_per_half_height", where),
     )
+
+
+@cache
+def load_vut_lidar() -> LidarModel:
+    """The study's LiDAR, at the camera's place, from ``data/vut_camera.toml``."""
+    where = "vut_camera.toml"
+    table = load_toml(files("placement") / "data" / where)
+    lidar: LidarModel = pick(load_lidars(), take_text(table, "lidar", where), f"{where}: lidar")
+    return lidar

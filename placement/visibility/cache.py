@@ -11,15 +11,17 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.atomic_files import write_atomically
+from geometry.lidar import LidarModel, load_lidar_detection
 from geometry.scene import Scene
+from geometry.weather import pick_weather
 from scenarios.runs import FrameAxis, Run
 
 from ..candidates import CandidatePose
 from ..detection_table import DetectionTable
-from ..detector import Detector
+from ..detectors import PlanningDetector
 from . import build
 
-_FORMAT = "place-rsus/table/2"  # raise it whenever the same inputs give another table
+_FORMAT = "place-rsus/table/3"  # raise it whenever the same inputs give another table
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
@@ -28,7 +30,7 @@ def table_fingerprint(
     scene: Scene,
     candidates: Sequence[CandidatePose],
     runs: Sequence[Run],
-    detector: Detector,
+    detector: PlanningDetector,
     *,
     seed: int,
 ) -> str:
@@ -55,13 +57,15 @@ def table_fingerprint(
                 digest.update(repr(value).encode())
             digest.update(b"\0")
 
-    add(_FORMAT, build.N_POINTS, seed, asdict(detector))
+    add(_FORMAT, build.N_POINTS, seed, detector.fingerprint())
     add(scene.vertices_m, scene.triangles, scene.outline_m)
     # By number, not by name: names may be equal.
-    cameras = _numbered(candidate.camera for candidate in candidates)
-    for camera in cameras:
-        add(asdict(camera))
-    add([(candidate.id, cameras[candidate.camera]) for candidate in candidates])
+    sensors = _numbered(candidate.sensor for candidate in candidates)
+    for sensor in sensors:
+        add(type(sensor).__name__, asdict(sensor))
+    if any(isinstance(sensor, LidarModel) for sensor in sensors):
+        add(asdict(load_lidar_detection()))
+    add([(candidate.id, sensors[candidate.sensor]) for candidate in candidates])
     add(np.array([candidate.pose.position_m for candidate in candidates]))
     add(np.array([(c.pose.yaw_deg, c.pose.pitch_deg) for c in candidates]))
     actors = _numbered(actor for run in runs for actor in _actors_of(run))
@@ -69,6 +73,8 @@ def table_fingerprint(
         add(actor.name, actor.length_m, actor.width_m, actor.height_m, len(actor.shapes))
         for shape in actor.shapes:
             add(shape.vertices_m, shape.triangles)
+    for name in dict.fromkeys(run.weather for run in runs):
+        add(asdict(pick_weather(name, "runs: weather")))
     for run in runs:
         add(run.id, run.weather, [actors[actor] for actor in _actors_of(run)], run.time_s)
         add(run.vut_position_m, run.vut_yaw_deg)

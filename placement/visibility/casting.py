@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from geometry.actors import Actor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.poses import body_rotation
-from geometry.raycast import FloatRays, RayCaster, build_caster
+from geometry.raycast import FloatRays, RayCaster, build_caster, ray_lengths_m
 from geometry.scene import Scene
+from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
 from .obstructions import build_static_mesh, find_obstructions, obstruction_key
@@ -40,6 +41,10 @@ class VruViews:
         The body's points, relative to the origin of `World`. [m]
     view_of_frame : (n_frames,) int
         Which view each frame of the frame axis shows.
+    weathers : tuple of Weather
+        Distinct weathers.
+    weather_of_frame : (n_frames,) int
+        Which of them it is.
     """
 
     position_m: FloatArray
@@ -48,6 +53,8 @@ class VruViews:
     static_index: IntArray
     points_m: FloatRays
     view_of_frame: IntArray
+    weathers: tuple[Weather, ...]
+    weather_of_frame: IntArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,6 +91,14 @@ class World:
     vut_yaw_deg: FloatArray
     views: VruViews
 
+    @property
+    def radius_m(self) -> float:
+        """All points of any VRU lie this near to their mean, in metres."""
+        return max(
+            float(np.linalg.norm(surface.points_m - surface.points_m.mean(axis=0), axis=1).max())
+            for surface in self.surfaces
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sight:
@@ -97,6 +112,8 @@ class Sight:
         Points that the rays reach.
     is_whole : (n,) bool
         Nothing but the VRU itself hides any of its points.
+    visible_share : (n,) float
+        Of the points that the VRU itself does not hide, those that nothing hides.
     entry_of_frame : (n_frames,) int
         Entry that a frame shows; -1 where nothing of the VRU is seen.
     """
@@ -104,6 +121,7 @@ class Sight:
     view_index: IntArray
     is_visible: BoolArray
     is_whole: BoolArray
+    visible_share: FloatArray
     entry_of_frame: IntArray
 
 
@@ -181,6 +199,7 @@ def _build_views(
             for run in runs
         ]
     )
+    weathers = list(dict.fromkeys(run.weather for run in runs))
     # Rounded to a tenth of a millimetre: the same pose at another speed differs in the last bits.
     _, first, view_of_frame = np.unique(
         rows.round(4), axis=0, return_index=True, return_inverse=True
@@ -197,6 +216,10 @@ def _build_views(
         static_index=unique[:, 4].astype(np.int64),
         points_m=points.astype(np.float32),
         view_of_frame=view_of_frame.ravel(),
+        weathers=tuple(pick_weather(name, "runs: weather") for name in weathers),
+        weather_of_frame=np.repeat(
+            [weathers.index(run.weather) for run in runs], [len(run.time_s) for run in runs]
+        ),
     )
 
 
@@ -251,12 +274,15 @@ def cast_sight(
     is_left = left_visible.any(axis=1)
     entry_of_frame[frames] = -1
     entry_of_frame[frames[is_left]] = len(near_views) + np.arange(int(is_left.sum()))
+    n_facing = faces_eye.sum(axis=1)
+    shown = np.concatenate([is_visible, left_visible[is_left]])
     return Sight(
         view_index=np.concatenate([near_views, near_views[entries[is_left]]]),
-        is_visible=np.concatenate([is_visible, left_visible[is_left]]),
+        is_visible=shown,
         is_whole=np.concatenate(
             [(is_visible == faces_eye).all(axis=1), np.zeros(int(is_left.sum()), dtype=bool)]
         ),
+        visible_share=shown.sum(axis=1) / np.concatenate([n_facing, n_facing[entries[is_left]]]),
         entry_of_frame=entry_of_frame,
     )
 
@@ -357,7 +383,7 @@ def _shorten(
 
     `vectors_m` is changed in place.
     """
-    per_length = 1.0 / np.sqrt(np.einsum("ij,ij->i", vectors_m, vectors_m))
+    per_length = np.float32(1.0) / ray_lengths_m(vectors_m)
     starts = vectors_m * (np.float32(near_m) * per_length)[:, None]
     starts += origins_m
     vectors_m *= (1.0 - np.float32(near_m + _OFF_SURFACE_M) * per_length)[:, None]

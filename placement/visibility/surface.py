@@ -3,11 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, freeze
 
 _SAMPLES_PER_POINT = 30
+_TURN_M = 0.3  # a normal turned by a radian counts as much as a way of this length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -22,11 +24,14 @@ class Surface:
         Which of its shapes.
     points_m : (n, 3) float
         Body frame; the shape's extremes are among them. [m]
+    area_m2 : (n, 3) float
+        The part of the surface around each point: its area along its mean outward normal. [m^2]
     """
 
     actor: Actor
     shape_index: int
     points_m: FloatArray
+    area_m2: FloatArray
 
 
 def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -> Surface:
@@ -57,13 +62,27 @@ def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -
 
     shape = actor.shapes[shape_index]
     mesh = trimesh.Trimesh(shape.vertices_m, shape.triangles, process=False)
-    samples, _ = trimesh.sample.sample_surface(mesh, _SAMPLES_PER_POINT * n_points, seed=seed)
+    samples, faces = trimesh.sample.sample_surface(mesh, _SAMPLES_PER_POINT * n_points, seed=seed)
     signs = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
     extremes = np.unique(np.argmax(shape.vertices_m @ signs[signs.any(axis=1)].T, axis=0))
     chosen = [shape.vertices_m[index] for index in extremes[:n_points]]
+    normals = [mesh.vertex_normals[index] for index in extremes[:n_points]]
     distance = np.min([np.linalg.norm(samples - point, axis=1) for point in chosen], axis=0)
     while len(chosen) < n_points:
-        farthest = samples[np.argmax(distance)]
-        chosen.append(farthest)
-        distance = np.minimum(distance, np.linalg.norm(samples - farthest, axis=1))
-    return Surface(actor=actor, shape_index=shape_index, points_m=freeze(np.array(chosen)))
+        farthest = int(np.argmax(distance))
+        chosen.append(samples[farthest])
+        normals.append(mesh.face_normals[faces[farthest]])
+        distance = np.minimum(distance, np.linalg.norm(samples - samples[farthest], axis=1))
+    points = np.array(chosen)
+    # A sample belongs to the nearest point that faces the same way: not to one around the corner.
+    tree = cKDTree(np.hstack([points, _TURN_M * np.array(normals)]))
+    sample_normals = mesh.face_normals[faces]
+    _, nearest = tree.query(np.hstack([samples, _TURN_M * sample_normals]))
+    area = np.zeros_like(points)
+    np.add.at(area, nearest, sample_normals)
+    return Surface(
+        actor=actor,
+        shape_index=shape_index,
+        points_m=freeze(points),
+        area_m2=freeze(area * (mesh.area / len(samples))),
+    )

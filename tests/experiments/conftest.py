@@ -8,7 +8,7 @@ import pytest
 from experiments import cli, jobs
 from geometry.scene_files import load_study_scene
 from placement.candidates import load_candidate_grid
-from placement.detector import load_detector
+from placement.detectors import load_detector, load_planning_detector
 from placement.setting import Setting
 from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis
@@ -32,6 +32,7 @@ def small_setting(runs, rule):
         axis=build_frame_axis(few, weight_per_run(few)),
         rule=rule,
         detector=load_detector(),
+        planner=load_planning_detector(),
     )
 
 

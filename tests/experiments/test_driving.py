@@ -9,6 +9,8 @@ from experiments.question import Question
 from experiments.scenario_list import list_rows, scenario_table
 from geometry.errors import InputError
 from geometry.scene_files import load_study_scene
+from placement.detectors import load_planning_detector
+from placement.links import Links
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import load_case_sets
 
@@ -56,13 +58,29 @@ def test_weaker_and_slower_brakes_must_begin_earlier():
     assert last_s(build_up_s=0.4) == pytest.approx(last_s() - 0.2, abs=0.02)
 
 
-def test_weathers_multiply_the_runs_and_are_said_to_change_nothing_yet(caplog):
-    question = Question(cases="CPTAns-50", weather="day, night,rain")
+def test_weathers_multiply_the_runs(caplog):
+    question = Question(cases="CPTAns-50", weather="day, night,rain,fog")
     with caplog.at_level(logging.WARNING):
         setting = build_setting(question, load_study_scene())
-    assert len(setting.runs) == 12
-    assert setting.axis.weathers[:3] == ("day", "night", "rain")
-    assert "detections do not depend on it" in caplog.text
+    assert len(setting.runs) == 16
+    assert setting.axis.weathers[:4] == ("day", "night", "rain", "fog")
+    assert caplog.text == ""
+
+
+def test_perception_and_radio_are_those_of_the_question():
+    def setting_of(**options):
+        question = Question(cases="CPTAns-50", approaches="east", **options)
+        return build_setting(question, load_study_scene())
+
+    plain = setting_of()
+    assert plain.detector == plain.planner == load_planning_detector("geometric")
+    assert (plain.vut_sensors, plain.links) == (("camera",), Links())
+    other = setting_of(
+        detector="response", vut_sensors="lidar, camera", packet_loss=0.1, vam_rate=0.5
+    )
+    assert other.detector is other.planner is load_planning_detector("response")
+    assert set(other.vut_sensors) == {"camera", "lidar"}
+    assert other.links == Links(packet_loss=0.1, vam_rate=0.5)
 
 
 def test_forced_speeds_are_warned_about(caplog):
@@ -77,9 +95,20 @@ def test_forced_speeds_are_warned_about(caplog):
     ("options", "message"),
     [
         ({"approaches": "up"}, "--approaches: got 'up'; expected one or more of east, north"),
-        ({"weather": "snow"}, "--weather: got 'snow'; expected one or more of day, night, rain"),
-        ({"weather": ","}, "--weather: got ','; expected one or more of day, night, rain"),
+        (
+            {"weather": "snow"},
+            "--weather: got 'snow'; expected one or more of day, night, rain, fog",
+        ),
+        ({"weather": ","}, "--weather: got ','; expected one or more of day, night, rain, fog"),
         ({"cases": "CPXX"}, "--cases: got 'CPXX'; expected one of study, protocol-4.5.1, all"),
+        (
+            {"detector": "best"},
+            "--detector: got 'best'; expected geometric, response, a .toml file",
+        ),
+        ({"vut_sensors": "radar"}, "--vut-sensors: got 'radar'; expected one or more of camera"),
+        ({"vut_sensors": ""}, "vut_sensors: got ''; expected one or more of camera, lidar"),
+        ({"packet_loss": 1.5}, "links.packet_loss: got 1.5; expected 0 .. 1"),
+        ({"vam_rate": -0.5}, "links.vam_rate: got -0.5; expected 0 .. 1"),
         ({"speeds": "130"}, "--speeds: got 130; expected 10 to 60 km/h as the protocol drives"),
         ({"weights": "none"}, "--weights: got 'none'; expected run, case, euroncap-rating-2026"),
         ({"deceleration_mps2": 0.0}, "aeb.deceleration_mps2: got 0.0; expected a positive number"),

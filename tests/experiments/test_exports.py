@@ -22,12 +22,13 @@ from experiments.exports import (
 from experiments.study import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.frames import from_carla_pose
+from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout, layout_records, load_layout
-from scenarios.aeb import confirmation_time_s, is_in_time, load_aeb_rule
+from scenarios.aeb import confirmation_time_s, is_in_time
 
 CRS = load_study_scene().crs
 
@@ -43,7 +44,7 @@ def layout(camera):
     return Layout(
         name='two, "quoted"',
         units=tuple(
-            CandidatePose(id=f"pole, {index}/ü", site_id=f"site-{index}", pose=pose, camera=camera)
+            CandidatePose(id=f"pole, {index}/ü", site_id=f"site-{index}", pose=pose, sensor=camera)
             for index, pose in enumerate(poses)
         ),
     )
@@ -67,6 +68,7 @@ def evaluation(layout, frame_axis, rule):
         return Verdict(
             detected=detected,
             confirmation_time_s=confirmation,
+            onset_time_s=confirmation + rule.latency_s,
             is_avoided=is_in_time(
                 confirmation, frame_axis.last_brake_time_s, latency_s=rule.latency_s
             ),
@@ -131,7 +133,7 @@ def test_geojson_says_which_crs_is_unknown(layout, crs):
 
 def test_geojson_refuses_a_layout_outside_its_crs(layout, camera):
     far = CandidatePose(
-        id="far", site_id="", pose=Pose(position_m=[1.0e12, 0.0, 7.0], yaw_deg=0.0), camera=camera
+        id="far", site_id="", pose=Pose(position_m=[1.0e12, 0.0, 7.0], yaw_deg=0.0), sensor=camera
     )
     with pytest.raises(InputError) as caught:
         to_geojson(Layout(name="far", units=(far,)), CRS)
@@ -163,6 +165,32 @@ def test_carla_transforms_come_back_as_the_poses(layout, build):
             "fov": "110.0",
             "sensor_tick": "0.1",
         }
+
+
+def test_a_lidar_is_exported_with_its_scan_pattern(layout):
+    lidar = load_lidars()["carla-ncap-lidar"]
+    unit = replace(layout.units[0], sensor=lidar, latency_s=0.1)
+    mixed = Layout(name="mixed", units=(unit, layout.units[1]))
+    first, second = json.loads(to_carla(mixed))
+    assert (first["blueprint"], second["blueprint"]) == (
+        "sensor.lidar.ray_cast",
+        "sensor.camera.rgb",
+    )
+    # CarlaNCAP, table of sensors: 72 x 30 deg, 52 lines, 10 Hz, 250 m, 90 k points/s.
+    assert first["attributes"] == {
+        "channels": "52",
+        "range": "250.0",
+        "points_per_second": "90000",
+        "rotation_frequency": "10.0",
+        "upper_fov": "15.0",
+        "lower_fov": "-15.0",
+        "horizontal_fov": "72.0",
+        "sensor_tick": "0.1",
+    }
+    with_header = list(csv.DictReader(to_csv(mixed).splitlines()))
+    assert [row["lidar"] for row in with_header] == ["carla-ncap-lidar", ""]
+    assert [row["camera"] for row in with_header] == ["", "carla-ncap-rgb"]
+    assert [row["latency_s"] for row in with_header] == ["0.1", ""]
 
 
 def test_carla_has_no_minus_zero(layout):
@@ -222,7 +250,7 @@ def test_apr_table_tells_several_weathers_apart(evaluation):
                 (verdict.is_avoided & mask).sum(),
             )
         assert table.loc[(party, "all", "all", "all")].apr == apr(verdict, axis)
-    runs = runs_table({"mine": evaluation}, load_aeb_rule())
+    runs = runs_table({"mine": evaluation})
     assert runs.weather.tolist() == list(axis.weathers) * len(parties(evaluation))
 
 
@@ -235,8 +263,8 @@ def test_apr_table_leaves_the_ratio_of_runs_without_weight_open(evaluation):
     assert (rows.n_runs == 1).all()
 
 
-def test_runs_table_has_one_row_per_party_and_run(evaluation, rule, tmp_path):
-    table = runs_table({"mine": evaluation, "again": evaluation}, rule)
+def test_runs_table_has_one_row_per_party_and_run(evaluation, tmp_path):
+    table = runs_table({"mine": evaluation, "again": evaluation})
     axis = evaluation.axis
     assert len(table) == 2 * 6 * axis.n_runs
     assert not np.isinf(table.select_dtypes("number").to_numpy()).any()
@@ -262,9 +290,11 @@ def test_runs_table_has_one_row_per_party_and_run(evaluation, rule, tmp_path):
 
 def test_margin_is_minus_infinity_where_nothing_is_confirmed_or_nothing_helps(evaluation, rule):
     for verdict in parties(evaluation).values():
-        margin = margin_s(verdict, evaluation.axis, rule)
+        margin = margin_s(verdict, evaluation.axis)
         hopeless = np.isinf(verdict.confirmation_time_s) | np.isinf(
             evaluation.axis.last_brake_time_s
         )
         np.testing.assert_array_equal(np.isneginf(margin), hopeless)
-        assert np.isfinite(margin[~hopeless]).all()
+        last_s = evaluation.axis.last_brake_time_s[~hopeless]
+        onset_s = verdict.confirmation_time_s[~hopeless] + rule.latency_s
+        np.testing.assert_allclose(margin[~hopeless], last_s - onset_s)

@@ -34,12 +34,13 @@ def build_evaluation(axis, camera, *, name="mine", ids=("RSU0", "RSU1"), seed=3)
         return Verdict(
             detected=rng.random(axis.n_frames) < 0.5,
             confirmation_time_s=confirmation,
+            onset_time_s=confirmation,
             is_avoided=rng.random(axis.n_runs) < 0.5,
         )
 
     pose = Pose(position_m=[1.0, 2.0, 7.0], yaw_deg=30.0, pitch_deg=-20.0)
     units = tuple(
-        CandidatePose(id=unit_id, site_id="s", pose=pose, camera=camera) for unit_id in ids
+        CandidatePose(id=unit_id, site_id="s", pose=pose, sensor=camera) for unit_id in ids
     )
     return Evaluation(
         layout=Layout(name=name, units=units),

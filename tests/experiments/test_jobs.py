@@ -16,6 +16,7 @@ def place(out, **options):
         "budget_units": 1,
         "fusion": "any",
         "out": out,
+        "sensors": "",
         "seed": 0,
         "workers": 2,
         "includes_study_poses": True,
@@ -32,6 +33,7 @@ def evaluate(layout, out=None):
         Question(),
         layout=layout,
         out=out,
+        seed=0,
         workers=2,
         command="place-rsus",
         progress=StageProgress(),
@@ -72,6 +74,28 @@ def test_the_studys_poses_are_candidates_only_if_asked_for(small_study, tmp_path
     assert ids[0] - ids[1] == {unit.id for unit in load_carlancap_layout().units}
 
 
+def test_every_sensor_asked_for_is_tried_at_every_pose(small_study, tmp_path, monkeypatch):
+    class Asked(Exception):
+        pass
+
+    def ask(setting, candidates, **options):
+        raise Asked([(*c.pose.position_m, c.pose.yaw_deg, c.sensor.name) for c in candidates])
+
+    monkeypatch.setattr(jobs, "place", ask)
+    names = ["carla-ncap-lidar", "carla-ncap-rgb"]
+    found = []
+    for sensors in ("", names[0], "carla-ncap-rgb, carla-ncap-lidar"):
+        with pytest.raises(Asked) as caught:
+            place(tmp_path / "out", includes_study_poses=False, sensors=sensors)
+        found.append({name: set() for *_, name in caught.value.args[0]})
+        for *pose, name in caught.value.args[0]:
+            found[-1][name].add(tuple(pose))
+    assert [sorted(poses) for poses in found] == [names[1:], names[:1], names]
+    assert found[2] == found[0] | found[1]
+    with pytest.raises(InputError, match="--sensors: got 'radar'; expected one of carla-ncap-"):
+        place(tmp_path / "out", sensors="radar")
+
+
 def test_a_budget_that_is_too_large_is_refused_before_anything_else(tmp_path, monkeypatch):
     monkeypatch.setattr(jobs, "build_setting", pytest.fail)
     with pytest.raises(InputError, match="--budget: got 10000; expected a whole number"):
@@ -98,6 +122,7 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
         subject=named("twin", 2),
         baseline=named("twin", 1),
         out=tmp_path / "out",
+        seed=0,
         workers=2,
         command="place-rsus",
         progress=StageProgress(),

@@ -103,7 +103,7 @@ def box_of(root, entity):
 
 
 @needs_library
-@pytest.mark.parametrize("weather", ["day", "night", "rain"])
+@pytest.mark.parametrize("weather", WEATHERS)
 @pytest.mark.parametrize("case", CASES)
 def test_the_schema_accepts_every_kind_of_run(some_runs, case, weather):
     import xmlschema
@@ -299,13 +299,15 @@ def test_weather_sets_sun_rain_road_and_lights(some_runs):
             float(found.find("Sun").get("elevation")) > 0.0,
             found.find("Precipitation").get("precipitationType"),
             float(found.find("Precipitation").get("precipitationIntensity")) > 0.0,
+            float(found.find("Fog").get("visualRange")) < 1000.0,  # WMO-No. 8: less is fog
             next(root.iter("RoadCondition")).get("wetness"),
             [light.get("vehicleLightType") for light in root.iter("VehicleLight")],
         )
     assert sky == {
-        "day": (True, "dry", False, "dry", []),
-        "night": (False, "dry", False, "dry", ["lowBeam"]),
-        "rain": (True, "rain", True, "wetWithPuddles", []),
+        "day": (True, "dry", False, False, "dry", []),
+        "night": (False, "dry", False, False, "dry", ["lowBeam"]),
+        "rain": (True, "rain", True, False, "wetWithPuddles", []),
+        "fog": (True, "dry", False, True, "moist", ["lowBeam"]),
     }
 
 
@@ -423,7 +425,9 @@ def test_what_cannot_be_exported_is_refused(some_runs):
     run = some_runs["CPNA-25", "day"]
     with pytest.raises(InputError, match="road_network: got ''"):
         to_openscenario(run, road_network="")
-    with pytest.raises(InputError, match="weather: got 'hail'; expected one of day, night, rain"):
+    with pytest.raises(
+        InputError, match="weather: got 'hail'; expected one of day, fog, night, rain"
+    ):
         to_openscenario(replace(run, weather="hail"), road_network="Town05.xodr")
     for changes, reason in (
         ({"wheelbase_m": 0.0}, "actor vut.wheelbase_m: got 0.0; expected > 0 metres"),

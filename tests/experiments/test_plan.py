@@ -41,7 +41,7 @@ def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
     yaw_deg, pitch_deg, height_m, max_range_m
 ):
     pose = Pose(position_m=[3.0, -4.0, height_m], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    unit = CandidatePose(id="u", site_id="", pose=pose, camera=CAMERA)
+    unit = CandidatePose(id="u", site_id="", pose=pose, sensor=CAMERA)
     corners = ground_footprint(unit, max_range_m=max_range_m)
     rng = np.random.default_rng(0)
     points = pose.position_m[:2] + rng.uniform(-1.1, 1.1, (400, 2)) * max_range_m
@@ -66,7 +66,7 @@ def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
 
 def test_footprint_is_empty_above_the_horizon():
     pose = Pose(position_m=[0.0, 0.0, 7.0], yaw_deg=0.0, pitch_deg=80.0)
-    unit = CandidatePose(id="u", site_id="", pose=pose, camera=CAMERA)
+    unit = CandidatePose(id="u", site_id="", pose=pose, sensor=CAMERA)
     assert ground_footprint(unit, max_range_m=50.0).shape == (0, 2)
 
 

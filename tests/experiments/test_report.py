@@ -79,6 +79,7 @@ def build_evaluation(setting, layout, *, seed, share=0.9):
         return Verdict(
             detected=detected,
             confirmation_time_s=confirmation,
+            onset_time_s=confirmation + rule.latency_s,
             is_avoided=is_in_time(confirmation, axis.last_brake_time_s, latency_s=rule.latency_s),
         )
 
@@ -107,7 +108,7 @@ def evaluations(setting):
                 id=f"{unit.site_id}/7m/{index}",
                 site_id=unit.site_id,
                 pose=unit.pose,
-                camera=unit.camera,
+                sensor=unit.sensor,
             )
             for index, unit in enumerate(baseline.units[:2])
         ),
@@ -233,8 +234,8 @@ def test_placement_page_opens_with_the_answer(placement_page, evaluations):
         "Proven on the detection table: no choice among 4032 candidate poses has a higher APR. "
         f"carlancap-12 (12 cameras) avoids {int(baseline.rsu_all.is_avoided.sum())} of 104 runs"
     ) in words
-    assert "If any one camera fails, the others still reach an APR of 75.0 % or more." in words
-    assert f"alone avoids {int(found.vut.is_avoided.sum())} of 104 runs" in words
+    assert "If any one unit fails, the others still reach an APR of 75.0 % or more." in words
+    assert f"The car by itself avoids {int(found.vut.is_avoided.sum())} of 104 runs" in words
 
 
 def test_placement_page_shows_the_certificate(placement_page):
@@ -258,7 +259,7 @@ def test_open_gap_is_not_called_proven(placement_summary, setting, evaluations):
     assert "Proven on the detection table" not in words
 
 
-def test_each_by_itself_where_one_camera_must_confirm(placement_summary, setting, evaluations):
+def test_each_by_itself_where_one_unit_must_confirm(placement_summary, setting, evaluations):
     found = evaluations["found"]
     page = render_report(
         placement_summary | {"fusion": "single"}, setting, {"found": found}, command=COMMAND
@@ -298,7 +299,7 @@ def test_names_are_escaped(setting, evaluations):
     unit = load_carlancap_layout().units[0]
     layout = Layout(
         name=EVIL,
-        units=(CandidatePose(id=f'"{EVIL}', site_id=EVIL, pose=unit.pose, camera=unit.camera),),
+        units=(CandidatePose(id=f'"{EVIL}', site_id=EVIL, pose=unit.pose, sensor=unit.sensor),),
     )
     evaluation = build_evaluation(setting, layout, seed=7)
     summary = plain_summary(evaluation) | {"versions": {EVIL: EVIL}, "seconds": {EVIL: 1.0}}
@@ -479,13 +480,13 @@ def test_several_weathers_are_told_and_have_a_column(evaluation_page):
     setting = build_setting(question, load_study_scene())
     page, _ = page_of(setting, Layout(name="found", units=load_carlancap_layout().units[:1]))
     words = Page(page).words
-    assert "day, night. It does not change what is detected: the detector looks at boxes" in words
+    assert "day, night. It takes contrast from cameras and pulses from LiDARs." in words
     head, *rows = table_rows(page, "Runs")
     assert head[1] == "weather"
     assert {row[1] for row in rows} == {"day", "night"}
     assert all(("/night" in row[0]) == (row[1] == "night") for row in rows)
     assert "weather" not in table_rows(evaluation_page, "Runs")[0]
-    assert "It does not change what is detected" not in Page(evaluation_page).words
+    assert "It takes contrast" not in Page(evaluation_page).words
 
 
 def test_braking_and_the_phase_of_the_frames_are_told(setting, layout, evaluation_page):
@@ -514,7 +515,7 @@ def test_heatmaps_are_otherwise_of_the_hardest_runs_that_count_each_of_another_c
     evaluation = build_evaluation(setting, layout, seed=5)
     first, *others = pick_heatmap_runs(setting, evaluation)
     assert first == "CPNC-50/east/55"
-    margin = margin_s(evaluation.rsu_all, setting.axis, setting.rule)
+    margin = margin_s(evaluation.rsu_all, setting.axis)
     by_id = dict(zip(setting.axis.run_ids, margin, strict=True))
     cases = [run_id.split("/")[0] for run_id in others]
     assert len({"CPNC-50", *cases}) == 3

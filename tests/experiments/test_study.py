@@ -32,7 +32,7 @@ def layout():
 def test_the_layout_has_the_studys_12_units(layout, camera):
     assert layout.name == BASELINE_NAME
     assert [unit.id for unit in layout.units] == [f"RSU{number}" for number in range(12)]
-    assert {unit.camera for unit in layout.units} == {camera}
+    assert {unit.sensor for unit in layout.units} == {camera}
     # CarlaNCAP, table of sensors.
     assert (camera.width_px, camera.height_px) == (1920, 1080)
     assert (camera.horizontal_fov_deg, camera.frame_rate_hz) == (110.0, 10.0)
@@ -83,15 +83,7 @@ def test_the_published_findings_come_out(setting, layout):
     seconds: all 104 runs, frame by frame, in full resolution.
     """
     corners = Layout(name="corners", units=(layout.units[2], layout.units[3]))
-    evaluation = evaluate_layout(
-        corners,
-        setting.scene,
-        setting.runs,
-        setting.axis,
-        rule=setting.rule,
-        detector=setting.detector,
-        workers=2,
-    )
+    evaluation = evaluate_layout(corners, setting, workers=2)
     axis = evaluation.axis
     for name in ("RSU2", "RSU3"):
         assert apr(evaluation.units[name], axis) == 1.0

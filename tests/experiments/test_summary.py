@@ -17,8 +17,10 @@ from experiments.summary import (
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.detection_table import DetectionTable
+from placement.detectors import load_detector
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
+from placement.links import Links
 from placement.optimiser import PlacementProblem
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis, Refusal
@@ -52,13 +54,14 @@ def evaluation_of(axis, camera):
         verdict = Verdict(
             detected=avoided,
             confirmation_time_s=np.where(avoided, -1.0, np.inf),
+            onset_time_s=np.where(avoided, -1.0, np.inf),
             is_avoided=avoided,
         )
         unit = CandidatePose(
             id="A",
             site_id="",
             pose=Pose(position_m=np.array([0.0, 0.0, 6.0]), yaw_deg=0.0, pitch_deg=0.0),
-            camera=camera,
+            sensor=camera,
         )
         return Evaluation(
             layout=Layout(name=name, units=(unit,)),
@@ -129,15 +132,29 @@ def test_versions_name_what_the_numbers_depend_on():
     assert sum(name.startswith("rays: ") for name in found) == 1
 
 
-def test_drives_are_cases_weathers_and_what_is_not_driven(axis):
+def setting_of(axis, *refusals):
+    return SimpleNamespace(
+        axis=axis,
+        refusals=refusals,
+        detector=load_detector(),
+        vut_sensors=("camera", "lidar"),
+        links=Links(packet_loss=0.25, vam_rate=0.5),
+    )
+
+
+def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
     refusal = Refusal(
         case=SimpleNamespace(name="C"), approach="north", speeds_kmh=(20.0, 25.0), reason="no lane"
     )
     axis = replace(axis, weathers=("night", "day") + ("night",) * (N_RUNS - 2))
-    setting = SimpleNamespace(axis=axis, refusals=(refusal,))
+    setting = setting_of(axis, refusal)
     assert json.loads(to_json_text(summarise_drives(setting))) == {
         "cases": ["A", "B"],
         "weathers": ["night", "day"],
+        "detector": "geometric",
+        "vut_sensors": ["camera", "lidar"],
+        "packet_loss": 0.25,
+        "vam_rate": 0.5,
         "not_driven": [
             {"case": "C", "approach": "north", "speeds_kmh": [20.0, 25.0], "reason": "no lane"}
         ],
@@ -145,7 +162,7 @@ def test_drives_are_cases_weathers_and_what_is_not_driven(axis):
 
 
 def test_drives_take_no_name_that_a_summary_has(evaluation_of, axis):
-    drives = summarise_drives(SimpleNamespace(axis=axis, refusals=()))
+    drives = summarise_drives(setting_of(axis))
     summary = summarise_comparison(evaluation_of(3), evaluation_of(5, "other"), RULE)
     assert not set(drives) & set(summary)
     assert drives["not_driven"] == []
@@ -173,6 +190,7 @@ def test_disagreement_is_judged_under_the_fusion_asked_for(evaluation_of, rule):
         return Verdict(
             detected=np.ones(4, dtype=bool),
             confirmation_time_s=np.array([-0.5 if is_avoided else np.inf]),
+            onset_time_s=np.array([-0.5 if is_avoided else np.inf]),
             is_avoided=np.array([is_avoided]),
         )
 

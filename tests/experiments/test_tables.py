@@ -35,6 +35,7 @@ def evaluation_summary(n_cases, ids, name="mine"):
         "name": name,
         "runs": 240,
         "layout": [unit(unit_id) for unit_id in ids],
+        "cost_eur": 4000.0 * len(ids),
         "evaluation": {
             "units": {
                 unit_id: ratios(n_cases, 0.1 + 0.05 * index) for index, unit_id in enumerate(ids)
@@ -68,6 +69,7 @@ def placement_summary(n_cases, ids=("U1", "U2", "U3"), gap=0.0):
         ],
         "greedy": {"rsu_all": ratios(n_cases, 0.7)},
         "surrogate_disagreement": 0.0004,
+        "disagreements": [],
     }
 
 
@@ -119,7 +121,43 @@ def test_a_placement_shows_every_ratio_once_in_80_columns(n_cases):
         summary["baseline"]["rsu_all"],
     )
     assert "disagree on <0.1 % of the runs." in text
-    assert "fused: in each frame, any of the cameras may detect; greedy: " in text
+    assert "fused: in each frame, any of the units may detect; greedy: " in text
+
+
+def test_the_first_five_disagreements_are_told_and_how_many_more_there_are():
+    entry = {
+        "party": "corner-ne/5m/-135/-45",
+        "run_id": "CBTAfs-100/north/20",
+        "on_table": True,
+        "n_frames": 3,
+        "cause": "sample points and pixels differ at the limit (40.1 px high, 52 % seen, IoU 0.51)",
+    }
+    for n_entries in (1, 5, 7):
+        entries = [entry | {"on_table": index % 2 == 0} for index in range(n_entries)]
+        text = placement_table(placement_summary(1) | {"disagreements": entries}, OUT)
+        assert all(len(line) <= 80 for line in text.splitlines())
+        words = " ".join(text.split())
+        told = "corner-ne/5m/-135/-45 in CBTAfs-100/north/20: only the"
+        assert words.count(told) == min(n_entries, 5)
+        assert words.count(f"{told} table avoids; {entry['cause']}") == min((n_entries + 1) // 2, 3)
+        assert ("and 2 more in summary.json" in words) == (n_entries == 7)
+
+
+def test_road_users_that_announce_themselves_have_columns_where_there_are_any():
+    summary = evaluation_summary(3, ["U1"])
+    assert "VAM" not in evaluation_table(summary, None)
+    evaluation = summary["evaluation"]
+    evaluation |= {"vam": ratios(3, 0.2), "all_sources": ratios(3, 0.95)}
+    text = evaluation_table(summary, None)
+    assert cells(text) == expected(
+        evaluation["units"]["U1"],
+        *(evaluation[key] for key in ("rsu_all", "vut_and_rsus", "vut", "vam", "all_sources")),
+    )
+
+
+def test_the_sensors_cost_is_that_of_all_units():
+    text = evaluation_table(evaluation_summary(1, ["U1", "U2", "U3"]), None)
+    assert "  sensors: 12,000 EUR by the catalogue, without poles or mounting\n" in text
 
 
 @pytest.mark.parametrize("n_cases", [1, 13, 25])

@@ -45,7 +45,7 @@ def _grid(**changes) -> CandidateGrid:
         "heights_m": np.array([6.0, 8.0]),
         "yaw_step_deg": 30.0,
         "pitches_deg": np.array([-30.0, -20.0, -10.0]),
-        "cameras": CAMERAS,
+        "sensors": CAMERAS,
     }
     return CandidateGrid(**{**fields, **changes})
 
@@ -53,7 +53,7 @@ def _grid(**changes) -> CandidateGrid:
 def test_every_combination_is_there_once():
     candidates = build_candidates(_scene([5, 9], [5, 9], [5, 9]), _grid())
     keys = {
-        (c.site_id, c.pose.position_m[2], c.pose.yaw_deg, c.pose.pitch_deg, c.camera.name)
+        (c.site_id, c.pose.position_m[2], c.pose.yaw_deg, c.pose.pitch_deg, c.sensor.name)
         for c in candidates
     }
     assert len(candidates) == len(keys) == 3 * 2 * 12 * 3 * len(CAMERAS)
@@ -68,7 +68,7 @@ def test_yaws_go_all_around_once(n_yaws):
         _grid(
             heights_m=np.array([6.0]),
             pitches_deg=np.array([-20.0]),
-            cameras=CAMERAS[:1],
+            sensors=CAMERAS[:1],
             yaw_step_deg=step_deg,
         ),
     )
@@ -87,7 +87,7 @@ def test_yaws_go_all_around_once(n_yaws):
 def test_the_default_grid_looks_every_15_degrees_at_three_heights_and_pitches():
     grid = load_candidate_grid()
     assert (len(grid.heights_m), grid.n_yaws, len(grid.pitches_deg)) == (3, 24, 3)
-    assert [camera.name for camera in grid.cameras] == ["carla-ncap-rgb"]
+    assert [sensor.name for sensor in grid.sensors] == ["carla-ncap-rgb"]
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_the_default_grid_looks_every_15_degrees_at_three_heights_and_pitches():
             {"yaw_step_deg": 51.4286},
             "grid.yaw_step_deg: got 51.4286; expected degrees that divide 360 evenly",
         ),
-        ({"cameras": ()}, "grid.cameras: got none; expected at least one"),
+        ({"sensors": ()}, "grid.sensors: got none; expected at least one"),
     ],
 )
 def test_a_grid_says_what_is_wrong(change, message):
@@ -149,7 +149,7 @@ def _extra(pose_id: str) -> CandidatePose:
         id=pose_id,
         site_id="",
         pose=Pose(position_m=[0, 0, 7], yaw_deg=0.0),
-        camera=CAMERAS[0],
+        sensor=CAMERAS[0],
     )
 
 

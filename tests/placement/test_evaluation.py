@@ -25,6 +25,7 @@ def _verdict(is_avoided, detected=()) -> Verdict:
     return Verdict(
         detected=np.array(detected, dtype=bool),
         confirmation_time_s=np.full(len(is_avoided), np.inf),
+        onset_time_s=np.full(len(is_avoided), np.inf),
         is_avoided=np.array(is_avoided, dtype=bool),
     )
 
@@ -85,7 +86,7 @@ def test_an_evaluation_shows_its_aprs(frame_axis):
         id="A",
         site_id="",
         pose=Pose(position_m=[0, 0, 7], yaw_deg=0.0),
-        camera=load_cameras()["carla-ncap-rgb"],
+        sensor=load_cameras()["carla-ncap-rgb"],
     )
     blind, sighted = _verdict([False, True, False]), _verdict([True, True, True])
     evaluation = Evaluation(
@@ -116,6 +117,20 @@ def test_one_unit_fails_and_the_rest_still_has_to_confirm(
     frame_axis, rule, frames_of_units, expected
 ):
     # Any three frames in a row avoid run 0 (weight 1/2) and run 1 (1/4); nothing avoids run 2.
+    assert _one_failed_of(frame_axis, rule, frames_of_units) == expected
+
+
+@pytest.mark.parametrize(
+    ("latencies_s", "expected"),
+    [((None, None), 0.75), ((0.0, 0.2), 0.25), ((0.2, 0.0), 0.25), ((None, 0.5), 0.0)],
+)
+def test_the_unit_that_is_left_may_be_slow(frame_axis, rule, latencies_s, expected):
+    """Both see all. Run 0 is confirmed at 0 s, to brake by 0.05 s; run 1 at -0.2 s, by 0.1 s."""
+    rows = ["1111111100", "1111111100"]
+    assert _one_failed_of(frame_axis, rule, rows, latencies_s) == expected
+
+
+def _one_failed_of(frame_axis, rule, frames_of_units, latencies_s=None):
     axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
     verdicts = {
         f"U{index}": _verdict([False] * 3, [frame == "1" for frame in frames])
@@ -127,7 +142,10 @@ def test_one_unit_fails_and_the_rest_still_has_to_confirm(
         layout=Layout(
             name="mine",
             units=tuple(
-                CandidatePose(id=name, site_id="", pose=pose, camera=camera) for name in verdicts
+                CandidatePose(id=name, site_id="", pose=pose, sensor=camera, latency_s=latency_s)
+                for name, latency_s in zip(
+                    verdicts, latencies_s or [None] * len(verdicts), strict=True
+                )
             ),
         ),
         axis=axis,
@@ -136,4 +154,4 @@ def test_one_unit_fails_and_the_rest_still_has_to_confirm(
         rsu_all=_verdict([False] * 3),
         vut_and_rsus=_verdict([False] * 3),
     )
-    assert apr_one_failed(evaluation, rule) == expected
+    return apr_one_failed(evaluation, rule)

@@ -10,6 +10,7 @@ from strategies import points_m, poses
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
+from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.layout import (
@@ -67,7 +68,7 @@ def _is_id(text: str) -> bool:
 def _layouts(draw) -> Layout:
     texts = st.text(max_size=8).filter(str.isprintable)
     ids = draw(st.lists(texts.filter(_is_id), min_size=1, max_size=5, unique=True))
-    names = sorted(load_cameras())
+    sensors = [*load_cameras().values(), *load_lidars().values()]
     return Layout(
         name=draw(texts),
         units=tuple(
@@ -75,7 +76,8 @@ def _layouts(draw) -> Layout:
                 id=unit_id,
                 site_id=draw(st.sampled_from(["", "pole-1", "pole-2"])),
                 pose=draw(poses()),
-                camera=load_cameras()[draw(st.sampled_from(names))],
+                sensor=draw(st.sampled_from(sensors)),
+                latency_s=draw(st.none() | st.floats(0.0, 5.0)),
             )
             for unit_id in ids
         ),
@@ -94,7 +96,8 @@ def test_a_layout_comes_back_from_its_records_bit_by_bit(layout):
             other.pose.yaw_deg,
             other.pose.pitch_deg,
         )
-        assert unit.camera is other.camera
+        assert unit.sensor is other.sensor
+        assert unit.latency_s == other.latency_s
     assert layout_records(back) == layout_records(layout)
 
 
@@ -134,6 +137,9 @@ def test_a_missing_field_is_named(key):
         ({"id": ""}, "layout[1].id: got ''; expected text"),
         ({"camera": ["x"]}, "layout[1].camera: got ['x']; expected text"),
         ({"site": 7}, "layout[1].site: got 7; expected text"),
+        ({"lidar": "carla-ncap-lidar"}, "layout[1]: got camera and lidar; expected one of them"),
+        ({"latency_s": -0.1}, "layout[1].latency_s: got -0.1; expected seconds, at least 0"),
+        ({"latency_s": "0.1"}, "layout[1].latency_s: got '0.1'; expected a finite number"),
     ],
 )
 def test_a_field_of_the_wrong_kind_is_named(changes, message):
@@ -156,6 +162,24 @@ def test_an_unknown_camera_lists_the_known_ones():
     )
 
 
+def test_a_lidar_is_written_and_read_as_one_and_is_no_camera():
+    records = _changed(latency_s=0.125)
+    del records[1]["camera"]
+    records[1]["lidar"] = "carla-ncap-lidar"
+    layout = layout_from_records("l", records, "f.json")
+    assert layout.units[1].sensor is load_lidars()["carla-ncap-lidar"]
+    written = layout_records(layout)
+    assert written[1]["lidar"] == "carla-ncap-lidar"
+    assert written[1]["latency_s"] == 0.125
+    assert "camera" not in written[1]
+    assert "latency_s" not in written[0]
+    records[1]["lidar"] = "carla-ncap-rgb"
+    assert _message(layout_from_records, "l", records, "f.json") == (
+        "f.json: layout[1].lidar: got 'carla-ncap-rgb'; expected one of "
+        + ", ".join(sorted(load_lidars()))
+    )
+
+
 def test_a_repeated_id_is_named():
     assert _message(layout_from_records, "l", _changed(id="A"), "f.json") == (
         "layout l: id: got 'A'; expected every id once"
@@ -165,8 +189,8 @@ def test_a_repeated_id_is_named():
 @pytest.mark.parametrize("name", RESERVED_IDS)
 def test_a_unit_is_not_called_like_another_sensing_party(name):
     assert _message(layout_from_records, "l", _changed(id=name), "f.json") == (
-        f"layout l: id: got '{name}'; expected another name: vut, rsu_all, vut_and_rsus mean "
-        "other sensing parties"
+        f"layout l: id: got '{name}'; expected another name: vut, rsu_all, vut_and_rsus, vam, "
+        "all_sources mean other sensing parties"
     )
 
 
@@ -233,7 +257,7 @@ def test_a_layout_shows_its_name_and_units(point):
         id="A",
         site_id="",
         pose=Pose(position_m=point, yaw_deg=0.0),
-        camera=load_cameras()["carla-ncap-rgb"],
+        sensor=load_cameras()["carla-ncap-rgb"],
     )
     assert repr(Layout(name="l", units=(unit,))) == "Layout('l', ['A'])"
 

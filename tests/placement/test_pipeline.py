@@ -9,7 +9,7 @@ from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
-from placement.detector import load_detector
+from placement.detectors import load_detector, load_planning_detector
 from placement.layout import check_layout
 from placement.optimiser import is_better, is_feasible, placement_value, solve_greedy
 from placement.pipeline import build_problem, check_budget, obtain_table, place
@@ -31,6 +31,7 @@ def setting(runs, rule):
         axis=build_frame_axis(few, weight_per_run(few)),
         rule=rule,
         detector=load_detector(),
+        planner=load_planning_detector(),
     )
 
 
@@ -40,7 +41,7 @@ def candidates(setting, camera):
         heights_m=np.array([6.8]),
         yaw_step_deg=60.0,
         pitches_deg=np.array([-25.0]),
-        cameras=(camera,),
+        sensors=(camera,),
     )
     return build_candidates(setting.scene, grid)
 
@@ -91,7 +92,7 @@ def test_the_layout_names_the_candidates_that_were_chosen(placement, setting, ca
     assert [unit.id for unit in layout.units] == ["U1", "U2"]
     for unit, index in zip(layout.units, placement.pose_index, strict=True):
         assert unit.pose is candidates[index].pose
-        assert (unit.site_id, unit.camera) == (candidates[index].site_id, candidates[index].camera)
+        assert (unit.site_id, unit.sensor) == (candidates[index].site_id, candidates[index].sensor)
     check_layout(layout, setting.scene)
     assert placement.problem.table.pose_ids == tuple(c.id for c in candidates)
     assert repr(placement) == f"Placement({layout!r}, proven)"
@@ -229,7 +230,7 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(setting, candidates,
             id=name,
             site_id=site_id,
             pose=Pose(position_m=[-126.0, -1.0, 9.0], yaw_deg=0.0, pitch_deg=-80.0),
-            camera=camera,
+            sensor=camera,
         )
 
     poses = (

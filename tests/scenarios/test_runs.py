@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from junctions import ARMS, LANE_M, protocol_scene, turned
 from oracles import separation_m
+from strategies import frame_axes, numbers
 
 from geometry.errors import InputError
 from geometry.scene import Lane
@@ -14,7 +15,13 @@ from geometry.scene_files import load_study_scene
 from scenarios.aeb import has_contact
 from scenarios.cases import load_cases, pick_cases
 from scenarios.exposure import weight_per_run
-from scenarios.runs import FrameAxis, build_frame_axis, build_runs
+from scenarios.runs import (
+    FrameAxis,
+    build_frame_axis,
+    build_runs,
+    confirmation_times_s,
+    onset_times_s,
+)
 
 
 def _vru_in_vut_frame(encounter):
@@ -173,7 +180,7 @@ def test_each_weather_is_a_run_of_its_own(actors, rule):
             {"approaches": ["up"]},
             "approach: got 'up'; expected one of east, north, west, south",
         ),
-        ({"weathers": ["snow"]}, "weather: got 'snow'; expected one of day, night, rain"),
+        ({"weathers": ["snow"]}, "weather: got 'snow'; expected one of day, night, rain, fog"),
         ({"phase": "late"}, "phase: got 'late'; expected one of aligned, worst"),
     ],
 )
@@ -363,3 +370,53 @@ def test_frame_axis_allows_runs_that_nothing_avoids(frame_axis):
         slice(3, 8),
         slice(8, 10),
     ]
+
+
+# From detected frames to the onset of braking
+
+
+@given(frame_axes(), st.integers(1, 4), numbers(0.0, 1.0), st.data())
+def test_for_one_party_braking_sets_in_a_latency_after_the_confirmation(axis, n, latency_s, data):
+    n_frames = axis.n_frames
+    row = np.array(data.draw(st.lists(st.booleans(), min_size=n_frames, max_size=n_frames)))
+    arrival_s = np.where(row, axis.time_s + latency_s, np.inf)
+    confirmation_s, onset_s = onset_times_s(arrival_s, axis, n_confirmations=n)
+    expected_s = confirmation_times_s(row, axis, n_confirmations=n)
+    assert np.array_equal(confirmation_s, expected_s)
+    assert np.array_equal(onset_s, expected_s + latency_s)
+
+
+@given(frame_axes(), st.integers(1, 4), st.data())
+def test_of_several_parties_the_window_whose_last_message_comes_first_decides(axis, n, data):
+    n_frames = axis.n_frames
+    delays = data.draw(
+        st.lists(
+            st.one_of(st.just(math.inf), numbers(0.0, 1.0)), min_size=n_frames, max_size=n_frames
+        )
+    )
+    arrival_s = axis.time_s + np.array(delays)
+    confirmation_s, onset_s = onset_times_s(arrival_s, axis, n_confirmations=n)
+    for run in range(axis.n_runs):
+        time_s, known_s = (
+            values[axis.frames_of(run)].tolist() for values in (axis.time_s, arrival_s)
+        )
+        windows = [
+            (max(known_s[last - n + 1 : last + 1]), time_s[last])
+            for last in range(n - 1, len(time_s))
+        ]
+        best_s, last_s = min(windows, default=(math.inf, math.inf))
+        assert onset_s[run] == best_s
+        assert confirmation_s[run] == (last_s if best_s < math.inf else math.inf)
+
+
+def test_messages_of_several_units_confirm_when_the_slowest_of_a_window_has_come(frame_axis):
+    """Second run, frames at -0.4 .. 0 s: the message of -0.3 s takes 0.35 s, all others 0.02 s.
+
+    Windows of two frames: the first is known at 0.05 s, and so is the second; the third, of -0.2
+    and -0.1 s, at -0.08 s.
+    """
+    arrival_s = np.full(10, np.inf)
+    arrival_s[3:8] = frame_axis.time_s[3:8] + [0.02, 0.35, 0.02, 0.02, 0.02]
+    confirmation_s, onset_s = onset_times_s(arrival_s, frame_axis, n_confirmations=2)
+    assert confirmation_s.tolist() == [math.inf, -0.1, math.inf]
+    assert onset_s == pytest.approx([math.inf, -0.08, math.inf])

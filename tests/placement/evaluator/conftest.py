@@ -1,6 +1,7 @@
 """Tiny worlds: boxes for buildings, a block for the VRU, runs given frame by frame."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,13 @@ from geometry.actors import Actor, PlacedActor, Shape, pick_actor
 from geometry.scene import Instance, Scene
 from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel
+from placement.detectors import GeometricDetector
+from placement.setting import Setting
 from scenarios.aeb import Encounter, load_aeb_rule
 from scenarios.cases import load_cases
+from scenarios.exposure import weight_per_run
 from scenarios.paths import Motion, StraightPath
-from scenarios.runs import Run, build_runs
+from scenarios.runs import Run, build_frame_axis, build_runs
 from scenarios.selection import select_cases
 
 Box = tuple[Sequence[float], Sequence[float]]  # lowest and highest corner
@@ -117,6 +121,25 @@ def build_run(vut: Actor) -> Callable[..., Run]:
             obstruction=obstruction,
             last_brake_time_s=0.0,
         )
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def build_setting() -> Callable[..., Setting]:
+    """Runs that count alike, a detector that asks for little, no radio that fails."""
+
+    def build(scene: Scene, runs: Sequence[Run], **changes: Any) -> Setting:
+        detector = GeometricDetector(min_iou=0.5, min_box_height_px=10.0)
+        given: dict[str, Any] = {
+            "scene": scene,
+            "runs": tuple(runs),
+            "axis": build_frame_axis(runs, weight_per_run(runs)),
+            "rule": load_aeb_rule(),
+            "detector": detector,
+            "planner": detector,
+        }
+        return Setting(**{**given, **changes})
 
     return build
 

@@ -2,33 +2,40 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from evidences import build_evidence
 
+from geometry.catalogue import pick_sensor
 from geometry.errors import InputError
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.detector import Detector
+from placement.detectors import load_detector
 from placement.evaluator import evaluate
 from placement.evaluator.evaluate import evaluate_layout, evaluate_layouts
-from placement.evaluator.perceive import Boxes, perceive_from_roadside
+from placement.evaluator.perceive import perceive_from_roadside
 from placement.evaluator.surroundings import build_surroundings
 from placement.layout import Layout
-from scenarios.aeb import has_contact, is_in_time, load_aeb_rule
+from placement.links import Links
+from scenarios.aeb import is_in_time, load_aeb_rule
 from scenarios.runs import build_frame_axis
 
-DETECTOR = Detector(min_iou=0.5, min_box_height_px=10.0)
 RULE = load_aeb_rule()
+LIDAR = pick_sensor("carla-ncap-lidar", "test")
+GROUND = ((-300.0, -300.0, -1.0), (300.0, 300.0, 0.0))
 
 
 @pytest.fixture(scope="module")
-def axis(study_runs):
-    return build_frame_axis(study_runs, np.full(len(study_runs), 1.0 / len(study_runs)))
+def setting(build_setting, build_scene, study_runs):
+    return build_setting(build_scene(), study_runs)
+
+
+@pytest.fixture(scope="module")
+def axis(setting):
+    return setting.axis
 
 
 @pytest.fixture
 def build_layout(camera):
-    def build(*names, x_m=0.0):
+    def build(*names, x_m=0.0, latencies_s=None, sensor=camera):
         return Layout(
             name="test",
             units=tuple(
@@ -38,7 +45,8 @@ def build_layout(camera):
                     pose=Pose(
                         position_m=np.array([x_m + index, 0.0, 7.0]), yaw_deg=0.0, pitch_deg=-20.0
                     ),
-                    camera=camera,
+                    sensor=sensor,
+                    latency_s=None if latencies_s is None else latencies_s[index],
                 )
                 for index, name in enumerate(names)
             ),
@@ -48,33 +56,36 @@ def build_layout(camera):
 
 
 @pytest.fixture
-def pretend(monkeypatch, build_layout, build_scene, study_runs, axis):
+def pretend(monkeypatch, build_layout, setting, axis):
     """Evaluate detections given by hand, one row per unit, instead of those rendered."""
 
-    def evaluate_rows(*unit_rows, vut_row=None, rule=RULE):
+    def evaluate_rows(
+        *unit_rows, vut_row=None, vut_lidar_row=None, latencies_s=None, seed=0, **changes
+    ):
         rows = np.array(unit_rows, dtype=bool)
-        by_vut = np.zeros(axis.n_frames, dtype=bool) if vut_row is None else vut_row
+        nothing = np.zeros(axis.n_frames, dtype=bool)
+        by_vut = nothing if vut_row is None else vut_row
 
-        def boxes(row):
+        def evidence(row, surroundings):
             box = np.where(row[:, None], [0.0, 0.0, 50.0, 50.0], 0.0)
-            return Boxes(amodal_px=box, visible_px=box)
+            return build_evidence(box, draw_index=surroundings.draw_index)
 
-        def from_roadside(surroundings, pose, camera, *, min_height_px):
-            return boxes(rows[round(float(pose.position_m[0]))])
+        def from_roadside(surroundings, pose, camera, *, min_height_px, with_shares):
+            return evidence(rows[round(float(pose.position_m[0]))], surroundings)
 
-        def from_vut(surroundings, vut_camera, *, min_height_px):
-            return boxes(by_vut)
+        def from_vut(surroundings, vut_camera, *, min_height_px, with_shares):
+            return evidence(by_vut, surroundings)
+
+        def by_vut_lidar(surroundings, mount, lidar, rng):
+            return vut_lidar_row
 
         monkeypatch.setattr(evaluate, "_VUT_JOBS", 1)  # all frames at once
         monkeypatch.setattr(evaluate, "perceive_from_roadside", from_roadside)
         monkeypatch.setattr(evaluate, "perceive_from_vut", from_vut)
+        monkeypatch.setattr(evaluate, "scan_from_vut", by_vut_lidar)
+        names = [f"unit {index}" for index in range(len(rows))]
         return evaluate_layout(
-            build_layout(*(f"unit {index}" for index in range(len(rows)))),
-            build_scene(),
-            study_runs,
-            axis,
-            rule=rule,
-            detector=DETECTOR,
+            build_layout(*names, latencies_s=latencies_s), replace(setting, **changes), seed=seed
         )
 
     return evaluate_rows
@@ -86,6 +97,26 @@ def _frames(axis, run_index, *frames):
     return row
 
 
+def _verdicts(evaluation):
+    return {
+        "vut": evaluation.vut,
+        "rsu_all": evaluation.rsu_all,
+        "vut_and_rsus": evaluation.vut_and_rsus,
+        **evaluation.units,
+        **evaluation.others,
+    }
+
+
+def _is_equal(verdict, other):
+    return all(
+        np.array_equal(getattr(verdict, field), getattr(other, field))
+        for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided")
+    )
+
+
+# Confirmation and fusion
+
+
 def test_third_consecutive_frame_confirms(pretend, axis):
     two, three = _frames(axis, 0, 1, 2, 4, 5), _frames(axis, 0, 1, 2, 4, 5, 6)
     evaluation = pretend(two, three)
@@ -93,7 +124,9 @@ def test_third_consecutive_frame_confirms(pretend, axis):
     assert not evaluation.units["unit 0"].is_avoided.any()
     verdict = evaluation.units["unit 1"]
     assert verdict.confirmation_time_s[0] == axis.time_s[6]
+    assert verdict.onset_time_s[0] == axis.time_s[6] + RULE.latency_s
     assert np.isinf(verdict.confirmation_time_s[1:]).all()
+    assert np.isinf(verdict.onset_time_s[1:]).all()
     assert verdict.is_avoided.tolist() == [True] + [False] * (axis.n_runs - 1)
     assert (verdict.detected == three).all()
 
@@ -142,98 +175,236 @@ def test_same_onset_is_judged_run_by_run(pretend, axis):
     assert len(set(expected.tolist())) == 2
 
 
-@settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(study_runs, axis, seed):
-    rng = np.random.default_rng(seed)
-    row = rng.random(axis.n_frames) < rng.uniform(0.05, 0.5)
-    verdict = evaluate._Judge(study_runs, axis, RULE).verdict(row)
-    onset_s = verdict.confirmation_time_s + RULE.latency_s
-    touches = [
-        has_contact(run.encounter, onset, RULE)
-        for run, onset in zip(study_runs, onset_s.tolist(), strict=True)
+# Radio
+
+
+def test_the_message_of_a_slow_unit_decides_when_no_other_saw_that_frame(pretend, axis):
+    """Frames 1 and 3 from a unit of 25 ms, frame 2 from one of 0.5 s: frame 2 comes last.
+
+    In the second run the fast unit sees frames 3 to 5 by itself: it is through before.
+    """
+    fast = _frames(axis, 0, 1, 3) | _frames(axis, 1, 1, 3, 4, 5)
+    slow = _frames(axis, 0, 2) | _frames(axis, 1, 2)
+    evaluation = pretend(fast, slow, latencies_s=[0.025, 0.5])
+    time_s = axis.time_s
+    start, other = axis.run_start[:2]
+    fused = evaluation.rsu_all
+    assert fused.onset_time_s[0] == time_s[start + 2] + 0.5
+    assert fused.confirmation_time_s[1] == time_s[other + 5]
+    assert fused.onset_time_s[1] == time_s[other + 5] + 0.025
+    assert (fused.detected == (fast | slow)).all()
+
+
+def test_a_unit_is_judged_by_its_own_latency_and_the_rule_is_for_those_without(pretend, axis):
+    row = _frames(axis, 0, 1, 2, 3)
+    spare_s = float(axis.last_brake_time_s[0] - axis.time_s[3])
+    late = pretend(row, row, vut_row=row, latencies_s=[spare_s + 0.01, None])
+    last_s = float(axis.last_brake_time_s[0])
+    assert late.units["unit 0"].onset_time_s[0] == pytest.approx(last_s + 0.01, abs=1e-12)
+    assert late.units["unit 1"].onset_time_s[0] == axis.time_s[3] + RULE.latency_s
+    assert [late.units[f"unit {i}"].is_avoided[0] for i in (0, 1)] == [False, True]
+    assert late.rsu_all.onset_time_s[0] == late.vut.onset_time_s[0]
+
+
+def test_without_any_message_the_vut_is_left_alone(pretend, axis):
+    row, by_vut = _frames(axis, 0, *range(9)), _frames(axis, 1, *range(4, 9))
+    lost = pretend(row, row, vut_row=by_vut, links=Links(packet_loss=1.0))
+    none_lost = pretend(row, row, vut_row=by_vut, links=Links(packet_loss=0.0), seed=5)
+    plain = pretend(row, row, vut_row=by_vut)
+    assert not lost.rsu_all.detected.any()
+    assert not any(unit.detected.any() for unit in lost.units.values())
+    assert _is_equal(lost.vut, plain.vut)
+    assert _is_equal(lost.vut_and_rsus, plain.vut)
+    for name, verdict in _verdicts(plain).items():
+        assert _is_equal(_verdicts(none_lost)[name], verdict)
+
+
+def test_messages_are_lost_as_often_as_said_and_unit_by_unit(pretend, axis):
+    row = np.ones(axis.n_frames, dtype=bool)
+    links = Links(packet_loss=0.3)
+    two, one = pretend(row, row, vut_row=row, links=links), pretend(row, links=links)
+    a, b = (unit.detected for unit in two.units.values())
+    n = axis.n_frames
+    # Five standard deviations of a binomial distribution.
+    for share, mean in ((a.mean(), 0.7), (b.mean(), 0.7), ((a & b).mean(), 0.49)):
+        assert share == pytest.approx(mean, abs=5.0 * np.sqrt(mean * (1.0 - mean) / n))
+    assert (two.rsu_all.detected == (a | b)).all()
+    assert two.vut.detected.all()
+    assert two.vut_and_rsus.detected.all()
+    # Luck is a unit's own: whatever else is in the layout, but for the seed.
+    assert (one.units["unit 0"].detected == a).all()
+    other = pretend(row, links=links, seed=1).units["unit 0"].detected
+    assert (other != a).any()
+
+
+def test_road_users_that_announce_themselves_are_a_source_of_their_own(pretend, axis):
+    by_unit, nothing = _frames(axis, 0, 1, 2, 3), np.zeros(axis.n_frames, dtype=bool)
+    assert pretend(by_unit, links=Links(vam_rate=0.0)).others == {}
+    all_equipped = pretend(by_unit, links=Links(vam_rate=1.0))
+    assert list(all_equipped.others) == ["vam", "all_sources"]
+    vam = all_equipped.others["vam"]
+    assert vam.detected.all()
+    assert vam.onset_time_s.tolist() == [
+        axis.time_s[start + 2] + RULE.latency_s for start in axis.run_start[:-1]
     ]
-    assert (verdict.is_avoided == ~np.array(touches)).all()
-    in_time = is_in_time(
-        verdict.confirmation_time_s, axis.last_brake_time_s, latency_s=RULE.latency_s
+    assert _is_equal(all_equipped.rsu_all, pretend(by_unit).rsu_all)
+    some = pretend(by_unit, vut_row=nothing, links=Links(vam_rate=0.5), seed=3)
+    both = some.others["vam"].detected | some.vut_and_rsus.detected
+    assert (some.others["all_sources"].detected == both).all()
+    assert (some.others["all_sources"].is_avoided >= some.rsu_all.is_avoided).all()
+
+
+# The VUT's own sensors
+
+
+@pytest.mark.parametrize(
+    ("sensors", "expected"),
+    [
+        (("camera",), [1, 2]),
+        (("lidar",), [2, 3]),
+        (("camera", "lidar"), [1, 2, 3]),
+        (("lidar", "camera"), [1, 2, 3]),
+    ],
+)
+def test_the_vut_looks_with_what_it_has(pretend, axis, sensors, expected):
+    evaluation = pretend(
+        np.zeros(axis.n_frames, dtype=bool),
+        vut_row=_frames(axis, 0, 1, 2),
+        vut_lidar_row=_frames(axis, 0, 2, 3),
+        vut_sensors=sensors,
     )
-    assert (verdict.is_avoided == in_time).all()
+    assert (evaluation.vut.detected == _frames(axis, 0, *expected)).all()
+    assert evaluation.vut.is_avoided[0] == (len(expected) == 3)
 
 
-def test_threads_and_company_do_not_change_a_verdict(build_layout, build_scene, study_runs, axis):
+def test_unknown_sensors_of_the_vut_and_shares_beyond_one_are_named(setting):
+    with pytest.raises(InputError) as caught:
+        replace(setting, vut_sensors=("camera", "radar"))
+    assert str(caught.value) == "vut_sensors: got 'radar'; expected one or more of camera, lidar"
+    with pytest.raises(InputError, match="vut_sensors: got 'none'; expected one or more of"):
+        replace(setting, vut_sensors=())
+    with pytest.raises(InputError, match=r"links.packet_loss: got 1.1; expected 0 .. 1"):
+        Links(packet_loss=1.1)
+    with pytest.raises(InputError, match=r"links.vam_rate: got nan; expected 0 .. 1"):
+        Links(vam_rate=float("nan"))
+
+
+# Real frames
+
+
+@pytest.fixture
+def real(build_setting, build_scene, study_runs):
+    """The study's runs on a plain, and where to stand near their first impact."""
     middle = study_runs[0].vru_position_m[-1]
-    scene = build_scene(((-300.0, -300.0, -1.0), (300.0, 300.0, 0.0)))
-    a = build_layout("a", "b", x_m=float(middle[0]) - 12.0)
-    b = build_layout("c", x_m=float(middle[0]) - 12.0)  # stands where "a" stands
+    return build_setting(build_scene(GROUND), study_runs), float(middle[0]) - 12.0
+
+
+def test_threads_and_company_do_not_change_a_verdict(build_layout, real, study_runs):
+    setting, x_m = real
+    a = build_layout("a", "b", x_m=x_m)
+    b = build_layout("c", x_m=x_m)  # stands where "a" stands
     n_done = []
     together = evaluate_layouts(
         [a, b],
-        scene,
-        study_runs,
-        axis,
-        rule=RULE,
-        detector=DETECTOR,
+        setting,
         workers=2,
         on_progress=lambda done, total: n_done.append((done, total)),
     )
-    alone = evaluate_layout(b, scene, study_runs, axis, rule=RULE, detector=DETECTOR)
+    alone = evaluate_layout(b, setting)
     # Two different poses, and the VUT in four parts.
     assert n_done == [(done, 6) for done in range(1, 7)]
     assert (together[0].units["a"].detected == together[1].units["c"].detected).all()
     for name in ("vut", "rsu_all", "vut_and_rsus"):
         assert (getattr(together[1], name).detected == getattr(alone, name).detected).all()
-    boxes = perceive_from_roadside(
-        build_surroundings(scene, study_runs), b.units[0].pose, b.units[0].camera
+    evidence = perceive_from_roadside(
+        build_surroundings(setting.scene, study_runs), b.units[0].pose, b.units[0].sensor
     )
-    expected = DETECTOR.is_detected(boxes.visible_px, boxes.amodal_px)
-    assert (alone.units["c"].detected == expected).all()
+    assert (alone.units["c"].detected == setting.detector.is_expected(evidence)).all()
     assert [unit.id for unit in together[0].layout.units] == list(together[0].units)
 
 
-def test_runs_of_two_frames_are_too_short_to_confirm(build_layout, build_scene, build_run, block):
-    run = build_run(block, [[9.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
-    evaluation = evaluate_layout(
-        build_layout("a"),
-        build_scene(),
-        [run],
-        build_frame_axis([run], np.ones(1)),
-        rule=RULE,
-        detector=DETECTOR,
+def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
+    setting, x_m = real
+    setting = replace(
+        setting,
+        detector=load_detector("response"),
+        links=Links(packet_loss=0.2, vam_rate=0.5),
+        vut_sensors=("camera", "lidar"),
     )
+    cameras = build_layout("a", "b", x_m=x_m)
+    lidars = build_layout("l", x_m=x_m, sensor=LIDAR)
+    mixed = Layout(name="mixed", units=(*lidars.units, *cameras.units))
+    whole = evaluate_layout(mixed, setting, seed=7, workers=2)
+    parts = evaluate_layouts([cameras, lidars], setting, seed=7)
+    for part in parts:
+        for name, verdict in part.units.items():
+            assert verdict.detected.any()
+            assert _is_equal(verdict, whole.units[name])
+        assert _is_equal(part.vut, whole.vut)
+        assert _is_equal(part.others["vam"], whole.others["vam"])
+    other = evaluate_layout(mixed, setting, seed=8)
+    for name in ("a", "b", "l"):
+        assert (other.units[name].detected != whole.units[name].detected).any()
+    assert (other.vut.detected != whole.vut.detected).any()
+
+
+def test_what_is_missed_by_day_is_missed_at_night_and_in_fog(build_layout, build_setting, real):
+    """The same frame has the same luck in every weather: only the weather makes the difference."""
+    setting, x_m = real
+    layout = build_layout("a", x_m=x_m)
+    runs = [
+        replace(run, id=f"{run.id}/{weather}", weather=weather)
+        for run in setting.runs
+        for weather in ("day", "night", "rain", "fog")
+    ]
+    question = build_setting(setting.scene, runs, detector=load_detector("response"))
+    evaluation = evaluate_layout(layout, question)
+    of_weather = np.array(question.axis.weathers).repeat(np.diff(question.axis.run_start))
+    for verdict in (evaluation.units["a"], evaluation.vut):
+        by_day, at_night, in_rain, in_fog = (
+            verdict.detected[of_weather == weather] for weather in ("day", "night", "rain", "fog")
+        )
+        assert in_fog.any()
+        for other in (at_night, in_rain, in_fog):
+            assert (by_day >= other).all()
+        assert (in_rain >= at_night).all()  # 0.8 of the contrast, and 0.6
+        assert by_day.sum() > in_fog.sum()
+
+
+def test_runs_of_two_frames_are_too_short_to_confirm(
+    build_layout, build_setting, build_scene, build_run, block
+):
+    run = build_run(block, [[9.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
+    evaluation = evaluate_layout(build_layout("a"), build_setting(build_scene(), [run]))
     assert evaluation.rsu_all.detected.all()
     assert not evaluation.vut_and_rsus.is_avoided.any()
 
 
-def test_interruption_leaves_the_other_units_unseen(
-    monkeypatch, build_layout, build_scene, study_runs, axis
-):
+def test_interruption_leaves_the_other_units_unseen(monkeypatch, build_layout, setting):
     n_seen = []
 
-    def from_roadside(surroundings, pose, camera, *, min_height_px):
+    def from_roadside(surroundings, pose, camera, *, min_height_px, with_shares):
         n_seen.append(1)
-        nothing = np.zeros((len(surroundings.vru_poses), 4))
-        return Boxes(amodal_px=nothing, visible_px=nothing)
+        return build_evidence(
+            np.zeros((len(surroundings.vru_poses), 4)), draw_index=surroundings.draw_index
+        )
 
-    def from_vut(surroundings, vut_camera, *, min_height_px):
+    def from_vut(surroundings, vut_camera, *, min_height_px, with_shares):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(evaluate, "perceive_from_roadside", from_roadside)
     monkeypatch.setattr(evaluate, "perceive_from_vut", from_vut)
     with pytest.raises(KeyboardInterrupt):
-        evaluate_layout(
-            build_layout(*map(str, range(500))),
-            build_scene(),
-            study_runs,
-            axis,
-            rule=RULE,
-            detector=DETECTOR,
-        )
+        evaluate_layout(build_layout(*map(str, range(500))), setting)
     assert len(n_seen) < 500
 
 
-def test_wrong_axis_and_workers_are_named(build_layout, build_scene, study_runs, axis):
-    layout, scene = build_layout("a"), build_scene()
+def test_wrong_axis_and_workers_are_named(build_layout, setting, study_runs):
+    layout = build_layout("a")
+    axis = build_frame_axis(study_runs[1:], np.full(len(study_runs) - 1, 1 / (len(study_runs) - 1)))
     with pytest.raises(InputError, match="axis: got frames of other runs; expected the frame axis"):
-        evaluate_layout(layout, scene, study_runs[1:], axis, rule=RULE, detector=DETECTOR)
+        evaluate_layout(layout, replace(setting, axis=axis))
+    with pytest.raises(InputError, match="axis: got frames of other runs; expected the frame axis"):
+        evaluate_layout(layout, replace(setting, runs=setting.runs[1:]))
     with pytest.raises(InputError, match="workers: got 0; expected a whole number, at least 1"):
-        evaluate_layout(layout, scene, study_runs, axis, rule=RULE, detector=DETECTOR, workers=0)
+        evaluate_layout(layout, setting, workers=0)

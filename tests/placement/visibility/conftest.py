@@ -143,7 +143,7 @@ def mount(small_camera):
             id=name,
             site_id="",
             pose=Pose(position_m=position_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg),
-            camera=camera,
+            sensor=camera,
         )
 
     return build

@@ -11,14 +11,14 @@ from geometry.poses import Pose, camera_rotation, to_world
 from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel, project_points
 from placement.candidates import CandidateGrid, build_candidates
-from placement.detector import Detector, load_detector
+from placement.detectors import GeometricDetector, load_planning_detector
 from placement.evaluator.perceive import perceive_from_roadside
 from placement.evaluator.surroundings import build_surroundings
 from placement.visibility import build as build_module
 from placement.visibility import build_detection_table
-from placement.visibility.build import max_distance_m
+from placement.visibility.sensing import max_distance_m
 
-DETECTOR = Detector(min_iou=0.5, min_box_height_px=15.0)
+DETECTOR = GeometricDetector(min_iou=0.5, min_box_height_px=15.0)
 WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
 
 
@@ -68,8 +68,8 @@ def _agreement(scene, runs, candidates, detector, detected):
     surroundings = build_surroundings(scene, runs)
     shares = []
     for row, candidate in enumerate(candidates):
-        boxes = perceive_from_roadside(surroundings, candidate.pose, candidate.camera)
-        by_pixels = detector.is_detected(boxes.visible_px, boxes.amodal_px)
+        evidence = perceive_from_roadside(surroundings, candidate.pose, candidate.sensor)
+        by_pixels = detector.is_expected(evidence)
         shares.append((by_pixels == detected[row]).mean())
     return np.array(shares)
 
@@ -90,10 +90,10 @@ def test_the_table_detects_in_the_frames_in_which_pixels_do_at_the_studys_juncti
         heights_m=np.array([7.0]),
         yaw_step_deg=90.0,
         pitches_deg=np.array([-25.0]),
-        cameras=(camera,),
+        sensors=(camera,),
     )
     some = build_candidates(scene, grid)[7::29]
-    detector = load_detector()
+    detector = load_planning_detector()
     runs = study_runs[::2]
     table = build_detection_table(scene, some, runs, axis_of(runs), detector=detector)
     shares = _agreement(scene, runs, some, detector, _detected(table))
@@ -144,16 +144,16 @@ def _heights_px(run, vru_poses, candidate):
         shape = run.encounter.vru.shapes[index]
         pose = Pose(position_m=[east, north, 0.0], yaw_deg=yaw_deg)
         projected = project_points(
-            to_world(shape.vertices_m, pose), candidate.pose, candidate.camera
+            to_world(shape.vertices_m, pose), candidate.pose, candidate.sensor
         )
         columns, rows, depth = projected.T
         heights.append(np.ptp(rows))
         inside.append(
             (depth > 0.1).all()
             and columns.min() >= 0
-            and columns.max() <= candidate.camera.width_px
+            and columns.max() <= candidate.sensor.width_px
             and rows.min() >= 0
-            and rows.max() <= candidate.camera.height_px
+            and rows.max() <= candidate.sensor.height_px
         )
     return np.array(heights), np.array(inside)
 
@@ -169,7 +169,7 @@ def test_a_vru_in_the_open_is_detected_if_and_only_if_it_is_high_enough(
         [distance * np.cos(direction), distance * np.sin(direction), rng.uniform(-180, 180, 1500)]
     )
     candidate = mount("any", [0.0, 0.0, 5.0], pitch_deg=-12.0)
-    detector = Detector(min_iou=0.5, min_box_height_px=22.0)
+    detector = GeometricDetector(min_iou=0.5, min_box_height_px=22.0)
     run = build_run(poses, vru=body)
     heights, inside = _heights_px(run, poses, candidate)
     table = build_detection_table(
@@ -197,7 +197,7 @@ def test_a_camera_that_is_turned_away_detects_nothing(build_scene, build_run, ax
             cams,
             [run],
             axis_of([run]),
-            detector=Detector(min_iou=0.5, min_box_height_px=0.0),
+            detector=GeometricDetector(min_iou=0.5, min_box_height_px=0.0),
         )
         detected = _detected(table)
         assert not detected[0].any()
@@ -237,7 +237,7 @@ def test_nothing_beyond_the_largest_distance_is_high_enough(
     camera, min_height_px, yaw_deg, pitch_deg, pixel, times, direction, extent_m
 ):
     """Two points of a body, both in the image, the nearer one just beyond the distance."""
-    detector = Detector(min_iou=0.5, min_box_height_px=min_height_px)
+    detector = GeometricDetector(min_iou=0.5, min_box_height_px=min_height_px)
     limit_m = max_distance_m(camera, detector, vru_height_m=extent_m)
     pose = Pose(position_m=np.zeros(3), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
     in_camera = np.array(
@@ -272,7 +272,7 @@ def test_the_largest_distance_is_reached_in_the_corner_of_the_image():
         near_m=0.1,
         price_eur=0.0,
     )
-    detector = Detector(min_iou=0.5, min_box_height_px=1.0)
+    detector = GeometricDetector(min_iou=0.5, min_box_height_px=1.0)
     limit_m = max_distance_m(camera, detector, vru_height_m=0.01)
     half = np.radians(0.5 * camera.vertical_fov_deg)
     towards = np.array([np.cos(half), 0.0, -np.sin(half)])
@@ -285,7 +285,7 @@ def test_the_largest_distance_is_reached_in_the_corner_of_the_image():
 
 
 def test_any_distance_may_count_where_any_height_does(small_camera):
-    detector = Detector(min_iou=0.5, min_box_height_px=0.0)
+    detector = GeometricDetector(min_iou=0.5, min_box_height_px=0.0)
     assert max_distance_m(small_camera, detector, vru_height_m=1.8) == np.inf
 
 

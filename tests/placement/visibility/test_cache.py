@@ -7,13 +7,17 @@ import pytest
 
 from geometry import atomic_files
 from geometry.actors import PlacedActor
+from geometry.lidar import load_lidar_detection, load_lidars
 from geometry.poses import Pose
+from geometry.weather import load_weathers
 from placement.detection_table import pack_table
-from placement.detector import Detector
+from placement.detectors import GeometricDetector, load_planning_detector
 from placement.visibility import build as build_module
 from placement.visibility import cache, load_table, save_table, table_fingerprint
 
-DETECTOR = Detector(min_iou=0.5, min_box_height_px=20.0)
+LIDAR = load_lidars()["carla-ncap-lidar"]
+THIN_FOG = replace(load_weathers()["fog"], visibility_m=51.0)
+DETECTOR = GeometricDetector(min_iou=0.5, min_box_height_px=20.0)
 FINGERPRINT = "0123456789abcdef" * 2
 
 
@@ -268,7 +272,7 @@ CHANGES = {
         f"camera {field}": lambda i, a, field=field, value=value: {
             "candidates": _first(
                 i["candidates"],
-                lambda c: replace(c, camera=replace(c.camera, **{field: value})),
+                lambda c: replace(c, sensor=replace(c.sensor, **{field: value})),
             )
         }
         for field, value in (
@@ -279,6 +283,17 @@ CHANGES = {
         )
     },
     "detector IoU": lambda i, a: {"detector": replace(DETECTOR, min_iou=0.51)},
+    "a LiDAR": lambda i, a: {
+        "candidates": _first(i["candidates"], lambda c: replace(c, sensor=LIDAR))
+    },
+    "another LiDAR": lambda i, a: {
+        "candidates": _first(
+            i["candidates"],
+            lambda c: replace(c, sensor=replace(LIDAR, reference_probability=0.91)),
+        )
+    },
+    "detector contrast": lambda i, a: {"detector": replace(DETECTOR, min_contrast=0.01)},
+    "another kind of detector": lambda i, a: {"detector": load_planning_detector("response")},
     "detector height": lambda i, a: {"detector": replace(DETECTOR, min_box_height_px=20.001)},
     "seed": lambda i, a: {"seed": 1},
     "run times": lambda i, a: {
@@ -294,7 +309,12 @@ CHANGES = {
         "runs": _first(i["runs"], lambda r: replace(r, vru_shape=(r.vru_shape + 1) % 8))
     },
     "a shape of the VRU": lambda i, a: {"runs": _first(i["runs"], _dented)},
-    "weather": lambda i, a: {"runs": _first(i["runs"], lambda r: replace(r, weather="night"))},
+    **{
+        f"weather {name}": lambda i, a, name=name: {
+            "runs": _first(i["runs"], lambda r: replace(r, weather=name))
+        }
+        for name in ("night", "rain", "fog")
+    },
     "VRU": lambda i, a: {
         "runs": _first(
             i["runs"],
@@ -327,6 +347,24 @@ def test_all_changes_have_fingerprints_of_their_own(inputs, actors):
     assert len(set(found)) == len(CHANGES) + 3
 
 
+def test_what_a_weather_does_is_part_of_the_fingerprint(inputs, monkeypatch):
+    inputs["runs"] = tuple(replace(run, weather="fog") for run in inputs["runs"])
+    before = _fingerprint(inputs)
+    monkeypatch.setattr(cache, "pick_weather", lambda name, where: THIN_FOG)
+    assert _fingerprint(inputs) != before
+
+
+def test_what_it_takes_to_find_somebody_by_lidar_is_part_of_the_fingerprint_where_one_is(
+    inputs, monkeypatch
+):
+    with_lidar = {**inputs, **CHANGES["a LiDAR"](inputs, {})}
+    before = [_fingerprint(given) for given in (inputs, with_lidar)]
+    other = replace(load_lidar_detection(), min_points={"pedestrian": 1, "child": 1, "cyclist": 1})
+    monkeypatch.setattr(cache, "load_lidar_detection", lambda: other)
+    after = [_fingerprint(given) for given in (inputs, with_lidar)]
+    assert [a == b for a, b in zip(after, before, strict=True)] == [True, False]
+
+
 def test_the_number_of_points_is_part_of_the_fingerprint(inputs, monkeypatch):
     before = _fingerprint(inputs)
     monkeypatch.setattr(build_module, "N_POINTS", 161)
@@ -342,7 +380,7 @@ def test_a_fingerprint_is_the_same_for_equal_inputs(inputs):
         **inputs,
         "scene": replace(scene, vertices_m=scene.vertices_m.copy()),
         "candidates": [
-            replace(c, pose=replace(c.pose), camera=replace(c.camera)) for c in inputs["candidates"]
+            replace(c, pose=replace(c.pose), sensor=replace(c.sensor)) for c in inputs["candidates"]
         ],
         "runs": tuple(replace(run, time_s=run.time_s.copy()) for run in inputs["runs"]),
         "detector": replace(DETECTOR),
@@ -355,7 +393,7 @@ def test_cameras_of_the_same_name_are_told_apart(inputs, small_camera):
     other = replace(small_camera, horizontal_fov_deg=50.0)
     found = {
         _fingerprint(
-            {**inputs, "candidates": [a, replace(b, camera=other), replace(c, camera=third)]}
+            {**inputs, "candidates": [a, replace(b, sensor=other), replace(c, sensor=third)]}
         )
         for third in (small_camera, other)
     }

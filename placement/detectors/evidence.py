@@ -1,0 +1,180 @@
+"""What images show of VRUs, what detectors say about it, and whether that counts."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.actors import Actor
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.image_boxes import iou
+
+VRU_CLASSES = ("pedestrian", "child", "cyclist")
+_ADULT_FROM_M = 1.4  # between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets
+
+Image = NDArray[np.uint8]
+
+
+def vru_class(actor: Actor) -> str:
+    """One of ``VRU_CLASSES``: a pedestrian below 1.4 m is a child."""
+    if actor.class_name == "pedestrian" and actor.height_m < _ADULT_FROM_M:
+        return "child"
+    return actor.class_name
+
+
+def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
+    """Angle between line of sight and heading.
+
+    Parameters
+    ----------
+    sightline_m : (n, 2) float
+        On the ground, from the sensor to the VRU. [m]
+    yaw_deg : (n,) float
+        Of the VRU. [deg]
+
+    Returns
+    -------
+    aspect_deg : (n,) float
+        0 from behind or ahead, 90 from the side. [deg]
+
+    Examples
+    --------
+    >>> aspects_deg(np.array([[1.0, 0.0], [1.0, 0.0]]), np.array([180.0, 80.0])).round(9)
+    array([ 0., 80.])
+    """
+    turned = yaw_deg - np.degrees(np.arctan2(sightline_m[:, 1], sightline_m[:, 0]))
+    aspect: FloatArray = np.abs((turned + 90.0) % 180.0 - 90.0)
+    return aspect
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evidence:
+    """What images show of VRUs: one row per look, each a VRU in a unit's image in one frame.
+
+    Attributes
+    ----------
+    visible_px, amodal_px : (n, 4) float
+        Box of what is seen, and of the whole VRU inside the image; zeros where there is none. [px]
+    contrast : (n,) or (1,) float
+        Of the VRU against what is behind it, after light and air have taken their part.
+    visible_share : (n,) or (1,) float
+        Of what the VRU covers inside the image: the part that nothing hides.
+    inside_share : (n,) or (1,) float
+        Of the VRU: the part that the image's edges do not cut off.
+    aspect_deg : (n,) or (1,) float
+        Between the line of sight and the VRU's heading: 0 from behind or ahead, 90 from the side.
+    vru_class : (n,) or (1,) int
+        Into ``VRU_CLASSES``.
+    draw_index : (n,) int
+        Rows with the same number share their luck: the same frame of the same run in different
+        weathers. Numbers that follow one another are frames that do.
+    picture : callable, optional
+        From a row to its image, (h, w, 3) uint8, RGB.
+    """
+
+    visible_px: FloatArray
+    amodal_px: FloatArray
+    contrast: FloatArray
+    visible_share: FloatArray
+    inside_share: FloatArray
+    aspect_deg: FloatArray
+    vru_class: IntArray
+    draw_index: IntArray
+    picture: Callable[[int], Image] | None = None
+
+    def __len__(self) -> int:
+        return len(self.visible_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Detections:
+    """Boxes that a detector finds; there may be several in an image, or none.
+
+    Attributes
+    ----------
+    row_index : (m,) int
+        Row of the evidence in whose image each box lies.
+    boxes_px : (m, 4) float
+        Boxes. [px]
+    confidence : (m,) float
+        0 .. 1.
+    """
+
+    row_index: IntArray
+    boxes_px: FloatArray
+    confidence: FloatArray
+
+
+class Detector(Protocol):
+    """Image evidence in, boxes with confidence out."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in reports."""
+
+    @property
+    def description(self) -> str:
+        """When it detects, in a sentence or two."""
+
+    @property
+    def min_box_height_px(self) -> float:
+        """Height below which nothing is ever detected, in pixels."""
+
+    @property
+    def needs_shares(self) -> bool:
+        """Whether visible share, cut-off share and aspect matter; else they need not be known."""
+
+    @property
+    def needs_pictures(self) -> bool:
+        """Whether it looks at images."""
+
+    def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
+        """Find VRUs.
+
+        Parameters
+        ----------
+        evidence : Evidence
+            What images show.
+        rng : numpy.random.Generator
+            Of what is left to chance.
+
+        Returns
+        -------
+        detections : Detections
+            Boxes.
+        """
+
+
+class PlanningDetector(Detector, Protocol):
+    """A detector whose success can be foretold without an image."""
+
+    def is_expected(self, evidence: Evidence) -> BoolArray:
+        """Rows in which a plan may count on a detection, (n,)."""
+
+    def fingerprint(self) -> tuple[Any, ...]:
+        """All that `is_expected` depends on."""
+
+
+def is_matched(detections: Detections, truth_px: FloatArray, *, min_iou: float) -> BoolArray:
+    """Rows in which some detection overlaps the VRU's box.
+
+    Parameters
+    ----------
+    detections : Detections
+        What was found.
+    truth_px : (n, 4) float
+        The VRU's box: that of its visible part, as in the study. [px]
+    min_iou : float
+        More than this.
+
+    Returns
+    -------
+    matched : (n,) bool
+        One per row of `truth_px`.
+    """
+    matched = np.zeros(len(truth_px), dtype=bool)
+    hits = iou(detections.boxes_px, truth_px[detections.row_index]) > min_iou
+    matched[detections.row_index[hits]] = True
+    return matched

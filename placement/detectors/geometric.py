@@ -1,0 +1,74 @@
+"""A detector that finds what is visible enough, large enough and not lost in fog."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import BoolArray
+from geometry.errors import InputError
+from geometry.image_boxes import box_height_px, iou
+
+from .evidence import Detections, Evidence
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeometricDetector:
+    """Detects by boxes alone: the same evidence always gives the same answer.
+
+    Attributes
+    ----------
+    min_iou : float
+        The visible box must overlap the amodal box by more than this.
+    min_box_height_px : float
+        The visible box must be at least this high. [px]
+    min_contrast : float
+        The VRU must stand out by at least this much.
+    """
+
+    min_iou: float
+    min_box_height_px: float
+    min_contrast: float = 0.0
+
+    name = "geometric"
+    needs_shares = False
+    needs_pictures = False
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.min_iou < 1.0:
+            raise InputError("detector.min_iou", self.min_iou, "0 <= IoU < 1")
+        if not (np.isfinite(self.min_box_height_px) and self.min_box_height_px >= 0.0):
+            raise InputError(
+                "detector.min_box_height_px", self.min_box_height_px, "pixels, at least 0"
+            )
+        if not 0.0 <= self.min_contrast <= 1.0:
+            raise InputError("detector.min_contrast", self.min_contrast, "0 .. 1")
+
+    @property
+    def description(self) -> str:
+        """When it detects."""
+        return (
+            "A road user counts as detected in a frame if the box around its visible part overlaps "
+            f"the box around all of it by more than {self.min_iou:g} (intersection over union), is "
+            f"at least {self.min_box_height_px:g} pixels high, and light and air leave it a "
+            f"contrast of at least {100.0 * self.min_contrast:g} %."
+        )
+
+    def is_expected(self, evidence: Evidence) -> BoolArray:
+        """Rows that it detects, (n,)."""
+        expected: BoolArray = (
+            (iou(evidence.visible_px, evidence.amodal_px) > self.min_iou)
+            & (box_height_px(evidence.visible_px) >= self.min_box_height_px)
+            & (evidence.contrast >= self.min_contrast)
+        )
+        return expected
+
+    def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
+        """The visible boxes of what it detects; nothing is left to chance."""
+        rows = np.flatnonzero(self.is_expected(evidence))
+        return Detections(
+            row_index=rows, boxes_px=evidence.visible_px[rows], confidence=np.ones(len(rows))
+        )
+
+    def fingerprint(self) -> tuple[object, ...]:
+        """All that it depends on."""
+        return (self.name, self.min_iou, self.min_box_height_px, self.min_contrast)

@@ -1,0 +1,216 @@
+"""What a LiDAR's beams hit of the VRU in every frame: counted, thinned by distance and weather."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.lidar import LidarModel, beam_directions, load_lidar_detection, return_probability
+from geometry.poses import Pose, body_rotation
+from geometry.weather import Weather
+
+from ..detectors import VRU_CLASSES
+from .perceive import distances_m
+from .render import Solid
+from .surroundings import Surroundings, relative_road_poses
+from .vut_camera import VutCamera
+
+_POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
+_SIGHTS_AT_ONCE = 256
+
+
+def scan_from_roadside(
+    surroundings: Surroundings, pose: Pose, lidar: LidarModel, rng: np.random.Generator
+) -> BoolArray:
+    """Frames in which a fixed LiDAR detects the VRU.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        What there is.
+    pose : Pose
+        Where the LiDAR is and looks. World frame.
+    lidar : LidarModel
+        What is mounted.
+    rng : numpy.random.Generator
+        Which pulses come back.
+
+    Returns
+    -------
+    detected : (n_frames,) bool
+        Enough points on the VRU.
+    """
+    return _scan(
+        surroundings,
+        pose,
+        lidar,
+        static_poses=surroundings.static_poses,
+        vru_poses=surroundings.vru_poses,
+        vut_poses=surroundings.vut_poses,
+        rng=rng,
+    )
+
+
+def scan_from_vut(
+    surroundings: Surroundings,
+    mount: VutCamera,
+    lidar: LidarModel,
+    rng: np.random.Generator,
+) -> BoolArray:
+    """Frames in which the VUT's own LiDAR detects the VRU; see :func:`scan_from_roadside`."""
+    vut_poses = surroundings.vut_poses
+    return _scan(
+        surroundings,
+        mount.pose_on(surroundings.vut_actor),
+        lidar,
+        static_poses=relative_road_poses(surroundings.static_poses, vut_poses),
+        vru_poses=relative_road_poses(surroundings.vru_poses, vut_poses),
+        vut_poses=None,
+        rng=rng,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Echoes:
+    """Beams that reach the VRU in one sight."""
+
+    directions: FloatArray  # (n, 3), unit vectors, in the frame in which the LiDAR stands
+    distance_m: FloatArray  # (n,)
+    incidence_cos: FloatArray  # (n,)
+
+    def take(self, keep: BoolArray) -> "_Echoes":
+        return _Echoes(
+            directions=self.directions[keep],
+            distance_m=self.distance_m[keep],
+            incidence_cos=self.incidence_cos[keep],
+        )
+
+
+def _scan(
+    surroundings: Surroundings,
+    pose: Pose,
+    lidar: LidarModel,
+    *,
+    static_poses: FloatArray,
+    vru_poses: FloatArray,
+    vut_poses: FloatArray | None,
+    rng: np.random.Generator,
+) -> BoolArray:
+    detected = np.zeros(len(vru_poses), dtype=bool)
+    luck: dict[int, FloatArray] = {}  # the same in all weathers: what differs is the weather's
+    beams = beam_directions(lidar).reshape(-1, 3) @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
+    kinds = np.stack([surroundings.static_index, surroundings.vru_index], axis=1)
+    for static_index, vru_index in np.unique(kinds, axis=0):
+        frames = np.flatnonzero((kinds == [static_index, vru_index]).all(axis=1))
+        poses = np.concatenate([static_poses[frames], vru_poses[frames]], axis=1)
+        _, first, sight_of_frame = np.unique(
+            poses.round(_POSE_DECIMALS) + 0.0, axis=0, return_index=True, return_inverse=True
+        )
+        static = surroundings.statics[static_index]
+        vru = surroundings.vrus[vru_index]
+        sights = [
+            echoes
+            for part in np.array_split(poses[first], -(-len(first) // _SIGHTS_AT_ONCE))
+            for echoes in _look(pose, lidar, beams, static, vru, part)
+        ]
+        for frame, sight in zip(frames.tolist(), sight_of_frame.tolist(), strict=True):
+            draw = int(surroundings.draw_index[frame])
+            echoes = sights[sight]
+            if vut_poses is not None and len(echoes.distance_m):
+                echoes = _before_vut(echoes, pose, lidar, surroundings.vut, vut_poses[frame])
+            weather = surroundings.weathers[surroundings.weather_index[frame]]
+            vru_class = VRU_CLASSES[surroundings.vru_class[frame]]
+            if draw not in luck:
+                luck[draw] = rng.random(len(echoes.distance_m))
+            detected[frame] = _is_enough(echoes, lidar, weather, vru_class, luck[draw])
+    return detected
+
+
+def _look(
+    pose: Pose,
+    lidar: LidarModel,
+    beams: FloatArray,
+    static: Solid,
+    vru: Solid,
+    poses: FloatArray,
+) -> Iterator[_Echoes]:
+    """Beams that reach the VRU before anything that stands still, sight by sight."""
+    vru_poses = poses[:, 3:]
+    distance = distances_m(pose, vru_poses, vru.hull_m)
+    radius_m = float(
+        np.linalg.norm(vru.hull_m - [0.0, 0.0, 0.5 * vru.hull_m[:, 2].max()], axis=1).max()
+    )
+    middle = np.column_stack([vru_poses[:, :2], np.full(len(poses), 0.5 * vru.hull_m[:, 2].max())])
+    towards = (middle - pose.position_m) / distance[:, None]
+    reach = np.cos(np.arcsin(np.minimum(1.0, radius_m / distance)))
+    is_near = distance - radius_m <= lidar.range_m
+    sight, beam = np.nonzero((towards @ beams.T >= reach[:, None]) & is_near[:, None])
+    directions = beams[beam]
+    depth, triangle = _cast(pose, lidar, vru, vru_poses[sight], directions)
+    hits = np.isfinite(depth)
+    sight, directions, depth, triangle = sight[hits], directions[hits], depth[hits], triangle[hits]
+    before, _ = _cast(pose, lidar, static, poses[sight, :3], directions)
+    free = depth < before
+    sight, directions, depth, triangle = sight[free], directions[free], depth[free], triangle[free]
+    normals = np.einsum("nij,nj->ni", body_rotation(vru_poses[sight, 2]), vru.normals[triangle])
+    cosine = np.abs(np.einsum("ni,ni->n", normals, directions))
+    ends = np.searchsorted(sight, np.arange(len(poses) + 1))
+    for start, end in itertools.pairwise(ends):
+        yield _Echoes(
+            directions=directions[start:end],
+            distance_m=depth[start:end],
+            incidence_cos=cosine[start:end],
+        )
+
+
+def _cast(
+    pose: Pose, lidar: LidarModel, solid: Solid, road_poses: FloatArray, directions: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Distance to a solid along each beam, and the triangle hit; infinite and -1 where none is."""
+    rotations = body_rotation(road_poses[:, 2])
+    offsets = np.repeat(pose.position_m[None], len(road_poses), axis=0)
+    offsets[:, :2] -= road_poses[:, :2]
+    origins = np.einsum("ni,nij->nj", offsets, rotations)
+    turned = np.einsum("ni,nij->nj", directions, rotations)
+    starts = origins + lidar.near_m * turned
+    share, triangle = solid.caster.first_triangle(
+        starts.astype(np.float32), turned.astype(np.float32)
+    )
+    return share.astype(np.float64) + lidar.near_m, triangle
+
+
+def _before_vut(
+    echoes: _Echoes, pose: Pose, lidar: LidarModel, vut: Solid, vut_pose: FloatArray
+) -> _Echoes:
+    """Beams that the VUT does not stop on their way."""
+    middle = np.array([*vut_pose[:2], 0.5 * vut.hull_m[:, 2].max()]) - pose.position_m
+    radius_m = float(np.linalg.norm(vut.hull_m, axis=1).max())
+    along = echoes.directions @ middle
+    aside_m = np.sqrt(np.maximum(middle @ middle - along**2, 0.0))
+    if not ((aside_m <= radius_m) & (along - radius_m <= echoes.distance_m)).any():
+        return echoes
+    poses = np.repeat(vut_pose[None], len(echoes.distance_m), axis=0)
+    depth, _ = _cast(pose, lidar, vut, poses, echoes.directions)
+    return echoes.take(echoes.distance_m < depth)
+
+
+def _is_enough(
+    echoes: _Echoes,
+    lidar: LidarModel,
+    weather: Weather,
+    vru_class: str,
+    luck: FloatArray,
+) -> bool:
+    """Whether enough pulses come back from the VRU."""
+    detection = load_lidar_detection()
+    probability = return_probability(
+        lidar,
+        echoes.distance_m,
+        reflectivity=detection.reflectivity[vru_class],
+        incidence_cos=echoes.incidence_cos,
+        extinction_per_m=weather.lidar_extinction_per_m(lidar.wavelength_nm),
+    )
+    n_points = int((luck < probability).sum())
+    return n_points >= detection.min_points[vru_class]

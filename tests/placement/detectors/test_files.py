@@ -1,0 +1,188 @@
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from geometry.errors import InputError
+from placement.detectors import (
+    DETECTOR_NAMES,
+    GeometricDetector,
+    ResponseDetector,
+    load_detector,
+    load_planning_detector,
+)
+
+OURS = (files("placement.detectors") / "data" / "detectors.toml").read_text(encoding="utf-8")
+TABLE = """# A user's own response.
+
+[response]
+seen_share = [0.0, 0.5, 1.0]
+recall = [0.0, 0.6, 0.9]
+height_half_px = 30
+height_steepness = 2.5
+min_box_height_px = 15.0
+pedestrian = 1.0
+child = 0.9
+cyclist = 0.8
+cyclist_end_on = 0.7
+contrast_half = 0.2
+contrast_steepness = 1.5
+box_noise_share = 0.0
+frame_correlation = 0.25
+plan_probability = 0.6
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write_file(text, name="mine.toml"):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write_file
+
+
+def _message(name, **options):
+    with pytest.raises(InputError) as caught:
+        load_detector(str(name), **options)
+    return str(caught.value)
+
+
+def test_detectors_are_found_by_name():
+    assert DETECTOR_NAMES == ("geometric", "response")
+    assert isinstance(load_detector("geometric"), GeometricDetector)
+    assert isinstance(load_detector("response"), ResponseDetector)
+    assert load_detector() is load_detector("geometric")
+    for name in DETECTOR_NAMES:
+        assert load_detector(name).name == name
+        assert load_detector(name) is load_planning_detector(name)
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    assert _message("best", where="--detector") == (
+        "--detector: got 'best'; expected geometric, response, a .toml file with a response "
+        "table, or an .onnx file"
+    )
+
+
+@pytest.mark.parametrize("name", ["mine.json", "mine.tom", "toml", ".toml", "mine.onnx.txt"])
+def test_a_file_of_another_kind_is_refused_even_if_it_is_there(write, name):
+    path = write(TABLE, name)
+    assert _message(path) == (
+        f"detector: got {str(path)!r}; expected geometric, response, a .toml file with a response "
+        "table, or an .onnx file"
+    )
+
+
+def test_a_users_table_is_read_number_by_number(write):
+    detector = load_detector(str(write(TABLE)))
+    assert isinstance(detector, ResponseDetector)
+    assert detector.name == "mine.toml"
+    assert detector.seen_share.tolist() == [0.0, 0.5, 1.0]
+    assert detector.recall.tolist() == [0.0, 0.6, 0.9]
+    assert detector.class_factor.tolist() == [1.0, 0.9, 0.8]
+    assert (detector.height_half_px, detector.height_steepness) == (30.0, 2.5)
+    assert (detector.min_box_height_px, detector.cyclist_end_on) == (15.0, 0.7)
+    assert (detector.contrast_half, detector.contrast_steepness) == (0.2, 1.5)
+    assert (detector.box_noise_share, detector.frame_correlation) == (0.0, 0.25)
+    assert detector.plan_probability == 0.6
+    assert "the response model mine.toml" in detector.description
+
+
+def test_our_own_file_is_one_that_a_user_may_change(write):
+    mine = load_detector(str(write(OURS)))
+    assert isinstance(mine, ResponseDetector)
+    assert mine.fingerprint() == load_planning_detector("response").fingerprint()
+    changed = load_detector(str(write(OURS.replace("cyclist_end_on = 0.9", "cyclist_end_on = 1"))))
+    assert isinstance(changed, ResponseDetector)
+    assert changed.cyclist_end_on == 1.0
+    assert np.array_equal(changed.recall, mine.recall)
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong", "message"),
+    [
+        ("recall = [0.0, 0.6, 0.9]", "recall = [0.0, 1.2, 0.9]", ":5: recall: got 1.2; expected "),
+        ("recall = [0.0, 0.6, 0.9]", "recall = [0.0, 0.9]", ":5: recall: got shape (2,); expected"),
+        ("recall = [0.0, 0.6, 0.9]", "recall = 0.9", ":5: recall: got 0.9; expected a li"),
+        (
+            "recall = [0.0, 0.6, 0.9]",
+            'recall = [0.0, "x", 0.9]',
+            ":5: recall: got [0.0, 'x', 0.9]; expected ",
+        ),
+        (
+            "seen_share = [0.0, 0.5, 1.0]",
+            "seen_share = [0.0, 1.0, 0.5]",
+            ":4: seen_share: got [0.0, 1.0, 0.5]; expected shares that ascend from 0 to 1",
+        ),
+        (
+            "height_half_px = 30",
+            "height_half_px = 0",
+            ":6: height_half_px: got 0.0; expected a number, > 0",
+        ),
+        (
+            "height_half_px = 30",
+            'height_half_px = "30"',
+            ":6: height_half_px: got '30'; expected a finite number",
+        ),
+        (
+            "plan_probability = 0.6",
+            "plan_probability = inf",
+            ":17: plan_probability: got inf; expected a finite number",
+        ),
+        (
+            "plan_probability = 0.6",
+            "  plan_probability=1.01 # indented",
+            ":17: plan_probability: got 1.01; expected 0 .. 1",
+        ),
+        ("child = 0.9", "child = true", ":10: child: got True; expected a finite number"),
+        ("child = 0.9", "child = 1.2", ":10: child: got 1.2; expected 0 .. 1"),
+        ("child = 0.9\n", "", ":3: child: got nothing; expected a value"),
+        ("recall = [0.0, 0.6, 0.9]\n", "", ":3: recall: got nothing; expected a value"),
+        (
+            TABLE[TABLE.index("[response]") :],
+            "response = 3",
+            ": got no table [response]; expected a table",
+        ),
+        ("[response]", "[reponse]", ": got no table [response]; expected a table"),
+        (
+            "[response]",
+            "[response",
+            ": got Expected ']' at the end of a table declaration (at line 3, column 10); "
+            "expected valid TOML in UTF-8",
+        ),
+    ],
+)
+def test_a_table_that_cannot_be_used_names_file_line_and_field(write, line, wrong, message):
+    assert line in TABLE
+    path = write(TABLE.replace(line, wrong))
+    found = _message(path)
+    assert found.startswith(f"{path}{message}")
+    assert "\n" not in found
+    assert "expected" in found
+
+
+def test_the_line_is_that_of_the_response_where_another_table_has_the_same_key(write):
+    """Our own file has a least height in three tables."""
+    path = write(OURS.replace("min_box_height_px = 12.0", "min_box_height_px = -1.0", 1))
+    lines = OURS.splitlines()
+    (number,) = [
+        index
+        for index, text in enumerate(lines, start=1)
+        if text.startswith("min_box_height_px = 12.0 # nothing below")
+    ]
+    assert _message(path) == (
+        f"{path}:{number}: min_box_height_px: got -1.0; expected a number, > 0"
+    )
+
+
+def test_a_file_that_is_not_there_or_not_text_is_named(write, tmp_path):
+    gone = tmp_path / "gone.toml"
+    assert _message(gone) == f"{gone}: got No such file or directory; expected a readable file"
+    path = tmp_path / "binary.toml"
+    path.write_bytes(b"\xff\xfe")
+    assert _message(path).startswith(f"{path}: got 'utf-8' codec can't decode byte 0xff")
+    assert _message(tmp_path / "gone.onnx").startswith(
+        f"{tmp_path / 'gone.onnx'}: got no such file"
+    )

@@ -1,0 +1,604 @@
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import boxes_px
+
+from geometry.errors import InputError, MissingExtraError
+from geometry.image_boxes import iou
+from placement.detectors.letterbox import letterbox
+from placement.detectors.onnx_model import ImageBoxes, load_onnx_model, suppress, vru_boxes
+
+onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+from onnx import TensorProto, helper, numpy_helper  # noqa: E402
+
+FREE = ("batch", 3, "height", "width")
+FIXED = (1, 3, 64, 64)
+PERSON, BICYCLE = ([4.0, 8.0, 20.0, 60.0], [30.0, 20.0, 60.0, 50.0])
+
+
+def constant(name, values):
+    return helper.make_node(
+        "Constant", [], [name], value=numpy_helper.from_array(np.asarray(values), name)
+    )
+
+
+def save(path, nodes, outputs, *, inputs=(("images", TensorProto.FLOAT, FIXED),), metadata=None):
+    """Write a model; outputs are names, whose shapes the runtime infers."""
+    graph = helper.make_graph(
+        nodes,
+        "tiny",
+        [helper.make_tensor_value_info(*entry) for entry in inputs],
+        [helper.make_tensor_value_info(name, kind, None) for name, kind in outputs],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    helper.set_model_props(model, metadata or {})
+    onnx.save(model, path)
+    return path
+
+
+def save_constants(path, arrays, **options):
+    """A model that gives the same arrays for every image."""
+    kinds = {np.dtype(np.float32): TensorProto.FLOAT, np.dtype(np.int64): TensorProto.INT64}
+    arrays = {name: np.asarray(array) for name, array in arrays.items()}
+    nodes = [constant(name, array) for name, array in arrays.items()]
+    return save(path, nodes, [(n, kinds[a.dtype]) for n, a in arrays.items()], **options)
+
+
+def centred(boxes):
+    x_min, y_min, x_max, y_max = np.asarray(boxes, dtype=float).T
+    return np.stack([(x_min + x_max) / 2, (y_min + y_max) / 2, x_max - x_min, y_max - y_min], 1)
+
+
+def one_hot(ids, scores, n_classes, rest=0.0):
+    table = np.full((len(ids), n_classes), rest)
+    table[np.arange(len(ids)), ids] = scores
+    return table
+
+
+def f32(*parts):
+    return np.concatenate([np.asarray(p, dtype=float) for p in parts], axis=1).astype(np.float32)
+
+
+def as_torchvision(boxes, ids, scores):  # ids of COCO's 91 are one more for persons and bicycles
+    return {
+        "boxes": np.float32(boxes).reshape(-1, 4),
+        "labels": np.int64(ids) + 1,
+        "scores": np.float32(scores),
+    }
+
+
+def as_retinanet(boxes, ids, scores):  # old exports: numbers for names, another order
+    values = as_torchvision(boxes, ids, scores)
+    return {"1": values["boxes"], "2": values["scores"], "3": values["labels"]}
+
+
+def as_rt_detr(boxes, ids, scores):
+    return {
+        "labels": np.int64(ids)[None],
+        "boxes": np.float32(boxes)[None],
+        "scores": np.float32(scores)[None],
+    }
+
+
+def as_yolov5(boxes, ids, scores):
+    objectness = np.full((len(ids), 1), 0.96)
+    scores = np.array(scores) / 0.96
+    return {"output0": f32(centred(boxes), objectness, one_hot(ids, scores, 80))[None]}
+
+
+def as_yolov8(boxes, ids, scores):
+    return {"output0": f32(centred(boxes), one_hot(ids, scores, 80)).T[None]}
+
+
+def as_end_to_end(boxes, ids, scores):
+    table = f32(boxes, np.transpose([scores, ids]))
+    return {"output0": np.concatenate([table, np.zeros((7, 6), np.float32)])[None]}
+
+
+def as_detr(boxes, ids, scores):
+    """91 classes and one for none: softmax; the logarithms of probabilities give them back."""
+    probability = one_hot(np.add(ids, 1), scores, 92, rest=1e-9)
+    probability[:, 91] = 1.0 - np.array(scores)
+    boxes = f32(centred(boxes) / 64.0)
+    return {"logits": np.float32(np.log(probability))[None], "pred_boxes": boxes[None]}
+
+
+def as_sigmoid_detr(boxes, ids, scores):
+    """80 classes, each for itself."""
+    probability = one_hot(ids, scores, 80, rest=1e-9)
+    logits = np.float32(np.log(probability / (1.0 - probability)))
+    return {"pred_boxes": f32(centred(boxes) / 64.0)[None], "logits": logits[None]}
+
+
+SUPPRESSED = [
+    as_torchvision,
+    as_retinanet,
+    as_rt_detr,
+    as_end_to_end,
+    as_detr,
+    as_sigmoid_detr,
+]
+DENSE = [as_yolov5, as_yolov8]
+GREY = np.full((64, 64, 3), 128, dtype=np.uint8)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "net.onnx"
+
+
+def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
+    """A detector of torchvision's kind: the box around all pixels with red above a threshold."""
+    axes = {"columns": (1, 2), "rows": (1, 3)}  # the axes to reduce, of (batch, 1, h, w)
+    nodes = [
+        constant("threshold", np.float32([threshold])),
+        constant("zero", np.int64([0])),
+        constant("one", np.int64([1])),
+        constant("channels", np.int64([1])),
+        helper.make_node("Cast", ["images"], ["numbers"], to=TensorProto.FLOAT),
+        helper.make_node("Slice", ["numbers", "zero", "one", "channels"], ["red"]),
+        helper.make_node("Greater", ["red", "threshold"], ["is_bright"]),
+        helper.make_node("Cast", ["is_bright"], ["bright"], to=TensorProto.FLOAT),
+    ]
+    for name, reduced in axes.items():
+        nodes += [
+            helper.make_node("ReduceMax", ["bright"], [name], axes=reduced, keepdims=0),
+            helper.make_node("ArgMax", [name], [f"{name}_min"], axis=1),
+            helper.make_node("ArgMax", [name], [f"{name}_last"], axis=1, select_last_index=1),
+            helper.make_node("Add", [f"{name}_last", "one"], [f"{name}_max"]),
+        ]
+    corners = ["columns_min", "rows_min", "columns_max", "rows_max"]
+    nodes += [
+        helper.make_node("Concat", corners, ["corners"], axis=1),
+        helper.make_node("Cast", ["corners"], ["boxes"], to=TensorProto.FLOAT),
+        constant("labels", np.int64([1])),
+        constant("scores", np.float32([0.75])),
+    ]
+    outputs = [
+        ("boxes", TensorProto.FLOAT),
+        ("labels", TensorProto.INT64),
+        ("scores", TensorProto.FLOAT),
+    ]
+    return save(path, nodes, outputs, inputs=[("images", kind, shape)])
+
+
+def picture(width_px, height_px, box):
+    image = np.zeros((height_px, width_px, 3), dtype=np.uint8)
+    x_min, y_min, x_max, y_max = box
+    image[y_min:y_max, x_min:x_max, 0] = 255  # red alone: the channels must come in order
+    return image
+
+
+# Every kind of export.
+
+
+@pytest.mark.parametrize("layout", SUPPRESSED + DENSE)
+def test_every_export_gives_its_boxes_classes_and_scores(path, layout):
+    arrays = layout([BICYCLE, PERSON], [1, 0], [0.625, 0.875])
+    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+    np.testing.assert_allclose(found.boxes_px, [PERSON, BICYCLE], atol=1e-4)
+    np.testing.assert_allclose(found.confidence, [0.875, 0.625], rtol=1e-5)
+    assert [found.kinds[i] for i in found.class_ids] == ["person", "bicycle"]
+    assert found.boxes_px.dtype == found.confidence.dtype == np.float64
+    assert found.class_ids.dtype == np.int64
+
+
+@pytest.mark.parametrize("layout", SUPPRESSED + DENSE)
+def test_boxes_of_one_class_that_overlap_are_suppressed_where_the_export_has_not_done_it(
+    path, layout
+):
+    near = [5.0, 9.0, 21.0, 61.0]
+    arrays = layout([PERSON, near, near], [0, 0, 1], [0.5, 0.75, 0.25])
+    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+    confidence = [0.75, 0.25] if layout in DENSE else [0.75, 0.5, 0.25]
+    np.testing.assert_allclose(found.confidence, confidence, rtol=1e-5)
+
+
+@pytest.mark.parametrize("layout", SUPPRESSED + DENSE)
+def test_boxes_that_are_hardly_sure_or_outside_the_image_are_dropped(path, layout):
+    outside = [-20.0, 3.0, -2.0, 9.0]
+    cut = [50.0, 50.0, 80.0, 90.0]
+    arrays = layout([PERSON, outside, cut], [0, 0, 0], [0.01, 0.9, 0.8])
+    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+    np.testing.assert_allclose(found.boxes_px, [[50.0, 50.0, 64.0, 64.0]], atol=1e-4)
+
+
+@pytest.mark.parametrize("layout", [as_torchvision, as_retinanet])
+def test_an_image_without_anything_has_no_boxes(path, layout):
+    found = load_onnx_model(save_constants(path, layout([], [], []))).detect(GREY)
+    assert found.boxes_px.shape == (0, 4)
+    assert len(found.class_ids) == len(found.confidence) == 0
+    boxes = vru_boxes(found)
+    assert boxes.persons.boxes_px.shape == boxes.cyclists.boxes_px.shape == (0, 4)
+
+
+def test_masks_beside_boxes_labels_and_scores_are_left_alone(path):
+    arrays = as_torchvision([PERSON], [0], [0.75])
+    arrays["masks"] = np.zeros((1, 1, 28, 28), dtype=np.float32)
+    found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
+    np.testing.assert_allclose(found.boxes_px, [PERSON])
+
+
+def test_detection_is_the_same_every_time_and_with_more_threads(path):
+    save_bright(path, FREE)
+    image = picture(90, 70, (11, 13, 37, 41))
+    one, two = load_onnx_model(path), load_onnx_model(path, threads=2)
+    for found in (one.detect(image), one.detect(image), two.detect(image)):
+        assert found.boxes_px.tolist() == [[11.0, 13.0, 37.0, 41.0]]
+        assert found.confidence.tolist() == [0.75]
+
+
+# What the network is shown, and the way back.
+
+
+@pytest.mark.parametrize("shape", [FREE, (1, 3, 70, 90)])
+def test_an_image_of_the_right_or_a_free_size_is_shown_as_it_is(path, shape):
+    found = load_onnx_model(save_bright(path, shape)).detect(picture(90, 70, (11, 13, 37, 41)))
+    assert found.boxes_px.tolist() == [[11.0, 13.0, 37.0, 41.0]]
+
+
+def test_an_input_without_batch_takes_the_image_alone(path):
+    arrays = as_torchvision([PERSON], [0], [0.75])
+    inputs = [("image", TensorProto.FLOAT, (3, "height", "width"))]
+    found = load_onnx_model(save_constants(path, arrays, inputs=inputs)).detect(GREY)
+    np.testing.assert_allclose(found.boxes_px, [PERSON])
+
+
+@pytest.mark.parametrize(
+    ("kind", "threshold"), [(TensorProto.FLOAT16, 0.999), (TensorProto.UINT8, 254.5)]
+)
+def test_inputs_may_be_half_floats_or_bytes(path, kind, threshold):
+    model = load_onnx_model(save_bright(path, FREE, kind, threshold))
+    found = model.detect(picture(90, 70, (11, 13, 37, 41)))
+    assert found.boxes_px.tolist() == [[11.0, 13.0, 37.0, 41.0]]
+
+
+def test_letterbox_worked_by_hand():
+    # 100 x 50 into 64 x 64: scale 0.64, so 64 x 32 with 16 rows of grey above and below.
+    fitted = letterbox(
+        np.full((50, 100, 3), 200, dtype=np.uint8), width_px=64, height_px=64, scale=0.64
+    )
+    assert (fitted.pixels[16:48] == 200).all()
+    assert (fitted.pixels[:16] == 114).all()
+    assert (fitted.pixels[48:] == 114).all()
+    boxes = fitted.to_image(np.array([[0.0, 16.0, 64.0, 48.0], [16.0, 24.0, 32.0, 40.0]]))
+    np.testing.assert_allclose(boxes, [[0.0, 0.0, 100.0, 50.0], [25.0, 12.5, 50.0, 37.5]])
+
+
+def test_letterbox_goes_back_by_the_scale_of_whole_pixels():
+    # 30 x 50 into 64 x 64: scale 1.28, 38.4 columns become 38; 13 columns of grey on each side.
+    fitted = letterbox(np.zeros((50, 30, 3), dtype=np.uint8), width_px=64, height_px=64, scale=1.28)
+    assert (fitted.pixels[0, :, 0] == [114] * 13 + [0] * 38 + [114] * 13).all()
+    np.testing.assert_allclose(
+        fitted.to_image(np.array([[13.0, 0.0, 51.0, 64.0], [32.0, 32.0, 51.0, 64.0]])),
+        [[0.0, 0.0, 30.0, 50.0], [15.0, 25.0, 30.0, 50.0]],
+    )
+
+
+def test_a_fixed_input_finds_the_box_where_it_is_in_the_given_image(path):
+    # Half the size: edges on even pixels stay edges between pixels.
+    model = load_onnx_model(save_bright(path, FIXED))
+    found = model.detect(picture(128, 64, (20, 10, 60, 40)))
+    np.testing.assert_allclose(found.boxes_px, [[20.0, 10.0, 60.0, 40.0]])
+
+
+def save_size_teller(path, inputs):
+    """An end-to-end table of one box, whose score is the image's width in hundreds of pixels."""
+    nodes = [
+        helper.make_node("Shape", ["images"], ["shape"], start=3, end=4),
+        helper.make_node("Cast", ["shape"], ["width"], to=TensorProto.FLOAT),
+        constant("hundred", np.float32([100.0])),
+        helper.make_node("Div", ["width", "hundred"], ["score"]),
+        constant("box", np.float32([7.0, 12.0, 32.0, 52.0])),
+        constant("class", np.float32([0.0])),
+        helper.make_node("Concat", ["box", "score", "class"], ["row"], axis=0),
+        constant("size", np.int64([1, 1, 6])),
+        helper.make_node("Reshape", ["row", "size"], ["output0"]),
+    ]
+    return save(path, nodes, [("output0", TensorProto.FLOAT)], inputs=inputs)
+
+
+def test_an_image_of_free_size_is_padded_to_yolos_grid(path):
+    # 50 x 40 becomes 64 x 64: 7 columns and 12 rows before it.
+    model = load_onnx_model(save_size_teller(path, [("images", TensorProto.FLOAT, FREE)]))
+    found = model.detect(np.zeros((40, 50, 3), dtype=np.uint8))
+    np.testing.assert_allclose(found.confidence, [0.64])
+    np.testing.assert_allclose(found.boxes_px, [[0.0, 0.0, 25.0, 40.0]])
+
+
+@pytest.mark.parametrize("shape", [(1, 3, 32, "width"), (1, 3, "height", 64)])
+def test_an_input_of_one_fixed_side_takes_the_image_scaled_to_it(path, shape):
+    model = load_onnx_model(save_bright(path, shape))
+    found = model.detect(picture(128, 64, (20, 10, 60, 40)))
+    np.testing.assert_allclose(found.boxes_px, [[20.0, 10.0, 60.0, 40.0]])
+
+
+@pytest.mark.parametrize(("n_classes", "expected"), [(91, (1.0 - 0.485) / 0.229), (80, 1.0)])
+def test_detr_with_91_classes_sees_the_image_by_imagenets_mean_and_spread(
+    path, n_classes, expected
+):
+    nodes = [
+        constant("zero", np.int64([0])),
+        constant("one", np.int64([1])),
+        helper.make_node("Slice", ["images", "zero", "one", "one"], ["red"]),
+        helper.make_node("ReduceMax", ["red"], ["brightest"], axes=(1, 2, 3), keepdims=0),
+        constant("size", np.int64([1, 1, n_classes])),
+        helper.make_node("Expand", ["brightest", "size"], ["logits"]),
+        constant("pred_boxes", np.float32([[[0.5, 0.5, 1.0, 1.0]]])),
+    ]
+    outputs = [("logits", TensorProto.FLOAT), ("pred_boxes", TensorProto.FLOAT)]
+    model = load_onnx_model(save(path, nodes, outputs))
+    found = model.detect(np.full((64, 64, 3), 255, dtype=np.uint8))
+    np.testing.assert_allclose(found.confidence, [1.0 / (1.0 + np.exp(-expected))], rtol=1e-5)
+
+
+def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
+    nodes = [
+        helper.make_node("Cast", ["orig_target_sizes"], ["size"], to=TensorProto.FLOAT),
+        constant("origin", np.float32([[0.0, 0.0]])),
+        helper.make_node("Concat", ["origin", "size"], ["box"], axis=1),
+        constant("shape", np.int64([1, 1, 4])),
+        helper.make_node("Reshape", ["box", "shape"], ["boxes"]),
+        constant("labels", np.int64([[0]])),
+        constant("scores", np.float32([[0.5]])),
+    ]
+    outputs = [
+        ("labels", TensorProto.INT64),
+        ("boxes", TensorProto.FLOAT),
+        ("scores", TensorProto.FLOAT),
+    ]
+    inputs = [
+        ("images", TensorProto.FLOAT, (1, 3, 64, 64)),
+        ("orig_target_sizes", TensorProto.INT64, (1, 2)),
+    ]
+    model = load_onnx_model(save(path, nodes, outputs, inputs=inputs))
+    found = model.detect(np.zeros((50, 100, 3), dtype=np.uint8))
+    np.testing.assert_allclose(found.boxes_px, [[0.0, 0.0, 100.0, 50.0]])
+    assert found.kinds == {0: "person", 1: "bicycle"}
+
+
+def test_the_mask_that_detr_asks_for_is_given(path):
+    arrays = as_detr([PERSON], [0], [0.5])
+    inputs = [
+        ("pixel_values", TensorProto.FLOAT, FIXED),
+        ("pixel_mask", TensorProto.INT64, (1, 64, 64)),
+    ]
+    found = load_onnx_model(save_constants(path, arrays, inputs=inputs)).detect(GREY)
+    np.testing.assert_allclose(found.boxes_px, [PERSON], atol=1e-4)
+
+
+# Classes.
+
+
+@pytest.mark.parametrize(
+    ("classes", "kinds"),
+    [
+        (None, {1: "person", 2: "bicycle"}),
+        ("coco91", {1: "person", 2: "bicycle"}),
+        ("coco80", {0: "person", 1: "bicycle"}),
+    ],
+)
+def test_labels_are_cocos_91_unless_said_otherwise(path, classes, kinds):
+    save_constants(path, as_torchvision([PERSON], [0], [0.75]))
+    assert load_onnx_model(path, classes=classes).detect(GREY).kinds == kinds
+
+
+@pytest.mark.parametrize(
+    ("names", "kinds"),
+    [
+        ("{0: 'Car', 1: 'Pedestrian', 2: 'Cyclist'}", {1: "person", 2: "cyclist"}),
+        ("['bike', 'person']", {0: "bicycle", 1: "person"}),
+    ],
+)
+def test_names_in_the_file_come_first(path, names, kinds):
+    save_constants(path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names})
+    assert load_onnx_model(path, classes="coco80").detect(GREY).kinds == kinds
+
+
+def test_names_that_are_but_numbers_count_as_none(path):
+    # What Ultralytics 8.4.190 writes for a network that was built without names.
+    names = str({number: str(number) for number in range(80)})
+    save_constants(path, as_yolov8([PERSON], [0], [0.75]), metadata={"names": names})
+    assert load_onnx_model(path).detect(GREY).kinds == {0: "person", 1: "bicycle"}
+
+
+def test_names_tell_the_number_of_classes_of_a_table(path):
+    metadata = {"names": "{0: 'cyclist', 1: 'person', 2: 'dog'}"}
+    dense = f32(centred([PERSON, BICYCLE]), [[0.1, 0.75, 0.2], [0.5, 0.1, 0.2]])
+    found = load_onnx_model(
+        save_constants(path, {"output0": dense.T[None]}, metadata=metadata)
+    ).detect(GREY)
+    assert found.class_ids.tolist() == [1, 0]
+    np.testing.assert_allclose(found.boxes_px, [PERSON, BICYCLE])
+
+
+# Cyclists.
+
+
+def image_boxes(*rows):
+    boxes, ids, confidence = zip(*rows, strict=True)
+    return ImageBoxes(
+        boxes_px=np.array(boxes, dtype=float),
+        class_ids=np.array(ids),
+        confidence=np.array(confidence),
+        kinds={1: "person", 2: "bicycle", 3: "cyclist"},
+    )
+
+
+def test_a_cyclist_is_a_person_and_a_bicycle_that_overlap_or_either():
+    found = image_boxes(
+        ([10.0, 0.0, 20.0, 30.0], 1, 0.9),  # rides
+        ([100.0, 0.0, 110.0, 30.0], 1, 0.8),  # walks
+        ([5.0, 15.0, 35.0, 40.0], 2, 0.7),  # is ridden
+        ([50.0, 10.0, 60.0, 20.0], 3, 0.6),
+        ([70.0, 10.0, 80.0, 20.0], 9, 0.5),  # a dog
+    )
+    boxes = vru_boxes(found)
+    assert boxes.persons.boxes_px.tolist() == found.boxes_px[:2].tolist()
+    assert boxes.persons.confidence.tolist() == [0.9, 0.8]
+    cyclists = zip(boxes.cyclists.boxes_px.tolist(), boxes.cyclists.confidence, strict=True)
+    assert sorted(cyclists) == sorted(
+        [
+            ([5.0, 0.0, 35.0, 40.0], 0.7),  # both together, as sure as the less sure
+            ([10.0, 0.0, 20.0, 30.0], 0.9),
+            ([100.0, 0.0, 110.0, 30.0], 0.8),
+            ([5.0, 15.0, 35.0, 40.0], 0.7),
+            ([50.0, 10.0, 60.0, 20.0], 0.6),
+        ]
+    )
+
+
+def test_a_bicycle_that_only_touches_a_person_is_not_ridden():
+    found = image_boxes(([10.0, 0.0, 20.0, 30.0], 1, 0.9), ([20.0, 0.0, 40.0, 30.0], 2, 0.7))
+    assert len(vru_boxes(found).cyclists.boxes_px) == 2
+
+
+@given(
+    st.lists(st.tuples(boxes_px(), st.integers(0, 2)), max_size=12),
+    st.sampled_from([0.0, 0.3, 0.5, 0.9]),
+)
+def test_suppression_keeps_what_brute_force_keeps(rows, max_iou):
+    boxes = np.array([box for box, _ in rows]).reshape(-1, 4)
+    ids = np.array([number for _, number in rows], dtype=np.int64)
+    kept: list[int] = []
+    for i in range(len(rows)):
+        if not any(ids[i] == ids[j] and iou(boxes[i], boxes[j]) > max_iou for j in kept):
+            kept.append(i)
+    assert suppress(boxes, ids, max_iou=max_iou).tolist() == kept
+
+
+# What users do.
+
+
+def message_of(path, **options):
+    with pytest.raises(InputError) as caught:
+        load_onnx_model(path, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith(f"{path}: got ")
+    return text.removeprefix(f"{path}: got ")
+
+
+def test_a_file_that_is_missing(path):
+    assert message_of(path) == "no such file; expected an ONNX file"
+
+
+@pytest.mark.parametrize("content", [b"", b"no network", b"\x08\x09\x12\xff\xff\xff"])
+def test_a_file_that_is_not_onnx(path, content):
+    path.write_bytes(content)
+    assert message_of(path).endswith("; expected an ONNX file")
+
+
+def test_a_file_that_was_cut_off(path):
+    save_constants(path, as_yolov8([PERSON], [0], [0.75]))
+    path.write_bytes(path.read_bytes()[:-40])
+    assert message_of(path).endswith("; expected an ONNX file")
+
+
+def test_a_classifier(path):
+    save_constants(path, {"logits": np.zeros((1, 1000), dtype=np.float32)})
+    text = message_of(path)
+    assert text.startswith("outputs logits (1, 1000); expected a detector's outputs: boxes (n, 4),")
+
+
+def test_a_classifier_is_none_whatever_its_classes_are_called(path):
+    arrays = {"output0": np.zeros((1, 2), dtype=np.float32)}
+    save_constants(path, arrays, metadata={"names": "{0: 'tench', 1: 'groom'}"})
+    assert message_of(path).startswith("outputs output0 (1, 2); expected a detector's outputs")
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"output0": np.zeros((1, 116, 50), np.float32), "output1": np.zeros((1, 32, 8, 8), "f")},
+        {"output0": np.zeros((1, 56, 50), np.float32)},  # poses
+        {"output0": np.zeros((1, 21, 64, 64), np.float32)},  # segments
+        {"output0": np.zeros((2, 84, 50), np.float32)},  # two images
+        {"a": np.zeros((5, 4), "f"), "b": np.zeros(5, "f"), "c": np.zeros(5, "f")},
+        {"logits": np.zeros((1, 9, 20), "f"), "pred_boxes": np.zeros((1, 9, 4), "f")},
+    ],
+)
+def test_networks_with_other_outputs(path, arrays):
+    text = message_of(save_constants(path, arrays))
+    assert text.startswith("outputs " + next(iter(arrays)))
+
+
+@pytest.mark.parametrize(
+    "inputs",
+    [
+        [("left", TensorProto.FLOAT, FIXED), ("right", TensorProto.FLOAT, FIXED)],
+        [("tokens", TensorProto.INT64, (1, 128))],
+        [("images", TensorProto.FLOAT, (1, 64, 64, 3))],
+        [("images", TensorProto.FLOAT, (8, 3, 64, 64))],
+        [("images", TensorProto.FLOAT, (1, 1, 64, 64))],
+        [("images", TensorProto.INT64, FIXED)],
+    ],
+)
+def test_networks_with_other_inputs(path, inputs):
+    save_constants(path, as_yolov8([PERSON], [0], [0.75]), inputs=inputs)
+    text = message_of(path)
+    assert text.startswith(f"inputs {inputs[0][0]} tensor(")
+    assert text.endswith(
+        "; expected one image input, (1, 3, height, width) or (3, height, width), RGB"
+    )
+
+
+def test_a_network_that_does_not_run(path):
+    nodes = [
+        constant("size", np.int64([1, 7, 13])),
+        helper.make_node("Reshape", ["images", "size"], ["output0"]),
+    ]
+    save(path, nodes, [("output0", TensorProto.FLOAT)], inputs=[("images", 1, FREE)])
+    assert message_of(path).endswith("; expected a network that runs")
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        ("person", "a dictionary from number to name"),
+        ("{'person': 0}", "a dictionary from number to name"),
+        (
+            "{0: 'cat'}",
+            "among them one of bicycle, bicyclist, bike, cyclist, pedestrian, people, person, "
+            "rider",
+        ),
+    ],
+)
+def test_names_that_say_nothing(path, names, expected):
+    save_constants(path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names})
+    with pytest.raises(InputError) as caught:
+        load_onnx_model(path)
+    assert str(caught.value) == f"{path}: metadata 'names': got {names!r}; expected {expected}"
+
+
+def test_an_unknown_numbering(path):
+    save_constants(path, as_torchvision([PERSON], [0], [0.75]))
+    with pytest.raises(InputError, match="classes: got 'voc'; expected one of coco80, coco91"):
+        load_onnx_model(path, classes="voc")
+
+
+def test_boxes_that_are_not_numbers(path):
+    arrays = as_torchvision([[np.nan, 0.0, 1.0, 1.0]], [0], [0.75])
+    model = load_onnx_model(save_constants(path, arrays))
+    with pytest.raises(InputError, match="got a box that is not a number; expected finite boxes"):
+        model.detect(GREY)
+
+
+@pytest.mark.parametrize(
+    "image", [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 3)), np.zeros((0, 4, 3), np.uint8)]
+)
+def test_images_that_are_none(path, image):
+    model = load_onnx_model(save_constants(path, as_torchvision([PERSON], [0], [0.75])))
+    with pytest.raises(InputError, match=r"expected uint8 of shape \(height, width, 3\)"):
+        model.detect(image)
+
+
+def test_the_extra_is_named_where_onnxruntime_is_missing(path, monkeypatch):
+    save_constants(path, as_torchvision([PERSON], [0], [0.75]))
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(MissingExtraError, match="uv run --extra perception"):
+        load_onnx_model(path)

@@ -1,0 +1,323 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from evidences import build_evidence
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geometry.errors import InputError
+from geometry.image_boxes import iou
+from placement.detectors import VRU_CLASSES, ResponseDetector, is_matched, load_planning_detector
+
+DETECTOR = load_planning_detector("response")
+assert isinstance(DETECTOR, ResponseDetector)
+PLAIN = ResponseDetector(
+    name="by hand",
+    seen_share=np.array([0.0, 0.5, 1.0]),
+    recall=np.array([0.0, 0.6, 0.9]),
+    height_half_px=20.0,
+    height_steepness=2.0,
+    min_box_height_px=10.0,
+    class_factor=np.array([1.0, 0.9, 0.8]),
+    cyclist_end_on=0.5,
+    contrast_half=0.5,
+    contrast_steepness=1.0,
+    box_noise_share=0.05,
+    frame_correlation=0.7,
+    plan_probability=0.3,
+)
+shares = st.floats(0.0, 1.0)
+
+
+def _box(height_px, n_rows=1):
+    return np.tile([100.0, 50.0, 100.0 + 0.4 * height_px, 50.0 + height_px], (n_rows, 1))
+
+
+def _probability(detector, height_px, **looks):
+    (probability,) = detector.probability(build_evidence(_box(height_px), **looks))
+    return probability
+
+
+# Probability
+
+
+def test_probability_is_the_product_that_one_works_out_by_hand():
+    # Seen: 0.75 of what is inside, 0.8 of it inside: 0.6, on the line from 0.6 to 0.9: 0.66.
+    # Height 40 px: 1 / (1 + (20 / 40)^2) = 0.8. A cyclist: 0.8. Seen at 60 degrees to its way:
+    # 1 - (1 - 0.5) cos^2 60 = 0.875. Contrast 0.25: (0.25 / 0.75) / (1 / 1.5) = 0.5.
+    looks = {"visible_share": 0.75, "inside_share": 0.8, "contrast": 0.25, "aspect_deg": 60.0}
+    expected = {"cyclist": 0.66 * 0.8 * 0.8 * 0.875 * 0.5, "child": 0.66 * 0.8 * 0.9 * 0.5}
+    for name, probability in expected.items():
+        found = _probability(PLAIN, 40.0, vru_class=name, **looks)
+        assert found == pytest.approx(probability, rel=1e-12)
+
+
+@given(
+    low=st.floats(0.0, 500.0),
+    more=st.floats(0.0, 500.0),
+    seen=shares,
+    contrast=shares,
+    name=st.sampled_from(VRU_CLASSES),
+    aspect_deg=st.floats(0.0, 90.0),
+)
+def test_probability_never_falls_with_height(low, more, seen, contrast, name, aspect_deg):
+    looks = {
+        "visible_share": seen,
+        "contrast": contrast,
+        "vru_class": name,
+        "aspect_deg": aspect_deg,
+    }
+    for detector in (DETECTOR, PLAIN):
+        small, large = (_probability(detector, h, **looks) for h in (low, low + more))
+        assert 0.0 <= small <= large + 1e-12
+        assert large <= 1.0
+
+
+@given(
+    height_px=st.floats(0.0, 300.0),
+    key=st.sampled_from(["visible_share", "inside_share", "contrast"]),
+    values=st.tuples(shares, shares).map(sorted),
+    other=shares,
+)
+def test_probability_never_falls_with_any_share_or_contrast(height_px, key, values, other):
+    looks = dict.fromkeys(("visible_share", "inside_share", "contrast"), other)
+    for detector in (DETECTOR, PLAIN):
+        less, more = (_probability(detector, height_px, **looks | {key: v}) for v in values)
+        assert less <= more + 1e-12
+
+
+def test_what_the_edge_cuts_off_counts_as_hidden():
+    hidden = _probability(DETECTOR, 90.0, visible_share=0.6)
+    assert _probability(DETECTOR, 90.0, inside_share=0.6) == hidden
+    assert _probability(DETECTOR, 90.0, inside_share=0.8, visible_share=0.75) == pytest.approx(
+        hidden
+    )
+
+
+@pytest.mark.parametrize(
+    ("seen", "miss_rate"),
+    [
+        (0.95, 0.076),  # bare: more than 0.9 seen
+        (0.775, 0.168),  # partial: 0.65 to 0.9
+        (0.425, 0.569),  # heavy: 0.2 to 0.65
+    ],
+)
+def test_a_tall_vru_at_full_contrast_is_found_as_often_as_published(seen, miss_rate):
+    """X. Wang et al., "Repulsion Loss", CVPR 2018, CityPersons."""
+    assert _probability(DETECTOR, 1.0e6, visible_share=seen) == pytest.approx(1.0 - miss_rate)
+
+
+def test_height_counts_for_half_where_it_is_said_to():
+    tall, half = (_probability(DETECTOR, h) for h in (1.0e6, DETECTOR.height_half_px))
+    assert half == pytest.approx(0.5 * tall)
+    assert _probability(DETECTOR, 80.0) == pytest.approx(0.98 * tall, rel=0.01)
+    assert _probability(DETECTOR, 30.0) == pytest.approx(0.64 * tall, rel=0.01)
+
+
+def test_nothing_is_found_below_the_least_height_or_where_nothing_is_seen():
+    least_px = DETECTOR.min_box_height_px
+    assert _probability(DETECTOR, least_px) > 0.0
+    assert _probability(DETECTOR, least_px - 1e-9) == 0.0
+    assert _probability(DETECTOR, 100.0, visible_share=0.0) == 0.0
+    assert _probability(DETECTOR, 100.0, contrast=0.0) == 0.0
+    anything = replace(PLAIN, min_box_height_px=1.0e-12)
+    evidence = build_evidence(np.zeros((50, 4)))
+    assert not anything.probability(evidence).any()
+    assert not len(anything.detect(evidence, np.random.default_rng(0)).row_index)
+
+
+@given(st.floats(0.0, 90.0), st.sampled_from(VRU_CLASSES))
+def test_only_cyclists_are_harder_to_find_end_on(aspect_deg, name):
+    aside = _probability(PLAIN, 90.0, vru_class=name, aspect_deg=90.0)
+    found = _probability(PLAIN, 90.0, vru_class=name, aspect_deg=aspect_deg)
+    if name == "cyclist":
+        assert 0.5 * aside <= found + 1e-12
+        assert found <= aside + 1e-12
+        end_on = _probability(PLAIN, 90.0, vru_class=name, aspect_deg=0.0)
+        assert end_on == pytest.approx(0.5 * aside)
+    else:
+        assert found == aside
+
+
+def test_a_plan_counts_on_rows_from_its_probability_on():
+    heights_px = np.linspace(12.0, 200.0, 400)
+    boxes = np.concatenate([_box(height) for height in heights_px])
+    evidence = build_evidence(boxes, visible_share=0.5)
+    probability = DETECTOR.probability(evidence)
+    expected = DETECTOR.is_expected(evidence)
+    assert np.array_equal(expected, probability >= DETECTOR.plan_probability)
+    at_limit = replace(DETECTOR, plan_probability=float(probability[200]))
+    assert at_limit.is_expected(evidence)[200:].all()
+    assert not at_limit.is_expected(evidence)[:200].any()
+    assert 0 < expected.sum() < 400
+
+
+# Draws
+
+
+def _hits(detector, evidence, seed):
+    found = detector.detect(evidence, np.random.default_rng(seed))
+    hits = np.zeros(len(evidence), dtype=bool)
+    hits[found.row_index] = True
+    return hits
+
+
+def _runs_of(n_runs, n_frames):
+    """Numbers of frames that follow one another within a run."""
+    return np.arange(n_runs)[:, None] * (n_frames + 1) + np.arange(n_frames)
+
+
+def test_the_same_seed_finds_the_same_boxes_and_another_others():
+    evidence = build_evidence(_box(40.0, 500), visible_share=0.7)
+    one, same, other = (
+        DETECTOR.detect(evidence, np.random.default_rng(seed)) for seed in (3, 3, 4)
+    )
+    assert np.array_equal(one.row_index, same.row_index)
+    assert np.array_equal(one.boxes_px, same.boxes_px)
+    assert np.array_equal(one.confidence, same.confidence)
+    assert not np.array_equal(one.row_index, other.row_index)
+    assert one.confidence == pytest.approx(_probability(DETECTOR, 40.0, visible_share=0.7))
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.7, 1.0])
+@pytest.mark.parametrize("height_px", [20.0, 40.0, 120.0])
+def test_the_share_of_detections_is_the_probability(correlation, height_px):
+    """Of runs of five frames the first and the last: five standard deviations of a binomial."""
+    n_runs = 20_000
+    detector = replace(DETECTOR, frame_correlation=correlation)
+    evidence = build_evidence(
+        _box(height_px, 5 * n_runs), draw_index=_runs_of(n_runs, 5).ravel(), visible_share=0.8
+    )
+    hits = _hits(detector, evidence, 1).reshape(n_runs, 5)
+    probability = _probability(detector, height_px, visible_share=0.8)
+    tolerance = 5.0 * math.sqrt(probability * (1.0 - probability) / n_runs)
+    for frame in (0, 4):
+        assert hits[:, frame].mean() == pytest.approx(probability, abs=tolerance)
+
+
+def test_frames_are_independent_without_correlation_and_alike_with_all_of_it():
+    n_runs, index = 20_000, _runs_of(20_000, 4).ravel()
+    evidence = build_evidence(_box(40.0, 4 * n_runs), draw_index=index, visible_share=0.7)
+    probability = _probability(DETECTOR, 40.0, visible_share=0.7)
+
+    def hits(correlation):
+        detector = replace(DETECTOR, frame_correlation=correlation)
+        return _hits(detector, evidence, 2).reshape(n_runs, 4)
+
+    free, some, bound = hits(0.0), hits(0.7), hits(1.0)
+    both = probability**2
+    tolerance = 5.0 * math.sqrt(both * (1.0 - both) / n_runs)
+    assert (free[:, 0] & free[:, 1]).mean() == pytest.approx(both, abs=tolerance)
+    assert (some[:, 0] & some[:, 1]).mean() > both + tolerance
+    assert (some[:, 0] & some[:, 1]).mean() > (some[:, 0] & some[:, 3]).mean() + tolerance
+    assert (bound == bound[:, :1]).all()
+    assert 0.0 < bound.mean() < 1.0
+    # One run says nothing about the next.
+    assert (bound[:-1, 3] & bound[1:, 0]).mean() == pytest.approx(both, abs=tolerance)
+
+
+def test_rows_of_the_same_number_share_their_luck():
+    """A frame by day and at night: what is found at night is found by day, in the same place."""
+    index = np.tile(np.arange(3000), 2)
+    contrast = np.repeat([1.0, 0.3], 3000)
+    evidence = build_evidence(_box(30.0, 6000), draw_index=index, contrast=contrast)
+    found = DETECTOR.detect(evidence, np.random.default_rng(5))
+    hits = np.zeros(6000, dtype=bool)
+    hits[found.row_index] = True
+    by_day, at_night = hits.reshape(2, -1)
+    assert (by_day >= at_night).all()
+    assert by_day.sum() > at_night.sum() > 0
+    boxes = np.full((6000, 4), np.nan)
+    boxes[found.row_index] = found.boxes_px
+    assert np.array_equal(boxes[:3000][at_night], boxes[3000:][at_night])
+
+
+def test_luck_does_not_depend_on_what_the_rows_show():
+    poor = build_evidence(_box(30.0, 2000), visible_share=0.5)
+    rich = build_evidence(_box(30.0, 2000), visible_share=1.0)
+    assert (_hits(DETECTOR, rich, 6) >= _hits(DETECTOR, poor, 6)).all()
+
+
+def test_boxes_are_off_by_the_noise_asked_for_and_still_match_mostly():
+    truth = _box(100.0, 20_000)
+    evidence = build_evidence(truth)
+    found = DETECTOR.detect(evidence, np.random.default_rng(7))
+    off = (found.boxes_px - truth[found.row_index]) / [40.0, 100.0, 40.0, 100.0]
+    assert np.abs(off.mean(axis=0)).max() < 0.002
+    assert off.std(axis=0) == pytest.approx(DETECTOR.box_noise_share, rel=0.03)
+    assert (iou(found.boxes_px, truth[found.row_index]) > 0.5).mean() > 0.999
+    exact = replace(DETECTOR, box_noise_share=0.0).detect(evidence, np.random.default_rng(7))
+    assert np.array_equal(exact.row_index, found.row_index)
+    assert np.array_equal(exact.boxes_px, truth[exact.row_index])
+    assert is_matched(exact, truth, min_iou=0.99).sum() == len(exact.row_index)
+    wild = replace(DETECTOR, box_noise_share=1.0).detect(evidence, np.random.default_rng(7))
+    assert is_matched(wild, truth, min_iou=0.5).mean() < 0.5
+
+
+# The model itself
+
+
+def test_the_response_looks_at_shares_and_at_no_picture():
+    assert DETECTOR.needs_shares
+    assert not DETECTOR.needs_pictures
+    assert DETECTOR.name == "response"
+    assert "probability of at least 0.5" in DETECTOR.description
+
+
+def test_every_number_but_the_name_changes_the_fingerprint():
+    changes = {
+        "seen_share": np.array([0.0, 0.51, 1.0]),
+        "recall": np.array([0.0, 0.61, 0.9]),
+        "class_factor": np.array([1.0, 0.9, 0.81]),
+        **{
+            field: getattr(PLAIN, field) * 1.01
+            for field in (
+                "height_half_px",
+                "height_steepness",
+                "min_box_height_px",
+                "cyclist_end_on",
+                "contrast_half",
+                "contrast_steepness",
+                "plan_probability",
+            )
+        },
+    }
+    found = [replace(PLAIN, **{field: value}).fingerprint() for field, value in changes.items()]
+    assert len({PLAIN.fingerprint(), *found}) == len(changes) + 1
+    assert replace(PLAIN, name="other").fingerprint() == PLAIN.fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"recall": [0.0, 1.2, 0.9]}, "recall: got 1.2; expected 0 .. 1"),
+        ({"recall": [0.0, 0.9]}, "recall: got shape (2,); expected shape (3,)"),
+        ({"recall": [0.0, math.nan, 0.9]}, "recall: got [0.0, nan, 0.9]; expected finite numbers"),
+        (
+            {"seen_share": [0.0, 0.7, 0.6]},
+            "seen_share: got [0.0, 0.7, 0.6]; expected shares that ascend from 0 to 1",
+        ),
+        (
+            {"seen_share": [0.1, 0.7, 1.0]},
+            "seen_share: got [0.1, 0.7, 1.0]; expected shares that ascend from 0 to 1",
+        ),
+        (
+            {"seen_share": [0.0, 0.7, 0.9]},
+            "seen_share: got [0.0, 0.7, 0.9]; expected shares that ascend from 0 to 1",
+        ),
+        ({"class_factor": [1.0, 1.0, -0.1]}, "class_factor: got -0.1; expected 0 .. 1"),
+        ({"class_factor": [1.0, 1.0]}, "class_factor: got shape (2,); expected shape (3,)"),
+        ({"cyclist_end_on": 1.5}, "cyclist_end_on: got 1.5; expected 0 .. 1"),
+        ({"frame_correlation": math.nan}, "frame_correlation: got nan; expected 0 .. 1"),
+        ({"plan_probability": -0.5}, "plan_probability: got -0.5; expected 0 .. 1"),
+        ({"height_half_px": 0.0}, "height_half_px: got 0.0; expected a number, > 0"),
+        ({"contrast_half": math.inf}, "contrast_half: got inf; expected a number, > 0"),
+        ({"contrast_steepness": -1.0}, "contrast_steepness: got -1.0; expected a number, > 0"),
+    ],
+)
+def test_a_response_says_what_is_wrong(change, message):
+    with pytest.raises(InputError) as caught:
+        replace(PLAIN, **change)
+    assert str(caught.value).startswith(message)

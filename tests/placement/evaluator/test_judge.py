@@ -1,0 +1,114 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placement.candidates import CandidatePose
+from placement.evaluator import judge as judge_module
+from placement.evaluator.judge import Judge
+from scenarios.aeb import has_contact, is_in_time, load_aeb_rule
+from scenarios.exposure import weight_per_run
+from scenarios.runs import build_frame_axis, confirmation_times_s
+
+RULE = load_aeb_rule()
+
+
+@pytest.fixture(scope="module")
+def axis(study_runs):
+    return build_frame_axis(study_runs, weight_per_run(study_runs))
+
+
+@pytest.fixture(scope="module")
+def judge(study_runs, axis):
+    return Judge(study_runs, axis, RULE)
+
+
+def _rows(axis, seed, n_rows):
+    rng = np.random.default_rng(seed)
+    return rng.random((n_rows, axis.n_frames)) < rng.uniform(0.05, 0.6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), latency_s=st.floats(0.0, 1.0))
+def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
+    study_runs, axis, judge, seed, latency_s
+):
+    (row,) = _rows(axis, seed, 1)
+    verdict = judge.verdict([(row, latency_s)])
+    confirmation_s = confirmation_times_s(row, axis, n_confirmations=RULE.n_confirmations)
+    assert np.array_equal(verdict.confirmation_time_s, confirmation_s)
+    assert verdict.onset_time_s == pytest.approx(confirmation_s + latency_s)
+    touches = [
+        has_contact(run.encounter, onset, RULE)
+        for run, onset in zip(study_runs, verdict.onset_time_s.tolist(), strict=True)
+    ]
+    assert (verdict.is_avoided == ~np.array(touches)).all()
+    in_time = is_in_time(confirmation_s, axis.last_brake_time_s, latency_s=latency_s)
+    assert (verdict.is_avoided == in_time).all()
+    assert (verdict.detected == row).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(axis, judge, seed):
+    rows = _rows(axis, seed, 3)
+    fused = judge.verdict([(row, RULE.latency_s) for row in rows])
+    one = judge.verdict([(rows.any(axis=0), RULE.latency_s)])
+    for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
+        assert np.array_equal(getattr(fused, field), getattr(one, field))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    latencies_s=st.lists(st.floats(0.0, 0.5), min_size=3, max_size=3),
+)
+def test_a_further_party_never_makes_it_later(axis, judge, seed, latencies_s):
+    parties = list(zip(_rows(axis, seed, 3), latencies_s, strict=True))
+    fewer, more = judge.verdict(parties[:2]), judge.verdict(parties)
+    assert (more.onset_time_s <= fewer.onset_time_s).all()
+    assert (more.is_avoided >= fewer.is_avoided).all()
+    assert (more.detected >= fewer.detected).all()
+
+
+def test_nobody_confirms_nothing(axis, judge):
+    verdict = judge.verdict([])
+    assert not verdict.detected.any()
+    assert np.isinf(verdict.onset_time_s).all()
+    assert not verdict.is_avoided.any()
+
+
+def test_as_many_frames_confirm_as_the_rule_says(study_runs, axis):
+    row = np.zeros(axis.n_frames, dtype=bool)
+    row[5:9] = True
+    for n_confirmations, frame in ((1, 5), (2, 6), (4, 8), (5, None)):
+        rule = replace(RULE, n_confirmations=n_confirmations)
+        (onset_s, *others) = Judge(study_runs, axis, rule).verdict([(row, 0.1)]).onset_time_s
+        assert onset_s == (np.inf if frame is None else axis.time_s[frame] + 0.1)
+        assert np.isinf(others).all()
+
+
+def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypatch):
+    asked = []
+
+    def count(encounter, onset_s, rule):
+        asked.append(onset_s)
+        return has_contact(encounter, onset_s, rule)
+
+    monkeypatch.setattr(judge_module, "has_contact", count)
+    judge = Judge(study_runs, axis, RULE)
+    row = np.ones(axis.n_frames, dtype=bool)
+    first, again = (judge.verdict([(row, 0.025)]) for _ in range(2))
+    assert len(asked) == axis.n_runs
+    assert np.array_equal(first.is_avoided, again.is_avoided)
+    judge.verdict([(row, 0.05)])
+    assert len(asked) == 2 * axis.n_runs
+
+
+@pytest.mark.parametrize(("own_s", "expected_s"), [(None, RULE.latency_s), (0.0, 0.0), (0.3, 0.3)])
+def test_a_unit_has_its_own_latency_or_that_of_the_rule(camera, own_s, expected_s):
+    unit = CandidatePose(id="a", site_id="", pose=SimpleNamespace(), sensor=camera, latency_s=own_s)
+    assert unit.latency(RULE) == expected_s

@@ -1,0 +1,217 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.image_boxes import iou
+from geometry.poses import Pose
+from geometry.scene_files import load_study_scene
+from geometry.weather import pick_weather
+from placement.candidates import CandidatePose
+from placement.detectors import load_detector
+from placement.evaluator.evaluate import evaluate_layout
+from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
+from placement.evaluator.pictures import PictureSource, vut_camera_pose
+from placement.evaluator.surroundings import build_surroundings
+from placement.evaluator.vut_camera import load_vut_camera
+from placement.imaging import render_picture
+from placement.layout import Layout
+
+onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+from onnx import TensorProto, helper, numpy_helper  # noqa: E402
+
+POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
+PEDESTRIAN, CYCLIST = "CPNC-50/west/30", "CBLA/west/25"
+PERSON, BICYCLE = 1, 2  # of COCO's 91
+N_FRAMES = 6
+PER_FRAME = (
+    "time_s",
+    "vut_position_m",
+    "vut_yaw_deg",
+    "vru_position_m",
+    "vru_yaw_deg",
+    "vru_shape",
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_study_scene()
+
+
+@pytest.fixture(scope="module")
+def last_frames(runs):
+    """Runs by name, cut to what happens right before the impact."""
+    by_name = {run.id: run for run in runs}
+
+    def cut(*names, n_frames=N_FRAMES):
+        return [
+            replace(by_name[name], **{k: getattr(by_name[name], k)[-n_frames:] for k in PER_FRAME})
+            for name in names
+        ]
+
+    return cut
+
+
+@pytest.fixture
+def evaluate(tmp_path, build_setting, scene, camera):
+    """Detected frames of one RSU and of the VUT, when a network looks from both."""
+
+    def evaluate_with(model, runs):
+        onnx.save(model, tmp_path / "x.onnx")
+        detector = load_detector(str(tmp_path / "x.onnx"))
+        setting = build_setting(scene, runs, detector=detector, vut_camera=camera)
+        unit = CandidatePose(id="rsu", site_id="", pose=POSE, sensor=camera)
+        evaluation = evaluate_layout(Layout(name="test", units=(unit,)), setting)
+        return evaluation.units["rsu"].detected, evaluation.vut.detected
+
+    return evaluate_with
+
+
+@pytest.fixture
+def visible(scene, camera):
+    """Visible boxes from the RSU and from the VUT."""
+
+    def boxes_of(runs):
+        surroundings = build_surroundings(scene, runs)
+        mount = replace(load_vut_camera(), camera=camera)
+        return (
+            perceive_from_roadside(surroundings, POSE, camera).visible_px,
+            perceive_from_vut(surroundings, mount).visible_px,
+        )
+
+    return boxes_of
+
+
+def constant(name, value):
+    return helper.make_node("Constant", [], [name], value=numpy_helper.from_array(value, name))
+
+
+def build_network(boxes, *, label=PERSON, nodes=(), shape=("batch", 3, "height", "width")):
+    """Torchvision's outputs: the same boxes always, surely unless `nodes` compute the scores."""
+    boxes = np.float32(boxes).reshape(-1, 4)
+    nodes = nodes or [constant("scores", np.full(len(boxes), 0.75, dtype=np.float32))]
+    kinds = {
+        "boxes": TensorProto.FLOAT,
+        "labels": TensorProto.INT64,
+        "scores": TensorProto.FLOAT,
+    }
+    graph = helper.make_graph(
+        [
+            constant("boxes", boxes),
+            constant("labels", np.full(len(boxes), label, dtype=np.int64)),
+            *nodes,
+        ],
+        "tiny",
+        [helper.make_tensor_value_info("images", TensorProto.FLOAT, shape)],
+        [helper.make_tensor_value_info(name, kind, None) for name, kind in kinds.items()],
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+
+
+def build_network_that_knows(picture, box):
+    """It finds its box in this picture, to the last bit of the last pixel, and in no other."""
+    image = picture.transpose(2, 0, 1)[None].astype(np.float32) / np.float32(255.0)
+    nodes = [
+        constant("known", image),
+        constant("tolerance", np.float32([0.5 / 255.0])),
+        helper.make_node("Sub", ["images", "known"], ["difference"]),
+        helper.make_node("Abs", ["difference"], ["size"]),
+        helper.make_node("ReduceMax", ["size"], ["largest"], axes=(1, 2, 3), keepdims=0),
+        helper.make_node("Less", ["largest", "tolerance"], ["is_known"]),
+        helper.make_node("Cast", ["is_known"], ["scores"], to=TensorProto.FLOAT),
+    ]
+    return build_network(box, nodes=nodes, shape=image.shape)
+
+
+def render(scene, run, frame, pose, camera, **options):
+    weather = pick_weather(run.weather, "test")
+    return render_picture(scene, run, frame, pose, camera, weather=weather, **options).rgb
+
+
+# Networks.
+
+
+@pytest.mark.parametrize(("name", "unit"), [(PEDESTRIAN, 0), (CYCLIST, 1)])
+def test_one_box_is_matched_in_the_frames_whose_visible_box_it_overlaps_by_half(
+    name, unit, last_frames, visible, evaluate
+):
+    runs = last_frames(name)
+    boxes = visible(runs)
+    box = boxes[unit][1]
+    expected = [iou(seen, box) > 0.5 for seen in boxes]
+    assert 1 < expected[unit].sum() < N_FRAMES
+    detected = evaluate(build_network(box), runs)
+    assert [frames.tolist() for frames in detected] == [frames.tolist() for frames in expected]
+
+
+def test_a_network_that_finds_nothing_detects_nothing(last_frames, evaluate):
+    by_rsu, by_vut = evaluate(build_network([]), last_frames(PEDESTRIAN, n_frames=3))
+    assert not by_rsu.any()
+    assert not by_vut.any()
+
+
+@pytest.mark.parametrize(("name", "is_detected"), [(PEDESTRIAN, False), (CYCLIST, True)])
+def test_a_bicycle_may_be_a_cyclist_but_is_no_pedestrian(
+    name, is_detected, last_frames, visible, evaluate
+):
+    runs = last_frames(name, n_frames=1)
+    box = visible(runs)[0][0]
+    by_rsu, _ = evaluate(build_network(box, label=BICYCLE), runs)
+    assert by_rsu.tolist() == [is_detected]
+
+
+def test_a_network_that_knows_one_picture_detects_in_that_frame_of_that_unit_alone(
+    last_frames, visible, evaluate, scene, camera
+):
+    runs = last_frames(PEDESTRIAN, CYCLIST, n_frames=4)
+    frame = 4 + 2
+    picture = render(scene, runs[1], 2, POSE, camera)
+    by_rsu, by_vut = evaluate(build_network_that_knows(picture, visible(runs)[0][frame]), runs)
+    assert np.flatnonzero(by_rsu).tolist() == [frame]
+    assert not by_vut.any()
+
+
+# Pictures.
+
+
+def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(last_frames, scene, camera):
+    first, second = last_frames(PEDESTRIAN, CYCLIST)
+    second = replace(second, weather="night", obstruction=())
+    source = PictureSource(scene, [first, second], seed=5)
+    mount = replace(load_vut_camera(), camera=camera)
+    for index, run, frame in (
+        (N_FRAMES - 1, first, N_FRAMES - 1),
+        (N_FRAMES, second, 0),
+        (2 * N_FRAMES - 1, second, N_FRAMES - 1),
+    ):
+        by_rsu = render(scene, run, frame, POSE, camera, seed=5)
+        assert np.array_equal(source.from_roadside(POSE, camera)(index), by_rsu)
+        pose = vut_camera_pose(mount, run, frame)
+        by_vut = render(scene, run, frame, pose, camera, seed=5, with_vut=False)
+        assert np.array_equal(source.from_vut(mount)(index), by_vut)
+
+
+def test_each_run_is_drawn_behind_its_own_obstruction(last_frames, scene, camera):
+    (hidden,) = last_frames(PEDESTRIAN, n_frames=1)
+    free = replace(hidden, obstruction=())
+    picture = PictureSource(scene, [hidden, free, hidden], seed=0).from_roadside(POSE, camera)
+    assert np.array_equal(picture(1), render(scene, free, 0, POSE, camera))
+    assert np.array_equal(picture(0), picture(2))
+    assert not np.array_equal(picture(0), picture(1))
+
+
+def test_the_vuts_camera_goes_and_turns_with_it(last_frames, camera):
+    (run,) = last_frames(CYCLIST)
+    mount = replace(load_vut_camera(), camera=camera)
+    on_vut = mount.pose_on(run.encounter.vut)
+    ahead_m, left_m, up_m = on_vut.position_m
+    for frame in (0, N_FRAMES - 1):
+        yaw = np.radians(run.vut_yaw_deg[frame])
+        along, across = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+        expected = run.vut_position_m[frame] + ahead_m * along + left_m * across
+        pose = vut_camera_pose(mount, run, frame)
+        np.testing.assert_allclose(pose.position_m, [*expected, up_m], atol=1e-9)
+        assert pose.yaw_deg == run.vut_yaw_deg[frame] + on_vut.yaw_deg
+        assert pose.pitch_deg == on_vut.pitch_deg

@@ -1,0 +1,286 @@
+from bisect import bisect_left
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.actors import PlacedActor, pick_actor
+from geometry.lidar import (
+    LidarDetection,
+    beam_directions,
+    beams_per_steradian,
+    load_lidar_detection,
+    load_lidars,
+)
+from geometry.poses import Pose, body_rotation, to_world
+from geometry.raycast import build_caster
+from placement.detectors import VRU_CLASSES
+from placement.evaluator import scan
+from placement.evaluator.scan import scan_from_roadside, scan_from_vut
+from placement.evaluator.surroundings import build_surroundings
+from placement.evaluator.vut_camera import load_vut_camera, load_vut_lidar
+
+STUDY = load_lidars()["carla-ncap-lidar"]
+SURE = replace(STUDY, reference_range_m=1.0e6)  # whatever it hits comes back
+LOW = Pose(position_m=np.array([0.0, 0.0, 0.9]), yaw_deg=0.0)
+HIGH = Pose(position_m=np.array([-8.0, -6.0, 6.0]), yaw_deg=40.0, pitch_deg=-25.0)
+WALL = ((5.0, -3.0, 0.0), (5.4, 3.0, 4.0))
+
+
+def _rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+@pytest.fixture
+def needs(monkeypatch):
+    """Sets how many points it takes, whatever is looked at."""
+
+    def set_points(n_points):
+        detection = LidarDetection(
+            min_points=dict.fromkeys(VRU_CLASSES, n_points),
+            reflectivity=load_lidar_detection().reflectivity,
+        )
+        monkeypatch.setattr(scan, "load_lidar_detection", lambda: detection)
+
+    return set_points
+
+
+@pytest.fixture
+def count(needs):
+    """Points on the VRU in the only frame: the most that may be asked for."""
+
+    def count_points(surroundings, pose, lidar=SURE):
+        def is_too_much(n_points):
+            needs(n_points)
+            return not scan_from_roadside(surroundings, pose, lidar, _rng())[0]
+
+        return bisect_left(range(1, 10_000), True, key=is_too_much)
+
+    return count_points
+
+
+@pytest.fixture
+def sees(build_scene, build_run, block):
+    """Whether a LiDAR on the roadside detects the block in each frame."""
+
+    def look(vru_poses, *boxes, vut_poses=None, pose=LOW, lidar=STUDY, weather="day", seed=0):
+        run = replace(build_run(block, vru_poses, vut_poses), weather=weather)
+        surroundings = build_surroundings(build_scene(*boxes), [run])
+        return scan_from_roadside(surroundings, pose, lidar, _rng(seed)).tolist()
+
+    return look
+
+
+# What is in the way, and what is out of sight
+
+
+def test_a_vru_ahead_is_seen_and_one_behind_a_wall_is_not(sees):
+    vru = [[12.0, 0.0, 0.0], [12.0, -9.0, 30.0], [4.0, 0.0, 0.0]]
+    assert sees(vru) == [True, True, True]
+    # The second is beside the wall, the third before it.
+    assert sees(vru, WALL) == [False, True, True]
+
+
+def test_nothing_is_seen_outside_the_field_of_view(sees):
+    """The study's LiDAR: 72 degrees wide, 30 high."""
+    angles_deg = np.array([0.0, 20.0, -30.0, 40.0, -45.0, 90.0, 180.0])
+    around = 10.0 * np.column_stack(
+        [np.cos(np.radians(angles_deg)), np.sin(np.radians(angles_deg))]
+    )
+    vru = np.column_stack([around, angles_deg])
+    assert sees(vru) == (np.abs(angles_deg) < 36.0).tolist()
+    raised = replace(LOW, pitch_deg=40.0)
+    assert not any(sees(vru, pose=raised))
+    turned = replace(LOW, yaw_deg=90.0)
+    assert sees(vru, pose=turned) == [False, False, False, False, False, True, False]
+
+
+def test_nothing_is_seen_beyond_the_range(sees):
+    vru = [[19.0, 0.0, 0.0], [21.0, 0.0, 0.0]]
+    assert sees(vru, lidar=replace(STUDY, range_m=20.0)) == [True, False]
+    assert sees(vru) == [True, True]
+
+
+def test_the_vut_hides_what_is_behind_it_in_its_own_frames_only(sees):
+    vru = [[14.0, 0.0, 0.0]] * 4
+    vut = [[6.0, 0.0, 0.0], [6.0, 5.0, 0.0], [20.0, 0.0, 90.0], [6.0, 0.0, 45.0]]
+    low = Pose(position_m=np.array([0.0, 0.0, 0.5]), yaw_deg=0.0)
+    assert sees(vru, vut_poses=vut, pose=low) == [False, True, True, False]
+
+
+def test_fog_and_a_heavy_rain_take_what_is_far(sees):
+    vru = [[8.0, 0.0, 0.0], [35.0, 0.0, 0.0]]
+    found = {name: sees(vru, weather=name) for name in ("day", "night", "rain", "fog")}
+    assert found["day"] == found["night"] == found["rain"] == [True, True]
+    assert found["fog"] == [True, False]
+
+
+# How many beams
+
+
+@pytest.mark.parametrize("distance_m", [4.0, 8.0, 15.0, 30.0])
+def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
+    build_scene, build_run, block, count, distance_m
+):
+    """A face of 1 m by 1.8 m that is met squarely: every beam that ends inside it counts."""
+    run = build_run(block, [[distance_m + 0.25, 0.0, 0.0]])
+    found = count(build_surroundings(build_scene(), [run]), LOW)
+    ahead, left, up = np.moveaxis(beam_directions(SURE).reshape(-1, 3), -1, 0)
+    y_m, z_m = distance_m * left / ahead, 0.9 + distance_m * up / ahead
+    assert found == ((np.abs(y_m) < 0.5) & (z_m > 0.0) & (z_m < 1.8)).sum()
+    solid_angle = 4.0 * np.arctan(  # of a rectangle seen from above its middle
+        0.5 * 0.9 / (distance_m * np.sqrt(distance_m**2 + 0.5**2 + 0.9**2))
+    )
+    expected = solid_angle * float(beams_per_steradian(SURE, 0.0))
+    # A row or a column more or less at the edges.
+    rows, columns = (
+        np.degrees(size_m / distance_m) * count_ / fov_deg
+        for size_m, count_, fov_deg in (
+            (1.8, SURE.n_lines, SURE.vertical_fov_deg),
+            (1.0, SURE.n_columns, SURE.horizontal_fov_deg),
+        )
+    )
+    assert found == pytest.approx(expected, abs=rows + columns)
+
+
+def _combined(parts):
+    """One mesh of several, and which part each triangle is of."""
+    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    triangles = [faces + start for (_, faces), start in zip(parts, offsets, strict=False)]
+    owner = np.repeat(np.arange(len(parts)), [len(faces) for _, faces in parts])
+    return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(triangles), owner
+
+
+def _placed(shape, position_m, yaw_deg):
+    pose = Pose(position_m=np.append(position_m, 0.0), yaw_deg=yaw_deg)
+    return to_world(shape.vertices_m, pose), shape.triangles
+
+
+def _plain_counts(scene, runs, pose, lidar):
+    """Beams of the whole pattern that end on the VRU, with everything there in one mesh."""
+    beams = beam_directions(lidar).reshape(-1, 3) @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
+    starts = pose.position_m + lidar.near_m * beams
+    counts = []
+    for run in runs:
+        fixed = [(scene.vertices_m, scene.triangles)]
+        for parked in run.obstruction:
+            shape = parked.actor.shapes[0]
+            fixed.append((to_world(shape.vertices_m, parked.pose), shape.triangles))
+        for frame in range(len(run.time_s)):
+            vru = run.encounter.vru.shapes[run.vru_shape[frame]]
+            vertices, triangles, owner = _combined(
+                [
+                    _placed(vru, run.vru_position_m[frame], run.vru_yaw_deg[frame]),
+                    _placed(
+                        run.encounter.vut.shapes[0],
+                        run.vut_position_m[frame],
+                        run.vut_yaw_deg[frame],
+                    ),
+                    *fixed,
+                ]
+            )
+            caster = build_caster(vertices, triangles)
+            _, hit = caster.first_triangle(starts.astype(np.float32), beams.astype(np.float32))
+            counts.append(int((owner[hit[hit >= 0]] == 0).sum()))
+    return np.array(counts)
+
+
+@pytest.mark.parametrize("pose", [HIGH, replace(LOW, position_m=np.array([-9.0, 1.0, 1.6]))])
+def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_vru(
+    build_scene, build_run, needs, pose
+):
+    rng = _rng(7)
+    car = PlacedActor(
+        actor=pick_actor("parked-car-small", "test"),
+        pose=Pose(position_m=np.array([1.0, -2.0, 0.0]), yaw_deg=10.0),
+    )
+    scene = build_scene(
+        ((3.0, 2.0, 0.0), (6.0, 5.0, 3.0)), ((-40.0, -40.0, -1.0), (40.0, 40.0, 0.0))
+    )
+    runs = []
+    for name, obstruction in (("adult", ()), ("cyclist", (car,)), ("child", (car,))):
+        vru, vut = (
+            np.column_stack([rng.uniform(-6.0, 9.0, (16, 2)), rng.uniform(-180.0, 180.0, 16)])
+            for _ in range(2)
+        )
+        vru[8:] = vru[:8]  # some sights repeat, with the VUT elsewhere
+        runs.append(build_run(pick_actor(name, "test"), vru, vut, obstruction))
+    surroundings = build_surroundings(scene, runs)
+    counts = _plain_counts(scene, runs, pose, SURE)
+    hidden = _plain_counts(
+        scene, [replace(run, vut_position_m=run.vut_position_m + 500.0) for run in runs], pose, SURE
+    )
+    assert (hidden > counts).any()  # the VUT hides something somewhere
+    for n_points in (1, 10, 40, 120):
+        needs(n_points)
+        found = scan_from_roadside(surroundings, pose, SURE, _rng())
+        # A beam along an edge may go either way in single precision.
+        is_clear = (counts == 0) | (np.abs(counts - n_points) > 2)
+        assert is_clear.mean() > 0.7
+        assert (found == (counts >= n_points))[is_clear].all()
+    assert 0.2 < (counts >= 10).mean() < 0.9
+
+
+def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block, count):
+    """At the distance at which a pulse met squarely comes back half the time."""
+    reflectivity = load_lidar_detection().reflectivity["pedestrian"]
+    weak = replace(
+        STUDY,
+        reference_range_m=10.0,
+        reference_reflectivity=reflectivity,
+        reference_probability=0.5,
+        threshold_width=1.0e-3,
+    )
+    surroundings = [
+        build_surroundings(build_scene(), [build_run(block, [[x_m + 0.25, 0.0, yaw_deg]])])
+        for x_m, yaw_deg in ((9.0, 0.0), (9.0, 45.0), (10.5, 0.0))
+    ]
+    assert [count(one, LOW, weak) > 0 for one in surroundings] == [True, False, False]
+    assert all(count(one, LOW) > 50 for one in surroundings)
+
+
+# Seed, company, and the VUT's own LiDAR
+
+
+def test_the_same_seed_brings_the_same_pulses_back(sees):
+    vru = [[x_m, 0.0, 90.0] for x_m in np.linspace(20.0, 50.0, 60)]
+    vague = replace(STUDY, threshold_width=9.0, reference_probability=0.5)
+    one, same, other = (sees(vru, seed=seed, lidar=vague) for seed in (1, 1, 2))
+    assert one == same
+    assert one != other
+    assert any(one)
+    assert not all(one)
+
+
+def test_other_frames_do_not_matter(build_scene, build_run):
+    rng = _rng(3)
+    vru, vut = (
+        np.column_stack([rng.uniform(3.0, 30.0, 40), rng.uniform(-9.0, 9.0, (40, 2))])
+        for _ in range(2)
+    )
+    surroundings = build_surroundings(
+        build_scene(WALL), [build_run(pick_actor("adult", "test"), vru, vut)]
+    )
+    every = scan_from_roadside(surroundings, LOW, SURE, _rng())
+    some = np.arange(0, 40, 3)
+    assert np.array_equal(
+        scan_from_roadside(surroundings.take(some), LOW, SURE, _rng()), every[some]
+    )
+    assert 0 < every.sum() < 40
+
+
+def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, block):
+    """Wherever the VUT stands and faces: ahead is seen, aside, behind and hidden is not."""
+    yaw_deg = np.repeat([0.0, 77.0, -160.0], 4)
+    bearing_deg = yaw_deg + np.tile([0.0, 60.0, 180.0, 5.0], 3)
+    towards = np.column_stack([np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))])
+    place = np.repeat([[3.0, 5.0], [-20.0, 1.0], [40.0, -6.0]], 4, axis=0)
+    vut = np.column_stack([place, yaw_deg])
+    vru = np.column_stack([place + 14.0 * towards, yaw_deg])
+    surroundings = build_surroundings(build_scene(), [build_run(block, vru, vut)])
+    found = scan_from_vut(surroundings, load_vut_camera(), load_vut_lidar(), _rng())
+    assert found.tolist() == [True, False, False, True] * 3
+    wall = build_scene(((3.0 + 7.0, 5.0 - 3.0, 0.0), (3.0 + 7.4, 5.0 + 3.0, 4.0)))
+    behind = build_surroundings(wall, [build_run(block, vru, vut)])
+    found = scan_from_vut(behind, load_vut_camera(), load_vut_lidar(), _rng())
+    assert found.tolist() == [False, False, False, False] + [True, False, False, True] * 2

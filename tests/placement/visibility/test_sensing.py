@@ -1,0 +1,276 @@
+from bisect import bisect_left
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from geometry.actors import Actor, Shape
+from geometry.lidar import (
+    LidarDetection,
+    beams_per_steradian,
+    load_lidar_detection,
+    load_lidars,
+)
+from geometry.poses import camera_rotation
+from placement.detectors import VRU_CLASSES, GeometricDetector, load_planning_detector
+from placement.evaluator import scan
+from placement.evaluator.perceive import perceive_from_roadside
+from placement.evaluator.scan import scan_from_roadside
+from placement.evaluator.surroundings import build_surroundings
+from placement.visibility import build_detection_table, sensing
+from placement.visibility.build import N_POINTS
+from placement.visibility.casting import build_world, cast_sight
+from placement.visibility.sensing import build_sensing
+
+WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
+WEATHERS = ("day", "night", "rain", "fog")
+STUDY = load_lidars()["carla-ncap-lidar"]
+SURE = replace(STUDY, reference_range_m=1.0e6)  # whatever it hits comes back
+RESPONSE = load_planning_detector("response")
+FAR_SIGHTED = GeometricDetector(min_iou=0.5, min_box_height_px=3.0, min_contrast=0.05)
+
+
+@pytest.fixture(scope="module")
+def random_runs(build_run):
+    """An adult, a child and a cyclist that jump about among walls, with the VUT near them."""
+    return _jumping(build_run, 14.0)
+
+
+def _jumping(build_run, reach_m):
+    rng = np.random.default_rng(8)
+    runs = []
+    for body in ("adult", "child", "cyclist"):
+        vru = rng.uniform(-1.0, 1.0, (80, 3)) * [reach_m, reach_m, 180.0]
+        aside = rng.uniform(3.0, 6.0, 80) * np.exp(1j * rng.uniform(0, 2 * np.pi, 80))
+        vut = vru + np.column_stack([aside.real, aside.imag, rng.uniform(-180, 180, 80)])
+        runs.append(build_run(vru, vut, vru=body, name=body))
+    return tuple(runs)
+
+
+@pytest.fixture(scope="module")
+def table_of(axis_of):
+    def build(scene, candidates, runs, detector=FAR_SIGHTED):
+        table = build_detection_table(scene, candidates, runs, axis_of(runs), detector=detector)
+        return table.detected(slice(None))
+
+    return build
+
+
+def _in_weathers(runs):
+    return [
+        replace(run, id=f"{run.id}/{weather}", weather=weather)
+        for weather in WEATHERS
+        for run in runs
+    ]
+
+
+# Weather
+
+
+def test_in_fog_the_table_loses_what_is_beyond_the_visibility_and_nothing_else(
+    build_scene, build_run, mount, table_of
+):
+    """5 % of the contrast is left 50 m away: that is what the detector asks for."""
+    distance_m = np.linspace(10.0, 100.0, 181)
+    run = build_run(np.column_stack([distance_m, np.zeros(181), np.full(181, 90.0)]))
+    camera = mount("a", [0.0, 0.0, 0.9])
+    found = table_of(build_scene(), [camera], _in_weathers([run])).reshape(4, -1)
+    by_day, at_night, in_rain, in_fog = found
+    assert by_day.all()
+    assert at_night.all()  # 0.6 of the contrast, and clear air
+    assert in_rain.all()
+    # The middle of the points may lie a few centimetres beside that of the footprint.
+    assert in_fog[distance_m < 49.8].all()
+    assert not in_fog[distance_m > 50.2].any()
+
+
+@pytest.mark.parametrize("detector", [FAR_SIGHTED, RESPONSE], ids=lambda d: d.name)
+def test_no_weather_shows_what_the_day_does_not(
+    build_scene, build_run, mount, small_camera, table_of, detector
+):
+    random_runs = _jumping(build_run, 40.0)
+    candidates = [
+        mount(f"{name}/{yaw:g}", [-10.0, -12.0, 6.0], yaw_deg=yaw, pitch_deg=-20.0, camera=sensor)
+        for yaw in (20.0, 60.0)
+        for name, sensor in (("camera", small_camera), ("lidar", STUDY))
+    ]
+    scene = build_scene(*WALLS)
+    found = table_of(scene, candidates, _in_weathers(random_runs), detector)
+    found = found.reshape(4, 4, -1)  # candidate, weather, frame
+    by_day = found[:, 0]
+    assert (found <= by_day[:, None]).all()
+    assert (found[::2, 3] < by_day[::2]).any(axis=1).all()  # cameras: LiDARs do not see that far
+    assert np.array_equal(by_day, table_of(scene, candidates, random_runs, detector))
+    # At night a laser sees what it sees by day.
+    assert np.array_equal(found[1::2, 1], by_day[1::2])
+
+
+# Response
+
+
+def _evidence_of_frames(scene, runs, candidate, detector):
+    """What the table and what the evaluator get to see, in the frames that the table casts."""
+    world = build_world(scene, runs, n_points=N_POINTS, seed=0)
+    position, pose, camera = candidate.pose.position_m, candidate.pose, candidate.sensor
+    sight = cast_sight(world, position, near_m=camera.near_m, max_distance_m=1000.0)
+    frames = np.flatnonzero(sight.entry_of_frame >= 0)
+    made = build_sensing(world, sight, position, detector)
+    entries = sight.entry_of_frame[frames]
+    by_points = sensing._project(
+        made, entries, camera_rotation(pose.yaw_deg, pose.pitch_deg), camera
+    )
+    by_points = replace(by_points, contrast=made.contrast[0, entries])
+    by_pixels = perceive_from_roadside(
+        build_surroundings(scene, runs).take(frames), pose, camera, with_shares=True
+    )
+    return by_points, by_pixels
+
+
+def test_the_response_foretold_by_points_is_that_of_pixels(build_scene, random_runs, mount):
+    """Points are 10 cm apart, and a share of them is no share of pixels: a tenth on most frames."""
+    assert RESPONSE.needs_shares
+    candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
+    evidence = _evidence_of_frames(build_scene(*WALLS), random_runs, candidate, RESPONSE)
+    by_points, by_pixels = (RESPONSE.probability(one) for one in evidence)
+    is_seen = (by_points > 0.05) | (by_pixels > 0.05)
+    assert is_seen.sum() > 100
+    off = np.abs(by_points - by_pixels)[is_seen]
+    assert np.median(off) < 0.02
+    assert (off < 0.1).mean() > 0.9
+    # Nobody is left out of the image by one of them only.
+    assert np.array_equal(evidence[0].vru_class, evidence[1].vru_class)
+    assert evidence[0].aspect_deg == pytest.approx(evidence[1].aspect_deg, abs=3.0)
+    assert evidence[0].contrast == pytest.approx(evidence[1].contrast, abs=0.01)
+    cut_off = np.abs(evidence[0].inside_share - evidence[1].inside_share)[is_seen]
+    assert (cut_off < 0.1).mean() > 0.95
+
+
+def test_a_table_of_the_response_counts_frames_from_the_planned_probability_on(
+    build_scene, random_runs, mount, table_of
+):
+    candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
+    scene = build_scene(*WALLS)
+    surroundings = build_surroundings(scene, random_runs)
+    evidence = perceive_from_roadside(
+        surroundings, candidate.pose, candidate.sensor, with_shares=True
+    )
+    for plan_probability in (0.2, 0.5, 0.8):
+        detector = replace(RESPONSE, plan_probability=plan_probability)
+        (found,) = table_of(scene, [candidate], random_runs, detector)
+        assert (found == (RESPONSE.probability(evidence) >= plan_probability)).mean() > 0.93
+        assert found.any()
+
+
+# LiDAR
+
+
+@pytest.fixture
+def expected_points(monkeypatch, build_scene, axis_of):
+    """Points that the table expects on the VRU in the only frame, up to one."""
+
+    def count(candidate, run):
+        def is_too_much(n_points):
+            detection = LidarDetection(
+                min_points=dict.fromkeys(VRU_CLASSES, n_points),
+                reflectivity=load_lidar_detection().reflectivity,
+            )
+            monkeypatch.setattr(sensing, "load_lidar_detection", lambda: detection)
+            table = build_detection_table(
+                build_scene(), [candidate], [run], axis_of([run]), detector=FAR_SIGHTED
+            )
+            return not table.detected(slice(None))[0, 0]
+
+        return bisect_left(range(1, 4000), True, key=is_too_much)
+
+    return count
+
+
+@pytest.fixture
+def block_run(build_run):
+    """A block 1 m wide, 1.8 m high and 0.5 m deep whose face is at a distance, facing west."""
+
+    def build(distance_m, yaw_deg=0.0):
+        mesh = trimesh.creation.box((0.5, 1.0, 1.8)).subdivide().subdivide()
+        block = Actor(
+            name="block",
+            class_name="pedestrian",
+            length_m=0.5,
+            width_m=1.0,
+            height_m=1.8,
+            shapes=(Shape(vertices_m=mesh.vertices + [0.0, 0.0, 0.9], triangles=mesh.faces),),
+        )
+        run = build_run([[distance_m + 0.25, 0.0, yaw_deg]])
+        return replace(
+            run,
+            encounter=replace(run.encounter, vru=block),
+            vru_shape=np.zeros(1, dtype=np.int64),
+        )
+
+    return build
+
+
+@pytest.mark.parametrize("distance_m", [8.0, 12.0, 20.0])
+def test_a_plate_gets_its_area_by_the_square_of_the_distance_times_the_density(
+    mount, block_run, expected_points, distance_m
+):
+    found = expected_points(mount("a", [0.0, 0.0, 0.9], camera=SURE), block_run(distance_m))
+    expected = 1.0 * 1.8 / distance_m**2 * float(beams_per_steradian(SURE, 0.0))
+    assert found == pytest.approx(expected, rel=0.06, abs=1.0)
+
+
+@pytest.mark.parametrize("body", ["adult", "child", "cyclist"])
+def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
+    build_scene, build_run, mount, expected_points, monkeypatch, body
+):
+    """On average over poses all around, in the open: within 8 %."""
+    candidate = mount("a", [0.0, 0.0, 1.2], camera=SURE)
+    n_expected, n_beams = 0, []
+    monkeypatch.setattr(
+        scan, "_is_enough", lambda echoes, *given: n_beams.append(len(echoes.distance_m))
+    )
+    for yaw_deg in range(0, 360, 60):
+        run = build_run([[8.0, 0.5, yaw_deg]], vru=body)
+        n_expected += expected_points(candidate, run)
+        scan_from_roadside(
+            build_surroundings(build_scene(), [run]), candidate.pose, SURE, np.random.default_rng(0)
+        )
+    assert n_expected == pytest.approx(sum(n_beams), rel=0.08)
+
+
+def test_only_the_part_inside_the_field_of_view_counts(mount, block_run, expected_points):
+    """The beams end 15 degrees below the axis: looking up by 15, the lower half is left out."""
+    run = block_run(8.0)
+    level, raised, turned = (
+        expected_points(mount("a", [0.0, 0.0, 0.9], camera=SURE, **pose), run)
+        for pose in ({}, {"pitch_deg": 15.0}, {"yaw_deg": 36.0})
+    )
+    assert raised == pytest.approx(0.5 * level, rel=0.15)
+    assert turned == pytest.approx(0.5 * level, rel=0.15)
+    away = expected_points(mount("a", [0.0, 0.0, 0.9], camera=SURE, yaw_deg=60.0), run)
+    beyond = expected_points(mount("a", [0.0, 0.0, 0.9], camera=replace(SURE, range_m=7.0)), run)
+    assert (away, beyond) == (0, 0)
+
+
+@pytest.mark.parametrize("lidar", [STUDY, SURE], ids=["study", "sure"])
+def test_the_table_detects_in_the_frames_in_which_a_scan_does(
+    build_scene, random_runs, mount, table_of, lidar
+):
+    scene = build_scene(*WALLS)
+    candidates = [
+        mount(f"{x:g}/{yaw:g}", [x, -12.0, 6.0], yaw_deg=yaw, pitch_deg=-18.0, camera=lidar)
+        for x in (-10.0, 3.0)
+        for yaw in (60.0, 90.0, 120.0)
+    ]
+    found = table_of(scene, candidates, random_runs)
+    surroundings = build_surroundings(scene, random_runs)
+    scans = np.array(
+        [
+            scan_from_roadside(surroundings, c.pose, lidar, np.random.default_rng(0))
+            for c in candidates
+        ]
+    )
+    agreement = (found == scans).mean(axis=1)
+    assert agreement.min() > 0.93
+    assert agreement.mean() > 0.96
+    assert 0.2 < scans.mean() < 0.8
