@@ -45,7 +45,8 @@ Examples:
   place-rsus render --layout carlancap-12 --run CPNC-50/east/40 --frame -13 --unit RSU3
   place-rsus render --layout carlancap-12 --run CBNA/east/60/rain --frame -1 --unit VUT
   place-rsus render --layout results/latest/layout.json --run CPNC-50/east/55 \\
-      --weather night --frame -20 --unit RSU1 --out night.jpg"""
+      --weather night --frame -20 --unit RSU1 --out night.jpg
+  place-rsus render --layout carlancap-12 --run CBLA/west/50 --frame -11 --unit VUT-LIDAR"""
 )
 @layout_option
 @click.option(
@@ -62,7 +63,11 @@ Examples:
     help="Of the run, from 0; negative: from the end, -1 is at the impact.",
 )
 @click.option(
-    "--unit", "unit_id", required=True, metavar="UNIT", help="One of the layout's, or VUT."
+    "--unit",
+    "unit_id",
+    required=True,
+    metavar="UNIT",
+    help="One of the layout's, VUT or VUT-LIDAR.",
 )
 @click.option(
     "--weather", metavar="WEATHER", help="day, night, rain or fog; default: that of the run."
@@ -70,8 +75,8 @@ Examples:
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
-    help="File to write, .png or .jpg; -instances.png and -depth.png are written beside it; "
-    "default: a .png in results/renders.",
+    help="File to write, .png or .jpg; -instances.png and -depth.png are written beside it; of a "
+    "LiDAR .ply, or .bin with float32 x, y, z, intensity; default: in results/renders.",
 )
 @click.option(
     "--seed",
@@ -96,7 +101,7 @@ def render(
     quiet: bool,
     workers: int,
 ) -> None:
-    """Render what a camera sees in one frame: colours, instances, depths."""
+    """Render what a camera sees in one frame (colours, instances, depths), or scan by LiDAR."""
     if len(layout_names) != 1:
         got = f"{len(layout_names)} layouts" if layout_names else "nothing"
         raise click.UsageError(f"--layout: got {got}; expected it once")
@@ -111,14 +116,15 @@ def render(
     run = rendering.find_run(run_id, scene, weather=weather)
     frame_index = rendering.find_frame(run, frame)
     viewpoint = rendering.find_viewpoint(layout, unit_id, run, frame_index)
-    path = out or _default_path(run, unit_id, frame_index)
-    rendering.check_picture_path(path)
+    suffix = rendering.suffixes_of(viewpoint.sensor)[0]
+    path = out or _default_path(run, unit_id, frame_index, suffix)
+    rendering.check_path(path, viewpoint.sensor)
     progress("render", 0, 0)
-    picture = rendering.render(scene, run, frame_index, viewpoint, seed=seed, workers=workers)
+    seen = rendering.render(scene, run, frame_index, viewpoint, seed=seed, workers=workers)
     try:
         if out is None:
             path.parent.mkdir(parents=True, exist_ok=True)
-        written = rendering.save_picture(path, picture)
+        written = rendering.save(path, seen)
     except OSError as error:
         raise click.UsageError(
             f"--out: got {path}: {error.strerror or error}; expected a file that can be written"
@@ -126,13 +132,13 @@ def render(
     progress.stop()
     for file in written:
         click.echo(f"Written to {file}.")
-    click.echo(rendering.vru_sentence(picture))
+    click.echo(rendering.vru_sentence(seen))
 
 
-def _default_path(run: Any, unit_id: str, frame_index: int) -> Path:
+def _default_path(run: Any, unit_id: str, frame_index: int, suffix: str) -> Path:
     parts = [*run.case.name.split("/"), run.approach, f"{run.vut_speed_kmh:g}", run.weather]
     name = "_".join([*parts, f"frame-{frame_index}", unit_id])
-    return Path("results", "renders", name.replace(os.sep, "_") + ".png")
+    return Path("results", "renders", name.replace(os.sep, "_") + suffix)
 
 
 def _load_layout(name: str) -> Any:

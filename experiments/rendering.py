@@ -1,4 +1,4 @@
-"""A picture of one frame: which run, frame and unit are meant, and the files that show it."""
+"""A picture or point cloud of one frame: which run, frame and unit, and the files that show it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,23 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.atomic_files import write_atomically
-from geometry.errors import InputError, Unquoted
+from geometry.catalogue import Sensor
+from geometry.errors import InputError
 from geometry.image_boxes import mask_box
+from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.scene import Scene
-from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.evaluator.pictures import vut_camera_pose
-from placement.evaluator.vut_camera import load_vut_camera
-from placement.imaging import Picture, render_picture
+from placement.evaluator.vut_camera import load_vut_camera, load_vut_lidar
+from placement.imaging import Picture, PointCloud, render_picture, scan_cloud
 from placement.layout import Layout
 from scenarios.runs import WEATHERS, Run
 
 from .driving import drive_one
 from .question import Question
 
-VUT_UNIT = "VUT"
+VUT_UNIT, VUT_LIDAR_UNIT = "VUT", "VUT-LIDAR"
 COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
+CLOUD_SUFFIXES = (".ply", ".bin")
 _RUN_ID = "case/approach/speed or case/approach/speed/weather, such as CPNC-50/east/40/night"
 _JPEG_QUALITY = 85
 _MAX_CM = 65535  # what 16 bits hold
@@ -39,14 +41,14 @@ class Viewpoint:
     ----------
     pose : Pose
         Of the camera, world frame.
-    camera : CameraModel
+    sensor : CameraModel or LidarModel
         What looks.
     with_vut : bool
-        Whether the VUT is drawn: not for its own camera.
+        Whether the VUT is there to be seen: not for its own sensors.
     """
 
     pose: Pose
-    camera: CameraModel
+    sensor: Sensor
     with_vut: bool
 
 
@@ -104,14 +106,14 @@ def find_frame(run: Run, frame: int) -> int:
 
 
 def find_viewpoint(layout: Layout, unit_id: str, run: Run, frame_index: int) -> Viewpoint:
-    """Where a unit's camera is in a frame.
+    """Where a unit's sensor is in a frame.
 
     Parameters
     ----------
     layout : Layout
         The units.
     unit_id : str
-        One of them, or "VUT".
+        One of them, or "VUT" for its camera, "VUT-LIDAR" for its LiDAR.
     run : Run
         What drives.
     frame_index : int
@@ -120,53 +122,101 @@ def find_viewpoint(layout: Layout, unit_id: str, run: Run, frame_index: int) -> 
     Returns
     -------
     viewpoint : Viewpoint
-        Pose and camera.
+        Pose and sensor.
 
     Raises
     ------
     InputError
-        There is no such unit, or it has no camera.
+        There is no such unit.
     """
-    if unit_id.upper() == VUT_UNIT:
-        mount = load_vut_camera()
+    mount = load_vut_camera()
+    own: dict[str, Sensor] = {VUT_UNIT: mount.camera, VUT_LIDAR_UNIT: load_vut_lidar()}
+    if unit_id.upper() in own:
         pose = vut_camera_pose(mount, run, frame_index)
-        return Viewpoint(pose=pose, camera=mount.camera, with_vut=False)
+        return Viewpoint(pose=pose, sensor=own[unit_id.upper()], with_vut=False)
     units = {unit.id: unit for unit in layout.units}
     if unit_id not in units:
-        raise InputError("--unit", unit_id, "one of " + ", ".join([*units, VUT_UNIT]))
-    sensor = units[unit_id].sensor
-    if not isinstance(sensor, CameraModel):
-        raise InputError("--unit", Unquoted(f"{unit_id}, a {sensor.name}"), "a unit with a camera")
-    return Viewpoint(pose=units[unit_id].pose, camera=sensor, with_vut=True)
+        raise InputError("--unit", unit_id, "one of " + ", ".join([*units, *own]))
+    return Viewpoint(pose=units[unit_id].pose, sensor=units[unit_id].sensor, with_vut=True)
 
 
 def render(
     scene: Scene, run: Run, frame_index: int, viewpoint: Viewpoint, *, seed: int, workers: int
-) -> Picture:
-    """The picture of a frame in the run's weather."""
+) -> Picture | PointCloud:
+    """The picture, or point cloud, of a frame in the run's weather."""
+    weather = pick_weather(run.weather, "--weather")
+    if isinstance(viewpoint.sensor, LidarModel):
+        return scan_cloud(
+            scene,
+            run,
+            frame_index,
+            viewpoint.pose,
+            viewpoint.sensor,
+            weather=weather,
+            with_vut=viewpoint.with_vut,
+            seed=seed,
+        )
     return render_picture(
         scene,
         run,
         frame_index,
         viewpoint.pose,
-        viewpoint.camera,
-        weather=pick_weather(run.weather, "--weather"),
+        viewpoint.sensor,
+        weather=weather,
         with_vut=viewpoint.with_vut,
         seed=seed,
         workers=workers,
     )
 
 
-def check_picture_path(path: Path) -> None:
-    """Refuse a file name that says no format.
+def suffixes_of(sensor: Sensor) -> tuple[str, ...]:
+    """Endings of files that show what a sensor sees, the usual one first."""
+    return CLOUD_SUFFIXES if isinstance(sensor, LidarModel) else COLOUR_SUFFIXES
+
+
+def check_path(path: Path, sensor: Sensor) -> None:
+    """Refuse a file name that says no format of a sensor's.
 
     Raises
     ------
     InputError
-        The name ends in none of ``COLOUR_SUFFIXES``.
+        The name ends in none of :func:`suffixes_of`.
     """
-    if path.suffix.lower() not in COLOUR_SUFFIXES:
-        raise InputError("--out", str(path), "a name that ends in " + ", ".join(COLOUR_SUFFIXES))
+    known = suffixes_of(sensor)
+    if path.suffix.lower() not in known:
+        raise InputError("--out", str(path), "a name that ends in " + ", ".join(known))
+
+
+def save(path: Path, seen: Picture | PointCloud) -> tuple[Path, ...]:
+    """Write a picture or a point cloud; see :func:`save_picture` and :func:`save_cloud`."""
+    return save_cloud(path, seen) if isinstance(seen, PointCloud) else save_picture(path, seen)
+
+
+def save_cloud(path: Path, cloud: PointCloud) -> tuple[Path]:
+    """Write a point cloud, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        ".ply": points in the LiDAR's frame with a colour for each thing; ".bin": float32 x, y, z,
+        intensity, as the study releases them.
+    cloud : PointCloud
+        What to write.
+
+    Returns
+    -------
+    paths : tuple of Path
+        The file.
+    """
+    import trimesh
+
+    if path.suffix.lower() == ".bin":
+        content = np.column_stack([cloud.points_m, cloud.intensity]).astype("<f4").tobytes()
+    else:
+        colours = instance_colours(cloud.names)[cloud.instance]
+        content = trimesh.PointCloud(cloud.points_m, colours).export(file_type="ply")
+    write_atomically(path, lambda file: file.write(content))
+    return (path,)
 
 
 def save_picture(path: Path, picture: Picture) -> tuple[Path, Path, Path]:
@@ -187,14 +237,11 @@ def save_picture(path: Path, picture: Picture) -> tuple[Path, Path, Path]:
 
     Raises
     ------
-    InputError
-        The name says no format.
     OSError
         A file cannot be written.
     """
     from PIL import Image
 
-    check_picture_path(path)
     colours = instance_colours(picture.names)[picture.instance]
     centimetres = np.where(np.isfinite(picture.depth_m), picture.depth_m * 100.0, 0.0)
     depth = np.clip(np.rint(centimetres), 0, _MAX_CM).astype(np.uint16)
@@ -247,8 +294,15 @@ def instance_colours(names: tuple[str, ...]) -> NDArray[np.uint8]:
     return np.rint(255.0 * np.array(colours)).astype(np.uint8)
 
 
-def vru_sentence(picture: Picture) -> str:
+def vru_sentence(seen: Picture | PointCloud) -> str:
     """Whether and where the VRU is in view."""
+    if isinstance(seen, PointCloud):
+        count = int((seen.instance == seen.names.index("vru")).sum())
+        return f"VRU: {count} of {len(seen.instance)} points."
+    return _box_sentence(seen)
+
+
+def _box_sentence(picture: Picture) -> str:
     box = mask_box(picture.instance == picture.names.index("vru"))
     if not box.any():
         return "VRU: not in view."

@@ -26,6 +26,7 @@ CASES = tuple(OWN_CASES.split(","))
 HEATMAP_SPEEDS_KMH = {"CPNC-50": 55, "CBNA": 60, "CBLA": 50}  # the runs that the study draws
 WEATHERS = ("day", "night", "rain", "fog")
 DETECTORS = ("geometric", "response")
+_NEARLY_ALL = 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,6 +146,11 @@ def write_reproduction(
             "## Who sees whom when",
             "",
             "From the east; the dashed line is the last moment to brake, a diamond a confirmation.",
+            "",
+            *(_who_sees(base, run_index) for run_index in heatmaps),
+            "",
+            "The study, of CPNC-50 at 55 km/h: the VUT cannot brake in time; four RSUs see the VRU "
+            "in nearly all frames, a fifth (RSU2) for some before the last moment.",
             "",
             "![Heatmaps of three runs](reproduction_heatmaps.png)",
             "",
@@ -274,6 +280,26 @@ def _weather_table(by_weather: dict[str, Evaluation]) -> list[str]:
         "cyclists in rain. Its figures are not given; fog it leaves to further work.",
         "",
     ]
+
+
+def _who_sees(evaluation: Evaluation, run_index: int) -> str:
+    """Which RSUs detect in nearly all frames of a run, and which in some before its last moment."""
+    axis = evaluation.axis
+    frames = axis.frames_of(run_index)
+    in_time = axis.time_s[frames] <= axis.last_brake_time_s[run_index]
+    nearly_all, some = [], []
+    for name, verdict in evaluation.units.items():
+        detected = verdict.detected[frames]
+        if detected.mean() >= _NEARLY_ALL:
+            nearly_all.append(name)
+        elif (detected & in_time).any():
+            some.append(name)
+    outcome = "brakes in time" if evaluation.vut.is_avoided[run_index] else "brakes too late"
+    return (
+        f"* {axis.run_ids[run_index]}: the VUT alone {outcome}; in at least "
+        f"{100.0 * _NEARLY_ALL:g} % of the frames: {', '.join(nearly_all) or 'none'}; in some "
+        f"before the last moment: {', '.join(some) or 'none'}."
+    )
 
 
 def _predictions(found: Sequence[dict[tuple[str, str], float]], units: Sequence[str]) -> list[str]:

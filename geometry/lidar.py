@@ -287,6 +287,13 @@ def load_lidar_detection() -> LidarDetection:
     return _read_detection(take(_data(), "detection", _FILE))
 
 
+@cache
+def load_surface_reflectivity() -> dict[str, float]:
+    """Diffuse reflectivity of all but VRUs, by class name, from ``data/lidars.toml``."""
+    table = take(_data(), "surfaces", _FILE)
+    return {name: take_number(table, name, f"{_FILE}: surfaces") for name in table}
+
+
 _FILE = "lidars.toml"
 
 

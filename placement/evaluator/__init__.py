@@ -3,7 +3,8 @@
 Tour: ``surroundings`` holds everything there is to see; ``render`` casts one ray per pixel and
 gives instances and depths; ``perceive`` derives the visible and the amodal box of the VRU in
 every frame, for roadside cameras and for the one that ``vut_camera`` places on the VUT;
-``evaluate`` detects, confirms, brakes and looks for contact.
+``scan`` counts LiDAR points, ``pictures`` draws for networks, ``watch`` detects from every unit,
+``awareness`` is what VRUs announce; ``evaluate`` confirms, brakes and looks for contact.
 """
 
 from .evaluate import evaluate_layout, evaluate_layouts

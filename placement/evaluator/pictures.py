@@ -1,6 +1,7 @@
 """Pictures of the evaluator's frames, for detectors that look at them."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError
 from threading import Lock
 
 import numpy as np
@@ -20,13 +21,25 @@ PictureOfFrame = Callable[[int], Image]
 
 
 class PictureSource:
-    """Draws a frame when it is asked for; what stands still is prepared once per obstruction."""
+    """Draws a frame when it is asked for; what stands still is prepared once per obstruction.
+
+    Attributes
+    ----------
+    n_drawn : int
+        Pictures so far.
+    """
 
     def __init__(self, scene: Scene, runs: Sequence[Run], *, seed: int) -> None:
         self._scene, self._runs, self._seed = scene, runs, seed
         self._start = np.concatenate([[0], np.cumsum([len(run.time_s) for run in runs])])
         self._backdrops: dict[tuple[object, ...], Backdrop] = {}
         self._lock = Lock()
+        self._is_closed = False
+        self.n_drawn = 0
+
+    def close(self) -> None:
+        """Draw no more: whoever asks for another picture is stopped."""
+        self._is_closed = True
 
     def from_roadside(self, pose: Pose, camera: CameraModel) -> PictureOfFrame:
         """Pictures of a fixed camera.
@@ -60,8 +73,10 @@ class PictureSource:
         return self._runs[run_index], frame - int(self._start[run_index])
 
     def _draw(self, frame: int, pose: Pose, camera: CameraModel, *, with_vut: bool) -> Image:
+        if self._is_closed:
+            raise CancelledError
         run, index = self._find(frame)
-        return draw_picture(
+        picture = draw_picture(
             self._backdrop(run.obstruction),
             run,
             index,
@@ -70,7 +85,10 @@ class PictureSource:
             weather=pick_weather(run.weather, "run: weather"),
             with_vut=with_vut,
             seed=self._seed,
-        ).rgb
+        )
+        with self._lock:
+            self.n_drawn += 1
+        return picture.rgb
 
     def _backdrop(self, obstruction: tuple[PlacedActor, ...]) -> Backdrop:
         key = tuple(parked.key for parked in obstruction)

@@ -4,8 +4,18 @@
 ``materials``, ``surfaces`` and ``bodies`` say what is sent back, ``sky``, ``lamps`` and ``light``
 what falls on it; ``shading`` puts them together, ``edges`` smooths stairs, ``air`` adds drops and
 glare, ``imager`` exposes.
+``cloud`` scans the same mesh with a LiDAR.
 """
 
+from .cloud import PointCloud, scan_cloud
 from .picture import Backdrop, Picture, build_backdrop, draw_picture, render_picture
 
-__all__ = ["Backdrop", "Picture", "build_backdrop", "draw_picture", "render_picture"]
+__all__ = [
+    "Backdrop",
+    "Picture",
+    "PointCloud",
+    "build_backdrop",
+    "draw_picture",
+    "render_picture",
+    "scan_cloud",
+]

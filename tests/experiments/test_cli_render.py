@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from experiments import cli
-from experiments.cli_render import render
 from experiments.rendering import find_frame, find_run, instance_colours
 from geometry.errors import InputError
 from geometry.scene_files import load_study_scene
@@ -18,11 +16,6 @@ ASKED = {
     "--frame": "-13",
     "--unit": "RSU3",
 }
-
-
-@pytest.fixture(autouse=True)
-def _registered(monkeypatch):
-    monkeypatch.setitem(cli.cli.commands, "render", render)
 
 
 @pytest.fixture
@@ -120,3 +113,23 @@ def test_colours_of_things_differ_and_the_vrus_is_the_lightest():
     grey = colours @ [0.2126, 0.7152, 0.0722]
     assert grey.argmax() == names.index("vru")
     assert (colours[-1] == 0.0).all()
+
+
+def test_a_lidar_writes_points_that_others_can_read(run, tmp_path):
+    import trimesh
+
+    command = ("render", "--layout", "carlancap-12", "--run", "CBLA/west/50", "--frame", "-11")
+    cloud, raw = tmp_path / "a.ply", tmp_path / "a.bin"
+    code, out, _ = run(*command, "--unit", "VUT-LIDAR", "--out", cloud, "--quiet")
+    assert code == 0
+    points = trimesh.load(cloud).vertices
+    assert out.splitlines()[0] == f"Written to {cloud}."
+    assert out.splitlines()[1].endswith(f" of {len(points)} points.")
+    code, _, _ = run(*command, "--unit", "vut-lidar", "--out", raw, "--quiet")
+    assert code == 0
+    numbers = np.fromfile(raw, dtype="<f4").reshape(-1, 4)
+    assert numbers[:, :3] == pytest.approx(np.asarray(points), abs=1e-4)
+    assert ((numbers[:, 3] > 0.0) & (numbers[:, 3] <= 1.0)).all()
+    code, _, error = run(*command, "--unit", "VUT-LIDAR", "--out", tmp_path / "a.png", "--quiet")
+    assert code == 2
+    assert error.endswith("expected a name that ends in .ply, .bin\n")

@@ -9,7 +9,7 @@ from geometry.errors import InputError
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.detectors import load_detector
-from placement.evaluator import evaluate
+from placement.evaluator import watch
 from placement.evaluator.evaluate import evaluate_layout, evaluate_layouts
 from placement.evaluator.perceive import perceive_from_roadside
 from placement.evaluator.surroundings import build_surroundings
@@ -79,10 +79,10 @@ def pretend(monkeypatch, build_layout, setting, axis):
         def by_vut_lidar(surroundings, mount, lidar, rng):
             return vut_lidar_row
 
-        monkeypatch.setattr(evaluate, "_VUT_JOBS", 1)  # all frames at once
-        monkeypatch.setattr(evaluate, "perceive_from_roadside", from_roadside)
-        monkeypatch.setattr(evaluate, "perceive_from_vut", from_vut)
-        monkeypatch.setattr(evaluate, "scan_from_vut", by_vut_lidar)
+        monkeypatch.setattr(watch, "_VUT_JOBS", 1)  # all frames at once
+        monkeypatch.setattr(watch, "perceive_from_roadside", from_roadside)
+        monkeypatch.setattr(watch, "perceive_from_vut", from_vut)
+        monkeypatch.setattr(watch, "scan_from_vut", by_vut_lidar)
         names = [f"unit {index}" for index in range(len(rows))]
         return evaluate_layout(
             build_layout(*names, latencies_s=latencies_s), replace(setting, **changes), seed=seed
@@ -392,8 +392,8 @@ def test_interruption_leaves_the_other_units_unseen(monkeypatch, build_layout, s
     def from_vut(surroundings, vut_camera, *, min_height_px, with_shares):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(evaluate, "perceive_from_roadside", from_roadside)
-    monkeypatch.setattr(evaluate, "perceive_from_vut", from_vut)
+    monkeypatch.setattr(watch, "perceive_from_roadside", from_roadside)
+    monkeypatch.setattr(watch, "perceive_from_vut", from_vut)
     with pytest.raises(KeyboardInterrupt):
         evaluate_layout(build_layout(*map(str, range(500))), setting)
     assert len(n_seen) < 500

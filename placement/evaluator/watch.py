@@ -1,0 +1,204 @@
+"""Frames in which the VRU is detected, by every unit and by the VUT itself."""
+
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, as_completed, wait
+from contextlib import closing, contextmanager
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from geometry.arrays import BoolArray, IntArray
+from geometry.image_boxes import box_height_px
+from geometry.lidar import LidarModel
+from geometry.poses import Pose
+from geometry.sensors import CameraModel
+
+from ..candidates import CandidatePose
+from ..detectors import Evidence, is_matched, load_min_iou
+from ..setting import Setting
+from .perceive import perceive_from_roadside, perceive_from_vut
+from .pictures import PictureOfFrame, PictureSource
+from .scan import scan_from_roadside, scan_from_vut
+from .surroundings import build_surroundings
+from .vut_camera import load_vut_camera, load_vut_lidar
+
+UnitKey = tuple[object, ...]
+VUT_KEY: UnitKey = ("vut",)
+Progress = Callable[[int, int], None]
+
+_VUT_JOBS = 4  # nothing repeats in the VUT's images: they take longer than those of an RSU
+_POLL_S = 0.5
+
+
+def unit_key(unit: CandidatePose) -> UnitKey:
+    """Equal for units that see the same."""
+    pose = unit.pose
+    return (*pose.position_m.tolist(), pose.yaw_deg, pose.pitch_deg, unit.sensor)
+
+
+def build_rng(seed: int, *key: object) -> np.random.Generator:
+    """Luck of its own for each thing, whatever else there is."""
+    return np.random.default_rng([seed, zlib.crc32(repr(key).encode())])
+
+
+def watch(
+    setting: Setting,
+    units: Mapping[UnitKey, CandidatePose],
+    *,
+    seed: int,
+    workers: int,
+    on_progress: Progress,
+) -> dict[UnitKey, BoolArray]:
+    """Frames in which each unit, and the VUT under ``VUT_KEY``, detects the VRU.
+
+    Parameters
+    ----------
+    setting : Setting
+        Scene, runs, detector, the VUT's sensors.
+    units : mapping of key to CandidatePose
+        See :func:`unit_key`.
+    seed : int
+        Of what is left to chance.
+    workers : int
+        Threads.
+    on_progress : callable
+        Called from the calling thread: first with poses looked from, a quarter of the VUT's frames
+        counting as one; then, where the detector looks at pictures, with pictures.
+
+    Returns
+    -------
+    detected : dict of key to (n_frames,) bool
+        Before any message is lost.
+    """
+    watcher = _Watcher(setting, seed)
+    looks, detected = watcher.look(units, workers, on_progress)
+    found = watcher.find(looks, units, workers, on_progress)
+    nothing = np.zeros(setting.axis.n_frames, dtype=bool)
+    return {key: found.get(key, nothing) | detected.get(key, nothing) for key in (VUT_KEY, *units)}
+
+
+class _Watcher:
+    """Looks from every unit, then lets the detector find the VRU in what is seen."""
+
+    def __init__(self, setting: Setting, seed: int) -> None:
+        self._setting, self._seed = setting, seed
+        self._surroundings = build_surroundings(setting.scene, setting.runs)
+        mount = load_vut_camera()
+        self._mount = replace(mount, camera=setting.vut_camera or mount.camera)
+
+    def look(
+        self, units: Mapping[UnitKey, CandidatePose], workers: int, on_progress: Progress
+    ) -> tuple[dict[UnitKey, Evidence], dict[UnitKey, BoolArray]]:
+        """What cameras show, and the frames in which LiDARs detect."""
+        n_frames = self._setting.axis.n_frames
+        parts = np.array_split(np.arange(n_frames), min(_VUT_JOBS, n_frames))
+        looks: dict[UnitKey, Future[Evidence]] = {}
+        scans: dict[UnitKey, Future[BoolArray]] = {}
+        by_vut: list[Future[Evidence]] = []
+        with _pool(workers) as pool:
+            if "camera" in self._setting.vut_sensors:
+                by_vut = [pool.submit(self._look_from_vut, frames) for frames in parts]
+            if "lidar" in self._setting.vut_sensors:
+                scans[VUT_KEY] = pool.submit(self._scan_from_vut)
+            for key, unit in units.items():
+                if isinstance(unit.sensor, LidarModel):
+                    scans[key] = pool.submit(self._scan, key, unit.pose, unit.sensor)
+                else:
+                    looks[key] = pool.submit(self._look, unit.pose, unit.sensor)
+            jobs: list[Future[Any]] = [*by_vut, *looks.values(), *scans.values()]
+            for n_done, future in enumerate(as_completed(jobs), start=1):
+                future.result()
+                on_progress(n_done, len(jobs))
+        seen = {key: future.result() for key, future in looks.items()}
+        if by_vut:
+            seen[VUT_KEY] = _join([future.result() for future in by_vut])
+        return seen, {key: future.result() for key, future in scans.items()}
+
+    def find(
+        self,
+        looks: Mapping[UnitKey, Evidence],
+        units: Mapping[UnitKey, CandidatePose],
+        workers: int,
+        on_progress: Progress,
+    ) -> dict[UnitKey, BoolArray]:
+        """Frames in which the detector finds the VRU in what each camera shows."""
+        detector = self._setting.detector
+        if not detector.needs_pictures:
+            return {key: self._detect(key, evidence) for key, evidence in looks.items()}
+        heights = [box_height_px(evidence.visible_px) for evidence in looks.values()]
+        least_px = max(detector.min_box_height_px, np.finfo(float).tiny)
+        n_pictures = sum(int((height >= least_px).sum()) for height in heights)
+        source = PictureSource(self._setting.scene, self._setting.runs, seed=self._seed)
+        with _pool(workers) as pool, closing(source):
+            found = {
+                key: pool.submit(
+                    self._detect,
+                    key,
+                    replace(evidence, picture=self._pictures_of(source, units.get(key))),
+                )
+                for key, evidence in looks.items()
+            }
+            pending = set(found.values())
+            while pending:
+                done, pending = wait(pending, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+                for future in done:
+                    future.result()
+                on_progress(source.n_drawn, n_pictures)
+        return {key: future.result() for key, future in found.items()}
+
+    def _detect(self, key: UnitKey, evidence: Evidence) -> BoolArray:
+        found = self._setting.detector.detect(evidence, build_rng(self._seed, key))
+        return is_matched(found, evidence.visible_px, min_iou=load_min_iou())
+
+    def _pictures_of(self, source: PictureSource, unit: CandidatePose | None) -> PictureOfFrame:
+        if unit is None:
+            return source.from_vut(self._mount)
+        assert isinstance(unit.sensor, CameraModel)
+        return source.from_roadside(unit.pose, unit.sensor)
+
+    def _look(self, pose: Pose, camera: CameraModel) -> Evidence:
+        detector = self._setting.detector
+        return perceive_from_roadside(
+            self._surroundings,
+            pose,
+            camera,
+            min_height_px=detector.min_box_height_px,
+            with_shares=detector.needs_shares,
+        )
+
+    def _look_from_vut(self, frames: IntArray) -> Evidence:
+        detector = self._setting.detector
+        return perceive_from_vut(
+            self._surroundings.take(frames),
+            self._mount,
+            min_height_px=detector.min_box_height_px,
+            with_shares=detector.needs_shares,
+        )
+
+    def _scan(self, key: UnitKey, pose: Pose, lidar: LidarModel) -> BoolArray:
+        return scan_from_roadside(self._surroundings, pose, lidar, build_rng(self._seed, key))
+
+    def _scan_from_vut(self) -> BoolArray:
+        rng = build_rng(self._seed, VUT_KEY, "lidar")
+        return scan_from_vut(self._surroundings, self._mount, load_vut_lidar(), rng)
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ThreadPoolExecutor]:
+    """Threads; after an error or an interruption, what has not begun never will."""
+    executor = ThreadPoolExecutor(workers)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+def _join(parts: Sequence[Evidence]) -> Evidence:
+    """Evidence of consecutive frames in one."""
+    names = [field.name for field in fields(Evidence) if field.name != "picture"]
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in names
+    }
+    return Evidence(**joined)
