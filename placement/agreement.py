@@ -147,6 +147,8 @@ def _what_is_seen(setting: Setting, evidence: Evidence, *, is_on_table: bool) ->
         f"{100.0 * float(evidence.visible_share[0]):.0f} % seen, "
         f"IoU {float(iou(evidence.visible_px, evidence.amodal_px)[0]):.2f}"
     )
+    if setting.detector.needs_pictures:
+        return f"{setting.detector.name} judges the picture otherwise than boxes ({seen})"
     if expected == is_on_table:
         return f"chance or a lost message ({seen})"
     return f"sample points and pixels differ at the limit ({seen})"

@@ -51,7 +51,11 @@ def _lamp(**changes):
 @given(elevation_deg=st.floats(1.0, 89.0), yaw_deg=st.floats(-180.0, 180.0))
 def test_a_wall_that_faces_the_sun_gets_its_light_by_the_cosine(elevation_deg, yaw_deg):
     weather = replace(
-        load_weathers()["day"], sky_lux=0.0, sun_elevation_deg=elevation_deg, sun_yaw_deg=yaw_deg
+        load_weathers()["day"],
+        sun_lux=80000.0,
+        sky_lux=0.0,
+        sun_elevation_deg=elevation_deg,
+        sun_yaw_deg=yaw_deg,
     )
     yaw = np.radians(yaw_deg)
     normals = [[np.cos(yaw), np.sin(yaw), 0.0], [0.0, 0.0, 1.0], [-np.cos(yaw), -np.sin(yaw), 0.0]]
@@ -93,7 +97,11 @@ def test_at_the_visibility_five_per_cent_of_contrast_are_left(name):
 
 def test_a_wall_throws_a_shadow_as_long_as_the_sun_is_low():
     weather = replace(
-        load_weathers()["day"], sky_lux=0.0, sun_elevation_deg=45.0, sun_yaw_deg=180.0
+        load_weathers()["day"],
+        sun_lux=80000.0,
+        sky_lux=0.0,
+        sun_elevation_deg=45.0,
+        sun_yaw_deg=180.0,
     )
     wall = build_caster([[0, -9, 0], [0, 9, 0], [0, 9, 2], [0, -9, 2]], [[0, 1, 2], [0, 2, 3]])
     lux = _lux(_hits([[1.9, 0, 0], [2.1, 0, 0], [-1, 0, 0]], [[0, 0, 1]] * 3), weather, caster=wall)
