@@ -240,8 +240,8 @@ def test_a_wrong_field_of_a_layout_file_is_named(run, layout_file, fields, messa
         ),
         (
             {"id": "vut"},
-            "layout mine: id: got 'vut'; expected another name: vut, rsu_all, vut_and_rsus, vam, all_sources mean "
-            "other sensing parties",
+            "layout mine: id: got 'vut'; expected another name: vut, rsu_all, vut_and_rsus, vam, "
+            "all_sources mean other sensing parties",
         ),
         ({"id": "\ud800"}, "layout: name or id: got '\\ud800'; expected printable text"),
     ],
