@@ -27,9 +27,9 @@ from placement.detection_table import DetectionTable
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout
 from placement.optimiser import PlacementProblem, run_margins_s, solve_placement
-from placement.pipeline import build_problem
 from placement.setting import Setting
 from placement.visibility.build import build_detection_table
+from placement.wishes import Wishes, build_problem
 
 from .bench_perception import measure_perception
 from .bench_rays import N_MOUNTS, measure_casting
@@ -82,11 +82,15 @@ def _measure_optimiser(
         detector=setting.planner,
         workers=_WORKERS,
     )
-    problem = build_problem(setting, candidates, table, budget_units=budget, fusion="any")
+    problem = build_problem(
+        setting, candidates, table, wishes=Wishes(budget_units=budget), fusion="any"
+    )
     began_s = time.perf_counter()
     solution = solve_placement(problem)
     all_stages_s = time.perf_counter() - began_s
-    single = build_problem(setting, candidates, table, budget_units=budget, fusion="single")
+    single = build_problem(
+        setting, candidates, table, wishes=Wishes(budget_units=budget), fusion="single"
+    )
     covers = _covers(single, table)
     best: dict[str, float] = {}
 
@@ -124,7 +128,7 @@ def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
         integrality=chosen,
         bounds=Bounds(0.0, 1.0),
         constraints=[
-            LinearConstraint(chosen, ub=problem.budget_units),
+            LinearConstraint(chosen, ub=problem.limits.budget_units),
             LinearConstraint(cover, ub=0.0),
         ],
     )

@@ -11,10 +11,7 @@ import click
 
 from . import tables
 from .cli_options import (
-    Number,
     OneOf,
-    WholeNumber,
-    input_error,
     json_option,
     layout_option,
     option_name,
@@ -23,17 +20,17 @@ from .cli_options import (
     seed_option,
     workers_option,
 )
+from .cli_planning import check_asked, planning_options
 from .cli_recording import check_recording_options, is_given, recording_options
 from .cli_render import render
 from .cli_scenarios import scenarios
 from .progress import Interrupted, StageProgress, ending_on_signals
-from .question import Question
+from .question import Planning, Question
 from .recording_tables import recorded_placement_table, recording_table
 
 if TYPE_CHECKING:
     from placement.layout import Layout
 
-FUSIONS = ("any", "single")
 EXPORT_FORMATS = ("csv", "geojson", "carla")
 DEFAULT_OUT = Path("results/latest")
 _EXIT_BAD_INPUT = 2
@@ -45,6 +42,9 @@ _EXIT_BAD_INPUT = 2
     epilog="""\b
 Examples:
   place-rsus --budget 3                            the best three cameras
+  place-rsus --target 0.99 --least cost            the cheapest that avoid 99 %
+  place-rsus --budget 3 --within carlancap-12      the best three of the study's
+  place-rsus --budget-cost 9000 --site-cost 2000   the best for the money
   place-rsus --budget 2 --fusion single            each must confirm alone
   place-rsus --budget 3 --json --quiet | jq .apr   for a machine
   place-rsus --budget 3 --cases protocol-4.5.1 --weights case
@@ -61,16 +61,6 @@ Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted,
 )
 @click.version_option(package_name="place-rsus")
 @click.option(
-    "--budget", type=WholeNumber(1, "a whole number of units"), help="How many units to mount."
-)
-@click.option(
-    "--fusion",
-    type=OneOf(FUSIONS),
-    default="any",
-    show_default=True,
-    help="any: a frame counts if any unit detects; single: one unit must confirm alone.",
-)
-@click.option(
     "--out",
     type=click.Path(path_type=Path),
     default=DEFAULT_OUT,
@@ -78,31 +68,12 @@ Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted,
     help="Folder for report, layout, tables and figures; earlier results there are replaced.",
 )
 @recording_options
+@planning_options()
 @question_options()
 @json_option
 @quiet_option
 @seed_option
-@click.option(
-    "--sensors",
-    default="",
-    metavar="NAMES",
-    help="Models to choose from, with commas between: carla-ncap-rgb,carla-ncap-lidar; default: "
-    "the study's camera.",
-)
 @workers_option
-@click.option(
-    "--study-poses/--no-study-poses",
-    default=True,
-    show_default=True,
-    help="Whether the study's own 12 poses are candidates too.",
-)
-@click.option(
-    "--time-limit",
-    type=Number("SECONDS", "seconds"),
-    default=20.0,
-    show_default=True,
-    help="For the optimiser; when it is up, the best layout found and its gap are given.",
-)
 @click.option(
     "--cache/--no-cache",
     "uses_cache",
@@ -114,8 +85,7 @@ Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted,
 def cli(
     context: click.Context,
     *,
-    budget: int | None,
-    fusion: str,
+    planning: Planning,
     recording: Path | None,
     min_confidence: float,
     question: Question,
@@ -123,10 +93,7 @@ def cli(
     as_json: bool,
     quiet: bool,
     seed: int,
-    sensors: str,
     workers: int,
-    study_poses: bool,
-    time_limit: float,
     uses_cache: bool,
 ) -> None:
     """Where to mount roadside cameras so that pedestrians and cyclists are not hit.
@@ -147,10 +114,7 @@ def cli(
                 f"{given[0]}: options of {context.invoked_subcommand} go behind its name"
             )
         return
-    if budget is None:
-        raise click.UsageError(
-            "--budget: got nothing; expected a whole number of units, at least 1"
-        )
+    check_asked(planning)
     progress: StageProgress = context.obj
     check_recording_options(recording)
     if recording is not None:
@@ -161,10 +125,8 @@ def cli(
         summary = recording_jobs.run_recorded_placement(
             question,
             folder=recording,
-            budget_units=budget,
-            fusion=fusion,
+            planning=planning,
             min_confidence=min_confidence,
-            time_limit_s=time_limit,
             out=folder,
             progress=progress,
         )
@@ -173,14 +135,10 @@ def cli(
     jobs = _start(progress, quiet=quiet)
     summary = jobs.run_placement(
         question,
-        budget_units=budget,
-        fusion=fusion,
+        planning,
         out=out,
-        sensors=sensors,
         seed=seed,
         workers=workers,
-        includes_study_poses=study_poses,
-        time_limit_s=time_limit,
         cache_folder=_cache_folder() if uses_cache else None,
         command=_command_line(),
         progress=progress,
@@ -393,19 +351,9 @@ def _load_layouts(names: Sequence[str], number: int) -> list["Layout"]:
         raise click.UsageError(
             f"--layout: got {given}; expected {'it once' if number == 1 else 'it twice'}"
         )
-    return [_load_layout(name) for name in names]
+    from .planning import find_layout
 
-
-def _load_layout(name: str) -> "Layout":
-    from placement.layout import load_layout
-
-    from .study import BASELINE_NAME, load_carlancap_layout
-
-    if name == BASELINE_NAME:
-        return load_carlancap_layout()
-    if not os.path.lexists(name):
-        raise input_error("--layout", name, f"{BASELINE_NAME}, or a layout file that exists")
-    return load_layout(Path(name))
+    return [find_layout(name, "--layout") for name in names]
 
 
 def _print(

@@ -9,7 +9,8 @@ import click
 from .cli_options import Share, option_name
 
 _WITH_RECORDING = frozenset(
-    ("recording", "min_confidence", "out", "as_json", "quiet", "budget", "fusion", "time_limit")
+    ("recording", "min_confidence", "out", "as_json", "quiet", "budget", "fusion")
+    + ("solver", "milp_solver", "time_limit_s", "gap")
     + ("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations")
 )
 

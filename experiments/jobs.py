@@ -4,23 +4,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from geometry.catalogue import pick_sensor
 from geometry.scene_files import load_study_scene
-from placement.candidates import CandidateGrid, build_candidates, load_candidate_grid
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layouts
 from placement.layout import Layout, check_layout
-from placement.pipeline import check_budget, place
+from placement.optimiser import Fusion
+from placement.pipeline import place
 from placement.setting import Setting
 
 from . import exports
 from .driving import build_setting
 from .figures import plot_apr_by_case, plot_heatmap, to_png
 from .plan import plot_plan
+from .planning import build_plan
 from .progress import WRITING, StageProgress
-from .question import Question
+from .question import Planning, Question
 from .report import GREEDY, pick_heatmap_runs, write_report
 from .result_folder import MARKER, check_result_folder, new_result_folder
 from .study import load_carlancap_layout
@@ -34,15 +34,11 @@ from .summary import (
 
 def run_placement(
     question: Question,
+    planning: Planning,
     *,
-    budget_units: int,
-    fusion: Any,
     out: Path,
-    sensors: str,
     seed: int,
     workers: int,
-    includes_study_poses: bool,
-    time_limit_s: float,
     cache_folder: Path | None,
     command: str,
     progress: StageProgress,
@@ -57,19 +53,14 @@ def run_placement(
     Raises
     ------
     InputError
-        The budget is more than the sites can carry, or `out` cannot be written.
+        A wish cannot be met, or `out` cannot be written.
     """
     check_result_folder(out)
-    check_budget(load_study_scene(), budget_units)
+    plan = build_plan(planning, load_study_scene())
     progress.kept = _left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, load_study_scene())
     study = load_carlancap_layout()
-    candidates = build_candidates(
-        setting.scene,
-        _grid(sensors),
-        extra=study.units if includes_study_poses else (),
-    )
 
     def report(stage: str, done: int, total: int) -> None:
         if stage == "optimise" and cache_folder is not None and any(cache_folder.glob("table-*")):
@@ -78,13 +69,13 @@ def run_placement(
 
     placement = place(
         setting,
-        candidates,
-        budget_units=budget_units,
-        fusion=fusion,
+        plan.candidates,
+        wishes=plan.wishes,
+        fusion=cast(Fusion, planning.fusion),
+        effort=plan.effort,
         seed=seed,
         workers=workers,
         cache_folder=cache_folder,
-        time_limit_s=time_limit_s,
         on_progress=report,
     )
     found, greedy, baseline = _evaluate(
@@ -217,16 +208,6 @@ def _judge(
         progress=progress,
     )
     return summary
-
-
-def _grid(sensors: str) -> CandidateGrid:
-    """The default grid, with sensors by name, commas between; none: the default one's."""
-    names = dict.fromkeys(name.strip() for name in sensors.split(",") if name.strip())
-    if not names:
-        return load_candidate_grid()
-    return replace(
-        load_candidate_grid(), sensors=tuple(pick_sensor(name, "--sensors") for name in names)
-    )
 
 
 def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:

@@ -48,3 +48,67 @@ class Question:
     vut_sensors: str = "camera"
     packet_loss: float = 0.0
     vam_rate: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Planning:
+    """The options that say what is asked of a layout, and how it is looked for; a user's words.
+
+    Attributes
+    ----------
+    budget : int, optional
+        Units.
+    budget_cost : float, optional
+        Money. [EUR]
+    target : str
+        A share, or "max"; empty: none.
+    least : str
+        "units" or "cost": what a target is reached with the least of.
+    min_case_apr, survive, site_capacity, site_cost_eur, separation_m
+        See :class:`placement.wishes.Wishes`.
+    keep, within : str
+        Layouts by name or file; empty: none.
+    force_site, forbid_site : str
+        Sites with commas between.
+    stage_weights : str
+        Such as "apr=1,mean_margin_s=0.1"; empty: the stages in order.
+    fusion : str
+        See :class:`placement.optimiser.PlacementProblem`.
+    sensors : str
+        Models with commas between; empty: the default grid's.
+    study_poses : bool
+        Whether the study's 12 poses are candidates.
+    solver, time_limit_s, gap, milp_solver
+        See :class:`placement.optimiser.Effort`.
+    samples : int
+        Sampled worlds to choose in; 0: the nominal one.
+    uncertainty : str
+        See :func:`placement.sampling.load_uncertainty`.
+    risk : str
+        "mean", "worst", or the share of the worst worlds whose mean counts.
+    """
+
+    budget: int | None = None
+    budget_cost: float | None = None
+    target: str = ""
+    least: str = "units"
+    min_case_apr: float = 0.0
+    survive: int = 0
+    site_capacity: int | None = None
+    site_cost_eur: float | None = None
+    separation_m: float = 0.0
+    keep: str = ""
+    within: str = ""
+    force_site: str = ""
+    forbid_site: str = ""
+    stage_weights: str = ""
+    fusion: str = "any"
+    sensors: str = ""
+    study_poses: bool = True
+    solver: str = "auto"
+    time_limit_s: float = 20.0
+    gap: float = 0.0
+    milp_solver: str = "HIGHS"
+    samples: int = 0
+    uncertainty: str = "default"
+    risk: str = "mean"

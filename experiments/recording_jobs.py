@@ -3,14 +3,15 @@
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from geometry.errors import InputError
+from geometry.errors import InputError, Unquoted
 from placement.evaluation import Verdict, apr, apr_by_case, detected_share
 from placement.optimiser import (
     Fusion,
+    Limits,
     PlacementProblem,
     apr_one_failed,
     presolve,
@@ -30,8 +31,9 @@ from scenarios.aeb import AebRule
 
 from .driving import build_rule
 from .exports import to_json_text
+from .planning import effort_of
 from .progress import WRITING, StageProgress
-from .question import Question
+from .question import Planning, Question
 from .recording_tables import ALL_UNITS
 from .result_folder import MARKER, check_result_folder, new_result_folder
 from .summary import versions
@@ -80,10 +82,8 @@ def run_recorded_placement(
     question: Question,
     *,
     folder: Path,
-    budget_units: int,
-    fusion: Any,
+    planning: Planning,
     min_confidence: float,
-    time_limit_s: float,
     out: Path | None,
     progress: StageProgress,
 ) -> dict[str, Any]:
@@ -93,12 +93,8 @@ def run_recorded_placement(
     ----------
     question, folder, min_confidence, out, progress
         As for :func:`run_recording`.
-    budget_units : int
-        How many.
-    fusion : {"any", "single"}
-        See :class:`placement.optimiser.PlacementProblem`.
-    time_limit_s : float
-        For the optimiser. [s]
+    planning : Planning
+        Budget, fusion, how hard to try; a recording has no sites and no prices.
 
     Returns
     -------
@@ -114,6 +110,9 @@ def run_recorded_placement(
     rule = build_rule(question)
     recording, everything = _evaluate(folder, rule, min_confidence, out, progress)
     n_units = len(recording.units)
+    budget_units, fusion = planning.budget, cast(Fusion, planning.fusion)
+    if budget_units is None:
+        raise InputError("--budget", Unquoted("nothing"), "units, beside a recording")
     if budget_units > n_units:
         raise InputError("--budget", budget_units, f"at most {n_units}, the units recorded")
     progress("optimise", 0, 0)
@@ -122,7 +121,7 @@ def run_recorded_placement(
     solution = solve_placement(
         problem,
         reduced,
-        time_limit_s=time_limit_s,
+        effort=effort_of(planning),
         on_stage=lambda stage: progress(f"optimise: {stage}", 0, 0),
     )
     greedy = _pick(recording, solve_greedy(problem, reduced))
@@ -176,9 +175,11 @@ def _problem(
     """Each unit alone on a site of its own."""
     return PlacementProblem(
         table=recorded_table(evaluation),
-        site_index=np.array(unit_index),
-        site_capacity=np.ones(len(unit_index), dtype=np.int64),
-        budget_units=budget_units,
+        limits=Limits(
+            site_index=np.array(unit_index),
+            site_capacity=np.ones(len(unit_index), dtype=np.int64),
+            budget_units=budget_units,
+        ),
         fusion=fusion,
         rule=rule,
     )

@@ -81,7 +81,7 @@ def summarise_placement(
     first = certificate.stages[0]
     return {
         **summarise_layout(found, rule),
-        "budget": problem.budget_units,
+        "budget": problem.limits.budget_units,
         "fusion": problem.fusion,
         "candidates": problem.table.n_poses,
         "apr": first.objective,

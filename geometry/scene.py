@@ -35,6 +35,10 @@ class Site:
         Lowest and highest mount above the road. [m]
     capacity_units : int
         How many units it can carry.
+    cost_eur : float
+        Of making it ready - power, network, bracket -, paid once if it carries anything. [EUR]
+    use : {"free", "forced", "forbidden"}
+        Whether it may carry units, must, or must not.
     """
 
     id: str
@@ -42,6 +46,8 @@ class Site:
     kind: str
     height_range_m: FloatArray
     capacity_units: int
+    cost_eur: float = 0.0
+    use: str = "free"
 
     def __post_init__(self) -> None:
         where = f"site {self.id}"
@@ -59,6 +65,11 @@ class Site:
         capacity = self.capacity_units
         if not isinstance(capacity, int) or isinstance(capacity, bool) or capacity < 1:
             raise InputError(f"{where}.capacity_units", capacity, "a whole number, at least 1")
+        cost_eur = float(float_array(self.cost_eur, (), f"{where}.cost_eur"))
+        if cost_eur < 0.0:
+            raise InputError(f"{where}.cost_eur", cost_eur, "euros, at least 0")
+        if self.use not in ("free", "forced", "forbidden"):
+            raise InputError(f"{where}.use", self.use, "one of free, forced, forbidden")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -119,6 +119,8 @@ def _build_site(entry: Table, where: str, end: str) -> Site:
             take_list(entry, "height_range_m", where), (2,), f"{where}.height_range_m"
         ),
         capacity_units=take(entry, "capacity_units", where),
+        cost_eur=entry.get("cost_eur", 0.0),
+        use=entry.get("use", "free"),
     )
 
 

@@ -5,15 +5,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from geometry.errors import InputError
-from geometry.scene import Scene
-
 from .candidates import CandidatePose
 from .detection_table import DetectionTable
 from .layout import Certificate, Layout
 from .optimiser import (
+    Effort,
     PlacementProblem,
     PresolveStatistics,
     Solution,
@@ -24,6 +20,7 @@ from .optimiser import (
 from .optimiser.problem import Fusion
 from .setting import Setting
 from .visibility import build_detection_table, load_table, save_table, table_fingerprint
+from .wishes import Wishes, build_problem, check_wishes
 
 # Called with the stage, and how much of how much is done; 0 of 0 where that is not known.
 StageProgress = Callable[[str, int, int], None]
@@ -38,7 +35,7 @@ class Placement:
     layout : Layout
         The best layout.
     greedy : Layout
-        The layout of the same size that plain greedy search finds.
+        The layout that plain greedy search finds within the same limits.
     certificate : Certificate
         Proof of `layout`.
     presolve : PresolveStatistics
@@ -64,37 +61,19 @@ class Placement:
         return f"Placement({self.layout!r}, {proof})"
 
 
-def check_budget(scene: Scene, budget_units: int) -> None:
-    """Check a budget against what the sites can carry, before anything is computed.
-
-    Raises
-    ------
-    InputError
-        Less than 1, not a whole number, or more than the sites can carry.
-    """
-    capacity = sum(site.capacity_units for site in scene.sites)
-    is_whole = isinstance(budget_units, int) and not isinstance(budget_units, bool)
-    if not is_whole or not 1 <= budget_units <= capacity:
-        raise InputError(
-            "--budget",
-            budget_units,
-            f"a whole number of units, 1 to {capacity} (what {scene.name}'s sites can carry)",
-        )
-
-
 def place(
     setting: Setting,
     candidates: Sequence[CandidatePose],
     *,
-    budget_units: int,
+    wishes: Wishes,
     fusion: Fusion = "any",
+    effort: Effort | None = None,
     seed: int = 0,
     workers: int = 1,
     cache_folder: Path | None = None,
-    time_limit_s: float = 60.0,
     on_progress: StageProgress | None = None,
 ) -> Placement:
-    """Find the best layout of a size.
+    """Find the best layout that meets wishes.
 
     Parameters
     ----------
@@ -102,8 +81,8 @@ def place(
         Scene, runs, braking rule, detector.
     candidates : sequence of CandidatePose
         Poses to choose from.
-    budget_units : int
-        How many units.
+    wishes : Wishes
+        What is asked.
     fusion : str
         "any": a frame counts if any unit detects; "single": one unit must confirm alone.
     seed : int
@@ -112,8 +91,8 @@ def place(
         Threads.
     cache_folder : Path, optional
         Where detection tables are kept; by default nowhere.
-    time_limit_s : float
-        For the optimiser, all stages together. [s]
+    effort : Effort, optional
+        How hard the optimiser tries.
     on_progress : callable, optional
         See ``StageProgress``.
 
@@ -125,9 +104,9 @@ def place(
     Raises
     ------
     InputError
-        The budget or the fusion cannot be.
+        A wish cannot be met; the message says which, and the best that can.
     """
-    check_budget(setting.scene, budget_units)
+    check_wishes(wishes, setting.scene)
     report = on_progress or _ignore
     started = time.perf_counter()
     table = obtain_table(
@@ -139,21 +118,21 @@ def place(
         on_progress=report,
     )
     table_done = time.perf_counter()
-    problem = build_problem(setting, candidates, table, budget_units=budget_units, fusion=fusion)
+    problem = build_problem(setting, candidates, table, wishes=wishes, fusion=fusion)
     report("optimise", 0, 0)
     reduced = presolve(problem)
     solution: Solution = solve_placement(
         problem,
         reduced,
-        time_limit_s=time_limit_s,
+        effort=effort,
         on_stage=lambda stage: report(f"optimise: {stage}", 0, 0),
     )
     optimised = time.perf_counter()
     report("greedy", 0, 0)
     greedy_index = solve_greedy(problem, reduced)
     return Placement(
-        layout=_pick(candidates, solution.pose_index, f"best-{budget_units}"),
-        greedy=_pick(candidates, greedy_index, f"greedy-{budget_units}"),
+        layout=pick_layout(candidates, solution.pose_index, f"best-{len(solution.pose_index)}"),
+        greedy=pick_layout(candidates, greedy_index, f"greedy-{len(greedy_index)}"),
         certificate=solution.certificate,
         presolve=solution.presolve,
         problem=problem,
@@ -214,43 +193,10 @@ def obtain_table(
     return table
 
 
-def build_problem(
-    setting: Setting,
-    candidates: Sequence[CandidatePose],
-    table: DetectionTable,
-    *,
-    budget_units: int,
-    fusion: Fusion,
-) -> PlacementProblem:
-    """The optimiser's problem: a pose of no site of the scene stands alone on one of its own.
-
-    Parameters
-    ----------
-    setting, candidates, budget_units, fusion
-        As for :func:`place`.
-    table : DetectionTable
-        Its rows are `candidates`.
-
-    Returns
-    -------
-    problem : PlacementProblem
-        Checked.
-    """
-    capacity: dict[object, int] = {s.id: s.capacity_units for s in setting.scene.sites}
-    keys = [c.site_id if c.site_id in capacity else ("own", c.id) for c in candidates]
-    order = {key: index for index, key in enumerate(dict.fromkeys(keys))}
-    return PlacementProblem(
-        table=table,
-        site_index=np.array([order[key] for key in keys]),
-        site_capacity=np.array([capacity.get(key, 1) for key in order]),
-        budget_units=budget_units,
-        fusion=fusion,
-        rule=setting.rule,
-    )
-
-
-def _pick(candidates: Sequence[CandidatePose], pose_index: Sequence[int], name: str) -> Layout:
-    """Layout of some candidates; poses of the grid get short names."""
+def pick_layout(
+    candidates: Sequence[CandidatePose], pose_index: Sequence[int], name: str
+) -> Layout:
+    """Layout of some candidates by their rows; poses of the grid get short names."""
     units = []
     for number, index in enumerate(pose_index, start=1):
         candidate = candidates[index]

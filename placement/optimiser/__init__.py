@@ -1,35 +1,50 @@
 """From a detection table to the best poses, proven.
 
-problem.py says what is asked and what a set of poses is worth; presolve.py drops what does not
-matter; greedy.py finds good sets quickly; model.py and cuts.py state what HiGHS solves;
-enumeration.py goes through all sets of few units; solve.py takes the stages in order: APR, APR
-when one unit fails, smallest margin, mean margin.
+problem.py says what is asked and what a set of poses is worth, limits.py what may be mounted
+together, measure.py how the APR sums up runs and sampled worlds; presolve.py drops what does not
+matter; greedy.py finds good sets quickly; model.py and cuts.py state what a mixed-integer solver
+solves, milp.py calls it; enumeration.py goes through all sets of few units; solve.py takes the
+stages in order: APR, APR when one unit fails, smallest margin, mean margin, cost. feasibility.py
+says which wish cannot be met.
 """
 
 from .greedy import solve_greedy
+from .limits import Limits, cost_eur, is_allowed
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
+    Floor,
     Fusion,
+    Goal,
     PlacementProblem,
     PlacementValue,
     apr,
+    apr_failed,
     apr_one_failed,
+    floor_value,
     is_better,
     is_feasible,
     placement_value,
     run_margins_s,
 )
-from .solve import Solution, solve_placement
+from .solve import Effort, Solution, solve_placement
 
 __all__ = [
+    "Effort",
+    "Floor",
     "Fusion",
+    "Goal",
+    "Limits",
     "PlacementProblem",
     "PlacementValue",
     "PresolveStatistics",
     "ReducedProblem",
     "Solution",
     "apr",
+    "apr_failed",
     "apr_one_failed",
+    "cost_eur",
+    "floor_value",
+    "is_allowed",
     "is_better",
     "is_feasible",
     "placement_value",

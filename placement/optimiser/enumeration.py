@@ -1,17 +1,20 @@
-"""All layouts that could still be better, gone through one by one: quick for up to three units.
+"""All layouts that could still be better, gone through one by one.
 
-A layout of K units that keeps an APR when any one of them fails consists of sets of K - 1 units
+Where there are few poses, that is all there are. Otherwise it is quick for up to three units:
+a layout of K units that keeps an APR when any one of them fails consists of sets of K - 1 units
 that all have that APR. Few have: to put together what they allow takes seconds where the cuts of
 cuts.py take minutes.
 """
 
+from itertools import chain, combinations
 from math import comb
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import FloatArray, IntArray
 
-from .bitsets import best_row, best_set, set_values, union_apr, unions_of
+from .bitsets import best_row, best_set, exceeds, set_values, union_apr, unions_of
+from .limits import are_allowed
 from .presolve import ReducedProblem
 from .problem import TOLERANCE
 
@@ -19,15 +22,54 @@ MAX_UNITS = 3
 _PART_SETS = 1 << 14
 
 
-def best_of_all(
-    reduced: ReducedProblem, units: IntArray, *, apr_one_failed: float, max_sets: int
-) -> IntArray | None:
-    """Best set of all that keep an APR when one unit fails.
+def best_of_few(reduced: ReducedProblem, *, max_sets: int) -> tuple[IntArray | None, bool]:
+    """Best of all allowed sets, of any size, where they are few.
 
     Parameters
     ----------
     reduced : ReducedProblem
         What to choose from.
+    max_sets : int
+        Give up if there are more sets to go through.
+
+    Returns
+    -------
+    units : (n,) int or None
+        The best set; None: given up, or no set is allowed.
+    is_complete : bool
+        Whether all sets were gone through.
+    """
+    n_poses, most = reduced.n_poses, reduced.limits.max_units
+    n_sets = 0
+    for n_units in range(1, most + 1):
+        n_sets += comb(n_poses, n_units)
+        if n_sets > max_sets:
+            return None, False
+    best: IntArray | None = None
+    best_value = np.empty(0)
+    for n_units in range(1, most + 1):
+        count = comb(n_poses, n_units)
+        numbers = chain.from_iterable(combinations(range(n_poses), n_units))
+        sets = np.fromiter(numbers, dtype=np.int64, count=count * n_units).reshape(-1, n_units)
+        for part in _parts(sets[are_allowed(reduced.limits, sets)]):
+            if not len(part):
+                continue
+            values = set_values(reduced, part)
+            row = best_row(values)
+            if best is None or exceeds(values[row], best_value):
+                best, best_value = part[row], values[row]
+    return best, True
+
+
+def best_of_all(
+    reduced: ReducedProblem, units: IntArray, *, apr_one_failed: float, max_sets: int
+) -> IntArray | None:
+    """Best set of as many units that keep an APR when one unit fails.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        What to choose from; its limits are plain.
     units : (n_units,) int
         A set that does, up to three poses of the reduced problem.
     apr_one_failed : float
@@ -58,7 +100,7 @@ def best_of_all(
     sets = _pairs(table, max_sets) if n_units == 2 else _triples(table, max_sets)
     if sets is None:
         return None
-    sets = np.concatenate([np.sort(units)[None, :], sets[_is_within_capacity(reduced, sets)]])
+    sets = np.concatenate([np.sort(units)[None, :], sets[are_allowed(reduced.limits, sets)]])
     winners, values = [], []
     for part in _parts(sets):
         one_failed = np.min(
@@ -96,11 +138,3 @@ def _triples(table: FloatArray, max_sets: int) -> IntArray | None:
         which, thirds = np.nonzero(is_in[seconds] & is_in[first])
         triples.append(np.column_stack([np.full(len(thirds), first), seconds[which], thirds]))
     return np.concatenate(triples)
-
-
-def _is_within_capacity(reduced: ReducedProblem, sets: IntArray) -> BoolArray:
-    """Whether no site carries more units than it can, (n_sets,)."""
-    sites = reduced.site_index[sets]
-    n_beside = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
-    is_within: BoolArray = np.logical_and.reduce(n_beside <= reduced.site_capacity[sites], axis=1)
-    return is_within

@@ -4,9 +4,10 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 
-from .bitsets import best_row, best_set, set_values, values_with_each
+from .bitsets import N_COLUMNS, best_row, exceeds, set_values, values_with_each
+from .limits import are_allowed, fitting, is_allowed
 from .presolve import ReducedProblem, presolve
-from .problem import PlacementProblem, PlacementValue, is_better
+from .problem import PlacementProblem
 
 _N_RESTARTS = 4
 _SEED = 1
@@ -27,34 +28,26 @@ def solve_greedy(
     Returns
     -------
     pose_index : tuple of int
-        Rows of the detection table, ascending; feasible. No guarantee of quality holds with
-        fusion "any": three units may be needed to complete one window.
+        Rows of the detection table, ascending; within the limits if those leave greedy choice a
+        way. No guarantee of quality holds with fusion "any": three units may be needed to
+        complete one window.
     """
     reduced = presolve(problem) if reduced is None else reduced
-    return to_full(problem, reduced, extend_greedily(reduced, np.empty(0, dtype=np.int64)))
+    return to_full(reduced, extend_greedily(reduced, forced_units(reduced)))
 
 
-def to_full(problem: PlacementProblem, reduced: ReducedProblem, units: IntArray) -> tuple[int, ...]:
-    """Poses of the detection table, filled up to the budget with poses that had dropped out.
+def to_full(reduced: ReducedProblem, units: IntArray) -> tuple[int, ...]:
+    """Rows of the detection table of poses of the reduced problem, ascending."""
+    return tuple(sorted(int(pose) for pose in reduced.pose_index[units]))
 
-    Those add nothing to any objective that is proven; the ones that see most come first.
-    """
-    chosen = [int(pose) for pose in reduced.pose_index[units]]
-    room = problem.site_capacity - np.bincount(
-        problem.site_index[chosen], minlength=len(problem.site_capacity)
-    )
-    seen = np.bitwise_count(problem.table.packed).sum(axis=1, dtype=np.int64)
-    for pose in np.argsort(-seen, kind="stable"):
-        if len(chosen) == problem.budget_units:
-            break
-        if pose not in chosen and room[problem.site_index[pose]] > 0:
-            chosen.append(int(pose))
-            room[problem.site_index[pose]] -= 1
-    return tuple(sorted(chosen))
+
+def forced_units(reduced: ReducedProblem) -> IntArray:
+    """Poses that every set must have."""
+    return np.flatnonzero(reduced.limits.is_forced)
 
 
 def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
-    """Add poses one by one, the best first, until budget or room is used up.
+    """Add poses one by one, the best first, as long as there is room.
 
     Parameters
     ----------
@@ -62,18 +55,27 @@ def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
         What to choose from.
     units : (n,) int
         Poses of the reduced problem that are chosen already.
+
+    Returns
+    -------
+    units : (n,) int
+        With few or cheap units as the goal, just enough for the floors; else needless ones, too:
+        exchanges and removals take those away again.
     """
-    while len(units) < reduced.budget_units:
-        free = _poses_with_room(reduced, units)
+    max_units = reduced.limits.max_units
+    while len(units) < max_units:
+        if reduced.goal != "best" and set_values(reduced, units[None, :])[0, 0] == 0.0:
+            break
+        free = np.flatnonzero(fitting(reduced.limits, units))
         if len(free) == 0:
             break
-        values = values_with_each(reduced, units)
-        units = np.append(units, free[best_row(values[free])])
+        values = values_with_each(reduced, units)[free]
+        units = np.append(units, free[best_row(values)])
     return units
 
 
-def improve(reduced: ReducedProblem, units: IntArray, limit: PlacementValue) -> IntArray:
-    """Exchange one unit for another as long as that makes the set better.
+def improve(reduced: ReducedProblem, units: IntArray, limit: FloatArray) -> IntArray:
+    """Exchange one unit for another, or leave one out, as long as that makes the set better.
 
     Parameters
     ----------
@@ -81,68 +83,84 @@ def improve(reduced: ReducedProblem, units: IntArray, limit: PlacementValue) -> 
         What to choose from.
     units : (n,) int
         Poses of the reduced problem.
-    limit : PlacementValue
-        No set is better than this: one that is as good needs no exchange.
+    limit : (N_COLUMNS,) float
+        No set is better than this, see :func:`placement.optimiser.bitsets.set_values`: one that is
+        as good needs no exchange.
 
     Returns
     -------
     units : (n,) int
-        At least as good; no single exchange improves it.
+        At least as good; no single exchange or removal improves it.
     """
-    value = _value(reduced, units)
-    while is_better(limit, value):
-        sets, values = _exchanges(reduced, units)
-        if len(sets) == 0:
+    value = set_values(reduced, units[None, :])[0]
+    while exceeds(limit, value):
+        best = units, value
+        for position in np.flatnonzero(~reduced.limits.is_forced[units]):
+            left = np.delete(units, position)
+            candidates = [_without(reduced, left), _exchanged(reduced, left, units[position])]
+            for sets, values in candidates:
+                if len(sets):
+                    row = best_row(values)
+                    if exceeds(values[row], best[1]):
+                        best = sets[row], values[row]
+        if not exceeds(best[1], value):
             break
-        row = best_row(values)
-        best_value = PlacementValue(*map(float, values[row]))
-        if not is_better(best_value, value):
-            break
-        units, value = sets[row], best_value
+        units, value = best
     return units
 
 
-def solve_heuristically(reduced: ReducedProblem, limit: PlacementValue) -> IntArray:
+def solve_heuristically(reduced: ReducedProblem, limit: FloatArray) -> IntArray | None:
     """Best of several local optima: the greedy set's, and those of random first units.
 
     Parameters
     ----------
     reduced : ReducedProblem
         What to choose from.
-    limit : PlacementValue
+    limit : (N_COLUMNS,) float
         No set is better than this: the search ends when one is as good.
+
+    Returns
+    -------
+    units : (n,) int or None
+        Within the limits; what is lacking to the floors is as little as was found. None: no set
+        within the limits was found.
     """
     rng = np.random.default_rng(_SEED)
-    starts = [np.empty(0, dtype=np.int64)]
-    if reduced.n_poses:
-        starts += list(rng.integers(reduced.n_poses, size=(_N_RESTARTS, 1)))
-    optima: list[IntArray] = []
+    forced = forced_units(reduced)
+    starts = [forced]
+    first = np.flatnonzero(fitting(reduced.limits, forced))
+    if len(first):
+        starts += [np.append(forced, pose) for pose in rng.choice(first, size=_N_RESTARTS)]
+    best: IntArray | None = None
+    best_value = np.full(N_COLUMNS, -np.inf)
     for start in starts:
-        optima.append(improve(reduced, extend_greedily(reduced, start), limit))
-        if not is_better(limit, _value(reduced, optima[-1])):
-            return optima[-1]
-    return best_set(reduced, np.array(optima))
+        units = extend_greedily(reduced, start)
+        if not is_allowed(reduced.limits, units):
+            continue
+        units = improve(reduced, units, limit)
+        value = set_values(reduced, units[None, :])[0]
+        if best is None or exceeds(value, best_value):
+            best, best_value = units, value
+        if not exceeds(limit, best_value):
+            break
+    return best
 
 
-def _poses_with_room(reduced: ReducedProblem, units: IntArray) -> IntArray:
-    room = reduced.site_capacity - np.bincount(
-        reduced.site_index[units], minlength=len(reduced.site_capacity)
-    )
-    is_free = room[reduced.site_index] > 0
-    is_free[units] = False
-    return np.flatnonzero(is_free)
+def _without(reduced: ReducedProblem, left: IntArray) -> tuple[IntArray, FloatArray]:
+    """The set itself, if it is allowed, and its value."""
+    sets = left[None, :]
+    if not len(left) or not are_allowed(reduced.limits, sets)[0]:
+        sets = sets[:0]
+    return sets, set_values(reduced, sets)
 
 
-def _exchanges(reduced: ReducedProblem, units: IntArray) -> tuple[IntArray, FloatArray]:
-    """All feasible sets that differ from `units` in one pose, and their values."""
-    sets, values = [np.empty((0, len(units)), dtype=np.int64)], [np.empty((0, 4))]
-    for position in range(len(units)):
-        left = np.delete(units, position)
-        free = np.setdiff1d(_poses_with_room(reduced, left), units)
-        sets.append(np.column_stack([np.tile(left, (len(free), 1)), free]))
-        values.append(values_with_each(reduced, left)[free])
-    return np.concatenate(sets), np.concatenate(values)
-
-
-def _value(reduced: ReducedProblem, units: IntArray) -> PlacementValue:
-    return PlacementValue(*(float(number) for number in set_values(reduced, units[None, :])[0]))
+def _exchanged(
+    reduced: ReducedProblem, left: IntArray, removed: int
+) -> tuple[IntArray, FloatArray]:
+    """Allowed sets with another pose in place of the one removed, and their values."""
+    free = np.flatnonzero(fitting(reduced.limits, left))
+    free = free[free != removed]
+    sets = np.column_stack([np.tile(left, (len(free), 1)), free])
+    free, sets = free[are_allowed(reduced.limits, sets)], sets[are_allowed(reduced.limits, sets)]
+    values = values_with_each(reduced, left)[free] if len(free) else np.empty((0, N_COLUMNS))
+    return sets, values

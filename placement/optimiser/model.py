@@ -9,18 +9,21 @@ values they can take they are zeros and ones themselves.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import scipy.sparse as sp
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
+from .limits import COST_TOLERANCE_EUR, Limits
+from .measure import Measure
+from .milp import DEFAULT_SOLVER, run_solver
 from .presolve import ReducedProblem
 from .problem import TOLERANCE
+from .requirements import Requirement
 
 if TYPE_CHECKING:  # it takes a second to import: done where a model is stated
     import cvxpy as cp
@@ -49,14 +52,15 @@ class Cut:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MilpResult:
-    """What HiGHS says.
+    """What a solver says of a model.
 
     Attributes
     ----------
     units : (n,) int or None
         Poses of the reduced problem; None if no feasible set was found.
     bound : float
-        No feasible set has a higher objective; minus infinity if there is none.
+        No feasible set has a better objective; the worst infinity if there is no set, the best one
+        if nothing is known.
     is_finished : bool
         Whether `units` are best (or there are none), rather than the best within the time.
     """
@@ -66,15 +70,32 @@ class MilpResult:
     is_finished: bool
 
 
-def budget_constraint(x: cp.Variable, reduced: ReducedProblem) -> cp.Constraint:
-    """Units: sum x <= K."""
-    return x.sum() <= reduced.budget_units
+def limit_constraints(x: cp.Variable, o: cp.Variable, limits: Limits) -> list[cp.Constraint]:
+    """Limits: units, money, capacity, what is forced or too near; o_s = 1 if site s carries any.
 
-
-def capacity_constraint(x: cp.Variable, reduced: ReducedProblem) -> cp.Constraint:
-    """Sites: sum of the x of a site <= its capacity."""
-    at_site = _incidence(reduced.site_index, len(reduced.site_capacity))
-    return at_site @ x <= reduced.site_capacity
+    sum x <= K; unit costs @ x + site costs @ o <= budget; sum of the x of a site <= its capacity;
+    x_c <= o_s; x_c = 1 for forced poses; sum of the x of a forced site >= 1; o_s + o_t <= 1 for
+    rivals. For whole x, o is bounded from below by zeros and ones, and nothing raises it.
+    """
+    at_site = _incidence(limits.site_index, limits.n_sites)
+    constraints = [at_site @ x <= limits.site_capacity]
+    if limits.budget_units is not None:
+        constraints.append(x.sum() <= limits.budget_units)
+    if limits.site_cost_eur.any() or len(limits.rivals):
+        constraints.append(x <= o[limits.site_index])
+    if limits.budget_eur is not None:
+        unit = max(limits.budget_eur, 1.0)  # prices of the order of 1
+        total = (limits.unit_cost_eur / unit) @ x + (limits.site_cost_eur / unit) @ o
+        constraints.append(total <= (limits.budget_eur + COST_TOLERANCE_EUR) / unit)
+    if limits.is_forced.any():
+        constraints.append(x[np.flatnonzero(limits.is_forced)] == 1.0)
+    if limits.is_forbidden.any():
+        constraints.append(x[np.flatnonzero(limits.is_forbidden)] == 0.0)
+    if limits.is_forced_site.any():
+        constraints.append(at_site[np.flatnonzero(limits.is_forced_site)] @ x >= 1.0)
+    if len(limits.rivals):
+        constraints.append(o[limits.rivals[:, 0]] + o[limits.rivals[:, 1]] <= 1.0)
+    return constraints
 
 
 def seen_constraint(x: cp.Variable, y: cp.Variable, reduced: ReducedProblem) -> cp.Constraint:
@@ -127,28 +148,49 @@ def difference(reduced: ReducedProblem) -> sp.csr_array:
     )
 
 
-def hold_constraints(
-    a: cp.Variable, reduced: ReducedProblem, link: IntArray, *, share: float
+def requirement_constraints(
+    a: cp.Variable, reduced: ReducedProblem, requirement: Requirement
 ) -> list[cp.Constraint]:
-    """Runs of this share of the weight are avoided by the given links of their chains.
-
-    Parameters
-    ----------
-    a : Variable
-        Per link.
-    reduced : ReducedProblem
-        Runs and their weights.
-    link : (n_runs,) int
-        Last link that counts; -1 if none does.
-    share : float
-        Weight that must be avoided, at least.
-    """
-    can = link >= 0
-    if abs(reduced.weight[can].sum() - share) < reduced.weight.min() / 2.0:
-        # All that can be avoided must be: no sum of weights, no rounding.
+    """What must be reached, as far as it can be said in a: failures are left to cuts."""
+    weight = requirement.measure.weight
+    if requirement.sums_margins:
+        row = margin_weights(reduced, weight)
+        unit = max(float(row.sum()), TOLERANCE)
+        return [(row / unit) @ a >= requirement.least / unit - _SLACK * TOLERANCE]
+    link = last_links(reduced, min_margin_s=requirement.min_margin_s)
+    can = (link >= 0) & (weight > 0.0)
+    if requirement.needs_all and weight[can].sum() >= requirement.least - TOLERANCE:
+        # No sum of weights, no rounding.
         return [a[np.unique(link[can])] == 1.0]
-    unit = float(reduced.weight.mean())
-    return [(reduced.weight[can] / unit) @ a[link[can]] >= share / unit - _SLACK]
+    if requirement.measure.is_mean and can.any():
+        unit = float(weight.mean())
+        return [(weight[can] / unit) @ a[link[can]] >= requirement.least / unit - _SLACK]
+    expression, constraints = _tail_share(a, requirement.measure, link)
+    return [*constraints, expression >= requirement.least - _SLACK * TOLERANCE]
+
+
+def _tail_share(
+    a: cp.Variable, measure: Measure, link: IntArray
+) -> tuple[cp.Expression, list[cp.Constraint]]:
+    """Mean over the worst share of samples (Rockafellar and Uryasev 2000), to be maximised.
+
+    The largest eta - sum of p_s d_s / tail with d_s >= eta - APR_s, d_s >= 0.
+    """
+    import cvxpy as cp
+
+    can = link >= 0
+    n_samples = len(measure.sample_weight)
+    by_sample = sp.csr_array(
+        (
+            measure.weight[can] / measure.sample_weight[measure.sample_index[can]],
+            (measure.sample_index[can], link[can]),
+        ),
+        shape=(n_samples, a.size),
+    )
+    eta = cp.Variable(bounds=[0.0, 1.0])
+    d = cp.Variable(n_samples, nonneg=True)
+    share = eta - (measure.sample_weight / measure.tail) @ d
+    return share, [d >= eta - by_sample @ a]
 
 
 def cut_constraint(x: cp.Variable, cuts: Sequence[Cut]) -> cp.Constraint:
@@ -171,88 +213,102 @@ def avoided_weights(reduced: ReducedProblem) -> FloatArray:
     return weights
 
 
-def margin_weights(reduced: ReducedProblem) -> FloatArray:
-    """Objective of the last stage: weight x margin, summed over avoided runs, as weights of a.
+def margin_weights(reduced: ReducedProblem, weight: FloatArray) -> FloatArray:
+    """Objective of the mean margin: weight x margin, summed over avoided runs, as weights of a.
 
     A run whose first window seen is its k-th has all a from link k on: the margins' decrease from
     link to link, down to 0 after the last one in time, sums up to its margin.
     """
     weights = np.zeros(len(reduced.chain_window))
-    for chain, margin, weight in zip(
-        reduced.run_chain, reduced.margin_s, reduced.weight, strict=True
-    ):
+    for chain, margin, run_weight in zip(reduced.run_chain, reduced.margin_s, weight, strict=True):
         in_time = margin[margin > -np.inf]
         start = reduced.chain_start[chain]
-        weights[start : start + len(in_time)] -= weight * np.diff(in_time, append=0.0)
+        weights[start : start + len(in_time)] -= run_weight * np.diff(in_time, append=0.0)
     return weights
 
 
-def solve_milp(
+Objective = Literal["nothing", "apr", "margins", "units", "cost"]
+"""What is looked for: any set; the largest APR or sum of margins; the fewest units or euros."""
+
+
+def solve_window_model(
     reduced: ReducedProblem,
-    objective: FloatArray | None,
+    objective: Objective,
     *,
-    hold_link: IntArray | None = None,
-    hold_share: float = 0.0,
+    requirements: Sequence[Requirement] = (),
     cuts: Sequence[Cut] = (),
     time_limit_s: float,
+    solver: str = DEFAULT_SOLVER,
 ) -> MilpResult:
-    """Maximise a weighted sum of a, or only look for a feasible set.
+    """Best set of poses by one objective.
 
     Parameters
     ----------
     reduced : ReducedProblem
-        Presolved problem; at least one run.
-    objective : (n_links,) float or None
-        Weights of a; None: any feasible set will do.
-    hold_link, hold_share
-        See :func:`hold_constraints`; None: nothing is held.
+        Presolved problem.
+    objective : str
+        See ``Objective``.
+    requirements : sequence of Requirement
+        What must be reached, as far as it holds before units fail.
     cuts : sequence of Cut
         Further constraints.
     time_limit_s : float
-        For HiGHS. [s]
+        For the solver. [s]
+    solver : str
+        Its name in cvxpy.
+
+    Returns
+    -------
+    result : MilpResult
+        The bound in the objective's own unit: from above for what is maximised, from below for
+        what is minimised.
     """
     import cvxpy as cp
 
+    limits = reduced.limits
     x = cp.Variable(reduced.n_poses, boolean=True)
-    y = cp.Variable(reduced.n_frames, bounds=[0.0, 1.0])
-    z = cp.Variable(len(reduced.window_frames), bounds=[0.0, 1.0])
-    a = cp.Variable(len(reduced.chain_window), bounds=[0.0, 1.0])
-    constraints = [
-        budget_constraint(x, reduced),
-        capacity_constraint(x, reduced),
-        seen_constraint(x, y, reduced),
-        *window_constraints(y, z, reduced),
-        chain_constraint(z, a, reduced),
-        *stabbing_constraints(x, a, reduced),
-    ]
-    if hold_link is not None:
-        constraints += hold_constraints(a, reduced, hold_link, share=hold_share)
+    o = cp.Variable(limits.n_sites, bounds=[0.0, 1.0])
+    constraints = limit_constraints(x, o, limits)
+    goal: cp.Expression = cp.Constant(0.0)
+    unit = 1.0
+    if objective == "units":
+        goal = -x.sum()
+    elif objective == "cost":
+        unit = max(float(limits.unit_cost_eur.mean() + limits.site_cost_eur.mean()), TOLERANCE)
+        goal = -((limits.unit_cost_eur / unit) @ x + (limits.site_cost_eur / unit) @ o)
+        constraints.append(x <= o[limits.site_index])
+    if len(reduced.chain_window):
+        y = cp.Variable(reduced.n_frames, bounds=[0.0, 1.0])
+        z = cp.Variable(len(reduced.window_frames), bounds=[0.0, 1.0])
+        a = cp.Variable(len(reduced.chain_window), bounds=[0.0, 1.0])
+        constraints += [
+            seen_constraint(x, y, reduced),
+            *window_constraints(y, z, reduced),
+            chain_constraint(z, a, reduced),
+            *stabbing_constraints(x, a, reduced),
+        ]
+        for requirement in requirements:
+            constraints += requirement_constraints(a, reduced, requirement)
+        if objective == "apr" and not reduced.measure.is_mean:
+            goal, more = _tail_share(a, reduced.measure, last_links(reduced))
+            constraints += more
+        elif objective in ("apr", "margins"):
+            weights = (
+                avoided_weights(reduced)
+                if objective == "apr"
+                else margin_weights(reduced, reduced.weight)
+            )
+            unit = max(float(weights.sum()), TOLERANCE) / _OBJECTIVE_SUM
+            goal = (weights / unit) @ a
     if cuts:
         constraints.append(cut_constraint(x, cuts))
-    weights = np.zeros(a.size) if objective is None else objective
-    unit = max(float(weights.sum()), TOLERANCE) / _OBJECTIVE_SUM
-    problem = cp.Problem(cp.Maximize((weights / unit) @ a), constraints)
-    with warnings.catch_warnings():
-        # cvxpy calls a solution inaccurate when the time was up.
-        warnings.filterwarnings("ignore", "Solution may be inaccurate")
-        try:
-            problem.solve(
-                solver=cp.HIGHS,
-                time_limit=max(time_limit_s, 0.0),
-                mip_rel_gap=0.0,
-                mip_abs_gap=0.0,
-            )
-        except cp.SolverError:  # nothing is known then, and nothing is lost
-            return MilpResult(units=None, bound=np.inf, is_finished=False)
-    if problem.status in (cp.INFEASIBLE, cp.settings.INFEASIBLE_OR_UNBOUNDED):  # all is bounded
-        return MilpResult(units=None, bound=-np.inf, is_finished=True)
-    info = problem.solver_stats.extra_stats
-    is_found = info.primal_solution_status == 2  # kSolutionStatusFeasible
+    problem = cp.Problem(cp.Maximize(goal), constraints)
+    answer = run_solver(problem, solver=solver, time_limit_s=time_limit_s)
+    sign = -1.0 if objective in ("units", "cost") else 1.0
     return MilpResult(
-        units=np.flatnonzero(x.value > 0.5) if is_found else None,
-        # cvxpy minimises the negative.
-        bound=-info.mip_dual_bound * unit,
-        is_finished=problem.status == cp.OPTIMAL,
+        units=np.flatnonzero(x.value > 0.5) if answer.is_found else None,
+        bound=sign * answer.bound * unit,
+        is_finished=answer.is_finished,
     )
 
 

@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from scenarios.aeb import is_in_time
 
-from .problem import PlacementProblem
+from .limits import COST_TOLERANCE_EUR, Limits
+from .measure import Measure
+from .problem import Goal, PlacementProblem
+from .requirements import Requirement
 
 WordArray = NDArray[np.uint64]
 
@@ -57,16 +60,16 @@ class ReducedProblem:
     ----------
     pose_index : (n_poses,) int
         Rows of the detection table: the way back.
-    site_index : (n_poses,) int
-        Site of every pose, as in the full problem.
-    site_capacity : (n_sites,) int
-        As in the full problem.
-    budget_units : int
-        As in the full problem.
+    limits : Limits
+        On these poses.
     run_index : (n_runs,) int
         Runs of the full problem that some pose avoids.
-    weight : (n_runs,) float
+    measure : Measure
         Of these runs, as in the full problem.
+    floors : tuple of Requirement
+        What must be reached in any case.
+    goal, survive, stage_weights
+        As in the full problem.
     n_frames : int
         Merged frames.
     words : (n_poses, n_words) uint64
@@ -87,11 +90,13 @@ class ReducedProblem:
     """
 
     pose_index: IntArray
-    site_index: IntArray
-    site_capacity: IntArray
-    budget_units: int
+    limits: Limits
     run_index: IntArray
-    weight: FloatArray
+    measure: Measure
+    floors: tuple[Requirement, ...]
+    goal: Goal
+    survive: int
+    stage_weights: tuple[float, ...] | None
     n_frames: int
     words: WordArray
     window_frames: IntArray
@@ -105,6 +110,11 @@ class ReducedProblem:
     def n_poses(self) -> int:
         """Number of poses that are left."""
         return len(self.pose_index)
+
+    @property
+    def weight(self) -> FloatArray:
+        """Weights of the runs, (n_runs,)."""
+        return self.measure.weight
 
     @property
     def n_chains(self) -> int:
@@ -161,38 +171,39 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
     * Dominated poses, see :func:`is_dominated`.
     """
     windows = _Windows(problem)
-    usable = problem.site_capacity[problem.site_index] > 0
+    limits = problem.limits
+    usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
+    usable |= limits.is_forced
     while True:
         poses = np.flatnonzero(usable)
         reduced = windows.reduce(poses)
-        is_needless: BoolArray = np.logical_and.reduce(reduced.words == 0, axis=1)
+        is_wished = reduced.limits.is_forced
+        is_wished = is_wished | limits.is_forced_site[reduced.limits.site_index]
+        sees: BoolArray = np.logical_or.reduce(reduced.words != 0, axis=1)
+        is_needless = ~sees & ~is_wished
         left = np.flatnonzero(~is_needless)
         is_needless[left] = is_dominated(
-            reduced.words[left],
-            problem.site_index[poses[left]],
-            problem.site_capacity,
-            problem.budget_units,
+            reduced.words[left], reduced.limits.of_poses(left), max_units=limits.max_units
         )
+        if is_needless.all() and len(poses):  # a layout has a unit, even where that is useless
+            price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
+            is_needless[np.argmin(price[poses])] = False
         if not is_needless.any():
             return reduced
         usable[poses[is_needless]] = False
 
 
-def is_dominated(
-    words: WordArray, site_index: IntArray, site_capacity: IntArray, budget_units: int
-) -> BoolArray:
+def is_dominated(words: WordArray, limits: Limits, *, max_units: int) -> BoolArray:
     """Poses without which some best set remains, whatever the stage.
 
     Parameters
     ----------
     words : (n_poses, n_words) uint64
         What each pose sees.
-    site_index : (n_poses,) int
-        Site of every pose.
-    site_capacity : (n_sites,) int
-        Units per site, at least 1 where a pose is.
-    budget_units : int
-        Units in all.
+    limits : Limits
+        On these poses.
+    max_units : int
+        No set has more units.
 
     Returns
     -------
@@ -201,7 +212,9 @@ def is_dominated(
 
     Notes
     -----
-    Pose d dominates pose c if it sees all that c sees; among equal poses the earlier one
+    Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that
+    c is not: at the same site its price decides; elsewhere its site may have to be paid, too,
+    and neither site may have rivals or be asked for. Among equal poses the earlier one
     dominates. Every stage is monotone in what each unit sees: where d can take the place of c, no
     value gets worse. So c may go if in every feasible set S with c one of its dominators is
     outside S and finds room. Who wants to prevent that has the other K - 1 units of S to
@@ -213,27 +226,41 @@ def is_dominated(
 
     If that takes more than K - 1 units, c may go. Dominators that are dropped themselves count:
     the replacement is replaced in turn, each time by a pose earlier in one fixed order (more
-    seen, then index), which ends.
+    seen, cheaper, index), which ends.
     """
     count = np.bitwise_count(words).sum(axis=1, dtype=np.int64)
-    order = np.argsort(-count, kind="stable")
+    order = np.lexsort((limits.unit_cost_eur, -count))
     columns = np.ascontiguousarray(~words[order].T)
-    sites = site_index[order]
+    sites = limits.site_index[order]
+    price = limits.unit_cost_eur[order]
+    is_bound_site = limits.is_forced_site.copy()
+    is_bound_site[limits.rivals.ravel()] = True
+    elsewhere = price + limits.site_cost_eur[sites]
+    elsewhere[is_bound_site[sites]] = np.inf
     result = np.zeros(len(words), dtype=bool)
     for rank, pose in enumerate(order):
+        if limits.is_forced[pose]:
+            continue
+        own = limits.site_index[pose]
+        affordable = limits.unit_cost_eur[pose] + COST_TOLERANCE_EUR
+        if limits.is_plain:
+            dominators = np.arange(rank)
+        else:
+            is_cheaper = (sites[:rank] == own) & (price[:rank] <= affordable)
+            if not is_bound_site[own]:
+                is_cheaper |= elsewhere[:rank] <= affordable
+            dominators = np.flatnonzero(is_cheaper)
         row = words[pose]
         # The fullest words first: they leave the fewest.
         fullest = np.argsort(-np.bitwise_count(row).astype(np.int64), kind="stable")
-        dominators = np.flatnonzero((columns[fullest[0], :rank] & row[fullest[0]]) == 0)
-        for word in fullest[1:]:
+        for word in fullest:
             if len(dominators) == 0 or row[word] == 0:
                 break
             dominators = dominators[(columns[word, dominators] & row[word]) == 0]
-        at_site = np.bincount(sites[dominators], minlength=len(site_capacity))
-        own = site_index[pose]
+        at_site = np.bincount(sites[dominators], minlength=limits.n_sites)
         result[pose] = (
-            at_site[own] >= site_capacity[own]
-            or np.minimum(at_site, site_capacity).sum() > budget_units - 1
+            at_site[own] >= limits.site_capacity[own]
+            or np.minimum(at_site, limits.site_capacity).sum() > max_units - 1
         )
     return result
 
@@ -243,6 +270,8 @@ class _Windows:
 
     def __init__(self, problem: PlacementProblem) -> None:
         self.problem = problem
+        self.measure = problem.measure()
+        self.floor_measures = [problem.floor_measure(floor) for floor in problem.floors]
         axis, rule = problem.table.axis, problem.rule
         run_of_frame = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
         position = np.arange(axis.n_frames) - axis.run_start[run_of_frame]
@@ -292,11 +321,20 @@ class _Windows:
         axis = problem.table.axis
         return ReducedProblem(
             pose_index=poses,
-            site_index=problem.site_index[poses],
-            site_capacity=problem.site_capacity,
-            budget_units=problem.budget_units,
+            limits=problem.limits.of_poses(poses),
             run_index=run_index,
-            weight=axis.weight[run_index],
+            measure=self.measure.of_runs(run_index),
+            floors=tuple(
+                Requirement(
+                    measure=measure.of_runs(run_index),
+                    least=floor.share,
+                    n_failures=floor.n_failures,
+                )
+                for floor, measure in zip(problem.floors, self.floor_measures, strict=True)
+            ),
+            goal=problem.goal,
+            survive=problem.survive,
+            stage_weights=problem.stage_weights,
             n_frames=len(kept),
             words=words,
             window_frames=window_frames,

@@ -3,25 +3,29 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib.metadata import version
+from typing import Literal
 
 import numpy as np
 
-from geometry.arrays import FloatArray, IntArray
+from geometry.arrays import IntArray
+from geometry.errors import InputError
 
 from ..layout import Certificate, Stage, relative_gap
-from .bitsets import set_values, union_margins_s
-from .cuts import Demand, first_cuts, violated_cuts
-from .enumeration import best_of_all
-from .greedy import extend_greedily, improve, solve_heuristically, to_full
-from .model import Cut, avoided_weights, last_links, margin_weights, solve_milp
+from .bitsets import left_after_failures, set_values
+from .enumeration import best_of_all, best_of_few
+from .feasibility import check_floors, check_limits, check_reach
+from .greedy import to_full
+from .limits import COST_TOLERANCE_EUR, are_allowed
+from .milp import DEFAULT_SOLVER, check_solver
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import TOLERANCE, PlacementProblem, PlacementValue, is_better, placement_value
+from .problem import TOLERANCE, PlacementProblem, PlacementValue, apr_failed, placement_value
+from .requirements import Requirement
+from .search import Search, settle
 
-_SOLVER = f"HiGHS {version('highspy')} through cvxpy {version('cvxpy')}"
+SolverName = Literal["auto", "exact", "relax", "greedy"]
+
 _SETS_PER_SECOND = 100_000  # enumeration; measured: two to three times as many
-_MAX_SETS = 400_000  # beyond, MILPs are quicker
-_HIGHS_TOLERANCE = 1.0e-6  # rows, whole numbers and gaps are met up to this
+_MAX_SETS = 400_000  # beyond, models are quicker
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +37,7 @@ class Solution:
     pose_index : tuple of int
         Rows of the detection table, ascending.
     certificate : Certificate
-        Stages "apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s".
+        A stage for every objective, in order.
     presolve : PresolveStatistics
         What dropped out before.
     """
@@ -43,14 +47,47 @@ class Solution:
     presolve: PresolveStatistics
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effort:
+    """How hard to try.
+
+    Attributes
+    ----------
+    solver : {"auto", "exact", "relax", "greedy"}
+        "greedy": search only, bounded by what all poses together reach; "relax": the bounds of
+        relaxations, too; "exact": mixed-integer models and enumeration, too, until the time is up;
+        "auto": the same, but relaxations alone where the instance is too large for models.
+    time_limit_s : float
+        For all stages together; presolve and the first layout are finished in any case. When it is
+        up, the best layout found is kept and the gaps say what is not proven. [s]
+    gap : float
+        Relative gap at which a stage counts as settled.
+    milp_solver : str
+        Name of the mixed-integer solver in cvxpy.
+    """
+
+    solver: SolverName = "auto"
+    time_limit_s: float = 60.0
+    gap: float = 0.0
+    milp_solver: str = DEFAULT_SOLVER
+
+    def __post_init__(self) -> None:
+        if self.solver not in ("auto", "exact", "relax", "greedy"):
+            raise InputError("--solver", self.solver, "one of auto, exact, relax, greedy")
+        if not self.time_limit_s > 0.0:
+            raise InputError("--time-limit", self.time_limit_s, "seconds, more than 0")
+        if not 0.0 <= self.gap < 1.0:
+            raise InputError("--gap", self.gap, "a share, 0 <= gap < 1")
+
+
 def solve_placement(
     problem: PlacementProblem,
     reduced: ReducedProblem | None = None,
     *,
-    time_limit_s: float = 60.0,
+    effort: Effort | None = None,
     on_stage: Callable[[str], None] | None = None,
 ) -> Solution:
-    """Best poses: by APR, then APR when one unit fails, smallest margin, mean margin.
+    """Best poses: by APR, then APR when one unit fails, smallest margin, mean margin, cost.
 
     Parameters
     ----------
@@ -58,261 +95,377 @@ def solve_placement(
         What to solve.
     reduced : ReducedProblem, optional
         Its presolved form, where that is at hand.
-    time_limit_s : float
-        For all stages together; presolve and the first layout are finished in any case. When it is
-        up, the best layout found is kept and the gaps say what is not proven. [s]
+    effort : Effort, optional
+        How hard to try; by default a minute.
     on_stage : callable, optional
         Called with the name of every stage when it begins.
 
     Returns
     -------
     solution : Solution
-        The bound of a stage is what no layout can exceed that is as good in all stages before.
+        The bound of a stage is what no layout can exceed that is as good in all stages before. A
+        problem whose goal is "fewest" or "cheapest" begins with the stage "units" or "cost_eur",
+        one that must survive failures with "apr_survived".
 
     Raises
     ------
-    ValueError
-        The time limit is not positive.
+    InputError
+        Nothing meets the wishes: the message says which cannot be met, and the best that can. Or
+        nothing was found that does in the time given.
     """
-    if not time_limit_s > 0.0:
-        raise ValueError(f"time_limit_s: got {time_limit_s!r}; expected seconds, more than 0")
-    end_s = time.monotonic() + time_limit_s
+    effort = Effort() if effort is None else effort
+    end_s = time.monotonic() + effort.time_limit_s
+    if effort.milp_solver != DEFAULT_SOLVER:
+        check_solver(effort.milp_solver)
+    check_limits(problem.limits, problem.table.pose_ids)
     reduced = presolve(problem) if reduced is None else reduced
-    search = _Search(reduced, end_s)
-    bounders = (
-        search.bound_apr,
-        search.bound_apr_one_failed,
-        search.bound_smallest_margin_s,
-        search.bound_mean_margin_s,
+    check_reach(problem, reduced)
+    search = Search(
+        reduced,
+        end_s=end_s,
+        milp_solver=effort.milp_solver,
+        uses_models=effort.solver in ("auto", "exact"),
     )
-    bounds, seconds = [], []
-    for name, find_bound in zip(PlacementValue._fields, bounders, strict=True):
+    search.start()
+    check_floors(problem, search)
+    stages = _Stages(problem, search, effort)
+    records = []
+    for name, find_bound in stages.plan():
         if on_stage is not None:
             on_stage(name)
         began_s = time.monotonic()
-        bounds.append(find_bound())
-        seconds.append(time.monotonic() - began_s)
-    pose_index = to_full(problem, reduced, search.units)
+        bound = find_bound()
+        records.append((name, bound, time.monotonic() - began_s))
+    assert search.units is not None
+    pose_index = to_full(reduced, search.units)
     value = placement_value(problem, pose_index)
-    stages = []
-    for name, objective, bound, spent_s in zip(
-        PlacementValue._fields, value, bounds, seconds, strict=True
-    ):
-        gap = relative_gap(objective, max(bound, objective))
-        stages.append(
-            Stage(
-                name=name,
-                objective=objective,
-                bound=objective if gap == 0.0 else max(bound, objective),
-                gap=gap,
-                seconds=spent_s,
-            )
-        )
     return Solution(
         pose_index=pose_index,
         certificate=Certificate(
-            stages=tuple(stages),
-            solver=search.solver,
+            stages=tuple(
+                _stage(name, _objective(problem, pose_index, value, name), bound, seconds)
+                for name, bound, seconds in records
+            ),
+            solver=" and ".join(search.proofs) or "simple bounds, no solver",
         ),
         presolve=reduced.statistics,
     )
 
 
-class _Search:
-    """The best set so far, and a method per stage that proves how much better one could be."""
+def _objective(
+    problem: PlacementProblem, pose_index: tuple[int, ...], value: PlacementValue, name: str
+) -> float:
+    if name == "units":
+        return float(len(pose_index))
+    if name == "weighted":
+        assert problem.stage_weights is not None
+        *weights, cost_weight = problem.stage_weights
+        gains = sum(w * v for w, v in zip(weights, value[:-1], strict=True))
+        return float(gains - cost_weight * value.cost_eur)
+    if name == "apr_survived":
+        return apr_failed(problem, pose_index, problem.survive)
+    return float(getattr(value, name))
 
-    def __init__(self, reduced: ReducedProblem, end_s: float) -> None:
-        self.reduced = reduced
-        self.end_s = end_s
-        everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
-        self.margin_limit_s = union_margins_s(reduced, everything)[0]
-        self.limit = self._limit()
-        self.units = solve_heuristically(reduced, self.limit)
-        self.value = self._value_of(self.units)
-        self.has_used_solver = False
-        self.has_enumerated: bool | None = None  # not tried yet
-        self.cuts: dict[float, list[Cut]] = {}  # by the APR that is asked for when one unit fails
 
-    @property
-    def solver(self) -> str:
-        """What the proofs rest on."""
-        parts = [_SOLVER] if self.has_used_solver else []
-        parts += ["exhaustive enumeration"] if self.has_enumerated else []
-        return " and ".join(parts) or "simple bounds, no solver"
+def _stage(name: str, objective: float, bound: float, seconds: float) -> Stage:
+    is_minimised = name in ("units", "cost_eur")
+    bound = min(bound, objective) if is_minimised else max(bound, objective)
+    gap = relative_gap(objective, bound)
+    return Stage(
+        name=name,
+        objective=objective,
+        bound=objective if gap == 0.0 else bound,
+        gap=gap,
+        seconds=seconds,
+    )
+
+
+class _Stages:
+    """A method per stage that improves the best set, and says how much better one could be."""
+
+    def __init__(self, problem: PlacementProblem, search: Search, effort: Effort) -> None:
+        self.problem = problem
+        self.search = search
+        self.effort = effort
+        self.held: list[Requirement] = []
+        self.apr_limit = search.reduced.measure.limit
+        self.is_complete: bool | None = None  # not tried yet
+        self.has_enumerated: bool | None = None
+
+    def plan(self) -> list[tuple[str, Callable[[], float]]]:
+        """Names of the stages in order, and what finds their bounds."""
+        first: list[tuple[str, Callable[[], float]]] = []
+        if self.problem.goal == "fewest":
+            first.append(("units", self.bound_units))
+        if self.problem.goal == "cheapest":
+            first.append(("cost_eur", self.bound_first_cost_eur))
+        if self.problem.survive:
+            first.append(("apr_survived", self.bound_apr_survived))
+        if self.problem.stage_weights is not None:
+            return [*first, ("weighted", self.bound_weighted)]
+        return [
+            *first,
+            ("apr", self.bound_apr),
+            ("apr_one_failed", self.bound_apr_one_failed),
+            ("smallest_margin_s", self.bound_smallest_margin_s),
+            ("mean_margin_s", self.bound_mean_margin_s),
+            *([] if self.problem.goal == "cheapest" else [("cost_eur", self.bound_cost_eur)]),
+        ]
+
+    def bound_units(self) -> float:
+        """No layout that reaches the floors has fewer units; from here on none has more."""
+        search = self.search
+        bound = 1.0
+        if not self._is_complete():
+            n_units = len(self._units())
+            if n_units > 1 and not self._one_unit_does():
+                bound = 2.0
+            if n_units > bound:
+                bound = max(bound, np.ceil(search.look_for("units", ()) - 1.0e-6))
+        n_units = len(self._units())
+        search.restrict(replace(search.reduced.limits, budget_units=n_units))
+        return float(n_units) if self._is_complete() else min(bound, float(n_units))
+
+    def bound_first_cost_eur(self) -> float:
+        """No layout that reaches the floors costs less; from here on none costs more."""
+        search = self.search
+        bound = self._cheapest_unit_eur()
+        if not self._is_complete() and search.value.cost_eur > bound + COST_TOLERANCE_EUR:
+            bound = max(bound, search.look_for("cost", ()))
+        cost = search.value.cost_eur
+        search.restrict(replace(search.reduced.limits, budget_eur=cost))
+        return cost if self._is_complete() else min(self._settled_from_below(cost, bound), cost)
+
+    def bound_apr_survived(self) -> float:
+        """No layout keeps a higher APR when its worst units fail."""
+        return self._bound_failed(self.problem.survive, self.search.reduced.measure.limit)
 
     def bound_apr(self) -> float:
         """No layout has a higher APR."""
-        self.apr_limit = min(1.0, float(self.reduced.weight.sum()))
-        if self.value.apr < self.apr_limit - TOLERANCE:
-            bound = self._look_for(Demand(), avoided_weights(self.reduced))
-            self.apr_limit = _settle(self.value.apr, bound, self.apr_limit)
+        search = self.search
+        if not self._is_settled(search.value.apr, self.apr_limit):
+            if self._is_complete():
+                self.apr_limit = search.value.apr
+            else:
+                bound = search.look_for("apr", self.held)
+                self.apr_limit = settle(search.value.apr, bound, self.apr_limit)
+        self._hold(Requirement(measure=search.reduced.measure, least=search.value.apr))
         return self.apr_limit
 
     def bound_apr_one_failed(self) -> float:
         """No layout that holds the APR keeps a higher one when one unit fails."""
-        n_units = self.reduced.budget_units
-        if n_units == 1:
+        if self.search.reduced.limits.max_units == 1:
             return 0.0
-        limit = self.value.apr
-        if self.value.apr_one_failed >= limit - TOLERANCE:
-            return limit
-        if self._enumerate():
-            return self.value.apr_one_failed
-        # What is left when a unit fails is a layout with one unit less.
-        fewer = replace(self.reduced, budget_units=n_units - 1)
-        self.has_used_solver = True
-        result = solve_milp(fewer, avoided_weights(fewer), time_limit_s=self._left_s())
-        limit = _settle(self.value.apr_one_failed, result.bound, limit)
-        all_runs = float(self.reduced.weight.sum())
-        if limit >= all_runs - TOLERANCE > self.value.apr_one_failed:
-            bound = self._look_for(Demand(apr=self.value.apr, apr_one_failed=all_runs))
-            if bound == -np.inf:
-                limit = all_runs - float(self.reduced.weight.min())
-        while self.value.apr_one_failed < limit - TOLERANCE:
-            before = self.value
-            bound = self._look_for(
-                Demand(apr=before.apr, apr_one_failed=before.apr_one_failed + 2.0 * TOLERANCE)
-            )
-            if bound == -np.inf:
-                return before.apr_one_failed
-            if not is_better(self.value, before):
-                return limit  # time is up
-        return limit
+        return self._bound_failed(1, self.search.value.apr)
 
     def bound_smallest_margin_s(self) -> float:
         """No layout that holds the stages before has a larger smallest margin."""
-        if self.value.apr == 0.0:
+        search = self.search
+        if search.value.apr == 0.0:
             return self._undefined_margin_s()
-        order = np.argsort(-self.margin_limit_s)
-        share = np.cumsum(self.reduced.weight[order])
-        limit = self.margin_limit_s[order[np.argmax(share >= self.value.apr - TOLERANCE)]]
-        if self.value.smallest_margin_s >= limit - TOLERANCE or self._enumerate():
-            return self.value.smallest_margin_s
-        margins = self.reduced.margin_s
+        reduced = search.reduced
+        limit = self._smallest_margin_limit_s()
+        if self._is_settled(search.value.smallest_margin_s, limit):
+            return self._hold_margin(limit)
+        if self._is_complete() or self._enumerate():
+            return self._hold_margin(search.value.smallest_margin_s)
+        margins = reduced.margin_s
         candidates = np.unique(margins[margins <= limit + TOLERANCE])
-        low = int(np.searchsorted(candidates, self.value.smallest_margin_s + TOLERANCE))
+        low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
         high, probe = len(candidates), low
         while low < high:
-            demand = Demand(
-                apr=self.value.apr,
+            demand = Requirement(
+                measure=reduced.measure,
+                least=search.value.apr,
                 min_margin_s=float(candidates[probe]),
-                apr_one_failed=self.value.apr_one_failed,
             )
-            if self._look_for(demand) == -np.inf:
+            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
                 high = probe
-            elif self.value.smallest_margin_s >= candidates[probe] - TOLERANCE:
-                low = int(np.searchsorted(candidates, self.value.smallest_margin_s + TOLERANCE))
+            elif search.value.smallest_margin_s >= candidates[probe] - TOLERANCE:
+                low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
             else:
                 break  # time is up
             probe = (low + high) // 2
-        return float(candidates[high - 1]) if low < high else self.value.smallest_margin_s
+        bound = float(candidates[high - 1]) if low < high else search.value.smallest_margin_s
+        return self._hold_margin(bound)
 
     def bound_mean_margin_s(self) -> float:
         """No layout that holds the stages before has a larger mean margin."""
-        if self.value.apr == 0.0:
+        search = self.search
+        if search.value.apr == 0.0:
             return self._undefined_margin_s()
-        total_s = self.reduced.weight @ self.margin_limit_s
-        limit = min(float(self.margin_limit_s.max()), float(total_s) / self.value.apr)
-        if self.value.mean_margin_s >= limit - TOLERANCE or self._enumerate():
-            return self.value.mean_margin_s
-        demand = Demand(
-            apr=self.value.apr,
-            min_margin_s=self.value.smallest_margin_s,
-            apr_one_failed=self.value.apr_one_failed,
-        )
-        bound = self._look_for(demand, margin_weights(self.reduced))
-        return _settle(self.value.mean_margin_s, bound / demand.apr, limit)
+        reduced = search.reduced
+        total_s = float(reduced.weight @ np.maximum(self.search.margin_limit_s, 0.0))
+        limit = min(float(search.margin_limit_s.max()), total_s / search.value.apr)
+        if self._is_settled(search.value.mean_margin_s, limit):
+            return limit
+        if self._is_complete() or self._enumerate():
+            return search.value.mean_margin_s
+        bound = search.look_for("margins", self.held)
+        return settle(search.value.mean_margin_s, bound / search.value.apr, limit)
 
-    def _enumerate(self) -> bool:
-        """Go through all sets that could be better, if they are few; whether that was done."""
-        if self.has_enumerated is None:
-            is_apr_proven = self.value.apr >= self.apr_limit - TOLERANCE
-            best = best_of_all(
-                self.reduced,
-                self.units,
-                apr_one_failed=self.value.apr_one_failed,
-                max_sets=min(_MAX_SETS, int(self._left_s() * _SETS_PER_SECOND))
-                if is_apr_proven
-                else 0,
+    def bound_cost_eur(self) -> float:
+        """No layout that holds the stages before costs less."""
+        search = self.search
+        cost, least = search.value.cost_eur, self._cheapest_unit_eur()
+        if cost <= least + COST_TOLERANCE_EUR or self._is_complete():
+            return cost
+        avoided = float(search.reduced.weight @ search.avoided())
+        mean = Requirement(
+            measure=search.reduced.measure,
+            least=search.value.mean_margin_s * avoided,
+            sums_margins=True,
+        )
+        bound = search.look_for("cost", [*self.held, mean])
+        return max(least, self._settled_from_below(search.value.cost_eur, bound))
+
+    def bound_weighted(self) -> float:
+        """No layout has a larger weighted sum: no larger than that of each value's own limit."""
+        limit = float(self.search.limit[3])
+        return float(self.search.row[3]) if self._is_complete() else limit
+
+    def _bound_failed(self, n_failures: int, limit: float) -> float:
+        """No layout that holds the stages before keeps a higher APR when its worst units fail."""
+        search = self.search
+        value = self._left(n_failures)
+        if not self._is_settled(value, limit):
+            if self._is_complete() or (n_failures == 1 and self._enumerate()):
+                limit = self._left(n_failures)
+            else:
+                limit = self._bound_failed_by_models(n_failures, limit)
+        self._hold(
+            Requirement(
+                measure=search.reduced.measure,
+                least=self._left(n_failures),
+                n_failures=n_failures,
             )
-            self.has_enumerated = best is not None
-            if best is not None:
-                self.units, self.value = best, self._value_of(best)
-        return self.has_enumerated
-
-    def _limit(self) -> PlacementValue:
-        """What all poses together reach where everything is avoided: no set is better."""
-        all_runs = min(1.0, float(self.reduced.weight.sum()))
-        if all_runs == 0.0:
-            return PlacementValue(0.0, 0.0, 0.0, 0.0)
-        return PlacementValue(
-            apr=all_runs,
-            apr_one_failed=all_runs if self.reduced.budget_units > 1 else 0.0,
-            smallest_margin_s=float(self.margin_limit_s.min()),
-            mean_margin_s=float(np.average(self.margin_limit_s, weights=self.reduced.weight)),
         )
+        return limit
+
+    def _bound_failed_by_models(self, n_failures: int, limit: float) -> float:
+        search = self.search
+        reduced = search.reduced
+        n_left = reduced.limits.max_units - n_failures
+        if n_left < 1:
+            return 0.0
+        # What is left when units fail is a layout with fewer, bound by no wish.
+        fewer = replace(
+            reduced,
+            floors=(),
+            limits=replace(
+                reduced.limits,
+                budget_units=n_left,
+                is_forced=np.zeros_like(reduced.limits.is_forced),
+                is_forced_site=np.zeros_like(reduced.limits.is_forced_site),
+            ),
+        )
+        limit = settle(self._left(n_failures), search.look_for("apr", (), fewer), limit)
+        step = 2.0 * TOLERANCE
+        all_runs = reduced.measure.limit
+        if limit >= all_runs - TOLERANCE > self._left(n_failures) and reduced.measure.is_mean:
+            demand = Requirement(measure=reduced.measure, least=all_runs, n_failures=n_failures)
+            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
+                limit = all_runs - float(reduced.weight.min())
+        while self._left(n_failures) < limit - TOLERANCE:
+            before = self._left(n_failures)
+            demand = Requirement(
+                measure=reduced.measure, least=before + step, n_failures=n_failures
+            )
+            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
+                return before
+            if self._left(n_failures) <= before + TOLERANCE:
+                return limit  # time is up
+        return limit
+
+    def _left(self, n_failures: int) -> float:
+        search = self.search
+        sets = self._units()[None, :]
+        left = left_after_failures(search.reduced, search.reduced.measure, n_failures, sets)
+        return float(left[0])
+
+    def _units(self) -> IntArray:
+        units = self.search.units
+        assert units is not None  # a first set is there, or solve_placement has given up
+        return units
+
+    def _hold(self, requirement: Requirement) -> None:
+        self.held.append(requirement)
+
+    def _hold_margin(self, bound: float) -> float:
+        search = self.search
+        self._hold(
+            Requirement(
+                measure=search.reduced.measure,
+                least=search.value.apr,
+                min_margin_s=search.value.smallest_margin_s,
+            )
+        )
+        return bound
+
+    def _is_settled(self, value: float, limit: float) -> bool:
+        return limit - value <= max(TOLERANCE, self.effort.gap * abs(value))
+
+    def _settled_from_below(self, cost: float, bound: float) -> float:
+        return cost if bound >= cost * (1.0 - 1.0e-6) - COST_TOLERANCE_EUR else bound
+
+    def _smallest_margin_limit_s(self) -> float:
+        search = self.search
+        order = np.argsort(-search.margin_limit_s)
+        share = np.cumsum(search.reduced.weight[order])
+        enough = np.argmax(share >= search.value.apr - TOLERANCE)
+        return float(search.margin_limit_s[order[enough]])
 
     def _undefined_margin_s(self) -> float:
         """Bound of a margin while nothing is avoided: 0 if that is proven."""
-        return 0.0 if self.apr_limit == 0.0 else float(self.margin_limit_s.max())
+        return 0.0 if self.apr_limit == 0.0 else float(self.search.margin_limit_s.max())
 
-    def _look_for(self, demand: Demand, objective: FloatArray | None = None) -> float:
-        """Look for the best set that meets a demand; keep it if it is better than the best so far.
+    def _cheapest_unit_eur(self) -> float:
+        limits = self.search.reduced.limits
+        if not limits.n_poses:
+            return 0.0
+        return float((limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]).min())
 
-        Parameters
-        ----------
-        demand : Demand
-            What it must reach.
-        objective : (n_links,) float, optional
-            Weights of a; without them any set that meets the demand will do.
+    def _one_unit_does(self) -> bool:
+        """Whether a single pose reaches the floors."""
+        reduced = self.search.reduced
+        sets = np.arange(reduced.n_poses)[:, None]
+        sets = sets[are_allowed(reduced.limits, sets)]
+        return bool(len(sets)) and bool((set_values(reduced, sets)[:, 0] == 0.0).any())
 
-        Returns
-        -------
-        bound : float
-            No set that meets the demand has a higher objective; minus infinity if there is none,
-            plus infinity if nothing is known, or if there is no objective.
-        """
-        cuts = self.cuts.setdefault(demand.apr_one_failed, first_cuts(self.reduced, demand))
-        bound = np.inf
-        while self._left_s() > 0.0:
-            self.has_used_solver = True
-            result = solve_milp(
-                self.reduced,
-                objective,
-                hold_link=last_links(self.reduced, min_margin_s=demand.min_margin_s),
-                hold_share=demand.apr,
-                cuts=cuts,
-                time_limit_s=self._left_s(),
-            )
-            if result.units is None and result.is_finished:
-                return -np.inf
-            if objective is not None:
-                bound = min(bound, result.bound)
-            if result.units is None:
-                break
-            violated = violated_cuts(self.reduced, result.units, demand)
-            if not violated:
-                self._offer(result.units)
-                break
-            cuts.extend(violated)
-        return bound
+    def _is_complete(self) -> bool:
+        """Go through all sets, if they are few; whether that was done."""
+        search = self.search
+        if self.is_complete is None:
+            self.is_complete = False
+            if self.effort.solver in ("auto", "exact"):
+                units, self.is_complete = best_of_few(search.reduced, max_sets=self._max_sets())
+                if units is not None:
+                    search.keep(units)
+            if self.is_complete:
+                search.proofs["exhaustive enumeration"] = None
+        return self.is_complete
 
-    def _offer(self, units: IntArray) -> None:
-        units = improve(self.reduced, extend_greedily(self.reduced, units), self.limit)
-        value = self._value_of(units)
-        if is_better(value, self.value):
-            self.units, self.value = units, value
+    def _enumerate(self) -> bool:
+        """Go through all sets that could be better, if they are few; whether that was done."""
+        search, reduced, problem = self.search, self.search.reduced, self.problem
+        if self.has_enumerated is None:
+            self.has_enumerated = False
+            is_apr_proven = search.value.apr >= self.apr_limit - TOLERANCE
+            is_plain = reduced.limits.is_plain and reduced.measure.is_mean
+            is_plain = is_plain and not (problem.floors or problem.survive)
+            is_full = len(self._units()) == reduced.limits.max_units
+            if is_apr_proven and is_plain and is_full and search.uses_models:
+                best = best_of_all(
+                    reduced,
+                    self._units(),
+                    apr_one_failed=search.value.apr_one_failed,
+                    max_sets=self._max_sets(),
+                )
+                self.has_enumerated = best is not None
+                if best is not None:
+                    search.keep(best)
+                    search.proofs["exhaustive enumeration"] = None
+        return self.has_enumerated
 
-    def _left_s(self) -> float:
-        return self.end_s - time.monotonic()
-
-    def _value_of(self, units: IntArray) -> PlacementValue:
-        return PlacementValue(*map(float, set_values(self.reduced, units[None, :])[0]))
-
-
-def _settle(objective: float, bound: float, limit: float) -> float:
-    """Bound of a stage from what HiGHS says; `limit` holds without it."""
-    tolerance = _HIGHS_TOLERANCE * max(1.0, abs(objective))
-    if bound < objective - tolerance:
-        return limit  # HiGHS errs: a set with this objective is at hand
-    return objective if bound <= objective + tolerance else min(limit, bound)
+    def _max_sets(self) -> int:
+        return max(0, min(_MAX_SETS, int(self.search.left_s() * _SETS_PER_SECOND)))

@@ -21,7 +21,7 @@ from placement.detectors import load_detector
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
 from placement.links import Links
-from placement.optimiser import PlacementProblem
+from placement.optimiser import Limits, PlacementProblem
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis, Refusal
 
@@ -203,9 +203,9 @@ def test_disagreement_is_judged_under_the_fusion_asked_for(evaluation_of, rule):
     for fusion in ("any", "single"):
         problem = PlacementProblem(
             table=table,
-            site_index=np.array([0, 1]),
-            site_capacity=np.array([1, 1]),
-            budget_units=2,
+            limits=Limits(
+                site_index=np.array([0, 1]), site_capacity=np.array([1, 1]), budget_units=2
+            ),
             fusion=fusion,
             rule=rule,
         )

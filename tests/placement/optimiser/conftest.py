@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from placement.detection_table import pack_table
 from placement.optimiser import (
+    Limits,
     PlacementProblem,
     PlacementValue,
     is_better,
@@ -48,9 +49,12 @@ def problems(draw: st.DrawFn) -> PlacementProblem:
     max_units = np.minimum(site_capacity, np.bincount(site_index, minlength=n_sites)).sum()
     return PlacementProblem(
         table=pack_table(tuple(map(str, range(n_poses))), axis, detected),
-        site_index=site_index,
-        site_capacity=site_capacity,
-        budget_units=min(draw(st.sampled_from([3, 2, 1])), int(max_units)),
+        limits=Limits(
+            site_index=site_index,
+            site_capacity=site_capacity,
+            budget_units=min(draw(st.sampled_from([3, 2, 1])), int(max_units)),
+            unit_cost_eur=np.full(n_poses, 1500.0),
+        ),
         fusion=draw(st.sampled_from(["any", "single"])),
         rule=AebRule(
             deceleration_mps2=7.72,
@@ -65,9 +69,9 @@ st.register_type_strategy(PlacementProblem, problems())
 
 
 def _best_value(problem: PlacementProblem, poses: Iterable[int]) -> PlacementValue:
-    best = PlacementValue(0.0, 0.0, 0.0, 0.0)
+    best = PlacementValue(0.0, 0.0, 0.0, 0.0, np.inf)
     choice = list(poses)
-    for n_units in range(1, problem.budget_units + 1):
+    for n_units in range(1, problem.limits.max_units + 1):
         for units in combinations(choice, n_units):
             if is_feasible(problem, units):
                 value = placement_value(problem, units)

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placement.optimiser import PlacementProblem, is_feasible, presolve
-from placement.optimiser.bitsets import best_set, one_failed_apr, set_values
+from placement.optimiser.bitsets import best_set, left_after_failures, set_values
 from placement.optimiser.enumeration import best_of_all
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
@@ -17,20 +17,22 @@ def test_nothing_beats_the_best_of_all(problem: PlacementProblem, data: st.DataO
     reduced = presolve(problem)
     sets = [
         units
-        for units in combinations(range(reduced.n_poses), problem.budget_units)
+        for units in combinations(range(reduced.n_poses), problem.limits.max_units)
         if is_feasible(problem, reduced.pose_index[list(units)].tolist())
     ]
-    if problem.budget_units == 1 or not sets:
+    if problem.limits.max_units == 1 or not sets:
         return
     all_sets = np.array(sets)
     best = set_values(reduced, best_set(reduced, all_sets)[None, :])
     # From any set that loses no APR: the others are not what is asked.
-    shares = set_values(reduced, all_sets)[:, 0]
+    shares = set_values(reduced, all_sets)[:, 3]
     start = data.draw(st.sampled_from(np.flatnonzero(shares >= shares.max() - 1e-9).tolist()))
     found = best_of_all(
         reduced,
         all_sets[start],
-        apr_one_failed=float(one_failed_apr(reduced, all_sets[[start]])[0]),
+        apr_one_failed=float(
+            left_after_failures(reduced, reduced.measure, 1, all_sets[[start]])[0]
+        ),
         max_sets=1000,
     )
     assert found is not None
@@ -41,6 +43,6 @@ def test_nothing_beats_the_best_of_all(problem: PlacementProblem, data: st.DataO
 @settings(deadline=None, max_examples=50)
 def test_too_many_sets_are_not_begun(problem: PlacementProblem) -> None:
     reduced = presolve(problem)
-    units = np.arange(problem.budget_units)
-    is_small = reduced.n_poses <= problem.budget_units
+    units = np.arange(problem.limits.max_units)
+    is_small = reduced.n_poses <= problem.limits.max_units
     assert is_small or best_of_all(reduced, units, apr_one_failed=0.0, max_sets=1) is None

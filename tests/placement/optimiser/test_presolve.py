@@ -1,4 +1,5 @@
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -7,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placement.optimiser import (
+    Limits,
     PlacementProblem,
     PlacementValue,
     PresolveStatistics,
@@ -32,11 +34,12 @@ def test_presolve_changes_no_best_value(problem: PlacementProblem, best_value: B
 @settings(deadline=None, max_examples=200)
 def test_reduced_problem_values_every_set_as_the_table_does(problem: PlacementProblem) -> None:
     reduced = presolve(problem)
-    n_units = min(problem.budget_units, reduced.n_poses)
+    n_units = min(problem.limits.max_units, reduced.n_poses)
     sets = np.array(list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64)
     sets = sets.reshape(-1, n_units) if n_units else np.empty((1, 0), dtype=np.int64)
     expected = [placement_value(problem, reduced.pose_index[units].tolist()) for units in sets]
-    np.testing.assert_allclose(set_values(reduced, sets), np.array(expected), atol=1e-9)
+    values = set_values(reduced, sets)[:, 3:] * [1.0, 1.0, 1.0, 1.0, -1.0]
+    np.testing.assert_allclose(values, np.array(expected), atol=1e-9)
 
 
 @given(st.integers(0, 200), st.integers(0, 2**32 - 1))
@@ -49,20 +52,47 @@ def test_dominated_pose_stays_while_its_dominators_can_be_used_up() -> None:
     words = pack_words(np.array([[1, 1], [1, 0]], dtype=bool))
     site, capacity = np.array([0, 1]), np.array([1, 1])
     # With one unit the first pose does it; with two, the second pose is wanted beside it.
-    assert is_dominated(words, site, capacity, 1).tolist() == [False, True]
-    assert is_dominated(words, site, capacity, 2).tolist() == [False, False]
+    assert is_dominated(
+        words, Limits(site_index=site, site_capacity=capacity), max_units=1
+    ).tolist() == [False, True]
+    assert is_dominated(
+        words, Limits(site_index=site, site_capacity=capacity), max_units=2
+    ).tolist() == [False, False]
 
 
 def test_dominated_pose_goes_when_its_own_site_has_room_for_the_dominator_alone() -> None:
     words = pack_words(np.array([[1, 0], [1, 1]], dtype=bool))
-    assert is_dominated(words, np.array([0, 0]), np.array([1]), 3).tolist() == [True, False]
-    assert is_dominated(words, np.array([0, 0]), np.array([2]), 3).tolist() == [False, False]
+    for capacity, expected in ((1, [True, False]), (2, [False, False])):
+        limits = Limits(site_index=np.array([0, 0]), site_capacity=np.array([capacity]))
+        assert is_dominated(words, limits, max_units=3).tolist() == expected
+
+
+def test_a_pose_that_sees_more_dominates_only_where_it_costs_no_more() -> None:
+    words = pack_words(np.array([[1, 1], [1, 0]], dtype=bool))
+    limits = Limits(site_index=np.array([0, 0]), site_capacity=np.array([1]))
+    for prices, expected in (((5.0, 5.0), [False, True]), ((6.0, 5.0), [False, False])):
+        priced = replace(limits, unit_cost_eur=np.array(prices))
+        assert is_dominated(words, priced, max_units=1).tolist() == expected
+    forced = replace(limits, is_forced=np.array([False, True]))
+    assert is_dominated(words, forced, max_units=1).tolist() == [False, False]
+
+
+def test_a_site_that_must_be_paid_does_not_dominate_another() -> None:
+    words = pack_words(np.array([[1, 1], [1, 0]], dtype=bool))
+    limits = Limits(site_index=np.array([0, 1]), site_capacity=np.array([1, 1]))
+    assert is_dominated(words, limits, max_units=1).tolist() == [False, True]
+    paid = replace(limits, site_cost_eur=np.array([9.0, 0.0]))
+    assert is_dominated(words, paid, max_units=1).tolist() == [False, False]
+    asked = replace(limits, is_forced_site=np.array([False, True]))
+    assert is_dominated(words, asked, max_units=1).tolist() == [False, False]
 
 
 def test_of_equal_poses_the_earlier_stays() -> None:
     words = pack_words(np.ones((3, 1), dtype=bool))
     site, capacity = np.zeros(3, dtype=np.int64), np.array([1])
-    assert is_dominated(words, site, capacity, 1).tolist() == [False, True, True]
+    assert is_dominated(
+        words, Limits(site_index=site, site_capacity=capacity), max_units=1
+    ).tolist() == [False, True, True]
 
 
 def test_statistics_read_as_sizes_before_and_after() -> None:

@@ -1,0 +1,207 @@
+"""Options that say what is asked of a layout, and how it is looked for."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from functools import wraps
+from typing import Any
+
+import click
+
+from .cli_options import Number, OneOf, Share, WholeNumber
+from .question import Planning
+
+FUSIONS = ("any", "single")
+SOLVERS = ("auto", "exact", "relax", "greedy")
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+_ASKED = (
+    click.option(
+        "--budget", type=WholeNumber(1, "a whole number of units"), help="Most units to mount."
+    ),
+    click.option(
+        "--budget-cost",
+        type=Number("EUR", "euros"),
+        help="Most money to spend on units and sites.",
+    ),
+    click.option(
+        "--target",
+        default="",
+        metavar="SHARE",
+        help="APR to be reached with the fewest units: 0.99, or max for all that can be reached.",
+    ),
+    click.option(
+        "--least",
+        type=OneOf(("units", "cost")),
+        default="units",
+        show_default=True,
+        help="What --target is reached with the least of.",
+    ),
+    click.option(
+        "--min-case-apr",
+        type=Share("a share of the runs"),
+        default=0.0,
+        help="APR that must be reached in every case.",
+    ),
+    click.option(
+        "--survive",
+        type=WholeNumber(0, "units that may fail, 0 to 2"),
+        default=0,
+        help="Reach --target and --min-case-apr even when any N units fail; without these, look "
+        "for the highest APR that is left then.",
+    ),
+)
+_SITES = (
+    click.option(
+        "--keep",
+        default="",
+        metavar="LAYOUT",
+        help="A layout that hangs there and is paid: units are added to it.",
+    ),
+    click.option(
+        "--within",
+        default="",
+        metavar="LAYOUT",
+        help="Choose among the units of this layout alone: carlancap-12, or a file.",
+    ),
+    click.option("--force-site", default="", metavar="SITES", help="Sites that must carry units."),
+    click.option(
+        "--forbid-site", default="", metavar="SITES", help="Sites that must not carry any."
+    ),
+    click.option(
+        "--site-capacity",
+        type=WholeNumber(1, "units per site"),
+        help="Units that each site can carry; default: the scene's.",
+    ),
+    click.option(
+        "--site-cost",
+        "site_cost_eur",
+        type=Number("EUR", "euros", may_be_zero=True),
+        help="Of each site that is used, once; default: the scene's.",
+    ),
+    click.option(
+        "--separation",
+        "separation_m",
+        type=Number("METRES", "metres", may_be_zero=True),
+        default=0.0,
+        help="Least distance between two units on the ground; one per site then.",
+    ),
+    click.option(
+        "--sensors",
+        default="",
+        metavar="NAMES",
+        help="Models to choose from, with commas between: carla-ncap-rgb,carla-ncap-lidar; "
+        "default: the study's camera.",
+    ),
+    click.option(
+        "--study-poses/--no-study-poses",
+        default=True,
+        show_default=True,
+        help="Whether the study's own 12 poses are candidates too.",
+    ),
+)
+_LOOKING = (
+    click.option(
+        "--fusion",
+        type=OneOf(FUSIONS),
+        default="any",
+        show_default=True,
+        help="any: a frame counts if any unit detects; single: one unit must confirm alone.",
+    ),
+    click.option(
+        "--stage-weights",
+        default="",
+        metavar="WEIGHTS",
+        help="One weighted sum in place of the objectives in order: apr=1,mean_margin_s=0.1.",
+    ),
+    click.option(
+        "--solver",
+        type=OneOf(SOLVERS),
+        default="auto",
+        show_default=True,
+        help="greedy: search only; relax: bounds of relaxations; exact: models and enumeration "
+        "to the end; auto: what the size allows.",
+    ),
+    click.option(
+        "--milp-solver",
+        default="HIGHS",
+        show_default=True,
+        metavar="NAME",
+        help="Mixed-integer solver, by its name in cvxpy: HIGHS, SCIP, CBC, GUROBI, ..",
+    ),
+    click.option(
+        "--time-limit",
+        "time_limit_s",
+        type=Number("SECONDS", "seconds"),
+        default=20.0,
+        show_default=True,
+        help="For the optimiser; when it is up, the best layout found and its gap are given.",
+    ),
+    click.option(
+        "--gap",
+        type=Share("a relative gap"),
+        default=0.0,
+        help="Relative gap at which an objective counts as settled.",
+    ),
+)
+_SAMPLING = (
+    click.option(
+        "--samples",
+        type=WholeNumber(0, "a number of sampled worlds"),
+        default=0,
+        help="Choose for so many worlds with mounting errors, traffic, misses and lost messages "
+        "drawn at random; each needs a detection table of its own.",
+    ),
+    click.option(
+        "--uncertainty",
+        default="default",
+        show_default=True,
+        metavar="NAME",
+        help="What is drawn: a name, or a .toml file.",
+    ),
+    click.option(
+        "--risk",
+        default="mean",
+        show_default=True,
+        metavar="HOW",
+        help="With --samples: mean, worst, or the share of the worst worlds whose mean APR counts.",
+    ),
+)
+
+
+def planning_options(*, has_samples: bool = True) -> Decorator:
+    """Options of a command that plans; it gets them as one `planning`.
+
+    Parameters
+    ----------
+    has_samples : bool
+        Whether it can choose for sampled worlds.
+    """
+    options = (*_ASKED, *_SITES, *_LOOKING, *(_SAMPLING if has_samples else ()))
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def with_planning(*args: Any, **values: Any) -> Any:
+            names = [field.name for field in fields(Planning) if field.name in values]
+            planning = Planning(**{name: values.pop(name) for name in names})
+            return command(*args, planning=planning, **values)
+
+        for option in reversed(options):
+            with_planning = option(with_planning)
+        return with_planning
+
+    return decorate
+
+
+def check_asked(planning: Planning) -> None:
+    """Refuse to plan for nothing.
+
+    Raises
+    ------
+    click.UsageError
+        Neither units nor money nor a target is given.
+    """
+    if planning.budget is None and planning.budget_cost is None and not planning.target:
+        raise click.UsageError(
+            "--budget: got nothing; expected a whole number of units, at least 1 (or --target, or "
+            "--budget-cost)"
+        )

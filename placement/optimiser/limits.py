@@ -1,0 +1,255 @@
+"""What may be mounted together, whatever it detects: units, money, sites, wishes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.errors import InputError, Unquoted
+
+COST_TOLERANCE_EUR = 1.0e-6
+"""Sums of prices that differ by no more are equal."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Limits:
+    """Sets of poses that may be mounted.
+
+    Attributes
+    ----------
+    site_index : (n_poses,) int
+        Site of every pose; a pose that belongs to no site has one of its own.
+    site_capacity : (n_sites,) int
+        Units that each site can carry.
+    budget_units : int, optional
+        At most so many units; by default as many as the sites can carry.
+    budget_eur : float, optional
+        At most so much money; by default any. [EUR]
+    unit_cost_eur : (n_poses,) float
+        Price of each unit; by default nothing. [EUR]
+    site_cost_eur : (n_sites,) float
+        Paid once if a site carries anything; by default nothing. [EUR]
+    is_forced, is_forbidden : (n_poses,) bool
+        Poses that must, or must not, be chosen; by default none.
+    is_forced_site : (n_sites,) bool
+        Sites that must carry at least one unit; by default none.
+    rivals : (n_pairs, 2) int
+        Pairs of sites that must not both carry units, such as those too near to each other; by
+        default none.
+    """
+
+    site_index: IntArray
+    site_capacity: IntArray
+    budget_units: int | None = None
+    budget_eur: float | None = None
+    unit_cost_eur: FloatArray = None  # type: ignore[assignment]  # filled in below
+    site_cost_eur: FloatArray = None  # type: ignore[assignment]
+    is_forced: BoolArray = None  # type: ignore[assignment]
+    is_forbidden: BoolArray = None  # type: ignore[assignment]
+    is_forced_site: BoolArray = None  # type: ignore[assignment]
+    rivals: IntArray = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        for field in ("site_index", "site_capacity"):
+            array = np.array(getattr(self, field))
+            if array.ndim != 1 or (array.size and not np.issubdtype(array.dtype, np.integer)):
+                raise InputError(field, array.tolist(), "whole numbers in one row")
+            object.__setattr__(self, field, freeze(array.astype(np.int64)))
+        n_sites = self.n_sites
+        if self.n_poses and not 0 <= self.site_index.min() <= self.site_index.max() < n_sites:
+            raise InputError("site_index", self.site_index.tolist(), f"sites 0..{n_sites - 1}")
+        if (self.site_capacity < 0).any():
+            raise InputError("site_capacity", self.site_capacity.tolist(), "units, at least 0")
+        for field, size in (
+            ("unit_cost_eur", self.n_poses),
+            ("site_cost_eur", n_sites),
+            ("is_forced", self.n_poses),
+            ("is_forbidden", self.n_poses),
+            ("is_forced_site", n_sites),
+        ):
+            self._fill(field, size, bool if field.startswith("is_") else np.float64)
+        for field in ("unit_cost_eur", "site_cost_eur"):
+            cost = getattr(self, field)
+            if not (np.isfinite(cost) & (cost >= 0.0)).all():
+                raise InputError(field, cost.tolist(), "euros, at least 0")
+        rivals = np.zeros((0, 2)) if self.rivals is None else np.array(self.rivals)
+        rivals = rivals.reshape(-1, 2).astype(np.int64)
+        if len(rivals) and not (
+            0 <= rivals.min() <= rivals.max() < n_sites and (rivals[:, 0] != rivals[:, 1]).all()
+        ):
+            raise InputError("rivals", rivals.tolist(), f"pairs of two sites, 0..{n_sites - 1}")
+        object.__setattr__(self, "rivals", freeze(rivals))
+        self._check_budgets()
+
+    def _fill(self, field: str, size: int, kind: Any) -> None:
+        value = getattr(self, field)
+        array = np.zeros(size, dtype=kind) if value is None else np.array(value, dtype=kind)
+        if array.shape != (size,):
+            raise InputError(field, Unquoted(f"shape {array.shape}"), f"shape ({size},)")
+        object.__setattr__(self, field, freeze(array))
+
+    def _check_budgets(self) -> None:
+        units, money = self.budget_units, self.budget_eur
+        if units is not None:
+            is_whole = isinstance(units, int) and not isinstance(units, bool)
+            if not (is_whole and units >= 1):
+                raise InputError("--budget", units, "a whole number of units, at least 1")
+        if money is not None and not 0.0 <= money < np.inf:
+            raise InputError("--budget-cost", money, "euros, at least 0")
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses."""
+        return len(self.site_index)
+
+    @property
+    def n_sites(self) -> int:
+        """Number of sites."""
+        return len(self.site_capacity)
+
+    @property
+    def max_units(self) -> int:
+        """No set has more units: by budgets, prices and what the sites can carry."""
+        usable = self.site_index[~self.is_forbidden]
+        per_site = np.bincount(usable, minlength=self.n_sites)
+        most = int(np.minimum(per_site, self.site_capacity).sum())
+        if self.budget_units is not None:
+            most = min(most, self.budget_units)
+        if self.budget_eur is not None:
+            prices = np.cumsum(np.sort(self.unit_cost_eur[~self.is_forbidden]))
+            affordable = np.searchsorted(prices, self.budget_eur + COST_TOLERANCE_EUR, "right")
+            most = min(most, int(affordable))
+        return most
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether units and capacities are all there is: poses may take each other's place."""
+        return not (
+            self.budget_eur is not None
+            or self.site_cost_eur.any()
+            or np.ptp(self.unit_cost_eur) > 0.0
+            or self.is_forced.any()
+            or self.is_forced_site.any()
+            or len(self.rivals)
+        )
+
+    def of_poses(self, poses: IntArray) -> "Limits":
+        """The same limits on some of the poses; all forced ones must be among them."""
+        return Limits(
+            site_index=self.site_index[poses],
+            site_capacity=self.site_capacity,
+            budget_units=self.budget_units,
+            budget_eur=self.budget_eur,
+            unit_cost_eur=self.unit_cost_eur[poses],
+            site_cost_eur=self.site_cost_eur,
+            is_forced=self.is_forced[poses],
+            is_forbidden=self.is_forbidden[poses],
+            is_forced_site=self.is_forced_site,
+            rivals=self.rivals,
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"Limits({self.budget_units} units, {self.budget_eur} EUR, {self.n_poses} poses at "
+            f"{self.n_sites} sites)"
+        )
+
+
+def cost_eur(limits: Limits, pose_index: Sequence[int] | IntArray) -> float:
+    """What a set of poses costs: its units, and each of their sites once, in euros."""
+    poses = np.asarray(pose_index, dtype=np.int64)
+    sites = np.unique(limits.site_index[poses])
+    return float(limits.unit_cost_eur[poses].sum() + limits.site_cost_eur[sites].sum())
+
+
+def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
+    """What many sets of poses cost: (n_sets, n_units) -> (n_sets,), in euros."""
+    cost = limits.unit_cost_eur[sets].sum(axis=1)
+    sites = np.sort(limits.site_index[sets], axis=1)
+    is_first = np.ones(sites.shape, dtype=bool)
+    is_first[:, 1:] = sites[:, 1:] != sites[:, :-1]
+    total: FloatArray = cost + np.where(is_first, limits.site_cost_eur[sites], 0.0).sum(axis=1)
+    return total
+
+
+def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
+    """Which sets of distinct poses are within all limits: (n_sets, n_units) -> (n_sets,)."""
+    n_sets, n_units = sets.shape
+    allowed = np.full(n_sets, limits.budget_units is None or n_units <= limits.budget_units)
+    sites = limits.site_index[sets]
+    n_beside = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
+    allowed &= (n_beside <= limits.site_capacity[sites]).all(axis=1)
+    allowed &= ~limits.is_forbidden[sets].any(axis=1)
+    if limits.budget_eur is not None:
+        allowed &= costs_eur(limits, sets) <= limits.budget_eur + COST_TOLERANCE_EUR
+    for pose in np.flatnonzero(limits.is_forced):
+        allowed &= (sets == pose).any(axis=1)
+    for site in np.flatnonzero(limits.is_forced_site):
+        allowed &= (sites == site).any(axis=1)
+    for one, other in limits.rivals:
+        allowed &= ~((sites == one).any(axis=1) & (sites == other).any(axis=1))
+    return allowed
+
+
+def is_allowed(limits: Limits, pose_index: Sequence[int] | IntArray) -> bool:
+    """Whether poses are distinct and within all limits."""
+    poses = np.asarray(pose_index, dtype=np.int64)
+    is_distinct = len(np.unique(poses)) == len(poses)
+    return is_distinct and bool(are_allowed(limits, poses[None, :])[0])
+
+
+def fitting(limits: Limits, units: IntArray) -> BoolArray:
+    """Which poses can join a set, (n_poses,).
+
+    Parameters
+    ----------
+    limits : Limits
+        What may be mounted together.
+    units : (n,) int
+        Chosen already, within the limits but for what is forced and still to come.
+
+    Returns
+    -------
+    fits : (n_poses,) bool
+        Room and money for what is forced are kept back. With rival sites or few places that need
+        not suffice to complete every set: check the end with :func:`is_allowed`.
+    """
+    sites = limits.site_index
+    at_site = np.bincount(sites[units], minlength=limits.n_sites)
+    fits = (at_site < limits.site_capacity)[sites] & ~limits.is_forbidden
+    fits[units] = False
+    if len(limits.rivals):
+        blocked = np.zeros(limits.n_sites, dtype=bool)
+        for one, other in (limits.rivals.T, limits.rivals.T[::-1]):
+            blocked[other[at_site[one] > 0]] = True
+        fits &= ~blocked[sites]
+    missing = limits.is_forced.copy()
+    missing[units] = False
+    missing_sites = limits.is_forced_site & (at_site == 0)
+    missing_sites[sites[missing]] = False
+    helps = missing | missing_sites[sites]
+    n_missing = int(missing.sum() + missing_sites.sum())
+    if limits.budget_units is not None and limits.budget_units - len(units) <= n_missing:
+        fits &= helps
+    if limits.budget_eur is not None:
+        left = limits.budget_eur + COST_TOLERANCE_EUR - cost_eur(limits, units)
+        price = limits.unit_cost_eur + np.where(
+            at_site[sites] > 0, 0.0, limits.site_cost_eur[sites]
+        )
+        reserve = float(limits.unit_cost_eur[missing].sum())
+        to_open = np.unique(sites[missing & (at_site[sites] == 0)])
+        reserve += float(limits.site_cost_eur[to_open].sum())
+        at_missing = np.zeros(limits.n_sites)
+        for site in np.flatnonzero(missing_sites):
+            of_site = (sites == site) & ~limits.is_forbidden
+            cheapest = limits.unit_cost_eur[of_site].min(initial=np.inf)
+            at_missing[site] = cheapest + limits.site_cost_eur[site]
+        reserve += float(at_missing.sum())
+        # What a pose itself provides of what is missing need not be kept back for it.
+        own = np.where(missing_sites[sites], at_missing[sites], 0.0)
+        own = np.where(missing, limits.unit_cost_eur, own)
+        own = own + np.where(missing & np.isin(sites, to_open), limits.site_cost_eur[sites], 0.0)
+        fits &= price + reserve - own <= left
+    return fits

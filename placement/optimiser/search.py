@@ -1,0 +1,208 @@
+"""The best set found so far, and the loop of models and cuts that looks for better ones."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+
+from .bitsets import N_COLUMNS, exceeds, set_values, union_margins_s, unions_of
+from .cuts import first_cuts, violated_cuts
+from .greedy import extend_greedily, improve, solve_heuristically
+from .limits import Limits, is_allowed
+from .milp import DEFAULT_SOLVER, solver_text
+from .model import Cut, Objective, solve_window_model
+from .presolve import ReducedProblem
+from .problem import PlacementValue
+from .requirements import Requirement
+
+_SOLVER_TOLERANCE = 1.0e-6  # rows, whole numbers and gaps are met up to this
+
+
+class Search:
+    """Best set of poses so far, and what the proofs rest on.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        What to choose from.
+    end_s : float
+        When to stop, on the monotonic clock. [s]
+    milp_solver : str
+        Name in cvxpy.
+    uses_models : bool
+        Whether mixed-integer models may be solved.
+    """
+
+    def __init__(
+        self,
+        reduced: ReducedProblem,
+        *,
+        end_s: float,
+        milp_solver: str = DEFAULT_SOLVER,
+        uses_models: bool = True,
+    ) -> None:
+        self.reduced = reduced
+        self.end_s = end_s
+        self.milp_solver = milp_solver
+        self.uses_models = uses_models
+        self.proofs: dict[str, None] = {}
+        everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
+        self.margin_limit_s: FloatArray = union_margins_s(reduced, everything)[0]
+        self.units: IntArray | None = None
+        self.nothing_meets_all = False  # proven that no set meets limits and floors
+        self.row = np.full(N_COLUMNS, -np.inf)
+        self._cuts: dict[tuple[float, ...], list[Cut]] = {}
+
+    @property
+    def value(self) -> PlacementValue:
+        """Value of the best set."""
+        apr, one_failed, smallest_s, mean_s, cost = map(float, self.row[3:])
+        return PlacementValue(apr, one_failed, smallest_s, mean_s, -cost)
+
+    @property
+    def shortfall(self) -> float:
+        """What the best set lacks to the floors, summed."""
+        return float(-self.row[0])  # infinite where there is no set
+
+    @property
+    def limit(self) -> FloatArray:
+        """What all poses together reach where everything is avoided: no set is better."""
+        reduced = self.reduced
+        limit = np.zeros(N_COLUMNS)
+        if len(reduced.weight):
+            all_runs, most = reduced.measure.limit, reduced.limits.max_units
+            limit[2] = all_runs if most > reduced.survive > 0 else 0.0
+            limit[3] = all_runs
+            limit[4] = all_runs if most > 1 else 0.0
+            limit[5] = self.margin_limit_s.min()
+            limit[6] = np.average(self.margin_limit_s, weights=reduced.weight)
+        if reduced.stage_weights is not None:
+            limit[3] = limit[3:] @ np.array(reduced.stage_weights)
+            limit[4:] = 0.0
+        return limit
+
+    def left_s(self) -> float:
+        """Time left, in seconds."""
+        return self.end_s - time.monotonic()
+
+    def start(self) -> None:
+        """Find a first set; there may be none, or none that reaches the floors."""
+        units = solve_heuristically(self.reduced, self.limit)
+        if units is not None:
+            self.keep(units)
+        if self.shortfall > 0.0:
+            self.nothing_meets_all = self.look_for("nothing", ()) == -np.inf
+
+    def restrict(self, limits: Limits) -> None:
+        """Look for the best set within tighter limits, which the best so far meets."""
+        self.reduced = replace(self.reduced, limits=limits, goal="best")
+        units = self.units
+        self.units = None
+        for found in (units, solve_heuristically(self.reduced, self.limit)):
+            if found is not None:
+                self.keep(found)
+
+    def avoided(self) -> BoolArray:
+        """Runs that the best set avoids, (n_runs,)."""
+        assert self.units is not None
+        union = unions_of(self.reduced, self.units[None, :])
+        is_avoided: BoolArray = union_margins_s(self.reduced, union)[0] > -np.inf
+        return is_avoided
+
+    def keep(self, units: IntArray) -> bool:
+        """Take a set if it is better than the best so far; whether it was."""
+        row = set_values(self.reduced, units[None, :])[0]
+        if self.units is not None and not exceeds(row, self.row):
+            return False
+        self.units, self.row = units, row
+        return True
+
+    def offer(self, units: IntArray) -> None:
+        """Take a set after completing and improving it, if it is better then."""
+        if not is_allowed(self.reduced.limits, units):
+            return
+        self.keep(units)
+        self.keep(improve(self.reduced, units, self.limit))
+        extended = extend_greedily(self.reduced, units)
+        if len(extended) > len(units) and is_allowed(self.reduced.limits, extended):
+            self.keep(improve(self.reduced, extended, self.limit))
+
+    def look_for(
+        self,
+        objective: Objective,
+        requirements: Sequence[Requirement],
+        reduced: ReducedProblem | None = None,
+    ) -> float:
+        """Look for the best set that meets requirements; keep it if it is better than the best.
+
+        Parameters
+        ----------
+        objective : str
+            See :data:`placement.optimiser.model.Objective`.
+        requirements : sequence of Requirement
+            What must be reached, beside the floors.
+        reduced : ReducedProblem, optional
+            Another problem on the same poses: its sets are not kept.
+
+        Returns
+        -------
+        bound : float
+            No set that meets the requirements has a better objective; the worst infinity if there
+            is none, the best one if nothing is known.
+        """
+        problem = self.reduced if reduced is None else reduced
+        demands = (*problem.floors, *requirements)
+        is_minimised = objective in ("units", "cost")
+        bound = -np.inf if is_minimised else np.inf
+        cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
+        while self.uses_models and self.left_s() > 0.0:
+            self.proofs[solver_text(self.milp_solver)] = None
+            result = solve_window_model(
+                problem,
+                objective,
+                requirements=demands,
+                cuts=cuts,
+                time_limit_s=self.left_s(),
+                solver=self.milp_solver,
+            )
+            if result.units is None and result.is_finished:
+                return np.inf if is_minimised else -np.inf
+            better = max if is_minimised else min
+            bound = better(bound, result.bound)
+            if result.units is None:
+                break
+            found: list[Cut] = []
+            for demand in demands:
+                new = violated_cuts(problem, result.units, [demand])
+                self._cuts_of(problem, demand).extend(new)
+                found += new
+            if not found:
+                if reduced is None:
+                    self.offer(result.units)
+                break
+            cuts += found
+        return bound
+
+    def _cuts_of(self, problem: ReducedProblem, requirement: Requirement) -> list[Cut]:
+        """Cuts that hold for all sets that meet a requirement, to be added to."""
+        key = (
+            float(id(requirement.measure)),
+            requirement.least,
+            requirement.min_margin_s,
+            float(requirement.n_failures),
+            float(requirement.sums_margins),
+        )
+        if key not in self._cuts:
+            self._cuts[key] = first_cuts(problem, requirement)
+        return self._cuts[key]
+
+
+def settle(objective: float, bound: float, limit: float) -> float:
+    """Upper bound of a stage from what a solver says; `limit` holds without it."""
+    tolerance = _SOLVER_TOLERANCE * max(1.0, abs(objective))
+    if bound < objective - tolerance:
+        return limit  # the solver errs: a set with this objective is at hand
+    return objective if bound <= objective + tolerance else min(limit, bound)

@@ -1,0 +1,169 @@
+"""Every question on small tables against brute force: floors, wishes, money, failures, samples."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geometry.errors import InputError
+from placement.optimiser import (
+    Effort,
+    Floor,
+    PlacementProblem,
+    apr_failed,
+    is_feasible,
+    placement_value,
+    solve_placement,
+)
+
+Row = tuple[float, ...]
+
+
+@st.composite
+def questions(draw: st.DrawFn) -> PlacementProblem:
+    """Any problem with any wishes; many cannot be met."""
+    problem = draw(st.from_type(PlacementProblem))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    limits, n_poses, n_runs = problem.limits, problem.table.n_poses, problem.table.axis.n_runs
+    n_sites = limits.n_sites
+    kinds = draw(st.sets(st.sampled_from(["money", "wishes", "floors", "failures", "samples"])))
+    if "money" in kinds:
+        limits = replace(
+            limits,
+            unit_cost_eur=rng.integers(1, 4, n_poses).astype(np.float64),
+            site_cost_eur=rng.integers(0, 3, n_sites).astype(np.float64),
+            budget_eur=draw(st.sampled_from([None, 8.0, 5.0, 3.0])),
+        )
+    if "wishes" in kinds:
+        rivals = [(a, b) for a, b in combinations(range(n_sites), 2) if rng.random() < 0.2]
+        limits = replace(
+            limits,
+            is_forced=rng.random(n_poses) < 0.15,
+            is_forbidden=rng.random(n_poses) < 0.15,
+            is_forced_site=rng.random(n_sites) < 0.15,
+            rivals=np.array(rivals, dtype=np.int64).reshape(-1, 2),
+        )
+    floors: list[Floor] = []
+    n_failures = draw(st.integers(0, 2)) if "failures" in kinds else 0
+    if "floors" in kinds:
+        floors.append(
+            Floor(name="--target", share=rng.choice([1.0, 0.75, 0.5]), n_failures=n_failures)
+        )
+        counted = rng.random(n_runs) < 0.5
+        if problem.table.axis.weight[counted].sum() > 0.0:
+            share = rng.choice([1.0, 0.5])
+            floors.append(Floor(name="--min-case-apr", share=share, is_counted=counted))
+    sample_index = None
+    weight = problem.table.axis.weight
+    if "samples" in kinds:
+        sample_index = rng.integers(0, 2, n_runs)
+        if not (np.bincount(sample_index, weights=weight, minlength=2) > 0.0).all():
+            sample_index = None
+    goals = ["best", "fewest", "cheapest"] if floors else ["best"]
+    return replace(
+        problem,
+        limits=limits,
+        floors=tuple(floors),
+        goal=draw(st.sampled_from(goals)),
+        survive=0 if floors else n_failures,
+        sample_index=sample_index,
+        tail=1.0 if sample_index is None else draw(st.sampled_from([1.0, 0.5, 0.1])),
+    )
+
+
+def rank(problem: PlacementProblem, poses: tuple[int, ...]) -> Row:
+    """What layouts are compared by, the larger the better."""
+    value = placement_value(problem, poses)
+    first: list[float] = []
+    if problem.goal != "best":
+        first.append(-len(poses) if problem.goal == "fewest" else -value.cost_eur)
+    if problem.survive:
+        first.append(apr_failed(problem, poses, problem.survive))
+    return (*first, *value[:-1], -value.cost_eur)
+
+
+def brute_force(problem: PlacementProblem) -> Row | None:
+    best = None
+    for n_units in range(1, problem.table.n_poses + 1):
+        for poses in combinations(range(problem.table.n_poses), n_units):
+            if is_feasible(problem, poses):
+                row = tuple(round(number, 9) for number in rank(problem, poses))
+                best = row if best is None else max(best, row)
+    return best
+
+
+def check(problem: PlacementProblem) -> None:
+    best = brute_force(problem)
+    if best is None:
+        with pytest.raises(InputError):
+            solve_placement(problem)
+        return
+    solution = solve_placement(problem)
+    assert is_feasible(problem, solution.pose_index)
+    assert rank(problem, solution.pose_index) == pytest.approx(best, abs=2e-9)
+    for stage in solution.certificate.stages:
+        assert (stage.gap == 0.0) == (stage.bound == stage.objective)
+        sign = -1.0 if stage.name in ("units", "cost_eur") else 1.0
+        assert sign * stage.bound >= sign * stage.objective
+
+
+@given(problem=questions())
+@settings(deadline=None, max_examples=400)
+def test_every_question_matches_brute_force(problem: PlacementProblem) -> None:
+    check(problem)
+
+
+@given(problem=questions())
+@settings(deadline=None, max_examples=200)
+def test_models_answer_every_question_without_enumeration(problem: PlacementProblem) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("placement.optimiser.solve.best_of_all", lambda *_, **__: None)
+        patch.setattr("placement.optimiser.solve.best_of_few", lambda *_, **__: (None, False))
+        check(problem)
+
+
+@given(problem=questions(), solver=st.sampled_from(["greedy", "relax", "exact", "auto"]))
+@settings(deadline=None, max_examples=150)
+def test_no_bound_of_the_first_stage_is_beaten(problem: PlacementProblem, solver: str) -> None:
+    best = brute_force(problem)
+    if best is None:
+        return
+    effort = Effort(solver=solver, time_limit_s=1e-9 if solver == "auto" else 60.0)
+    try:
+        solution = solve_placement(problem, effort=effort)
+    except InputError:
+        return  # nothing was found in time, and that is said
+    first = solution.certificate.stages[0]
+    sign = -1.0 if first.name in ("units", "cost_eur") else 1.0
+    assert is_feasible(problem, solution.pose_index)
+    assert sign * first.bound >= best[0] - 1e-6
+
+
+@given(
+    problem=st.from_type(PlacementProblem),
+    weights=st.tuples(*[st.sampled_from([0.0, 1.0, 0.3])] * 4),
+)
+@settings(deadline=None, max_examples=50)
+def test_weights_make_one_objective_of_five(
+    problem: PlacementProblem, weights: tuple[float, ...]
+) -> None:
+    weights = (*weights, 1.0e-4)
+    problem = replace(problem, stage_weights=weights)
+    solution = solve_placement(problem)
+
+    def total(poses: tuple[int, ...]) -> float:
+        *gains, cost = placement_value(problem, poses)
+        return sum(w * g for w, g in zip(weights, gains, strict=False)) - weights[-1] * cost
+
+    (stage,) = solution.certificate.stages
+    best = max(
+        total(poses)
+        for n_units in range(1, problem.limits.max_units + 1)
+        for poses in combinations(range(problem.table.n_poses), n_units)
+        if is_feasible(problem, poses)
+    )
+    assert stage.objective == pytest.approx(best, abs=1e-9)
+    assert stage.bound >= best - 1e-9
