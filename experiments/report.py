@@ -17,30 +17,33 @@ from matplotlib.figure import Figure
 from geometry.atomic_files import write_atomically
 from geometry.errors import InputError, Unquoted
 from geometry.junction import COMPASS
-from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share
-from placement.layout import Layout, layout_records
+from placement.evaluation import Evaluation
 from placement.setting import Setting
 
 from .exports import margin_s
 from .figures import describe_run, plot_apr_by_case, plot_heatmap, to_png, unit_labels
 from .plan import plot_plan
+from .report_tables import (
+    apr_table,
+    case_table,
+    disagreement_rows,
+    run_table,
+    stage_rows,
+    unit_apr_table,
+    unit_table,
+)
 from .sentences import (
     NOTHING,
-    STAGES,
     answer,
     assumptions,
-    count_sensors,
-    describe_cases,
     describe_hopeless,
     describe_refusals,
     disagreement,
     is_weighted,
     number,
-    outcome,
     proof,
     title,
 )
-from .tables import percent
 
 FILE_NAME = "report.html"
 GREEDY = "greedy"
@@ -108,39 +111,29 @@ def render_report(
     return _template().render(
         title=title(summary, setting, evaluations),
         answer=answer(summary, shown),
-        layouts=[
-            {"caption": f"Units of {name}", "rows": _unit_rows(item.layout)}
-            for name, item in detailed.items()
-        ],
+        layouts=[unit_table(name, item.layout) for name, item in detailed.items()],
         plans=_plans(setting, detailed, [] if is_comparison else [*shown.values()][1:]),
         proof=proof(summary),
-        stages=[_stage_row(stage) for stage in summary.get("stages", ())],
+        stages=stage_rows(summary),
         solver=summary.get("solver", NOTHING),
         is_weighted=is_weighted(subject.axis),
-        apr_table=_apr_table(evaluations),
+        apr_table=apr_table(evaluations),
         apr_figure=_apr_figure(evaluations),
-        alone=[_alone(name, item) for name, item in detailed.items()],
+        alone=[unit_apr_table(name, item) for name, item in detailed.items()],
         heatmaps=[
             {"name": name, "figures": [_heatmap(item, index) for index in run_indices]}
             for name, item in detailed.items()
         ],
         rule=setting.rule,
         disagreement=disagreement(summary),
-        disagreements=[
-            [
-                entry["run_id"],
-                entry["party"],
-                "table" if entry["on_table"] else "evaluator",
-                entry["n_frames"],
-                entry["cause"],
-            ]
-            for entry in summary.get("disagreements", ())
-        ],
-        assumptions=assumptions(summary, setting),
-        cases=describe_cases(setting),
+        disagreements=disagreement_rows(summary),
+        assumptions=assumptions(
+            summary, setting, {name: item.layout for name, item in shown.items()}
+        ),
+        cases=case_table(setting),
         hopeless=describe_hopeless(setting),
         not_driven=describe_refusals(setting),
-        run_table=_run_table(setting, evaluations),
+        run_table=run_table(evaluations),
         n_hit=int((~subject.rsu_all.is_avoided).sum()),
         command=command,
         seconds=[(stage, f"{value:.1f}") for stage, value in summary.get("seconds", {}).items()],
@@ -182,119 +175,6 @@ def _picture(figure: Figure, *, title: str, caption: str, alt: str) -> _Picture:
     )
 
 
-# ---------------------------------------------------------------- tables
-
-
-def _unit_rows(layout: Layout) -> list[list[str]]:
-    labels = unit_labels(layout)
-    return [
-        [
-            labels[record["id"]],
-            record["id"],
-            record["site"] or NOTHING,
-            *(number(record[key]) for key in ("x_m", "y_m", "z_m")),
-            number(record["yaw_deg"], 1),
-            number(record["pitch_deg"], 1),
-            COMPASS[round(record["yaw_deg"] / 45.0) % 8],
-            record.get("camera") or record["lidar"],
-        ]
-        for record in layout_records(layout)
-    ]
-
-
-def _stage_row(stage: Mapping[str, Any]) -> list[str]:
-    is_time = stage["name"].endswith("_s")
-
-    def shown(value: float | None) -> str:
-        if value is None or not math.isfinite(value):
-            return NOTHING
-        return f"{number(value, 3)} s" if is_time else percent(value)
-
-    gap = stage["gap"]
-    return [
-        STAGES.get(stage["name"], stage["name"]),
-        shown(stage["objective"]),
-        shown(stage["bound"]),
-        NOTHING if gap is None or not math.isfinite(gap) else percent(gap),
-        number(stage["seconds"], 1),
-    ]
-
-
-def _apr_table(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
-    """APR by case: a row for all runs and for each case, a column per sensing party."""
-    subject = next(iter(evaluations.values()))
-    verdicts = [
-        *(
-            (f"{name}: {count_sensors(item.layout)}", item, item.rsu_all)
-            for name, item in evaluations.items()
-        ),
-        ("car (VUT) alone", subject, subject.vut),
-        *((f"car (VUT) and {name}", item, item.vut_and_rsus) for name, item in evaluations.items()),
-    ]
-    return {
-        "caption": "Accident prevention ratio by case",
-        "columns": ["case", *(name for name, _, _ in verdicts)],
-        "rows": _case_rows([(item, verdict) for _, item, verdict in verdicts]),
-    }
-
-
-def _case_rows(verdicts: Sequence[tuple[Evaluation, Verdict]]) -> list[list[str]]:
-    cases = dict.fromkeys(verdicts[0][0].axis.cases)
-    by_case = [apr_by_case(verdict, item.axis) for item, verdict in verdicts]
-    return [
-        ["all runs", *(percent(apr(verdict, item.axis)) for item, verdict in verdicts)],
-        *([case, *(percent(shares[case]) for shares in by_case)] for case in cases),
-    ]
-
-
-def _alone(name: str, evaluation: Evaluation) -> dict[str, Any]:
-    labels = unit_labels(evaluation.layout)
-    units = evaluation.units.items()
-    detected = [percent(detected_share(verdict, evaluation.axis)) for _, verdict in units]
-    return {
-        "caption": f"APR of each unit of {name} by itself",
-        "columns": ["case", *(labels[unit_id] for unit_id, _ in units)],
-        "rows": [
-            *_case_rows([(evaluation, verdict) for _, verdict in units]),
-            ["frames in which it detects", *detected],
-        ],
-    }
-
-
-def _run_table(setting: Setting, evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
-    """A row per run, those with the least time to spare first: hits come before the rest."""
-    subject = next(iter(evaluations.values()))
-    axis = subject.axis
-    verdicts = [*(item.rsu_all for item in evaluations.values()), subject.vut]
-    margins = [margin_s(verdict, axis) for verdict in verdicts]
-    has_weathers, has_weights = len(set(axis.weathers)) > 1, is_weighted(axis)
-    rows = [
-        [
-            axis.run_ids[index],
-            *([axis.weathers[index]] if has_weathers else []),
-            *([percent(float(axis.weight[index]))] if has_weights else []),
-            number(axis.last_brake_time_s[index]),
-            *(
-                outcome(bool(verdict.is_avoided[index]), float(margin[index]))
-                for verdict, margin in zip(verdicts, margins, strict=True)
-            ),
-        ]
-        for index in np.argsort(margins[0], kind="stable")
-    ]
-    return {
-        "caption": "Runs: case / from / speed in km/h" + (" / weather" if has_weathers else ""),
-        "columns": [
-            "run",
-            *(["weather"] if has_weathers else []),
-            *(["weight"] if has_weights else []),
-            "last moment (s)",
-            *evaluations,
-            "VUT",
-        ],
-        "rows": rows,
-    }
-
-
 # ---------------------------------------------------------------- figures
 
 
@@ -329,12 +209,14 @@ def _plans(
 
 
 def _apr_figure(evaluations: Mapping[str, Evaluation]) -> _Picture:
-    table = _apr_table(evaluations)
-    over_all = zip(table["columns"][1:], table["rows"][0][1:], strict=True)
+    table = apr_table(evaluations)
+    # The table's first columns: every layout, the car alone, the car with the subject.
+    n_drawn = len(evaluations) + 2
+    over_all = [*zip(table["columns"][1:], table["rows"][0][1:], strict=True)][:n_drawn]
     return _picture(
         plot_apr_by_case(evaluations),
         title="Accident prevention ratio by case",
-        caption="The same numbers as in the table above.",
+        caption="Numbers from the table above.",
         alt="Shaded table. Over all runs: "
         + "; ".join(f"{name} {share}" for name, share in over_all)
         + ".",

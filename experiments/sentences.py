@@ -12,6 +12,7 @@ from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout
 from placement.links import Links
 from placement.setting import Setting
+from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
 from .tables import percent
@@ -130,8 +131,20 @@ def disagreement(summary: Mapping[str, Any]) -> str | None:
     )
 
 
-def assumptions(summary: Mapping[str, Any], setting: Setting) -> list[tuple[str, str]]:
-    """What the numbers rest on: pairs of term and text."""
+def assumptions(
+    summary: Mapping[str, Any], setting: Setting, layouts: Mapping[str, Layout]
+) -> list[tuple[str, str]]:
+    """What the numbers rest on: pairs of term and text.
+
+    Parameters
+    ----------
+    summary : mapping
+        As :mod:`experiments.summary` builds it.
+    setting : Setting
+        What was evaluated in.
+    layouts : mapping of str to Layout
+        By display name.
+    """
     rule, axis = setting.rule, setting.axis
     frame_s = 1.0 / rule.frame_rate_hz
     terms = [
@@ -150,7 +163,7 @@ def assumptions(summary: Mapping[str, Any], setting: Setting) -> list[tuple[str,
             "Confirmation",
             f"{rule.n_confirmations} detected frames in a row, {frame_s:g} s apart.",
         ),
-        ("Latency", f"{1000.0 * rule.latency_s:g} ms for processing and communication."),
+        ("Latency", _latency(rule, layouts)),
         (
             "Braking",
             f"{rule.deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}, {_onset(rule.build_up_s)}, along "
@@ -166,6 +179,27 @@ def assumptions(summary: Mapping[str, Any], setting: Setting) -> list[tuple[str,
     if "budget" in summary:
         terms.append(("Budget", _several(summary["budget"], "unit", "units") + "."))
     return terms
+
+
+def _latency(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
+    """The rule's latency, then the units that have another of their own, equal ones together."""
+    own = []
+    for name, layout in layouts.items():
+        unit_ids: dict[float, list[str]] = {}
+        for unit in layout.units:
+            if unit.latency(rule) != rule.latency_s:
+                unit_ids.setdefault(unit.latency(rule), []).append(unit.id)
+        of = f" of {name}" if len(layouts) > 1 else ""
+        own += [
+            f"{_all_or(ids, len(layout.units))}{of} {1000.0 * latency_s:g} ms"
+            for latency_s, ids in sorted(unit_ids.items())
+        ]
+    text = f"{1000.0 * rule.latency_s:g} ms for processing and communication"
+    return f"{text}; units with a latency of their own: {'; '.join(own)}." if own else f"{text}."
+
+
+def _all_or(unit_ids: Sequence[str], n_units: int) -> str:
+    return "every unit" if len(unit_ids) == n_units > 1 else _and(unit_ids)
 
 
 def _onset(build_up_s: float) -> str:
@@ -228,67 +262,10 @@ _FUSIONS = {
 }
 
 
-def describe_cases(setting: Setting) -> dict[str, Any]:
-    """The cases that are driven: what, how fast, from where, how late braking may begin.
-
-    Parameters
-    ----------
-    setting : Setting
-        Runs and their weights.
-
-    Returns
-    -------
-    table : dict
-        Caption, columns and rows: one row per case. A case's share of the weight is told where
-        not every run counts the same.
-    """
-    has_weights = is_weighted(setting.axis)
-    every = dict.fromkeys(
-        [
-            *(run.approach for run in setting.runs),
-            *(refusal.approach for refusal in setting.refusals),
-        ]
-    )
-    rows = []
-    for name, indices in _runs_by_case(setting).items():
-        runs = [setting.runs[index] for index in indices]
-        case = runs[0].case
-        approaches = dict.fromkeys(run.approach for run in runs)
-        last_s = [run.last_brake_time_s for run in runs if math.isfinite(run.last_brake_time_s)]
-        rows.append(
-            [
-                name,
-                case.title,
-                f"{case.vru.name}, {case.vru_speed_kmh:g}\N{NO-BREAK SPACE}km/h",
-                _steps(sorted({run.vut_speed_kmh for run in runs})),
-                "all" if len(approaches) == len(every) > 1 else ", ".join(approaches),
-                str(len(runs)),
-                *([percent(float(setting.axis.weight[indices].sum()))] if has_weights else []),
-                number(min(last_s, default=None)),
-                number(max(last_s, default=None)),
-            ]
-        )
-    return {
-        "caption": "Cases" + (f"; from all: {', '.join(every)}" if len(every) > 1 else ""),
-        "columns": [
-            "case",
-            "what happens",
-            "road user",
-            "car (km/h)",
-            "from",
-            "runs",
-            *(["weight"] if has_weights else []),
-            "last moment, earliest (s)",
-            "latest (s)",
-        ],
-        "rows": rows,
-    }
-
-
 def describe_hopeless(setting: Setting) -> list[str]:
     """Which cases have runs that no braking avoids, in sentences."""
     sentences = []
-    for name, indices in _runs_by_case(setting).items():
+    for name, indices in runs_by_case(setting).items():
         n_runs = sum(not math.isfinite(setting.runs[index].last_brake_time_s) for index in indices)
         if n_runs:
             sentences.append(f"In {count_runs(n_runs)} of {name} no braking avoids the impact.")
@@ -308,7 +285,8 @@ def describe_refusals(setting: Setting) -> list[str]:
     ]
 
 
-def _runs_by_case(setting: Setting) -> dict[str, list[int]]:
+def runs_by_case(setting: Setting) -> dict[str, list[int]]:
+    """Indices of the runs of each case, in the order in which the cases first appear."""
     indices: dict[str, list[int]] = {}
     for index, run in enumerate(setting.runs):
         indices.setdefault(run.case.name, []).append(index)
@@ -318,14 +296,6 @@ def _runs_by_case(setting: Setting) -> dict[str, list[int]]:
 def _and(words: Sequence[str]) -> str:
     *first, last = words
     return f"{', '.join(first)} and {last}" if first else last
-
-
-def _steps(values: Sequence[float]) -> str:
-    """Ascending values: as a range where the steps between them are equal, else each."""
-    steps = np.diff(values)
-    if len(values) > 2 and np.allclose(steps, steps[0]):
-        return f"{values[0]:g} to {values[-1]:g} by {steps[0]:g}"
-    return ", ".join(f"{value:g}" for value in values)
 
 
 def count_runs(n_runs: int) -> str:

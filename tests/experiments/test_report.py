@@ -489,6 +489,30 @@ def test_several_weathers_are_told_and_have_a_column(evaluation_page):
     assert "It takes contrast" not in Page(evaluation_page).words
 
 
+def test_announcements_are_in_the_table_and_not_said_to_be_in_the_figure(setting, evaluations):
+    found = evaluations["found"]
+    others = {"vam": found.vut, "all_sources": found.vut_and_rsus}
+    announced = {"found": replace(found, others=others), "greedy": evaluations["greedy"]}
+    page = render_report(plain_summary(found), setting, announced, command=COMMAND)
+    head, over_all, *_ = table_rows(page, "Accident prevention ratio by case<")
+    assert head[-2:] == ["road users' messages (VAM) alone", "car (VUT), found and VAM"]
+    shares = [percent(apr(verdict, found.axis)) for verdict in others.values()]
+    assert over_all[-2:] == shares
+    (alt,) = [
+        image["alt"] for image in Page(page).images if image["alt"].startswith("Shaded table")
+    ]
+    drawn = "; ".join(
+        f"{name} {share}" for name, share in zip(head[1:5], over_all[1:5], strict=True)
+    )
+    assert head[4] == "car (VUT) and found"
+    assert alt == f"Shaded table. Over all runs: {drawn}."
+
+
+def test_latency_of_a_unit_is_told(setting, layout):
+    slow = replace(layout, units=(replace(layout.units[0], latency_s=0.1),))
+    assert "latency of their own: RSU0 100 ms." in Page(page_of(setting, slow)[0]).words
+
+
 def test_braking_and_the_phase_of_the_frames_are_told(setting, layout, evaluation_page):
     words = Page(evaluation_page).words
     assert "constant from the onset" in words
