@@ -42,8 +42,8 @@ _EXIT_BAD_INPUT = 2
     epilog="""\b
 Examples:
   place-rsus --budget 3                            the best three cameras
-  place-rsus --target 0.99 --least cost            the cheapest that avoid 99 %
-  place-rsus --budget 3 --within carlancap-12      the best three of the study's
+  place-rsus --target 0.99 --least cost            the cheapest way to 99 %
+  place-rsus --budget 3 --within carlancap-12      three of the study's own
   place-rsus --budget-cost 9000 --site-cost 2000   the best for the money
   place-rsus --budget 2 --fusion single            each must confirm alone
   place-rsus --budget 3 --json --quiet | jq .apr   for a machine

@@ -162,14 +162,22 @@ def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePos
     if lost:
         raise InputError("--keep", sorted(lost)[0], "units that are candidates")
     kept_at = np.bincount(site_index[is_kept], minlength=len(order))
+    if wishes.separation_m > 0.0:
+        capacity = np.minimum(capacity, 1)
     capacity = np.maximum(capacity, kept_at)  # what hangs there has found room
     cost[kept_at > 0] = 0.0
+    usable = site_index[~is_forbidden_site[site_index] | is_kept]
+    most = int(np.minimum(np.bincount(usable, minlength=len(order)), capacity).sum())
+    if wishes.budget_units is not None and wishes.budget_units + is_kept.sum() > most:
+        raise InputError(
+            "--budget",
+            wishes.budget_units,
+            f"at most {most - int(is_kept.sum())}, the units that the sites can carry",
+        )
     price = np.array([candidate.sensor.price_eur for candidate in candidates])
     return Limits(
         site_index=site_index,
-        site_capacity=np.minimum(capacity, np.maximum(kept_at, 1))
-        if wishes.separation_m > 0.0
-        else capacity,
+        site_capacity=capacity,
         budget_units=None
         if wishes.budget_units is None
         else wishes.budget_units + int(is_kept.sum()),

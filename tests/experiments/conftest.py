@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import cli, jobs
+from experiments import cli, jobs, planning
 from geometry.scene_files import load_study_scene
 from placement.candidates import load_candidate_grid
 from placement.detectors import load_detector, load_planning_detector
@@ -46,7 +46,7 @@ def small_study(small_setting, monkeypatch):
         pitches_deg=np.array([-20.0]),
     )
     monkeypatch.setattr(jobs, "build_setting", lambda question, scene: small_setting)
-    monkeypatch.setattr(jobs, "load_candidate_grid", lambda: grid)
+    monkeypatch.setattr(planning, "load_candidate_grid", lambda: grid)
     return small_setting
 
 

@@ -132,7 +132,11 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("", "--budget: got nothing; expected a whole number of units, at least 1"),
+        (
+            "",
+            "--budget: got nothing; expected a whole number of units, at least 1 (or --target, or "
+            "--budget-cost)",
+        ),
         ("--budget", "Option '--budget' requires an argument."),
         ("--budget 1 --fusion all", "--fusion: got 'all'; expected one of any, single"),
         ("--budget 1 --workers 0", "--workers: got '0'; expected a number of threads, at least 1"),

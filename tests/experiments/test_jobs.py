@@ -1,11 +1,12 @@
 import json
 import re
+from dataclasses import fields
 
 import pytest
 
 from experiments import jobs
 from experiments.progress import StageProgress
-from experiments.question import Question
+from experiments.question import Planning, Question
 from experiments.study import load_carlancap_layout
 from geometry.errors import InputError
 from placement.layout import Layout, load_layout
@@ -13,19 +14,17 @@ from placement.layout import Layout, load_layout
 
 def place(out, **options):
     given = {
-        "budget_units": 1,
-        "fusion": "any",
         "out": out,
-        "sensors": "",
         "seed": 0,
         "workers": 2,
-        "includes_study_poses": True,
-        "time_limit_s": 60.0,
         "cache_folder": None,
         "command": "place-rsus --budget 1 <&>",
         "progress": StageProgress(),
     }
-    return jobs.run_placement(Question(), **(given | options))
+    asked = {"budget": 1, "time_limit_s": 60.0}
+    names = {field.name for field in fields(Planning)} & set(options)
+    asked |= {name: options.pop(name) for name in names}
+    return jobs.run_placement(Question(), Planning(**asked), **(given | options))
 
 
 def evaluate(layout, out=None):
@@ -68,7 +67,7 @@ def test_the_studys_poses_are_candidates_only_if_asked_for(small_study, tmp_path
     ids = []
     for included in (True, False):
         with pytest.raises(Asked) as caught:
-            place(tmp_path / "out", includes_study_poses=included)
+            place(tmp_path / "out", study_poses=included)
         ids.append(caught.value.args[0])
     assert ids[1] < ids[0]
     assert ids[0] - ids[1] == {unit.id for unit in load_carlancap_layout().units}
@@ -86,7 +85,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(small_study, tmp_path, mo
     found = []
     for sensors in ("", names[0], "carla-ncap-rgb, carla-ncap-lidar"):
         with pytest.raises(Asked) as caught:
-            place(tmp_path / "out", includes_study_poses=False, sensors=sensors)
+            place(tmp_path / "out", study_poses=False, sensors=sensors)
         found.append({name: set() for *_, name in caught.value.args[0]})
         for *pose, name in caught.value.args[0]:
             found[-1][name].add(tuple(pose))
@@ -99,7 +98,7 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(small_study, tmp_path, mo
 def test_a_budget_that_is_too_large_is_refused_before_anything_else(tmp_path, monkeypatch):
     monkeypatch.setattr(jobs, "build_setting", pytest.fail)
     with pytest.raises(InputError, match="--budget: got 10000; expected a whole number"):
-        place(tmp_path / "a/b", budget_units=10_000)
+        place(tmp_path / "a/b", budget=10_000)
     assert list(tmp_path.iterdir()) == []
 
 

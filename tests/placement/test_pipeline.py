@@ -12,7 +12,8 @@ from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.detectors import load_detector, load_planning_detector
 from placement.layout import check_layout
 from placement.optimiser import is_better, is_feasible, placement_value, solve_greedy
-from placement.pipeline import build_problem, check_budget, obtain_table, place
+from placement.pipeline import obtain_table, place
+from placement.wishes import Wishes, build_problem, check_wishes
 from placement.setting import Setting
 from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis
@@ -48,13 +49,13 @@ def candidates(setting, camera):
 
 @pytest.fixture(scope="module")
 def placement(setting, candidates):
-    return place(setting, candidates, budget_units=2)
+    return place(setting, candidates, wishes=Wishes(budget_units=2))
 
 
 def _best(problem):
     """Brute force over all layouts of any size."""
     best, best_units = None, ()
-    for n_units in range(1, problem.budget_units + 1):
+    for n_units in range(1, problem.limits.max_units + 1):
         for units in combinations(range(problem.table.n_poses), n_units):
             if is_feasible(problem, units):
                 value = placement_value(problem, units)
@@ -109,7 +110,7 @@ def test_the_greedy_layout_is_as_large_and_never_better(placement, candidates):
 
 
 def test_one_unit_must_confirm_alone_with_single_fusion(setting, candidates, placement):
-    single = place(setting, candidates, budget_units=2, fusion="single")
+    single = place(setting, candidates, wishes=Wishes(budget_units=2), fusion="single")
     assert single.certificate.is_proven
     assert single.problem.fusion == "single"
     best, _ = _best(single.problem)
@@ -121,7 +122,7 @@ def test_one_unit_must_confirm_alone_with_single_fusion(setting, candidates, pla
 
 
 def test_the_same_question_gets_the_same_answer(setting, candidates, placement):
-    again = place(setting, candidates, budget_units=2, workers=2)
+    again = place(setting, candidates, wishes=Wishes(budget_units=2), workers=2)
     assert again.pose_index == placement.pose_index
     assert np.array_equal(again.problem.table.packed, placement.problem.table.packed)
 
@@ -138,20 +139,20 @@ def test_a_budget_that_cannot_be_is_refused_before_anything_is_computed(
         "(what town05's sites can carry)"
     )
     with pytest.raises(InputError) as caught:
-        check_budget(setting.scene, budget)
+        check_wishes(Wishes(budget_units=budget), setting.scene)
     assert str(caught.value) == message
 
     def never(stage, done, total):
         raise AssertionError(stage)
 
     with pytest.raises(InputError) as caught:
-        place(setting, candidates, budget_units=budget, on_progress=never)
+        place(setting, candidates, wishes=Wishes(budget_units=budget), on_progress=never)
     assert str(caught.value) == message
 
 
 def test_every_budget_that_the_sites_can_carry_is_allowed(setting):
     for budget in (1, 2, 3, 4):
-        check_budget(setting.scene, budget)
+        check_wishes(Wishes(budget_units=budget), setting.scene)
 
 
 # Cache and progress
@@ -167,7 +168,7 @@ def test_a_second_call_takes_the_table_from_the_cache(setting, candidates, place
         found = place(
             setting,
             candidates,
-            budget_units=2,
+            wishes=Wishes(budget_units=2),
             cache_folder=tmp_path / "cache",
             on_progress=lambda *call, calls=calls: calls.append(call),
         )
@@ -203,7 +204,7 @@ def test_a_damaged_cached_table_is_made_anew_and_replaced(
     setting, candidates, placement, tmp_path, caplog
 ):
     for _ in range(2):
-        found = place(setting, candidates, budget_units=1, cache_folder=tmp_path)
+        found = place(setting, candidates, wishes=Wishes(budget_units=1), cache_folder=tmp_path)
         (path,) = tmp_path.iterdir()
         path.write_bytes(path.read_bytes()[:100])
     assert np.array_equal(found.problem.table.packed, placement.problem.table.packed)
@@ -216,7 +217,7 @@ def test_a_cache_folder_that_cannot_be_is_no_error(
 ):
     in_the_way = tmp_path / "file"
     in_the_way.write_text("", encoding="utf-8")
-    found = place(setting, candidates, budget_units=2, cache_folder=in_the_way)
+    found = place(setting, candidates, wishes=Wishes(budget_units=2), cache_folder=in_the_way)
     assert found.pose_index == placement.pose_index
     assert any("not cached" in message for message in caplog.messages)
 
@@ -248,25 +249,25 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(setting, candidates,
         cache_folder=None,
         on_progress=lambda stage, done, total: None,
     )
-    problem = build_problem(setting, poses, table, budget_units=2, fusion="any")
-    capacity = problem.site_capacity[problem.site_index]
+    problem = build_problem(setting, poses, table, wishes=Wishes(budget_units=2), fusion="any")
+    capacity = problem.limits.site_capacity[problem.limits.site_index]
     assert capacity.tolist() == [1, 2, 2, 1, 1, 2]
-    sites = problem.site_index.tolist()
+    sites = problem.limits.site_index.tolist()
     assert sites[1] == sites[2]
     assert len(set(sites)) == 5
-    assert problem.max_units == 6
+    assert replace(problem.limits, budget_units=None).max_units == 6
     assert problem.rule is setting.rule
 
 
 def test_poses_by_name_keep_their_names(setting, candidates, camera):
     named = replace(candidates[0], id="RSU1")
-    found = place(setting, [named], budget_units=1)
+    found = place(setting, [named], wishes=Wishes(budget_units=1))
     assert [unit.id for unit in found.layout.units] == ["RSU1"]
 
 
 def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):
     with pytest.raises(InputError) as caught:
-        place(setting, candidates[:1], budget_units=2)
+        place(setting, candidates[:1], wishes=Wishes(budget_units=2))
     assert str(caught.value) == (
         "--budget: got 2; expected at most 1, the units that the sites can carry"
     )
