@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from . import tables
+from .cli_latency import latency, latency_budget_options
 from .cli_options import (
     OneOf,
     json_option,
@@ -70,6 +71,7 @@ Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted,
 @recording_options
 @planning_options()
 @question_options()
+@latency_budget_options()
 @json_option
 @quiet_option
 @seed_option
@@ -157,6 +159,7 @@ Examples:
 @recording_options
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a report; else none.")
 @question_options()
+@latency_budget_options()
 @json_option
 @quiet_option
 @seed_option
@@ -214,6 +217,7 @@ Example:
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a report; else none.")
 @question_options()
+@latency_budget_options()
 @json_option
 @quiet_option
 @seed_option
@@ -280,6 +284,7 @@ def export(*, layout_names: tuple[str, ...], format_name: str, out: Path | None)
         ) from None
 
 
+cli.add_command(latency)
 cli.add_command(render)
 cli.add_command(scenarios)
 
@@ -351,7 +356,7 @@ def _load_layouts(names: Sequence[str], number: int) -> list["Layout"]:
         raise click.UsageError(
             f"--layout: got {given}; expected {'it once' if number == 1 else 'it twice'}"
         )
-    from .planning import find_layout
+    from .study import find_layout
 
     return [find_layout(name, "--layout") for name in names]
 

@@ -12,6 +12,7 @@ _WITH_RECORDING = frozenset(
     ("recording", "min_confidence", "out", "as_json", "quiet", "budget", "fusion")
     + ("solver", "milp_solver", "time_limit_s", "gap")
     + ("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations")
+    + ("latency_budget", "latency_mode")
 )
 
 

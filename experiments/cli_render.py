@@ -112,7 +112,9 @@ def render(
     from . import rendering
 
     scene = load_study_scene()
-    layout = _load_layout(layout_names[0])
+    from .study import find_layout
+
+    layout = find_layout(layout_names[0], "--layout")
     run = rendering.find_run(run_id, scene, weather=weather)
     frame_index = rendering.find_frame(run, frame)
     viewpoint = rendering.find_viewpoint(layout, unit_id, run, frame_index)
@@ -139,15 +141,3 @@ def _default_path(run: Any, unit_id: str, frame_index: int, suffix: str) -> Path
     parts = [*run.case.name.split("/"), run.approach, f"{run.vut_speed_kmh:g}", run.weather]
     name = "_".join([*parts, f"frame-{frame_index}", unit_id])
     return Path("results", "renders", name.replace(os.sep, "_") + suffix)
-
-
-def _load_layout(name: str) -> Any:
-    from placement.layout import load_layout
-
-    from .study import BASELINE_NAME, load_carlancap_layout
-
-    if name == BASELINE_NAME:
-        return load_carlancap_layout()
-    if not os.path.lexists(name):
-        raise input_error("--layout", name, f"{BASELINE_NAME}, or a layout file that exists")
-    return load_layout(Path(name))

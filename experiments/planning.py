@@ -1,9 +1,7 @@
 """From planning options to wishes, effort and candidates."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -17,14 +15,14 @@ from placement.candidates import (
     build_candidates,
     load_candidate_grid,
 )
-from placement.layout import Layout, check_layout, load_layout
+from placement.layout import Layout, check_layout
 from placement.optimiser import Effort, PlacementValue
 from placement.optimiser.milp import DEFAULT_SOLVER, check_solver
 from placement.optimiser.solve import SolverName
 from placement.wishes import Wishes, check_wishes
 
 from .question import Planning
-from .study import BASELINE_NAME, load_carlancap_layout
+from .study import find_layout, load_carlancap_layout
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -122,21 +120,6 @@ def effort_of(planning: Planning) -> Effort:
         if planning.milp_solver == DEFAULT_SOLVER
         else check_solver(planning.milp_solver),
     )
-
-
-def find_layout(name: str, option: str) -> Layout:
-    """A layout by its name, or from a file.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is no layout.
-    """
-    if name == BASELINE_NAME:
-        return load_carlancap_layout()
-    if not os.path.lexists(name):
-        raise InputError(option, name, f"{BASELINE_NAME}, or a layout file that exists")
-    return load_layout(Path(name))
 
 
 def grid_of(sensors: str) -> CandidateGrid:

@@ -14,7 +14,16 @@ from .progress import signals_held
 
 # Marks a folder as one of ours, so that only such folders are ever replaced.
 MARKER = "summary.json"
-_OURS = (MARKER, "report.html", "layout.*", "apr.csv", "runs.parquet", "*.png", ".DS_Store")
+_OURS = (
+    MARKER,
+    "report.html",
+    "layout.*",
+    "latency.csv",
+    "apr.csv",
+    "runs.parquet",
+    "*.png",
+    ".DS_Store",
+)
 _PREFIX = ".place-rsus."
 
 

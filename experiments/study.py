@@ -1,15 +1,18 @@
 """The CarlaNCAP study: its setting and its layout of 12 cameras."""
 
+import os
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 
 from geometry.arrays import float_array
 from geometry.catalogue import pick_camera
+from geometry.errors import InputError
 from geometry.frames import from_carla_pose
 from geometry.scene_files import load_study_scene
 from geometry.toml_files import load_toml, take_list, take_number, take_text
 from placement.candidates import CandidatePose
-from placement.layout import Layout
+from placement.layout import Layout, load_layout
 from placement.setting import Setting
 
 from .driving import build_setting
@@ -47,3 +50,18 @@ def load_carlancap_layout() -> Layout:
             )
         )
     return Layout(name=take_text(table, "name", where), units=tuple(units))
+
+
+def find_layout(name: str, option: str) -> Layout:
+    """A layout by its name, or from a file.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it is no layout.
+    """
+    if name == BASELINE_NAME:
+        return load_carlancap_layout()
+    if not os.path.lexists(name):
+        raise InputError(option, name, f"{BASELINE_NAME}, or a layout file that exists")
+    return load_layout(Path(name))

@@ -88,6 +88,7 @@ def test_help_starts_in_half_a_second():
         ["evaluate"],
         ["compare"],
         ["export"],
+        ["latency"],
         ["scenarios", "list"],
         ["scenarios", "show"],
         ["scenarios", "export"],

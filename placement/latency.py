@@ -1,0 +1,313 @@
+"""Latency budgets: what passes between a frame and the onset of braking, part by part."""
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geometry.arrays import FloatArray
+from geometry.errors import InputError, Unquoted
+from geometry.toml_files import Table, load_toml, take_list, take_number, take_text
+from scenarios.aeb import is_in_time
+
+LATENCY_MODES = ("mean", "worst", "sampled")
+DEFAULT_LATENCY_BUDGET = "study"
+MAX_LATENCY_S = 10.0
+"""More than any run lasts: who gives more has meant milliseconds."""
+
+_MAX_RANGES = 8  # the distribution of their sum has 2^n terms
+_FILE = "latency.toml"
+_FIXED, _RANGE, _REASONS = ("fixed_s",), ("low_s", "high_s"), ("source", "assumption")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatencyPart:
+    """One of the things that take their time.
+
+    Attributes
+    ----------
+    name : str
+        Name.
+    low_s, high_s : float
+        Anything between is equally likely; a fixed value where they are equal. [s]
+    source : str
+        Where the numbers come from, or why they are likely.
+    is_assumption : bool
+        Whether they are our guess.
+    """
+
+    name: str
+    low_s: float
+    high_s: float
+    source: str
+    is_assumption: bool = False
+
+    def __post_init__(self) -> None:
+        if not (self.name.strip() and self.name.isprintable()):
+            raise InputError("name", self.name, "printable text")
+        for field in _RANGE:
+            if not 0.0 <= getattr(self, field) <= MAX_LATENCY_S:
+                raise InputError(
+                    f"{self.name}.{field}", getattr(self, field), f"0 to {MAX_LATENCY_S:g} seconds"
+                )
+        if self.low_s > self.high_s:
+            raise InputError(f"{self.name}.high_s", self.high_s, f"at least low_s, {self.low_s}")
+        if not self.source.strip():
+            raise InputError(f"{self.name}.source", self.source, "text")
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether it always takes the same time."""
+        return self.low_s == self.high_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatencyBudget:
+    """Parts that add up; each takes its time whatever the others take.
+
+    Attributes
+    ----------
+    name : str
+        Name.
+    parts : tuple of LatencyPart
+        In the order in which they happen; names are unique.
+    """
+
+    name: str
+    parts: tuple[LatencyPart, ...]
+
+    def __post_init__(self) -> None:
+        where = f"{self.name}.parts"
+        if not self.parts:
+            raise InputError(where, Unquoted("none"), "at least one")
+        names = [part.name for part in self.parts]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(where, Unquoted(f"{name!r} twice"), "every name once")
+        n_ranges = sum(not part.is_fixed for part in self.parts)
+        if n_ranges > _MAX_RANGES:
+            raise InputError(where, Unquoted(f"{n_ranges} ranges"), f"at most {_MAX_RANGES}")
+
+    @property
+    def best_s(self) -> float:
+        """The shortest total, in seconds."""
+        return math.fsum(part.low_s for part in self.parts)
+
+    @property
+    def mean_s(self) -> float:
+        """The total to expect, in seconds."""
+        return 0.5 * math.fsum(end for part in self.parts for end in (part.low_s, part.high_s))
+
+    @property
+    def worst_s(self) -> float:
+        """The longest total, in seconds."""
+        return math.fsum(part.high_s for part in self.parts)
+
+    def sample_s(self, rng: np.random.Generator, size: int | tuple[int, ...]) -> FloatArray:
+        """Draw totals.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Of the draws.
+        size : int or tuple of int
+            How many.
+
+        Returns
+        -------
+        latency_s : (*size) float
+            Between :attr:`best_s` and :attr:`worst_s`. [s]
+        """
+        shape = (size,) if isinstance(size, int) else size
+        low, high = np.array([(part.low_s, part.high_s) for part in self.parts]).T
+        total = rng.uniform(low, high, size=(*shape, len(self.parts))).sum(axis=-1)
+        drawn: FloatArray = np.clip(total, self.best_s, self.worst_s)  # sums round
+        return drawn
+
+    def share_within(self, latency_s: ArrayLike) -> FloatArray:
+        """Probability that the total is at most so long; exact, not drawn.
+
+        Parameters
+        ----------
+        latency_s : (...,) float
+            May be infinite. [s]
+
+        Returns
+        -------
+        share : (...,) float
+            0 below :attr:`best_s`, 1 from :attr:`worst_s` on, each with the tolerance of
+            :func:`scenarios.aeb.is_in_time`. Between, n ranges of widths w_i above the shortest
+            total: sum over their subsets S of (-1)^|S| max(0, x - sum of w in S)^n
+            / (n! prod w_i).
+
+        References
+        ----------
+        .. [1] E. G. Olds, "A note on the convolution of uniform distributions", Annals of
+           Mathematical Statistics 23 (1952), 282-285.
+        """
+        given = np.asarray(latency_s, dtype=np.float64)
+        limits = given.ravel()
+        share = is_in_time(0.0, limits, latency_s=self.worst_s).astype(np.float64)
+        between = (share == 0.0) & is_in_time(0.0, limits, latency_s=self.best_s)
+        distinct, index = np.unique(limits[between], return_inverse=True)
+        share[between] = self._shares_between(distinct.tolist())[index]
+        return share.reshape(given.shape)
+
+    def _shares_between(self, limits_s: list[float]) -> FloatArray:
+        """The formula in whole numbers: its terms are large and nearly cancel out."""
+        exact = [(Fraction(part.low_s), Fraction(part.high_s)) for part in self.parts]
+        above = [Fraction(limit) - sum(low for low, _ in exact) for limit in limits_s]
+        widths = [high - low for low, high in exact if high > low]
+        unit = math.lcm(*(value.denominator for value in (*above, *widths)))
+        terms = {0: 1}  # sum of a subset's widths: how often, with its sign
+        for width in widths:
+            for sum_of_widths, sign in list(terms.items()):
+                longer = sum_of_widths + int(width * unit)
+                terms[longer] = terms.get(longer, 0) - sign
+        n = len(widths)
+        whole = math.factorial(n) * math.prod(int(width * unit) for width in widths)
+        shares = [
+            Fraction(sum(sign * max(0, int(x * unit) - by) ** n for by, sign in terms.items()))
+            / whole
+            for x in above
+        ]
+        return np.array([float(min(max(share, Fraction(0)), Fraction(1))) for share in shares])
+
+
+def pick_latency_s(budget: LatencyBudget, mode: str) -> float:
+    """One latency for a command that does not draw any.
+
+    Parameters
+    ----------
+    budget : LatencyBudget
+        Its total.
+    mode : str
+        One of ``LATENCY_MODES``.
+
+    Returns
+    -------
+    latency_s : float
+        The mean or the worst. [s]
+
+    Raises
+    ------
+    InputError
+        The mode is "sampled", or none.
+    """
+    if mode not in LATENCY_MODES:
+        raise InputError("--latency-mode", mode, "one of " + ", ".join(LATENCY_MODES))
+    if mode == "sampled":
+        raise InputError("--latency-mode", mode, "mean or worst: this command draws no latencies")
+    return budget.mean_s if mode == "mean" else budget.worst_s
+
+
+def fixed_latency(latency_s: float) -> LatencyBudget:
+    """A budget that is one number of a user's."""
+    part = LatencyPart(name="latency", low_s=latency_s, high_s=latency_s, source="as given")
+    return LatencyBudget(name=f"{1000.0 * latency_s:g} ms", parts=(part,))
+
+
+def load_latency_budget(
+    name_or_path: str = DEFAULT_LATENCY_BUDGET, *, where: str = "latency budget"
+) -> LatencyBudget:
+    """Latency budget by name or file.
+
+    Parameters
+    ----------
+    name_or_path : str
+        A name of ``data/latency.toml``, or a ``.toml`` file of that layout with one budget.
+    where : str
+        What named it, for error messages.
+
+    Returns
+    -------
+    budget : LatencyBudget
+        Checked.
+
+    Raises
+    ------
+    InputError
+        The name is unknown, or the file, a part or a field is not what it should be.
+    """
+    known = load_latency_budgets()
+    if name_or_path in known:
+        return known[name_or_path]
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        names = ", ".join(known)
+        raise InputError(where, name_or_path, f"{names}, or a .toml file with a latency budget")
+    budgets = _read_budgets(load_toml(path), str(path))
+    if len(budgets) != 1:
+        got = ", ".join(budgets) or "no budget"
+        raise InputError(str(path), Unquoted(got), "one budget: a table such as [mine] with parts")
+    return next(iter(budgets.values()))
+
+
+@cache
+def load_latency_budgets() -> Mapping[str, LatencyBudget]:
+    """Budgets by name, from ``data/latency.toml``."""
+    return _read_budgets(load_toml(files(__package__) / "data" / _FILE), _FILE)
+
+
+def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
+    budgets = {}
+    for name, table in document.items():
+        where = f"{file}: {name}"
+        if not isinstance(table, dict):
+            raise InputError(where, table, "a table with parts")
+        _refuse_unknown(table, ("parts",), where)
+        parts = []
+        for index, entry in enumerate(take_list(table, "parts", where)):
+            if not isinstance(entry, dict):
+                raise InputError(f"{where}.parts[{index}]", entry, "a table")
+            part_name = take_text(entry, "name", f"{where}.parts[{index}]")
+            with _said_to_be_in(f"{where}."):
+                parts.append(_read_part(entry, part_name))
+        with _said_to_be_in(f"{file}: "):
+            budgets[name] = LatencyBudget(name=name, parts=tuple(parts))
+    return budgets
+
+
+def _read_part(entry: Table, name: str) -> LatencyPart:
+    _refuse_unknown(entry, ("name", *_FIXED, *_RANGE, *_REASONS), name)
+    if not any(key in entry for key in (*_FIXED, *_RANGE)):
+        raise InputError(name, Unquoted("no time"), "fixed_s, or low_s and high_s")
+    ends = _FIXED * 2 if "fixed_s" in entry else _RANGE
+    for key in _RANGE:
+        if key in entry and key not in ends:
+            raise InputError(f"{name}.{key}", Unquoted("it beside fixed_s"), "one of them")
+    low_s, high_s = (take_number(entry, key, name) for key in ends)
+    if "fixed_s" in entry and not 0.0 <= low_s <= MAX_LATENCY_S:
+        raise InputError(f"{name}.fixed_s", low_s, f"0 to {MAX_LATENCY_S:g} seconds")
+    reasons = [key for key in _REASONS if key in entry]
+    if len(reasons) != 1:
+        got = " and ".join(reasons) or "neither"
+        raise InputError(name, Unquoted(got), "either source or assumption")
+    return LatencyPart(
+        name=name,
+        low_s=low_s,
+        high_s=high_s,
+        source=take_text(entry, reasons[0], name),
+        is_assumption=reasons == ["assumption"],
+    )
+
+
+def _refuse_unknown(table: Table, known: tuple[str, ...], where: str) -> None:
+    for key in table:
+        if key not in known:
+            raise InputError(f"{where}.{key}", Unquoted("an unknown key"), ", ".join(known))
+
+
+@contextmanager
+def _said_to_be_in(place: str) -> Iterator[None]:
+    try:
+        yield
+    except InputError as error:
+        raise InputError(place + error.where, error.got, error.expected) from None

@@ -1,0 +1,320 @@
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import numbers
+
+from geometry.errors import InputError
+from placement.latency import (
+    DEFAULT_LATENCY_BUDGET,
+    LATENCY_MODES,
+    LatencyBudget,
+    LatencyPart,
+    fixed_latency,
+    load_latency_budget,
+    load_latency_budgets,
+    pick_latency_s,
+)
+from scenarios.aeb import load_aeb_rule
+
+
+def _budget(*ranges_s) -> LatencyBudget:
+    parts = [
+        LatencyPart(name=f"part {index}", low_s=low, high_s=high, source="test")
+        for index, (low, high) in enumerate(ranges_s)
+    ]
+    return LatencyBudget(name="test", parts=tuple(parts))
+
+
+@st.composite
+def budgets(draw, max_parts: int = 4) -> LatencyBudget:
+    """Fixed values, and ranges from wide to narrow."""
+    lows = draw(st.lists(numbers(0.0, 0.2), min_size=1, max_size=max_parts))
+    widths = st.one_of(st.just(0.0), numbers(0.001, 0.2))
+    return _budget(*((low, low + draw(widths)) for low in lows))
+
+
+def _share_by_quadrature(ranges_s, limit_s) -> float:
+    """Fold in one range after the other; 3 points are exact for polynomials up to x^5."""
+    if not ranges_s:
+        return float(limit_s >= 0.0)
+    (low, high), *others = ranges_s
+    if high == low:
+        return _share_by_quadrature(others, limit_s - low)
+    kinks = [0.0]
+    for other in others:
+        kinks = [kink + end for kink in kinks for end in other]
+    inner = sorted({limit_s - kink for kink in kinks if low < limit_s - kink < high})
+    edges = [low, *inner, high]
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    total = 0.0
+    for left, right in pairwise(edges):
+        half = 0.5 * (right - left)
+        for node, weight in zip(nodes, weights, strict=True):
+            middle = 0.5 * (left + right) + half * node
+            total += half * weight * _share_by_quadrature(others, limit_s - middle)
+    return total / (high - low)
+
+
+# The budgets that come with us
+
+
+def test_the_default_is_the_latency_of_the_study():
+    budget = load_latency_budget()
+    assert budget.name == DEFAULT_LATENCY_BUDGET == "study"
+    assert budget.best_s == budget.mean_s == budget.worst_s == load_aeb_rule().latency_s == 0.025
+    assert [part.is_assumption for part in budget.parts] == [False]
+
+
+@pytest.mark.parametrize(("name", "period_s"), [("cpm-100ms", 0.1), ("cpm-50ms", 0.05)])
+def test_a_message_waits_for_up_to_one_period(name, period_s):
+    parts = {part.name: part for part in load_latency_budget(name).parts}
+    assert list(parts) == ["exposure", "detector", "CPM generation", "radio", "decision"]
+    wait = parts.pop("CPM generation")
+    assert (wait.low_s, wait.high_s, wait.is_assumption) == (0.0, period_s, False)
+    assert "TS 103 324" in wait.source
+    assert all(part.is_assumption for part in parts.values())
+
+
+def test_budgets_differ_by_the_wait_alone():
+    slow, quick = (load_latency_budget(name) for name in ("cpm-100ms", "cpm-50ms"))
+    assert slow.best_s == quick.best_s
+    assert slow.mean_s - quick.mean_s == pytest.approx(0.025)
+    assert slow.worst_s - quick.worst_s == pytest.approx(0.05)
+    assert list(load_latency_budgets()) == ["study", "cpm-100ms", "cpm-50ms"]
+
+
+# Totals
+
+
+@settings(deadline=None, max_examples=60)
+@given(budgets())
+def test_best_mean_and_worst_are_in_order_and_add_up(budget):
+    assert budget.best_s <= budget.mean_s <= budget.worst_s
+    assert budget.mean_s == pytest.approx(0.5 * (budget.best_s + budget.worst_s))
+    assert budget.worst_s == pytest.approx(sum(part.high_s for part in budget.parts))
+
+
+def test_draws_stay_within_and_have_mean_and_variance_of_the_sum():
+    budget = load_latency_budget("cpm-100ms")
+    drawn = budget.sample_s(np.random.default_rng(1), 200_000)
+    assert drawn.shape == (200_000,)
+    assert budget.best_s <= drawn.min() < drawn.max() <= budget.worst_s
+    variance = sum((part.high_s - part.low_s) ** 2 / 12.0 for part in budget.parts)
+    assert drawn.mean() == pytest.approx(budget.mean_s, abs=5.0 * math.sqrt(variance / 200_000))
+    assert drawn.var() == pytest.approx(variance, rel=0.02)
+
+
+def test_draws_depend_on_the_generator_alone():
+    budget = load_latency_budget("cpm-50ms")
+    first, second, other = (
+        budget.sample_s(np.random.default_rng(seed), (3, 4)) for seed in (1, 1, 2)
+    )
+    assert first.shape == (3, 4)
+    assert (first == second).all()
+    assert (first != other).all()
+    fixed = load_latency_budget().sample_s(np.random.default_rng(0), 5)
+    assert fixed.tolist() == [0.025] * 5
+
+
+# Distribution
+
+
+@settings(deadline=None, max_examples=60)
+@given(budgets(max_parts=3), st.lists(numbers(-0.1, 1.1), min_size=1, max_size=2))
+def test_share_within_is_what_quadrature_finds(budget, places):
+    """Places from a bit before the least to a bit after the most."""
+    span = budget.worst_s - budget.best_s
+    limits = budget.best_s + np.array(places) * max(span, 0.01)
+    limits = limits[np.abs(limits[:, None] - [budget.best_s, budget.worst_s]).min(axis=1) > 1e-6]
+    ranges = [(part.low_s, part.high_s) for part in budget.parts]
+    expected = [_share_by_quadrature(ranges, limit) for limit in limits]
+    assert budget.share_within(limits) == pytest.approx(np.array(expected), abs=1e-9)
+
+
+@settings(deadline=None, max_examples=60)
+@given(budgets(), numbers(0.0, 1.0))
+def test_share_within_is_symmetric_and_rises(budget, place):
+    step = place * (budget.worst_s - budget.best_s)
+    low, high = budget.share_within([budget.best_s + step, budget.worst_s - step])
+    if budget.worst_s - budget.best_s > 1e-6:
+        assert low + high == pytest.approx(1.0, abs=1e-5)  # 1e-9 s, the tolerance, of 1 ms
+    shares = budget.share_within(np.linspace(budget.best_s, budget.worst_s, 9))
+    assert (np.diff(shares) >= 0.0).all()
+    assert shares[-1] == 1.0
+
+
+def test_share_within_of_one_and_of_two_ranges_in_closed_form():
+    one = _budget((0.1, 0.3), (0.05, 0.05))
+    assert one.share_within([0.15, 0.2, 0.25, 0.35]).tolist() == pytest.approx([0, 0.25, 0.5, 1])
+    two = _budget((0.0, 0.1), (0.0, 0.1))
+    assert two.share_within([0.05, 0.1, 0.15]).tolist() == pytest.approx([0.125, 0.5, 0.875])
+    assert two.share_within([-np.inf, -0.1, np.inf]).tolist() == [0.0, 0.0, 1.0]
+    assert two.share_within(0.1).shape == ()
+
+
+def test_share_within_of_narrow_ranges_does_not_cancel_out():
+    """In floating point the terms are 1e20 times the result."""
+    narrow = [(0.0, 1.0e-6)] * 5
+    shares = _budget((0.0, 0.1), *narrow).share_within([0.02, 0.05, 0.08])
+    assert shares == pytest.approx([0.2, 0.5, 0.8], abs=3e-5)
+
+
+def test_a_fixed_budget_has_the_tolerance_of_the_braking_rule():
+    assert load_latency_budget().share_within([0.0249, 0.025 - 1e-12, 0.025]).tolist() == [0, 1, 1]
+
+
+# One number for commands that need one
+
+
+def test_one_latency_is_picked_by_mode():
+    budget = load_latency_budget("cpm-100ms")
+    assert pick_latency_s(budget, "mean") == budget.mean_s
+    assert pick_latency_s(budget, "worst") == budget.worst_s
+    assert fixed_latency(0.04).worst_s == 0.04
+
+
+@pytest.mark.parametrize(
+    ("mode", "message"),
+    [
+        (
+            "sampled",
+            "--latency-mode: got 'sampled'; expected mean or worst: this command draws no "
+            "latencies",
+        ),
+        ("best", "--latency-mode: got 'best'; expected one of " + ", ".join(LATENCY_MODES)),
+    ],
+)
+def test_a_mode_that_cannot_be_is_told(mode, message):
+    with pytest.raises(InputError) as caught:
+        pick_latency_s(load_latency_budget(), mode)
+    assert str(caught.value) == message
+
+
+# Files
+
+
+PART = {"name": "'radio'", "low_s": "0.001", "high_s": "0.01", "source": "'a sheet'"}
+
+
+@pytest.fixture
+def write_budget(tmp_path):
+    """Writes a budget of one part with some fields replaced, or removed (...)."""
+
+    def write(text=None, **fields):
+        part = {key: value for key, value in (PART | fields).items() if value is not ...}
+        lines = ["[mine]", "[[mine.parts]]", *(f"{key} = {value}" for key, value in part.items())]
+        path = tmp_path / "mine.toml"
+        path.write_text("\n".join(lines) if text is None else text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_a_file_of_ones_own_is_read(write_budget):
+    budget = load_latency_budget(str(write_budget()))
+    assert budget.name == "mine"
+    assert budget.parts == (
+        LatencyPart(name="radio", low_s=0.001, high_s=0.01, source="a sheet", is_assumption=False),
+    )
+    fixed = load_latency_budget(
+        str(write_budget(low_s=..., high_s=..., fixed_s="0.02", source=..., assumption="'a guess'"))
+    )
+    assert (fixed.parts[0].low_s, fixed.parts[0].high_s) == (0.02, 0.02)
+    assert (fixed.parts[0].is_assumption, fixed.parts[0].source) == (True, "a guess")
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"low_s": "-0.001"}, "mine.radio.low_s: got -0.001; expected 0 to 10 seconds"),
+        ({"high_s": "nan"}, "mine.radio.high_s: got nan; expected a finite number"),
+        ({"high_s": "inf"}, "mine.radio.high_s: got inf; expected a finite number"),
+        ({"high_s": "'1'"}, "mine.radio.high_s: got '1'; expected a finite number"),
+        ({"high_s": "25"}, "mine.radio.high_s: got 25.0; expected 0 to 10 seconds"),
+        ({"low_s": "0.02"}, "mine.radio.high_s: got 0.01; expected at least low_s, 0.02"),
+        ({"high_s": ...}, "mine.radio.high_s: got nothing; expected a value"),
+        (
+            {"low_s": ..., "high_s": ...},
+            "mine.radio: got no time; expected fixed_s, or low_s and high_s",
+        ),
+        ({"fixed_s": "0.1"}, "mine.radio.low_s: got it beside fixed_s; expected one of them"),
+        (
+            {"low_s": ..., "high_s": ..., "fixed_s": "-1"},
+            "mine.radio.fixed_s: got -1.0; expected 0 to 10 seconds",
+        ),
+        ({"source": ...}, "mine.radio: got neither; expected either source or assumption"),
+        (
+            {"assumption": "'x'"},
+            "mine.radio: got source and assumption; expected either source or assumption",
+        ),
+        ({"source": "3"}, "mine.radio.source: got 3; expected text"),
+        ({"source": "' '"}, "mine.radio.source: got ' '; expected text"),
+        (
+            {"mean_s": "0.1"},
+            "mine.radio.mean_s: got an unknown key; expected name, fixed_s, low_s, high_s, source, "
+            "assumption",
+        ),
+        ({"name": ...}, "mine.parts[0].name: got nothing; expected a value"),
+        ({"name": '"a\\u0007"'}, "mine.name: got 'a\\x07'; expected printable text"),
+        ({"text": "[mine]\nparts = []"}, "mine.parts: got none; expected at least one"),
+        ({"text": "[mine]"}, "mine.parts: got nothing; expected a value"),
+        ({"text": "[mine]\nparts = 3"}, "mine.parts: got 3; expected a list"),
+        ({"text": "[mine]\nparts = [3]"}, "mine.parts[0]: got 3; expected a table"),
+        ({"text": "mine = 3"}, "mine: got 3; expected a table with parts"),
+        (
+            {"text": "[mine]\nparts = []\nmode = 'worst'"},
+            "mine.mode: got an unknown key; expected parts",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_told_by_file_part_and_field(write_budget, fields, message):
+    path = write_budget(**fields)
+    with pytest.raises(InputError) as caught:
+        load_latency_budget(str(path))
+    assert str(caught.value) == f"{path}: {message}"
+
+
+def test_parts_have_names_of_their_own_and_are_few_enough(write_budget):
+    part = "[[mine.parts]]\nname = '{}'\nlow_s = 0.0\nhigh_s = 0.1\nsource = 'x'\n"
+    for names, message in (
+        ("aa", "mine.parts: got 'a' twice; expected every name once"),
+        ("abcdefghi", "mine.parts: got 9 ranges; expected at most 8"),
+    ):
+        path = write_budget("".join(part.format(name) for name in names))
+        with pytest.raises(InputError) as caught:
+            load_latency_budget(str(path))
+        assert str(caught.value) == f"{path}: {message}"
+
+
+def test_a_file_has_one_budget(write_budget):
+    both = "".join(
+        f"[[{name}.parts]]\nname = 'x'\nfixed_s = 0.1\nsource = 'x'\n" for name in ("one", "two")
+    )
+    for text, got in (("", "no budget"), (both, "one, two")):
+        path = write_budget(text)
+        with pytest.raises(InputError) as caught:
+            load_latency_budget(str(path))
+        assert str(caught.value) == (
+            f"{path}: got {got}; expected one budget: a table such as [mine] with parts"
+        )
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (
+            "wifi",
+            "--budget: got 'wifi'; expected study, cpm-100ms, cpm-50ms, or a .toml file with a "
+            "latency budget",
+        ),
+        ("gone.toml", "gone.toml: got No such file or directory; expected a readable file"),
+    ],
+)
+def test_a_budget_that_is_not_there_is_told(name, message):
+    with pytest.raises(InputError) as caught:
+        load_latency_budget(name, where="--budget")
+    assert str(caught.value) == message
