@@ -6,12 +6,16 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, cast
 
+from matplotlib.figure import Figure
+
 from geometry.scene_files import load_study_scene
-from placement.evaluation import Evaluation
+from placement.certificates import build_certificate, save_certificate
+from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
 from placement.layout import Layout, check_layout
 from placement.optimiser import Fusion
-from placement.pipeline import place
+from placement.pipeline import Placement, place
+from placement.sampling import load_uncertainty, out_of_sample_layouts
 from placement.setting import Setting
 
 from . import exports
@@ -30,6 +34,10 @@ from .summary import (
     summarise_layout,
     summarise_placement,
 )
+from .uncertainty_summary import plot_sampled_apr, summarise_uncertainty
+
+MIN_FRESH_WORLDS = 60
+"""Sampled worlds that a layout is judged in, at least: with fewer, intervals say little."""
 
 
 def run_placement(
@@ -61,6 +69,7 @@ def run_placement(
     progress("setting", 0, 0)
     setting = build_setting(question, load_study_scene())
     study = load_carlancap_layout()
+    uncertainty = load_uncertainty(planning.uncertainty, where="--uncertainty")
 
     def report(stage: str, done: int, total: int) -> None:
         if stage == "optimise" and cache_folder is not None and any(cache_folder.glob("table-*")):
@@ -73,6 +82,8 @@ def run_placement(
         wishes=plan.wishes,
         fusion=cast(Fusion, planning.fusion),
         effort=plan.effort,
+        uncertainty=uncertainty,
+        n_samples=planning.samples,
         seed=seed,
         workers=workers,
         cache_folder=cache_folder,
@@ -83,6 +94,29 @@ def run_placement(
     )
     summary = summarise_placement(placement, setting, found=found, greedy=greedy, baseline=baseline)
     summary |= summarise_drives(setting)
+    figures = {}
+    if planning.samples:
+        judged = out_of_sample_layouts(
+            setting,
+            [placement.layout, placement.greedy, study],
+            uncertainty,
+            n_samples=max(planning.samples, MIN_FRESH_WORLDS),
+            seed=seed,
+            fusion=planning.fusion,
+            workers=workers,
+            on_progress=progress,
+        )
+        summary["sampled"] = summarise_uncertainty(
+            judged,
+            uncertainty,
+            tail=plan.wishes.tail,
+            seed=seed,
+            planned_apr={
+                item.layout.name: apr(item.rsu_all, item.axis) for item in (found, greedy, baseline)
+            },
+            chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
+        )
+        figures["sampled_apr"] = plot_sampled_apr(judged)
     evaluations = {found.layout.name: found, GREEDY: greedy, baseline.layout.name: baseline}
     _write_results(
         out,
@@ -92,6 +126,8 @@ def run_placement(
         others=[baseline.layout],
         command=command,
         progress=progress,
+        placement=placement,
+        more_figures=figures,
     )
     return summary
 
@@ -248,6 +284,8 @@ def _write_results(
     others: Sequence[Layout],
     command: str,
     progress: StageProgress,
+    placement: Placement | None = None,
+    more_figures: Mapping[str, Figure] | None = None,
 ) -> None:
     """Fill the result folder; the times of all stages but the writing go into the summary."""
     progress(WRITING, 0, 0)
@@ -259,11 +297,23 @@ def _write_results(
         _write_text(new / "layout.json", exports.to_json(subject.layout))
         _write_text(new / "layout.csv", exports.to_csv(subject.layout))
         _write_text(new / "layout.geojson", exports.to_geojson(subject.layout, setting.scene.crs))
+        if placement is not None:
+            document = build_certificate(
+                placement.problem,
+                placement.certificate,
+                pose_index=placement.pose_index,
+                units=summary["layout"],
+                presolve=placement.presolve,
+                seconds=placement.seconds,
+                versions=summary["versions"],
+            )
+            save_certificate(new, document, placement.problem)
         exports.apr_table(evaluations).to_csv(new / "apr.csv", index=False)
         exports.runs_table(evaluations).to_parquet(new / "runs.parquet")
         figures = {
             "plan": plot_plan(setting, subject.layout, others=others),
             "apr_by_case": plot_apr_by_case(evaluations),
+            **(more_figures or {}),
         }
         for run_id in heatmap_runs:
             index = setting.axis.run_ids.index(run_id)

@@ -17,8 +17,8 @@ from placement.candidates import (
 )
 from placement.layout import Layout, check_layout
 from placement.optimiser import Effort, PlacementValue
+from placement.optimiser.effort import SolverName
 from placement.optimiser.milp import DEFAULT_SOLVER, check_solver
-from placement.optimiser.solve import SolverName
 from placement.wishes import Wishes, check_wishes
 
 from .question import Planning

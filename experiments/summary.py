@@ -83,7 +83,9 @@ def summarise_placement(
         **summarise_layout(found, rule),
         "budget": problem.limits.budget_units,
         "fusion": problem.fusion,
+        "goal": problem.goal,
         "candidates": problem.table.n_poses,
+        "presolve": str(placement.presolve),
         "apr": first.objective,
         "bound": first.bound,
         "gap": first.gap,
@@ -109,7 +111,7 @@ def summarise_placement(
         "disagreements": [
             asdict(disagreement)
             for disagreement in find_disagreements(
-                setting, problem.table, found, placement.pose_index
+                setting, placement.nominal.table, found, placement.nominal_index
             )
         ],
     }
@@ -224,7 +226,7 @@ def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> "np.ndarra
     disagrees : (n_runs,) bool
         Under the placement's own fusion.
     """
-    on_table = np.isfinite(run_margins_s(placement.problem, placement.pose_index))
+    on_table = np.isfinite(run_margins_s(placement.nominal, placement.nominal_index))
     if placement.problem.fusion == "any":
         evaluated = evaluation.rsu_all.is_avoided
     else:

@@ -18,6 +18,7 @@ from .optimiser import (
     solve_placement,
 )
 from .optimiser.problem import Fusion
+from .sampling import Uncertainty, sampled_table
 from .setting import Setting
 from .visibility import build_detection_table, load_table, save_table, table_fingerprint
 from .wishes import Wishes, build_problem, check_wishes
@@ -44,6 +45,10 @@ class Placement:
         The problem, with the detection table.
     pose_index : tuple of int
         Rows of the table that make `layout`.
+    nominal : PlacementProblem
+        The layout alone in the world as planned: `problem` itself unless worlds were sampled.
+    nominal_index : tuple of int
+        Rows of its table that make `layout`.
     seconds : mapping of str to float
         Time per stage. [s]
     """
@@ -54,6 +59,8 @@ class Placement:
     presolve: PresolveStatistics
     problem: PlacementProblem
     pose_index: tuple[int, ...]
+    nominal: PlacementProblem
+    nominal_index: tuple[int, ...]
     seconds: Mapping[str, float]
 
     def __repr__(self) -> str:
@@ -68,6 +75,8 @@ def place(
     wishes: Wishes,
     fusion: Fusion = "any",
     effort: Effort | None = None,
+    uncertainty: Uncertainty | None = None,
+    n_samples: int = 0,
     seed: int = 0,
     workers: int = 1,
     cache_folder: Path | None = None,
@@ -93,6 +102,10 @@ def place(
         Where detection tables are kept; by default nowhere.
     effort : Effort, optional
         How hard the optimiser tries.
+    uncertainty : Uncertainty, optional
+        What is drawn in sampled worlds.
+    n_samples : int
+        Worlds to choose in; 0: the one as planned.
     on_progress : callable, optional
         See ``StageProgress``.
 
@@ -109,16 +122,32 @@ def place(
     check_wishes(wishes, setting.scene)
     report = on_progress or _ignore
     started = time.perf_counter()
-    table = obtain_table(
-        setting,
-        candidates,
-        seed=seed,
-        workers=workers,
-        cache_folder=cache_folder,
-        on_progress=report,
-    )
+    sample_index = None
+    if uncertainty is not None and n_samples:
+        sampled = sampled_table(
+            setting,
+            candidates,
+            uncertainty,
+            n_samples=n_samples,
+            seed=seed,
+            workers=workers,
+            cache_folder=cache_folder,
+            on_progress=report,
+        )
+        table, sample_index = sampled.table, sampled.sample_index
+    else:
+        table = obtain_table(
+            setting,
+            candidates,
+            seed=seed,
+            workers=workers,
+            cache_folder=cache_folder,
+            on_progress=report,
+        )
     table_done = time.perf_counter()
-    problem = build_problem(setting, candidates, table, wishes=wishes, fusion=fusion)
+    problem = build_problem(
+        setting, candidates, table, wishes=wishes, fusion=fusion, sample_index=sample_index
+    )
     report("optimise", 0, 0)
     reduced = presolve(problem)
     solution: Solution = solve_placement(
@@ -130,6 +159,10 @@ def place(
     optimised = time.perf_counter()
     report("greedy", 0, 0)
     greedy_index = solve_greedy(problem, reduced)
+    nominal, nominal_index = problem, solution.pose_index
+    if sample_index is not None:
+        nominal = _alone(setting, candidates, solution.pose_index, fusion, seed, workers)
+        nominal_index = tuple(range(nominal.table.n_poses))
     return Placement(
         layout=pick_layout(candidates, solution.pose_index, f"best-{len(solution.pose_index)}"),
         greedy=pick_layout(candidates, greedy_index, f"greedy-{len(greedy_index)}"),
@@ -137,6 +170,8 @@ def place(
         presolve=solution.presolve,
         problem=problem,
         pose_index=solution.pose_index,
+        nominal=nominal,
+        nominal_index=nominal_index,
         seconds={
             "detection_table": table_done - started,
             "optimise": optimised - table_done,
@@ -191,6 +226,29 @@ def obtain_table(
     if cache_folder is not None:
         save_table(path, table, fingerprint=fingerprint)
     return table
+
+
+def _alone(
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    pose_index: Sequence[int],
+    fusion: Fusion,
+    seed: int,
+    workers: int,
+) -> PlacementProblem:
+    """A layout in the world as planned."""
+    units = [candidates[index] for index in pose_index]
+    table = build_detection_table(
+        setting.scene,
+        units,
+        setting.runs,
+        setting.axis,
+        detector=setting.planner,
+        seed=seed,
+        workers=workers,
+    )
+    wishes = Wishes(budget_units=len(units), kept=tuple(unit.id for unit in units[1:]))
+    return build_problem(setting, units, table, wishes=wishes, fusion=fusion)
 
 
 def pick_layout(

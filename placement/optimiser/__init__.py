@@ -3,11 +3,13 @@
 problem.py says what is asked and what a set of poses is worth, limits.py what may be mounted
 together, measure.py how the APR sums up runs and sampled worlds; presolve.py drops what does not
 matter; greedy.py finds good sets quickly; model.py and cuts.py state what a mixed-integer solver
-solves, milp.py calls it; enumeration.py goes through all sets of few units; solve.py takes the
-stages in order: APR, APR when one unit fails, smallest margin, mean margin, cost. feasibility.py
-says which wish cannot be met.
+solves, milp.py calls it; enumeration.py and best_of.py go through all sets that may matter;
+stages.py takes the objectives in order: APR, APR when one unit fails, smallest margin, mean
+margin, cost; solve.py calls it all, large.py for tables that no model takes. feasibility.py says
+which wish cannot be met.
 """
 
+from .effort import Effort
 from .greedy import solve_greedy
 from .limits import Limits, cost_eur, is_allowed
 from .presolve import PresolveStatistics, ReducedProblem, presolve
@@ -26,7 +28,7 @@ from .problem import (
     placement_value,
     run_margins_s,
 )
-from .solve import Effort, Solution, solve_placement
+from .solve import Solution, solve_placement
 
 __all__ = [
     "Effort",

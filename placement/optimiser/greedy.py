@@ -1,5 +1,8 @@
 """Layouts found quickly, without proof: greedy choice, then exchanges one for one."""
 
+import time
+from collections.abc import Sequence
+
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
@@ -74,7 +77,9 @@ def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
     return units
 
 
-def improve(reduced: ReducedProblem, units: IntArray, limit: FloatArray) -> IntArray:
+def improve(
+    reduced: ReducedProblem, units: IntArray, limit: FloatArray, *, end_s: float = np.inf
+) -> IntArray:
     """Exchange one unit for another, or leave one out, as long as that makes the set better.
 
     Parameters
@@ -86,6 +91,8 @@ def improve(reduced: ReducedProblem, units: IntArray, limit: FloatArray) -> IntA
     limit : (N_COLUMNS,) float
         No set is better than this, see :func:`placement.optimiser.bitsets.set_values`: one that is
         as good needs no exchange.
+    end_s : float
+        When to stop, on the monotonic clock. [s]
 
     Returns
     -------
@@ -93,23 +100,31 @@ def improve(reduced: ReducedProblem, units: IntArray, limit: FloatArray) -> IntA
         At least as good; no single exchange or removal improves it.
     """
     value = set_values(reduced, units[None, :])[0]
-    while exceeds(limit, value):
+    while exceeds(limit, value) and time.monotonic() < end_s:
         best = units, value
-        for position in np.flatnonzero(~reduced.limits.is_forced[units]):
-            left = np.delete(units, position)
-            candidates = [_without(reduced, left), _exchanged(reduced, left, units[position])]
-            for sets, values in candidates:
+        positions = np.flatnonzero(~reduced.limits.is_forced[units])
+        for change in (_exchanged, _without):  # to leave one out is only cheaper: tried last
+            for position in positions:
+                sets, values = change(reduced, np.delete(units, position), units[position])
                 if len(sets):
                     row = best_row(values)
                     if exceeds(values[row], best[1]):
                         best = sets[row], values[row]
+            if exceeds(best[1], value):
+                break
         if not exceeds(best[1], value):
             break
         units, value = best
     return units
 
 
-def solve_heuristically(reduced: ReducedProblem, limit: FloatArray) -> IntArray | None:
+def solve_heuristically(
+    reduced: ReducedProblem,
+    limit: FloatArray,
+    *,
+    starts: Sequence[IntArray] = (),
+    end_s: float = np.inf,
+) -> IntArray | None:
     """Best of several local optima: the greedy set's, and those of random first units.
 
     Parameters
@@ -118,6 +133,10 @@ def solve_heuristically(reduced: ReducedProblem, limit: FloatArray) -> IntArray 
         What to choose from.
     limit : (N_COLUMNS,) float
         No set is better than this: the search ends when one is as good.
+    starts : sequence of (n,) int
+        Sets to begin with, before any other.
+    end_s : float
+        When to stop, on the monotonic clock; the first start is completed. [s]
 
     Returns
     -------
@@ -127,17 +146,19 @@ def solve_heuristically(reduced: ReducedProblem, limit: FloatArray) -> IntArray 
     """
     rng = np.random.default_rng(_SEED)
     forced = forced_units(reduced)
-    starts = [forced]
+    begin = [*starts, forced]
     first = np.flatnonzero(fitting(reduced.limits, forced))
     if len(first):
-        starts += [np.append(forced, pose) for pose in rng.choice(first, size=_N_RESTARTS)]
+        begin += [np.append(forced, pose) for pose in rng.choice(first, size=_N_RESTARTS)]
     best: IntArray | None = None
     best_value = np.full(N_COLUMNS, -np.inf)
-    for start in starts:
+    for start in begin:
+        if best is not None and time.monotonic() >= end_s:
+            break
         units = extend_greedily(reduced, start)
-        if not is_allowed(reduced.limits, units):
+        if not len(units) or not is_allowed(reduced.limits, units):
             continue
-        units = improve(reduced, units, limit)
+        units = improve(reduced, units, limit, end_s=end_s)
         value = set_values(reduced, units[None, :])[0]
         if best is None or exceeds(value, best_value):
             best, best_value = units, value
@@ -146,7 +167,7 @@ def solve_heuristically(reduced: ReducedProblem, limit: FloatArray) -> IntArray 
     return best
 
 
-def _without(reduced: ReducedProblem, left: IntArray) -> tuple[IntArray, FloatArray]:
+def _without(reduced: ReducedProblem, left: IntArray, removed: int) -> tuple[IntArray, FloatArray]:
     """The set itself, if it is allowed, and its value."""
     sets = left[None, :]
     if not len(left) or not are_allowed(reduced.limits, sets)[0]:

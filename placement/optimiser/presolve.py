@@ -168,15 +168,22 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
       frames of no window cannot change any value.
     * Frames that the same poses see are one frame.
     * A window is dominated if an earlier window of its run needs no other frames.
-    * Dominated poses, see :func:`is_dominated`.
+    * Poses that the money does not suffice for, and dominated ones, see :func:`is_dominated`.
     """
     windows = _Windows(problem)
     limits = problem.limits
     usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
+    if limits.budget_eur is not None:
+        price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
+        usable &= price <= limits.budget_eur + COST_TOLERANCE_EUR
     usable |= limits.is_forced
+    # A weighted sum with margins in it may fall when more is seen: no pose stands for another.
+    is_monotone = problem.stage_weights is None or not any(problem.stage_weights[2:4])
     while True:
         poses = np.flatnonzero(usable)
         reduced = windows.reduce(poses)
+        if not is_monotone:
+            return reduced
         is_wished = reduced.limits.is_forced
         is_wished = is_wished | limits.is_forced_site[reduced.limits.site_index]
         sees: BoolArray = np.logical_or.reduce(reduced.words != 0, axis=1)

@@ -103,7 +103,8 @@ class PlacementProblem:
         If not 0, the APR when so many units fail is the first objective.
     stage_weights : (5,) float, optional
         One objective instead of five in order: the sum of the fields of
-        :class:`PlacementValue` times these weights; that of the cost counts against.
+        :class:`PlacementValue` times these weights; that of the cost counts against. Margins in
+        it leave presolve little to drop: more seen may mean less to spare.
     sample_index : (n_runs,) int, optional
         Sampled world of each run.
     tail : float

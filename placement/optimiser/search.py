@@ -88,9 +88,9 @@ class Search:
         """Time left, in seconds."""
         return self.end_s - time.monotonic()
 
-    def start(self) -> None:
-        """Find a first set; there may be none, or none that reaches the floors."""
-        units = solve_heuristically(self.reduced, self.limit)
+    def start(self, starts: Sequence[IntArray] = ()) -> None:
+        """Find a first set, from some to begin with; there may be none that reaches the floors."""
+        units = solve_heuristically(self.reduced, self.limit, starts=starts, end_s=self.end_s)
         if units is not None:
             self.keep(units)
         if self.shortfall > 0.0:
@@ -101,7 +101,8 @@ class Search:
         self.reduced = replace(self.reduced, limits=limits, goal="best")
         units = self.units
         self.units = None
-        for found in (units, solve_heuristically(self.reduced, self.limit)):
+        again = solve_heuristically(self.reduced, self.limit, end_s=self.end_s)
+        for found in (units, again):
             if found is not None:
                 self.keep(found)
 
@@ -125,10 +126,10 @@ class Search:
         if not is_allowed(self.reduced.limits, units):
             return
         self.keep(units)
-        self.keep(improve(self.reduced, units, self.limit))
+        self.keep(improve(self.reduced, units, self.limit, end_s=self.end_s))
         extended = extend_greedily(self.reduced, units)
         if len(extended) > len(units) and is_allowed(self.reduced.limits, extended):
-            self.keep(improve(self.reduced, extended, self.limit))
+            self.keep(improve(self.reduced, extended, self.limit, end_s=self.end_s))
 
     def look_for(
         self,

@@ -1,31 +1,23 @@
 """The stages in order, each holding those before it, each with a proven bound."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from geometry.arrays import IntArray
-from geometry.errors import InputError
 
 from ..layout import Certificate, Stage, relative_gap
-from .bitsets import left_after_failures, set_values
-from .enumeration import best_of_all, best_of_few
+from .effort import Effort
 from .feasibility import check_floors, check_limits, check_reach
 from .greedy import to_full
-from .limits import COST_TOLERANCE_EUR, are_allowed
+from .large import is_large, look_out, margin_limits_s, of_pool
 from .milp import DEFAULT_SOLVER, check_solver
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import TOLERANCE, PlacementProblem, PlacementValue, apr_failed, placement_value
-from .requirements import Requirement
-from .search import Search, settle
-
-SolverName = Literal["auto", "exact", "relax", "greedy"]
-
-_SETS_PER_SECOND = 100_000  # enumeration; measured: two to three times as many
-_MAX_SETS = 400_000  # beyond, models are quicker
+from .problem import PlacementProblem, PlacementValue, apr_failed, placement_value
+from .search import Search
+from .stages import Stages
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,44 +39,12 @@ class Solution:
     presolve: PresolveStatistics
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Effort:
-    """How hard to try.
-
-    Attributes
-    ----------
-    solver : {"auto", "exact", "relax", "greedy"}
-        "greedy": search only, bounded by what all poses together reach; "relax": the bounds of
-        relaxations, too; "exact": mixed-integer models and enumeration, too, until the time is up;
-        "auto": the same, but relaxations alone where the instance is too large for models.
-    time_limit_s : float
-        For all stages together; presolve and the first layout are finished in any case. When it is
-        up, the best layout found is kept and the gaps say what is not proven. [s]
-    gap : float
-        Relative gap at which a stage counts as settled.
-    milp_solver : str
-        Name of the mixed-integer solver in cvxpy.
-    """
-
-    solver: SolverName = "auto"
-    time_limit_s: float = 60.0
-    gap: float = 0.0
-    milp_solver: str = DEFAULT_SOLVER
-
-    def __post_init__(self) -> None:
-        if self.solver not in ("auto", "exact", "relax", "greedy"):
-            raise InputError("--solver", self.solver, "one of auto, exact, relax, greedy")
-        if not self.time_limit_s > 0.0:
-            raise InputError("--time-limit", self.time_limit_s, "seconds, more than 0")
-        if not 0.0 <= self.gap < 1.0:
-            raise InputError("--gap", self.gap, "a share, 0 <= gap < 1")
-
-
 def solve_placement(
     problem: PlacementProblem,
     reduced: ReducedProblem | None = None,
     *,
     effort: Effort | None = None,
+    starts: Sequence[IntArray] = (),
     on_stage: Callable[[str], None] | None = None,
 ) -> Solution:
     """Best poses: by APR, then APR when one unit fails, smallest margin, mean margin, cost.
@@ -97,6 +57,8 @@ def solve_placement(
         Its presolved form, where that is at hand.
     effort : Effort, optional
         How hard to try; by default a minute.
+    starts : sequence of (n,) int
+        Rows of the table that are tried first, such as a good layout for a unit less.
     on_stage : callable, optional
         Called with the name of every stage when it begins.
 
@@ -118,6 +80,8 @@ def solve_placement(
     if effort.milp_solver != DEFAULT_SOLVER:
         check_solver(effort.milp_solver)
     check_limits(problem.limits, problem.table.pose_ids)
+    if reduced is None and effort.solver != "exact" and is_large(problem):
+        return _solve_large(problem, effort, on_stage)
     reduced = presolve(problem) if reduced is None else reduced
     check_reach(problem, reduced)
     search = Search(
@@ -126,9 +90,9 @@ def solve_placement(
         milp_solver=effort.milp_solver,
         uses_models=effort.solver in ("auto", "exact"),
     )
-    search.start()
+    search.start([_units_of(reduced, poses) for poses in starts])
     check_floors(problem, search)
-    stages = _Stages(problem, search, effort)
+    stages = Stages(problem, search, effort)
     records = []
     for name, find_bound in stages.plan():
         if on_stage is not None:
@@ -149,6 +113,60 @@ def solve_placement(
             solver=" and ".join(search.proofs) or "simple bounds, no solver",
         ),
         presolve=reduced.statistics,
+    )
+
+
+def _units_of(reduced: ReducedProblem, poses: IntArray) -> IntArray:
+    """Poses of the reduced problem; those that have dropped out are left out."""
+    units: IntArray = np.flatnonzero(np.isin(reduced.pose_index, poses))
+    return units
+
+
+def _solve_large(
+    problem: PlacementProblem, effort: Effort, on_stage: Callable[[str], None] | None
+) -> Solution:
+    """The best among promising poses, bounded by what all poses promise."""
+    end_s = time.monotonic() + effort.time_limit_s
+    bounds_margins = problem.stage_weights is None and problem.tail == 1.0
+    outlook = look_out(problem, has_margins=bounds_margins, on_step=on_stage)
+    pool = outlook.pool
+    places = [np.searchsorted(pool, poses) for poses in outlook.sets]
+    part = of_pool(problem, pool)
+    found = solve_placement(
+        part,
+        presolve(part),
+        effort=replace(
+            effort,
+            solver="greedy",
+            time_limit_s=max(end_s - time.monotonic(), 1.0e-3),
+        ),
+        starts=places,
+        on_stage=on_stage,
+    )
+    limits = {"apr": outlook.apr} if problem.tail == 1.0 else {}
+    value = {stage.name: stage.objective for stage in found.certificate.stages}
+    if bounds_margins and value.get("apr", 0.0) > 0.0:
+        limits["mean_margin_s"] = outlook.margins_s / value["apr"]
+    all_margins = margin_limits_s(problem)
+    limit = problem.measure().of(all_margins > -np.inf)
+    limits["apr"] = min(limits.get("apr", 1.0), float(limit))
+    stages = []
+    for stage in found.certificate.stages:
+        if stage.name in ("units", "cost_eur"):
+            bound = 1.0 if stage.name == "units" else 0.0
+        elif stage.name in ("apr", "apr_one_failed", "apr_survived"):
+            bound = limits["apr"]
+        else:
+            bound = min(limits.get(stage.name, np.inf), float(all_margins.max()))
+        stages.append(_stage(stage.name, stage.objective, bound, stage.seconds))
+    n_poses = problem.table.n_poses
+    return Solution(
+        pose_index=tuple(int(pool[pose]) for pose in found.pose_index),
+        certificate=Certificate(
+            stages=tuple(stages),
+            solver=f"Lagrangian relaxation of all {n_poses} poses, search among {len(pool)}",
+        ),
+        presolve=replace(found.presolve, n_poses=(n_poses, found.presolve.n_poses[1])),
     )
 
 
@@ -178,294 +196,3 @@ def _stage(name: str, objective: float, bound: float, seconds: float) -> Stage:
         gap=gap,
         seconds=seconds,
     )
-
-
-class _Stages:
-    """A method per stage that improves the best set, and says how much better one could be."""
-
-    def __init__(self, problem: PlacementProblem, search: Search, effort: Effort) -> None:
-        self.problem = problem
-        self.search = search
-        self.effort = effort
-        self.held: list[Requirement] = []
-        self.apr_limit = search.reduced.measure.limit
-        self.is_complete: bool | None = None  # not tried yet
-        self.has_enumerated: bool | None = None
-
-    def plan(self) -> list[tuple[str, Callable[[], float]]]:
-        """Names of the stages in order, and what finds their bounds."""
-        first: list[tuple[str, Callable[[], float]]] = []
-        if self.problem.goal == "fewest":
-            first.append(("units", self.bound_units))
-        if self.problem.goal == "cheapest":
-            first.append(("cost_eur", self.bound_first_cost_eur))
-        if self.problem.survive:
-            first.append(("apr_survived", self.bound_apr_survived))
-        if self.problem.stage_weights is not None:
-            return [*first, ("weighted", self.bound_weighted)]
-        return [
-            *first,
-            ("apr", self.bound_apr),
-            ("apr_one_failed", self.bound_apr_one_failed),
-            ("smallest_margin_s", self.bound_smallest_margin_s),
-            ("mean_margin_s", self.bound_mean_margin_s),
-            *([] if self.problem.goal == "cheapest" else [("cost_eur", self.bound_cost_eur)]),
-        ]
-
-    def bound_units(self) -> float:
-        """No layout that reaches the floors has fewer units; from here on none has more."""
-        search = self.search
-        bound = 1.0
-        if not self._is_complete():
-            n_units = len(self._units())
-            if n_units > 1 and not self._one_unit_does():
-                bound = 2.0
-            if n_units > bound:
-                bound = max(bound, np.ceil(search.look_for("units", ()) - 1.0e-6))
-        n_units = len(self._units())
-        search.restrict(replace(search.reduced.limits, budget_units=n_units))
-        return float(n_units) if self._is_complete() else min(bound, float(n_units))
-
-    def bound_first_cost_eur(self) -> float:
-        """No layout that reaches the floors costs less; from here on none costs more."""
-        search = self.search
-        bound = self._cheapest_unit_eur()
-        if not self._is_complete() and search.value.cost_eur > bound + COST_TOLERANCE_EUR:
-            bound = max(bound, search.look_for("cost", ()))
-        cost = search.value.cost_eur
-        search.restrict(replace(search.reduced.limits, budget_eur=cost))
-        return cost if self._is_complete() else min(self._settled_from_below(cost, bound), cost)
-
-    def bound_apr_survived(self) -> float:
-        """No layout keeps a higher APR when its worst units fail."""
-        return self._bound_failed(self.problem.survive, self.search.reduced.measure.limit)
-
-    def bound_apr(self) -> float:
-        """No layout has a higher APR."""
-        search = self.search
-        if not self._is_settled(search.value.apr, self.apr_limit):
-            if self._is_complete():
-                self.apr_limit = search.value.apr
-            else:
-                bound = search.look_for("apr", self.held)
-                self.apr_limit = settle(search.value.apr, bound, self.apr_limit)
-        self._hold(Requirement(measure=search.reduced.measure, least=search.value.apr))
-        return self.apr_limit
-
-    def bound_apr_one_failed(self) -> float:
-        """No layout that holds the APR keeps a higher one when one unit fails."""
-        if self.search.reduced.limits.max_units == 1:
-            return 0.0
-        return self._bound_failed(1, self.search.value.apr)
-
-    def bound_smallest_margin_s(self) -> float:
-        """No layout that holds the stages before has a larger smallest margin."""
-        search = self.search
-        if search.value.apr == 0.0:
-            return self._undefined_margin_s()
-        reduced = search.reduced
-        limit = self._smallest_margin_limit_s()
-        if self._is_settled(search.value.smallest_margin_s, limit):
-            return self._hold_margin(limit)
-        if self._is_complete() or self._enumerate():
-            return self._hold_margin(search.value.smallest_margin_s)
-        margins = reduced.margin_s
-        candidates = np.unique(margins[margins <= limit + TOLERANCE])
-        low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
-        high, probe = len(candidates), low
-        while low < high:
-            demand = Requirement(
-                measure=reduced.measure,
-                least=search.value.apr,
-                min_margin_s=float(candidates[probe]),
-            )
-            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
-                high = probe
-            elif search.value.smallest_margin_s >= candidates[probe] - TOLERANCE:
-                low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
-            else:
-                break  # time is up
-            probe = (low + high) // 2
-        bound = float(candidates[high - 1]) if low < high else search.value.smallest_margin_s
-        return self._hold_margin(bound)
-
-    def bound_mean_margin_s(self) -> float:
-        """No layout that holds the stages before has a larger mean margin."""
-        search = self.search
-        if search.value.apr == 0.0:
-            return self._undefined_margin_s()
-        reduced = search.reduced
-        total_s = float(reduced.weight @ np.maximum(self.search.margin_limit_s, 0.0))
-        limit = min(float(search.margin_limit_s.max()), total_s / search.value.apr)
-        if self._is_settled(search.value.mean_margin_s, limit):
-            return limit
-        if self._is_complete() or self._enumerate():
-            return search.value.mean_margin_s
-        bound = search.look_for("margins", self.held)
-        return settle(search.value.mean_margin_s, bound / search.value.apr, limit)
-
-    def bound_cost_eur(self) -> float:
-        """No layout that holds the stages before costs less."""
-        search = self.search
-        cost, least = search.value.cost_eur, self._cheapest_unit_eur()
-        if cost <= least + COST_TOLERANCE_EUR or self._is_complete():
-            return cost
-        avoided = float(search.reduced.weight @ search.avoided())
-        mean = Requirement(
-            measure=search.reduced.measure,
-            least=search.value.mean_margin_s * avoided,
-            sums_margins=True,
-        )
-        bound = search.look_for("cost", [*self.held, mean])
-        return max(least, self._settled_from_below(search.value.cost_eur, bound))
-
-    def bound_weighted(self) -> float:
-        """No layout has a larger weighted sum: no larger than that of each value's own limit."""
-        limit = float(self.search.limit[3])
-        return float(self.search.row[3]) if self._is_complete() else limit
-
-    def _bound_failed(self, n_failures: int, limit: float) -> float:
-        """No layout that holds the stages before keeps a higher APR when its worst units fail."""
-        search = self.search
-        value = self._left(n_failures)
-        if not self._is_settled(value, limit):
-            if self._is_complete() or (n_failures == 1 and self._enumerate()):
-                limit = self._left(n_failures)
-            else:
-                limit = self._bound_failed_by_models(n_failures, limit)
-        self._hold(
-            Requirement(
-                measure=search.reduced.measure,
-                least=self._left(n_failures),
-                n_failures=n_failures,
-            )
-        )
-        return limit
-
-    def _bound_failed_by_models(self, n_failures: int, limit: float) -> float:
-        search = self.search
-        reduced = search.reduced
-        n_left = reduced.limits.max_units - n_failures
-        if n_left < 1:
-            return 0.0
-        # What is left when units fail is a layout with fewer, bound by no wish.
-        fewer = replace(
-            reduced,
-            floors=(),
-            limits=replace(
-                reduced.limits,
-                budget_units=n_left,
-                is_forced=np.zeros_like(reduced.limits.is_forced),
-                is_forced_site=np.zeros_like(reduced.limits.is_forced_site),
-            ),
-        )
-        limit = settle(self._left(n_failures), search.look_for("apr", (), fewer), limit)
-        step = 2.0 * TOLERANCE
-        all_runs = reduced.measure.limit
-        if limit >= all_runs - TOLERANCE > self._left(n_failures) and reduced.measure.is_mean:
-            demand = Requirement(measure=reduced.measure, least=all_runs, n_failures=n_failures)
-            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
-                limit = all_runs - float(reduced.weight.min())
-        while self._left(n_failures) < limit - TOLERANCE:
-            before = self._left(n_failures)
-            demand = Requirement(
-                measure=reduced.measure, least=before + step, n_failures=n_failures
-            )
-            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
-                return before
-            if self._left(n_failures) <= before + TOLERANCE:
-                return limit  # time is up
-        return limit
-
-    def _left(self, n_failures: int) -> float:
-        search = self.search
-        sets = self._units()[None, :]
-        left = left_after_failures(search.reduced, search.reduced.measure, n_failures, sets)
-        return float(left[0])
-
-    def _units(self) -> IntArray:
-        units = self.search.units
-        assert units is not None  # a first set is there, or solve_placement has given up
-        return units
-
-    def _hold(self, requirement: Requirement) -> None:
-        self.held.append(requirement)
-
-    def _hold_margin(self, bound: float) -> float:
-        search = self.search
-        self._hold(
-            Requirement(
-                measure=search.reduced.measure,
-                least=search.value.apr,
-                min_margin_s=search.value.smallest_margin_s,
-            )
-        )
-        return bound
-
-    def _is_settled(self, value: float, limit: float) -> bool:
-        return limit - value <= max(TOLERANCE, self.effort.gap * abs(value))
-
-    def _settled_from_below(self, cost: float, bound: float) -> float:
-        return cost if bound >= cost * (1.0 - 1.0e-6) - COST_TOLERANCE_EUR else bound
-
-    def _smallest_margin_limit_s(self) -> float:
-        search = self.search
-        order = np.argsort(-search.margin_limit_s)
-        share = np.cumsum(search.reduced.weight[order])
-        enough = np.argmax(share >= search.value.apr - TOLERANCE)
-        return float(search.margin_limit_s[order[enough]])
-
-    def _undefined_margin_s(self) -> float:
-        """Bound of a margin while nothing is avoided: 0 if that is proven."""
-        return 0.0 if self.apr_limit == 0.0 else float(self.search.margin_limit_s.max())
-
-    def _cheapest_unit_eur(self) -> float:
-        limits = self.search.reduced.limits
-        if not limits.n_poses:
-            return 0.0
-        return float((limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]).min())
-
-    def _one_unit_does(self) -> bool:
-        """Whether a single pose reaches the floors."""
-        reduced = self.search.reduced
-        sets = np.arange(reduced.n_poses)[:, None]
-        sets = sets[are_allowed(reduced.limits, sets)]
-        return bool(len(sets)) and bool((set_values(reduced, sets)[:, 0] == 0.0).any())
-
-    def _is_complete(self) -> bool:
-        """Go through all sets, if they are few; whether that was done."""
-        search = self.search
-        if self.is_complete is None:
-            self.is_complete = False
-            if self.effort.solver in ("auto", "exact"):
-                units, self.is_complete = best_of_few(search.reduced, max_sets=self._max_sets())
-                if units is not None:
-                    search.keep(units)
-            if self.is_complete:
-                search.proofs["exhaustive enumeration"] = None
-        return self.is_complete
-
-    def _enumerate(self) -> bool:
-        """Go through all sets that could be better, if they are few; whether that was done."""
-        search, reduced, problem = self.search, self.search.reduced, self.problem
-        if self.has_enumerated is None:
-            self.has_enumerated = False
-            is_apr_proven = search.value.apr >= self.apr_limit - TOLERANCE
-            is_plain = reduced.limits.is_plain and reduced.measure.is_mean
-            is_plain = is_plain and not (problem.floors or problem.survive)
-            is_full = len(self._units()) == reduced.limits.max_units
-            if is_apr_proven and is_plain and is_full and search.uses_models:
-                best = best_of_all(
-                    reduced,
-                    self._units(),
-                    apr_one_failed=search.value.apr_one_failed,
-                    max_sets=self._max_sets(),
-                )
-                self.has_enumerated = best is not None
-                if best is not None:
-                    search.keep(best)
-                    search.proofs["exhaustive enumeration"] = None
-        return self.has_enumerated
-
-    def _max_sets(self) -> int:
-        return max(0, min(_MAX_SETS, int(self.search.left_s() * _SETS_PER_SECOND)))

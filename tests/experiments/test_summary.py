@@ -209,7 +209,9 @@ def test_disagreement_is_judged_under_the_fusion_asked_for(evaluation_of, rule):
             fusion=fusion,
             rule=rule,
         )
-        placement = SimpleNamespace(problem=problem, pose_index=(0, 1))
+        placement = SimpleNamespace(
+            problem=problem, pose_index=(0, 1), nominal=problem, nominal_index=(0, 1)
+        )
         assert disagreeing_runs(placement, evaluation).tolist() == [False]
         other = replace(evaluation, rsu_all=verdict(False), units={"A": verdict(True)})
         assert disagreeing_runs(placement, other).tolist() == [True]

@@ -3,15 +3,14 @@
 from dataclasses import replace
 from itertools import combinations
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import questions
 
 from geometry.errors import InputError
 from placement.optimiser import (
     Effort,
-    Floor,
     PlacementProblem,
     apr_failed,
     is_feasible,
@@ -20,58 +19,6 @@ from placement.optimiser import (
 )
 
 Row = tuple[float, ...]
-
-
-@st.composite
-def questions(draw: st.DrawFn) -> PlacementProblem:
-    """Any problem with any wishes; many cannot be met."""
-    problem = draw(st.from_type(PlacementProblem))
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    limits, n_poses, n_runs = problem.limits, problem.table.n_poses, problem.table.axis.n_runs
-    n_sites = limits.n_sites
-    kinds = draw(st.sets(st.sampled_from(["money", "wishes", "floors", "failures", "samples"])))
-    if "money" in kinds:
-        limits = replace(
-            limits,
-            unit_cost_eur=rng.integers(1, 4, n_poses).astype(np.float64),
-            site_cost_eur=rng.integers(0, 3, n_sites).astype(np.float64),
-            budget_eur=draw(st.sampled_from([None, 8.0, 5.0, 3.0])),
-        )
-    if "wishes" in kinds:
-        rivals = [(a, b) for a, b in combinations(range(n_sites), 2) if rng.random() < 0.2]
-        limits = replace(
-            limits,
-            is_forced=rng.random(n_poses) < 0.15,
-            is_forbidden=rng.random(n_poses) < 0.15,
-            is_forced_site=rng.random(n_sites) < 0.15,
-            rivals=np.array(rivals, dtype=np.int64).reshape(-1, 2),
-        )
-    floors: list[Floor] = []
-    n_failures = draw(st.integers(0, 2)) if "failures" in kinds else 0
-    if "floors" in kinds:
-        floors.append(
-            Floor(name="--target", share=rng.choice([1.0, 0.75, 0.5]), n_failures=n_failures)
-        )
-        counted = rng.random(n_runs) < 0.5
-        if problem.table.axis.weight[counted].sum() > 0.0:
-            share = rng.choice([1.0, 0.5])
-            floors.append(Floor(name="--min-case-apr", share=share, is_counted=counted))
-    sample_index = None
-    weight = problem.table.axis.weight
-    if "samples" in kinds:
-        sample_index = rng.integers(0, 2, n_runs)
-        if not (np.bincount(sample_index, weights=weight, minlength=2) > 0.0).all():
-            sample_index = None
-    goals = ["best", "fewest", "cheapest"] if floors else ["best"]
-    return replace(
-        problem,
-        limits=limits,
-        floors=tuple(floors),
-        goal=draw(st.sampled_from(goals)),
-        survive=0 if floors else n_failures,
-        sample_index=sample_index,
-        tail=1.0 if sample_index is None else draw(st.sampled_from([1.0, 0.5, 0.1])),
-    )
 
 
 def rank(problem: PlacementProblem, poses: tuple[int, ...]) -> Row:
@@ -120,8 +67,8 @@ def test_every_question_matches_brute_force(problem: PlacementProblem) -> None:
 @settings(deadline=None, max_examples=200)
 def test_models_answer_every_question_without_enumeration(problem: PlacementProblem) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.solve.best_of_all", lambda *_, **__: None)
-        patch.setattr("placement.optimiser.solve.best_of_few", lambda *_, **__: (None, False))
+        patch.setattr("placement.optimiser.stages.best_of_all", lambda *_, **__: None)
+        patch.setattr("placement.optimiser.stages.best_of_few", lambda *_, **__: (None, False))
         check(problem)
 
 

@@ -38,8 +38,14 @@ def test_solve_matches_brute_force_on_small_tables(
     assert solution.certificate.is_proven
 
 
-def first_units(reduced: ReducedProblem, limit: FloatArray) -> IntArray:
+def first_units(reduced: ReducedProblem, limit: FloatArray, **_: object) -> IntArray:
     return np.arange(min(reduced.n_poses, 1))
+
+
+def keep_units(
+    reduced: ReducedProblem, units: IntArray, limit: FloatArray, **_: object
+) -> IntArray:
+    return units
 
 
 @given(problem=ANY_PROBLEM)
@@ -50,9 +56,9 @@ def test_bounds_from_a_poor_start_still_match_brute_force(
     # Heuristic and enumeration solve small tables outright; without them the MILPs have to.
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.search.solve_heuristically", first_units)
-        patch.setattr("placement.optimiser.search.improve", lambda reduced, units, limit: units)
-        patch.setattr("placement.optimiser.solve.best_of_all", lambda *_, **__: None)
-        patch.setattr("placement.optimiser.solve.best_of_few", lambda *_, **__: (None, False))
+        patch.setattr("placement.optimiser.search.improve", keep_units)
+        patch.setattr("placement.optimiser.stages.best_of_all", lambda *_, **__: None)
+        patch.setattr("placement.optimiser.stages.best_of_few", lambda *_, **__: (None, False))
         solution = solve_placement(problem)
     best = best_value(problem, range(problem.table.n_poses))
     assert placement_value(problem, solution.pose_index) == pytest.approx(best, abs=1e-9)

@@ -1,0 +1,214 @@
+"""The best set of more than three poses, or how much better one could be: branch and bound.
+
+Near copies of a pose (a few degrees of yaw) make "with this pose, or without" a poor question: the
+answer "without" changes nothing. So a node asks whether a site carries a unit that is not yet
+accounted for, and then which half of its poses that unit is among.
+"""
+
+import heapq
+import time
+from dataclasses import dataclass, field
+from itertools import count
+
+import numpy as np
+
+from geometry.arrays import FloatArray, IntArray
+
+from .coverage import Bound, Coverage, can_matter
+from .lazy_greedy import fill, swap
+from .multipliers import tighten
+
+_ROOT_STEPS = 300
+_NODE_STEPS = 60
+_LEAST_GAIN = 1.0e-9
+_LITTLE_USED = 0.2  # units at a site: less, and another question says more
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Search:
+    """What branch and bound found.
+
+    Attributes
+    ----------
+    poses : (n_units,) int
+        The best set.
+    value : float
+        f of it.
+    limit : float
+        No feasible set is worth more.
+    n_nodes : int
+        Looked at.
+    is_finished : bool
+        False: the time was up.
+    """
+
+    poses: IntArray
+    value: float
+    limit: float
+    n_nodes: int
+    is_finished: bool
+
+
+@dataclass(order=True, slots=True)
+class _Node:
+    """Sets that have one pose of each group, others from the rest of the pool."""
+
+    priority: float  # minus the limit: the highest comes first
+    number: int
+    pool: IntArray = field(compare=False)
+    groups: tuple[IntArray, ...] = field(compare=False)  # poses of the whole coverage
+    multipliers: FloatArray = field(compare=False)
+
+
+def branch_and_bound(
+    coverage: Coverage,
+    incumbent: IntArray,
+    multipliers: FloatArray,
+    *,
+    gap: float = 0.0,
+    time_limit_s: float = 60.0,
+    max_nodes: int | None = None,
+    workers: int = 1,
+) -> Search:
+    """Find the best set, or stop with what is proven.
+
+    Parameters
+    ----------
+    coverage : Coverage
+        What to choose from; thousands of poses.
+    incumbent : (n_units,) int
+        A feasible set.
+    multipliers : (n_rows,) float
+        To begin with.
+    gap : float
+        Sets that are better by no more than this share of the incumbent need not be found.
+    time_limit_s : float
+        Stop then. [s]
+    max_nodes : int, optional
+        Stop then; by default never.
+    workers : int
+        Threads.
+
+    Returns
+    -------
+    search : Search
+        With ``limit <= (1 + gap) value`` if it is finished.
+
+    Notes
+    -----
+    Nodes with the highest limit first: good sets come from exchanges rather than from the depth,
+    and so the proven limit falls from node to node.
+    """
+    end_s = time.monotonic() + time_limit_s
+    best, value = incumbent, coverage.value(incumbent)
+    numbers = count()
+    root = _Node(
+        priority=-np.inf,
+        number=next(numbers),
+        pool=np.arange(coverage.n_poses),
+        groups=coverage.supply.groups,
+        multipliers=multipliers,
+    )
+    heap, given_up, n_nodes = [root], value, 0
+    while heap:
+        enough = value * (1.0 + gap)
+        if -heap[0].priority <= enough * (1.0 + _LEAST_GAIN):
+            break
+        if time.monotonic() > end_s or n_nodes == max_nodes:
+            limit = max(-heap[0].priority, given_up)
+            return Search(
+                poses=best, value=value, limit=limit, n_nodes=n_nodes, is_finished=False
+            )
+        node = heapq.heappop(heap)
+        n_nodes += 1
+        part = _part(coverage, node.pool, node.groups)
+        tightened = tighten(
+            part,
+            node.multipliers,
+            target=value,
+            n_steps=_NODE_STEPS if n_nodes > 1 else _ROOT_STEPS,
+            stop_below=enough,
+            workers=workers,
+        )
+        bound = tightened.bound
+        limit = min(bound.limit, -node.priority)
+        trial = _complete(part, bound)
+        if part.value(trial) > value * (1.0 + _LEAST_GAIN):
+            best, value = node.pool[trial], part.value(trial)
+            enough = value * (1.0 + gap)
+        if limit <= enough:
+            given_up = max(given_up, limit)
+            continue
+        left = np.flatnonzero(can_matter(part, bound, enough))
+        given_up = max(given_up, enough) if len(left) < part.n_poses else given_up
+        part, shares = part.of_poses(left), tightened.shares[left]
+        pool = node.pool[left]
+        if not all(map(len, part.supply.groups)):
+            continue
+        for some, groups in _children(part, shares):
+            heapq.heappush(
+                heap,
+                _Node(
+                    priority=-limit,
+                    number=next(numbers),
+                    pool=pool[some],
+                    groups=tuple(pool[group] for group in groups),
+                    multipliers=bound.multipliers,
+                ),
+            )
+    limit = max([given_up, value] + [-node.priority for node in heap])
+    return Search(poses=best, value=value, limit=limit, n_nodes=n_nodes, is_finished=True)
+
+
+def _part(coverage: Coverage, pool: IntArray, groups: tuple[IntArray, ...]) -> Coverage:
+    """The coverage of a node."""
+    supply = coverage.supply.with_groups(groups)
+    grouped = Coverage(values=coverage.values, supply=supply, reached=coverage.reached)
+    return grouped.of_poses(pool)
+
+
+def _complete(part: Coverage, bound: Bound) -> IntArray:
+    """A good set near what the bound picks."""
+    chosen = np.empty(0, dtype=np.int64)
+    for pose in bound.pick.poses[np.argsort(-bound.pick.shares, kind="stable")]:
+        if part.supply.has_room(chosen)[pose]:
+            chosen = np.append(chosen, pose)
+    every = np.arange(part.n_poses)
+    return swap(part, fill(part, chosen, every), every)
+
+
+def _children(
+    part: Coverage, shares: FloatArray
+) -> list[tuple[IntArray, tuple[IntArray, ...]]]:
+    """Pools and groups of the nodes that a node falls apart into; none if it is one set.
+
+    Every set of the node is in one of them.
+    """
+    supply = part.supply
+    groups, every = supply.groups, np.arange(part.n_poses)
+    is_free = np.ones(part.n_poses, dtype=bool)
+    for group in groups:
+        is_free[group] = False
+    if len(groups) == supply.max_units:
+        is_free[:] = False
+        every = np.sort(np.concatenate(groups)) if groups else every[:0]
+    at_site = np.bincount(supply.site_index, weights=shares * is_free)
+    sizes = [len(group) for group in groups]
+    if is_free.any() and (at_site.max() > _LITTLE_USED or max(sizes, default=1) == 1):
+        site = supply.site_index[is_free][at_site[supply.site_index[is_free]].argmax()]
+        asked = np.flatnonzero(is_free & (supply.site_index == site))
+        return [(every, (*groups, asked)), (np.setdiff1d(every, asked), groups)]
+    if max(sizes, default=1) == 1:
+        return []
+    undecided = [
+        shares[group].sum() - shares[group].max() if len(group) > 1 else -1.0 for group in groups
+    ]
+    number = int(np.argmax(undecided))
+    group = groups[number]
+    pivot = part.values[group[shares[group].argmax()]]
+    distance = np.abs(part.values[group] - pivot).sum(axis=1)
+    order = group[np.argsort(distance, kind="stable")]
+    near, far = np.sort(order[: (len(order) + 1) // 2]), np.sort(order[(len(order) + 1) // 2 :])
+    others = (*groups[:number], *groups[number + 1 :])
+    left = np.setdiff1d(every, far) if len(groups) == supply.max_units else every
+    return [(left, (*others, near)), (np.setdiff1d(every, near), (*others, far))]

@@ -1,0 +1,237 @@
+"""Covering instances as others write them: numbers between blanks, ends of lines do not matter.
+
+OR-Library [1]_: rows and columns; the cost of each column; for each row how many columns cover it
+and which, from 1. GECCO 2020, optimal camera placement [2]_: samples and candidates; for each
+sample its id, how many candidates see it and which, from 0; every candidate costs 1.
+
+References
+----------
+.. [1] J. E. Beasley, "OR-Library: distributing test problems by electronic mail", Journal of the
+   Operational Research Society 41, 1990.
+.. [2] M. Brévilliers, J. Kritter, J. Lepagnot, L. Idoumghar, "GECCO 2020 competition on the
+   optimal camera placement problem and the unicost set covering problem", documentation.
+"""
+
+import re
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from geometry.arrays import FloatArray, IntArray
+from geometry.errors import InputError, Unquoted
+
+from .covering_instance import CoveringInstance
+
+_MAX_SIZE = 10_000_000  # rows, columns: what a file of a few bytes may make us allocate
+_NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_CHARACTERS = b"0123456789+-.eE \t\n\r\v\f"
+_IS_BLANK = np.isin(np.arange(256), list(b" \t\n\r\v\f"))
+
+
+class _MisfitError(Exception):
+    """A file is not in a format, from a number on."""
+
+    def __init__(self, index: int, expected: str) -> None:
+        self.index = index
+        self.expected = expected
+        super().__init__(expected)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Numbers:
+    """The numbers of a file and where they stand.
+
+    Attributes
+    ----------
+    data : bytes
+        The file.
+    start : (n,) int
+        Where each number starts.
+    value : (n,) float
+        What it is.
+    """
+
+    data: bytes
+    start: IntArray
+    value: FloatArray
+
+    def whole(self, index: int, low: int, high: int, what: str) -> int:
+        """A whole number from low to high."""
+        if index >= len(self.value):
+            raise _MisfitError(index, what)
+        value = self.value[index]
+        if not low <= value <= high or value != np.floor(value):
+            raise _MisfitError(index, f"{what}, {low} to {high}")
+        return int(value)
+
+    def place(self, index: int) -> str:
+        """Where a number stands, in words."""
+        if len(self.start) == 0:
+            return "line 1"
+        offset = int(self.start[min(index, len(self.start) - 1)])
+        line_start = self.data.rfind(b"\n", 0, offset) + 1
+        line = self.data.count(b"\n", 0, offset) + 1
+        nth = len(self.data[line_start:offset].split()) + 1
+        return f"line {line}, number {nth}"
+
+    def text(self, index: int) -> object:
+        """What stands there."""
+        if index >= len(self.start):
+            return Unquoted("the end of the file after it")
+        return _token(self.data, int(self.start[index]))
+
+
+def parse_covering_text(data: bytes, where: str, format_name: str | None) -> CoveringInstance:
+    """Covering instance from the text of a file.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    where : str
+        Its name, for messages.
+    format_name : str or None
+        A name of :data:`TEXT_FORMATS`; None: the one that it fits.
+
+    Returns
+    -------
+    instance : CoveringInstance
+        Rows weigh 1.
+
+    Raises
+    ------
+    InputError
+        It is in neither format: the message names the line and the number from which on it fits
+        none of them.
+    """
+    numbers = _numbers(data, where)
+    misfits: dict[str, _MisfitError] = {}
+    fits: dict[str, CoveringInstance] = {}
+    for name in TEXT_FORMATS if format_name is None else (format_name,):
+        try:
+            fits[name] = _READERS[name](numbers)
+        except _MisfitError as misfit:
+            misfits[name] = misfit
+    if len(fits) == 1:
+        return next(iter(fits.values()))
+    if fits:
+        raise InputError(
+            where,
+            Unquoted("numbers that fit more than one format"),
+            "--format " + " or ".join(fits),
+        )
+    # The format that it fits longest is the one that was meant.
+    name = max(misfits, key=lambda each: misfits[each].index)
+    index = misfits[name].index
+    raise InputError(
+        f"{where}: {numbers.place(index)}",
+        numbers.text(index),
+        f"{misfits[name].expected} (format {name})",
+    )
+
+
+def _numbers(data: bytes, where: str) -> _Numbers:
+    is_blank = _IS_BLANK[np.frombuffer(data, dtype=np.uint8)]
+    start = np.flatnonzero(~is_blank & np.append(True, is_blank[:-1])[: len(is_blank)])
+    value = np.empty(0)
+    if not data.translate(None, _CHARACTERS):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # reads as far as it can
+            value = np.fromstring(data.decode("ascii"), sep=" ")
+    if len(value) != len(start) or not np.isfinite(value).all():
+        for index, offset in enumerate(start):
+            token = _token(data, int(offset), longest=None)
+            if not _NUMBER.fullmatch(token.encode("latin-1")) or not np.isfinite(float(token)):
+                numbers = _Numbers(data=data, start=start, value=value)
+                raise InputError(
+                    f"{where}: {numbers.place(index)}",
+                    _token(data, int(offset)),
+                    "a number (format orlib or gecco), or an .npz file of this program",
+                )
+    return _Numbers(data=data, start=start, value=value)
+
+
+def _token(data: bytes, offset: int, *, longest: int | None = 40) -> str:
+    """What stands from an offset to the next blank."""
+    end = len(data) if longest is None else offset + longest
+    token = data[offset : min(end, offset + 4096)].split(None, 1)[0]
+    return token.decode("latin-1")
+
+
+def _read_orlib(numbers: _Numbers) -> CoveringInstance:
+    n_rows = numbers.whole(0, 1, _MAX_SIZE, "the number of rows")
+    n_columns = numbers.whole(1, 1, _MAX_SIZE, "the number of columns")
+    cost = numbers.value[2 : 2 + n_columns]
+    if (cost < 0.0).any():
+        raise _MisfitError(2 + int((cost < 0.0).argmax()), "the cost of a column, at least 0")
+    if len(cost) < n_columns:
+        raise _MisfitError(len(numbers.value), f"the costs of {n_columns} columns")
+    rows, index = [], 2 + n_columns
+    for row in range(1, n_rows + 1):
+        what = f"how many columns cover row {row} of {n_rows}"
+        count = numbers.whole(index, 0, n_columns, what)
+        rows.append((index + 1, count))
+        index += 1 + count
+    return _instance(numbers, rows, index, cost, first=1)
+
+
+def _read_gecco(numbers: _Numbers) -> CoveringInstance:
+    n_samples = numbers.whole(0, 1, _MAX_SIZE, "the number of samples")
+    n_candidates = numbers.whole(1, 1, _MAX_SIZE, "the number of candidates")
+    rows: list[tuple[int, int]] = [(-1, 0)] * n_samples
+    index = 2
+    for nth in range(1, n_samples + 1):
+        sample = numbers.whole(index, 0, n_samples - 1, f"the id of sample {nth} of {n_samples}")
+        if rows[sample][0] >= 0:
+            raise _MisfitError(index, "the id of a sample that has not been there yet")
+        what = f"how many candidates see sample {sample}"
+        count = numbers.whole(index + 1, 0, n_candidates, what)
+        rows[sample] = (index + 2, count)
+        index += 2 + count
+    return _instance(numbers, rows, index, np.ones(n_candidates), first=0)
+
+
+def _instance(
+    numbers: _Numbers, rows: list[tuple[int, int]], end: int, cost: FloatArray, *, first: int
+) -> CoveringInstance:
+    """Instance from where the columns of each row stand, and how many they are."""
+    start, count = np.array(rows, dtype=np.int64).T
+    n_given = len(numbers.value)
+    if end > n_given:
+        raise _MisfitError(n_given, f"{end - n_given} more columns of the last row")
+    before = np.cumsum(count) - count
+    place = np.repeat(start - before, count) + np.arange(int(count.sum()))
+    column = numbers.value[place]
+    last = first + len(cost) - 1
+    is_wrong = (column < first) | (column > last) | (column != np.floor(column))
+    if is_wrong.any():
+        raise _MisfitError(int(place[is_wrong].min()), f"a column, {first} to {last}")
+    if end < n_given:
+        raise _MisfitError(end, "the end of the file")
+    row = np.repeat(np.arange(len(rows)), count)
+    order = np.lexsort((place, column, row))
+    is_again = np.zeros(len(order), dtype=np.bool_)
+    is_again[1:] = (np.diff(row[order]) == 0) & (np.diff(column[order]) == 0)
+    if is_again.any():
+        raise _MisfitError(
+            int(place[order][is_again].min()), "a column that the row has not named yet"
+        )
+    covers = sp.csr_array(
+        (np.ones(len(column), dtype=np.bool_), (column.astype(np.int64) - first, row)),
+        shape=(len(cost), len(rows)),
+    )
+    return CoveringInstance(
+        covers=covers, cost=cost, weight=np.ones(len(rows)), numbered_from=first
+    )
+
+
+_READERS: Mapping[str, Callable[[_Numbers], CoveringInstance]] = {
+    "orlib": _read_orlib,
+    "gecco": _read_gecco,
+}
+
+TEXT_FORMATS = tuple(_READERS)
+"""Names of the formats."""

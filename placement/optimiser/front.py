@@ -1,0 +1,377 @@
+"""What more units or more money buy: a front of layouts, each with its proof.
+
+A point is solved from the one before it: what was found for less is feasible for more. The best
+values therefore never fall from point to point, and what no layout with more can exceed, none with
+less can either.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from geometry.arrays import FloatArray, IntArray
+from geometry.errors import InputError, Unquoted
+
+from ..layout import Certificate, Stage, relative_gap
+from .bitsets import exceeds, set_values, union_apr
+from .effort import Effort
+from .feasibility import check_limits
+from .greedy import improve, to_full
+from .limits import COST_TOLERANCE_EUR
+from .presolve import PresolveStatistics, ReducedProblem
+from .problem import (
+    TOLERANCE,
+    PlacementProblem,
+    PlacementValue,
+    is_better,
+    placement_value,
+)
+from .search import Search
+from .solve import Solution, _objective, _stage
+from .stages import Stages
+
+StageChoice = Literal["first", "all"]
+FIRST_STAGES = ("apr", "apr_one_failed")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrontPoint:
+    """The best layout for so many units or so much money.
+
+    Attributes
+    ----------
+    units : int
+        On a front by units those that were allowed, though the layout may have fewer; on one by
+        cost those that it has.
+    pose_index : tuple of int
+        Rows of the detection table, ascending.
+    value : PlacementValue
+        What the layout is worth.
+    certificate : Certificate
+        A stage for every objective that was optimised, in order.
+    """
+
+    units: int
+    pose_index: tuple[int, ...]
+    value: PlacementValue
+    certificate: Certificate
+
+    @property
+    def seconds(self) -> float:
+        """Time that the proofs took, in seconds."""
+        return sum(stage.seconds for stage in self.certificate.stages)
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether the gaps of all stages are closed."""
+        return self.certificate.is_proven
+
+    def stage(self, name: str) -> Stage | None:
+        """The stage of a name; None if it was not optimised."""
+        return next((stage for stage in self.certificate.stages if stage.name == name), None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Front:
+    """Layouts for growing budgets.
+
+    Attributes
+    ----------
+    by : {"units", "cost"}
+        What the points are allowed more and more of.
+    points : tuple of FrontPoint
+        In ascending order, at least one; on a front by cost those at which something grows.
+    stages : {"first", "all"}
+        What was optimised: APR and the APR when one unit fails, or margins and cost, too.
+    settled : float, optional
+        Proven that from so many units, or euros, on nothing grows that was optimised, not even
+        beyond the last point; None if that is not known.
+    refused : tuple of (int, str)
+        Numbers of units with which the wishes cannot be met, and why.
+    presolve : PresolveStatistics, optional
+        What dropped out before, once for all points; None if each was solved by itself.
+    """
+
+    by: Literal["units", "cost"]
+    points: tuple[FrontPoint, ...]
+    stages: StageChoice
+    settled: float | None
+    refused: tuple[tuple[int, str], ...]
+    presolve: PresolveStatistics | None
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether every point is."""
+        return all(point.is_proven for point in self.points)
+
+
+OnPoint = Callable[[FrontPoint], None]
+
+
+def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
+    """Check that a problem asks for nothing but the best.
+
+    Raises
+    ------
+    InputError
+        It has a target, failures to survive, or weights; or the stages are unknown.
+    """
+    if stages not in ("first", "all"):
+        raise InputError("stages", stages, "first or all")
+    for option, is_asked in (
+        ("--target", problem.goal != "best"),
+        ("--survive", problem.survive != 0),
+        ("--stage-weights", problem.stage_weights is not None),
+    ):
+        if is_asked:
+            raise InputError(option, Unquoted("it with a front"), "neither: a front has every APR")
+
+
+def look_around(
+    problem: PlacementProblem,
+    reduced: ReducedProblem,
+    *,
+    effort: Effort,
+    stages: StageChoice,
+    start: Sequence[int] = (),
+) -> Search:
+    """A good layout for one point, found quickly and without proof.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        With the limits of this point.
+    reduced : ReducedProblem
+        Presolved with these limits or wider ones of units and money; with the limits, floors and
+        goal of this point.
+    effort : Effort
+        For this point.
+    stages : {"first", "all"}
+        See :class:`Front`.
+    start : sequence of int
+        Rows of the detection table within the limits: what was found for less; none by default.
+
+    Returns
+    -------
+    search : Search
+        At least as good as the start. It may lack something to the floors.
+
+    Raises
+    ------
+    InputError
+        The limits contradict each other.
+    """
+    check_limits(problem.limits, problem.table.pose_ids)
+    search = Search(
+        reduced if stages == "all" else without_margins(reduced),
+        end_s=time.monotonic() + effort.time_limit_s,
+        milp_solver=effort.milp_solver,
+        uses_models=effort.solver in ("auto", "exact"),
+    )
+    if len(start):
+        search.offer(_to_reduced(reduced, start))
+    if search.units is None or exceeds(search.limit, search.row):
+        search.start()
+    return search
+
+
+def prove_point(
+    problem: PlacementProblem,
+    reduced: ReducedProblem,
+    search: Search,
+    *,
+    effort: Effort,
+    stages: StageChoice,
+    fewer: FrontPoint | None = None,
+) -> FrontPoint:
+    """One point of a front: the best layout and its proof.
+
+    Parameters
+    ----------
+    problem, reduced, effort, stages
+        As for :func:`look_around`. With the first stages alone, the layout's margins and cost are
+        what a local search leaves of them: good, not proven, and in no certificate.
+    search : Search
+        With a layout that meets all limits and floors.
+    fewer : FrontPoint, optional
+        The point of one unit less, all else being equal.
+
+    Returns
+    -------
+    point : FrontPoint
+        Proven as far as the time goes.
+    """
+    solver = Stages(problem, search, effort)
+    records = []
+    for name, find_bound in solver.plan():
+        began_s = time.monotonic()
+        least_eur = _least_cost_eur(search, fewer) if name == "cost_eur" else -np.inf
+        if search.value.cost_eur <= least_eur + COST_TOLERANCE_EUR:
+            bound = search.value.cost_eur
+        else:
+            bound = find_bound()
+        records.append((name, bound, time.monotonic() - began_s))
+        if stages == "first" and name == FIRST_STAGES[-1]:
+            break
+    units = search.units
+    assert units is not None  # the caller has seen to it
+    if stages == "first" and search.left_s() > 0.0:
+        full = replace(reduced, limits=search.reduced.limits, goal="best")
+        units = _polished(full, units, end_s=search.end_s)
+    pose_index = to_full(reduced, units)
+    value = placement_value(problem, pose_index)
+    return FrontPoint(
+        units=len(pose_index),
+        pose_index=pose_index,
+        value=value,
+        certificate=Certificate(
+            stages=tuple(
+                _stage(name, _objective(problem, pose_index, value, name), bound, seconds)
+                for name, bound, seconds in records
+            ),
+            solver=" and ".join(search.proofs) or "simple bounds, no solver",
+        ),
+    )
+
+
+def from_solution(
+    problem: PlacementProblem, solution: Solution, *, stages: StageChoice
+) -> FrontPoint:
+    """A point of a front from a problem that was solved by itself."""
+    certificate = solution.certificate
+    if stages == "first":
+        kept = tuple(stage for stage in certificate.stages if stage.name in FIRST_STAGES)
+        certificate = replace(certificate, stages=kept)
+    return FrontPoint(
+        units=len(solution.pose_index),
+        pose_index=solution.pose_index,
+        value=placement_value(problem, solution.pose_index),
+        certificate=certificate,
+    )
+
+
+def no_worse(point: FrontPoint, fewer: FrontPoint) -> FrontPoint:
+    """A point, or with its bounds the layout of the one before, where that is better."""
+    if not is_better(fewer.value, point.value):
+        return point
+    stages = [
+        tightened(replace(stage, objective=float(getattr(fewer.value, stage.name))), stage.bound)
+        for stage in point.certificate.stages
+    ]
+    return replace(
+        point,
+        pose_index=fewer.pose_index,
+        value=fewer.value,
+        certificate=replace(point.certificate, stages=tuple(stages)),
+    )
+
+
+def without_margins(reduced: ReducedProblem) -> ReducedProblem:
+    """The same problem where all margins are alike: a set that is best in APR cannot be improved.
+
+    Prices go, too, unless money is limited or looked for.
+    """
+    limits = reduced.limits
+    if limits.budget_eur is None and reduced.goal != "cheapest":
+        limits = replace(
+            limits,
+            unit_cost_eur=np.zeros_like(limits.unit_cost_eur),
+            site_cost_eur=np.zeros_like(limits.site_cost_eur),
+        )
+    margin_s = np.where(reduced.margin_s > -np.inf, 0.0, -np.inf)
+    return replace(reduced, limits=limits, margin_s=margin_s)
+
+
+def _to_reduced(reduced: ReducedProblem, pose_index: Sequence[int]) -> IntArray:
+    """Poses of the reduced problem from rows of the detection table, all of which are left."""
+    return np.searchsorted(reduced.pose_index, np.sort(np.array(pose_index, dtype=np.int64)))
+
+
+def largest_values(reduced: ReducedProblem, stages: StageChoice) -> dict[str, float] | None:
+    """What no layout of any size exceeds, by the names of the stages but for the cost.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        Presolved for all points of a front.
+    stages : {"first", "all"}
+        Which values.
+
+    Returns
+    -------
+    limits : dict of str to float
+        From what all poses together reach. None if no limits of margins are known: they hold where
+        all runs are avoided that some pose avoids, which a mean over all runs alone ensures.
+    """
+    everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
+    limits = {
+        "apr": float(union_apr(reduced, everything)[0]),
+        "apr_one_failed": one_failed_limit(reduced),
+    }
+    if stages == "all":
+        if not reduced.measure.is_mean:
+            return None
+        most = Search(reduced, end_s=0.0).limit
+        limits |= {"smallest_margin_s": float(most[5]), "mean_margin_s": float(most[6])}
+    return limits
+
+
+def reaches(value: PlacementValue, limits: dict[str, float] | None) -> bool:
+    """Whether a value is as large as limits that none exceeds."""
+    return limits is not None and all(
+        getattr(value, name) >= limit - TOLERANCE for name, limit in limits.items()
+    )
+
+
+def one_failed_limit(reduced: ReducedProblem) -> float:
+    """No set of any size keeps a higher APR when one unit fails.
+
+    Of a set with pose c, the others are left when c fails; of one without it, more is left than
+    when it had c, too. So no set keeps more than all poses but c reach, whichever c is.
+    """
+    words = reduced.words
+    before = np.zeros_like(words)
+    after = np.zeros_like(words)
+    before[1:] = np.bitwise_or.accumulate(words, axis=0)[:-1]
+    after[:-1] = np.bitwise_or.accumulate(words[::-1], axis=0)[::-1][1:]
+    everything = before | after | words
+    others = before | after
+    needed = np.flatnonzero((others != everything).any(axis=1))
+    if not len(needed):
+        return float(union_apr(reduced, everything[:1])[0])
+    return float(union_apr(reduced, others[needed]).min())
+
+
+def tightened(stage: Stage, bound: float) -> Stage:
+    """A stage with another bound that holds as well, where that is closer."""
+    is_minimised = stage.name in ("units", "cost_eur")
+    bound = max(bound, stage.bound) if is_minimised else min(bound, stage.bound)
+    bound = min(bound, stage.objective) if is_minimised else max(bound, stage.objective)
+    gap = relative_gap(stage.objective, bound)
+    return replace(stage, bound=stage.objective if gap == 0.0 else bound, gap=gap)
+
+
+def _least_cost_eur(search: Search, fewer: FrontPoint | None) -> float:
+    """No layout that is as good in all other stages costs less, given the best with fewer units.
+
+    Those with fewer units are not as good, or cost what the best of them costs; all others have
+    one unit more at least.
+    """
+    limits = search.reduced.limits
+    if fewer is None or not fewer.is_proven or search.reduced.goal != "best":
+        return -np.inf
+    prices = np.sort(limits.unit_cost_eur[~limits.is_forbidden])
+    more_eur = float(prices[: fewer.units + 1].sum())
+    differs = np.abs(np.subtract(search.value[:-1], fewer.value[:-1])) > TOLERANCE
+    return more_eur if differs.any() else min(more_eur, fewer.value.cost_eur)
+
+
+def _polished(reduced: ReducedProblem, units: IntArray, *, end_s: float) -> IntArray:
+    """A set after a local search for better margins and lower cost; no worse in any stage."""
+    limit: FloatArray = Search(reduced, end_s=0.0).limit
+    better = improve(reduced, units, limit, end_s=end_s)
+    rows = [set_values(reduced, sets[None, :])[0] for sets in (better, units)]
+    return better if exceeds(rows[0], rows[1]) else units

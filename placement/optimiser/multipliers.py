@@ -1,0 +1,244 @@
+"""Better multipliers: deflected subgradient steps, and prices for poses that were left aside."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
+
+from geometry.arrays import FloatArray, IntArray
+
+from .coverage import Bound, Coverage, prove
+
+_DEFLECTION = 0.7  # of the last direction that is kept
+_PATIENCE = 15  # steps without a better bound before the step is cut
+_CUT = 0.7
+_SMALLEST_STEP = 1.0e-4
+_MEMORY = 0.95  # of the shares: the last 20 steps or so
+_LEAST = 1.0e-7  # relative; a bound that is better by less is no better
+_COARSE_STEPS, _FINE_STEPS = 50, 200
+
+_limit = attrgetter("limit")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoolSizes:
+    """How many poses column generation works with.
+
+    Attributes
+    ----------
+    n_first : int
+        To begin with.
+    n_more : int
+        At most so many join in a round.
+    n_most : int
+        No more are kept when others join.
+    n_rounds : int
+        At most.
+    """
+
+    n_first: int = 1500
+    n_more: int = 1000
+    n_most: int = 3000
+    n_rounds: int = 25
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tightened:
+    """Multipliers after some steps.
+
+    Attributes
+    ----------
+    bound : Bound
+        The best.
+    shares : (n_poses,) float
+        How often each pose was picked of late: close to a relaxed solution.
+    """
+
+    bound: Bound
+    shares: FloatArray
+
+
+def tighten(
+    coverage: Coverage,
+    multipliers: FloatArray,
+    *,
+    target: float,
+    n_steps: int = 300,
+    stop_below: float = -np.inf,
+    workers: int = 1,
+) -> Tightened:
+    """Lower the bound by subgradient steps.
+
+    Parameters
+    ----------
+    coverage : Coverage
+        What to choose from.
+    multipliers : (n_rows,) float
+        Where to begin.
+    target : float
+        What the bound is after, such as the value of the best known set.
+    n_steps : int
+        At most.
+    stop_below : float
+        A bound below it is good enough.
+    workers : int
+        Threads.
+
+    Returns
+    -------
+    tightened : Tightened
+        Its bound is no higher than that of `multipliers`.
+
+    Notes
+    -----
+    Steps of Polyak (1969) towards the target, along subgradients of which a share is carried
+    over (Camerini, Fratta, Maffioli 1975); back to the best point with a shorter step when nothing
+    gets better. Averages of the picked sets tend to a relaxed solution (Barahona, Anbil 2000).
+    """
+    best = bound = prove(coverage, multipliers, workers=workers)
+    shares = np.zeros(coverage.n_poses)
+    direction = np.zeros(coverage.n_rows)
+    length, n_idle = 1.0, 0
+    for step in range(n_steps):
+        shares *= _MEMORY
+        shares[bound.pick.poses] += (1.0 - _MEMORY) * bound.pick.shares
+        if bound.limit < best.limit - _LEAST * abs(best.limit):
+            best, n_idle = bound, 0
+        elif step:
+            n_idle += 1
+        if best.limit < stop_below or length < _SMALLEST_STEP:
+            break
+        if n_idle > _PATIENCE:
+            bound, direction[:] = best, 0.0
+            length, n_idle = length * _CUT, 0
+        direction = _slope(coverage, bound) + _DEFLECTION * direction
+        steepness = float(direction @ direction)
+        if steepness < 1e-12:
+            break
+        move = length * max(bound.limit - target, 1e-6 * abs(target)) / steepness
+        bound = prove(coverage, bound.multipliers - move * direction, workers=workers)
+    if bound.limit < best.limit:
+        best = bound
+    total = shares.sum()
+    if total > 0.0:
+        shares = np.minimum(shares * (best.pick.shares.sum() / total), 1.0)
+    return Tightened(bound=best, shares=shares)
+
+
+def _slope(coverage: Coverage, bound: Bound) -> FloatArray:
+    """A subgradient: by how much the limit changes with each multiplier, (n_rows,)."""
+    picked = coverage.values[bound.pick.poses] > bound.multipliers
+    slope: FloatArray = 1.0 - bound.pick.shares @ picked
+    return slope
+
+
+def first_multipliers(coverage: Coverage, chosen: IntArray) -> FloatArray:
+    """Multipliers to begin with: a little below what a good set reaches."""
+    start: FloatArray = 0.7 * coverage.level(chosen).astype(np.float64)
+    return start
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Columns:
+    """A bound over all poses, and the few poses that it rests on.
+
+    Attributes
+    ----------
+    bound : Bound
+        For all poses.
+    pool : (n,) int
+        Poses that were worked with at last, ascending.
+    shares : (n,) float
+        Their shares in a relaxed solution, roughly.
+    """
+
+    bound: Bound
+    pool: IntArray
+    shares: FloatArray
+
+
+def generate_columns(
+    coverage: Coverage,
+    incumbent: IntArray,
+    *,
+    multipliers: FloatArray | None = None,
+    improve: Callable[[Coverage, Tightened], Tightened] | None = None,
+    sizes: PoolSizes | None = None,
+    tolerance: float = 2.0e-4,
+    end_s: float = np.inf,
+    workers: int = 1,
+) -> Columns:
+    """Bound all poses by working with few: price the others, add those that are too good.
+
+    Parameters
+    ----------
+    coverage : Coverage
+        What to choose from; up to hundreds of thousands of poses.
+    incumbent : (n_units,) int
+        A good set.
+    multipliers : (n_rows,) float, optional
+        To begin with, such as those for one unit less.
+    improve : callable, optional
+        Called with the pool and its multipliers once few poses are left to join.
+    sizes : PoolSizes, optional
+        Of the pool.
+    tolerance : float
+        Relative: stop when a round brings less and no pose outside the pool is too good.
+    end_s : float
+        Begin no round after it, by ``time.monotonic``. [s]
+    workers : int
+        Threads.
+
+    Returns
+    -------
+    columns : Columns
+        The best bound over all poses of any round.
+
+    Notes
+    -----
+    Multipliers that suit a poor pool too well are worth nothing outside it: few steps while many
+    poses still join, more in the end.
+    """
+    sizes = PoolSizes() if sizes is None else sizes
+    slack = tolerance * max(coverage.value(incumbent), 1e-300)
+    start = first_multipliers(coverage, incumbent) if multipliers is None else multipliers
+    ceiling = coverage.values.max(axis=0, initial=0.0).astype(np.float64)
+    bounds = [prove(coverage, one, workers=workers) for one in (start, ceiling)]
+    best = bound = min(bounds, key=_limit)
+    pool = np.union1d(incumbent, worthiest(bounds[0].worth, sizes.n_first))
+    shares = np.zeros(len(pool))
+    n_new = coverage.n_poses
+    for number in range(sizes.n_rounds):
+        is_coarse = n_new > sizes.n_more // 4 and len(pool) < coverage.n_poses
+        part = coverage.of_poses(pool)
+        tightened = tighten(
+            part,
+            (bounds[0] if number == 0 else bound).multipliers,
+            target=coverage.value(incumbent),
+            n_steps=_COARSE_STEPS if is_coarse else _FINE_STEPS,
+            workers=workers,
+        )
+        if improve is not None and not is_coarse:
+            tightened = improve(part, tightened)
+        shares = tightened.shares
+        bound = prove(coverage, tightened.bound.multipliers, workers=workers)
+        before, best = best, min(best, bound, key=_limit)
+        is_complete = bound.limit <= tightened.bound.limit + slack
+        is_settled = not is_coarse and is_complete and before.limit - best.limit < slack
+        if is_settled or number == sizes.n_rounds - 1 or time.monotonic() > end_s:
+            break
+        joining = np.setdiff1d(worthiest(bound.worth, sizes.n_more), pool)
+        n_new = len(joining)
+        kept = pool[worthiest(bound.worth[pool], sizes.n_most)]
+        pool = np.union1d(np.union1d(kept, joining), incumbent)
+    return Columns(bound=best, pool=pool, shares=shares)
+
+
+def worthiest(worth: FloatArray, n_poses: int) -> IntArray:
+    """Poses with the most worth, ascending."""
+    if n_poses >= len(worth):
+        return np.arange(len(worth))
+    top: IntArray = np.sort(np.argpartition(-worth, n_poses)[:n_poses])
+    return top

@@ -1,0 +1,299 @@
+"""The relaxation of weighted best-of coverage by OSQP: poses in parts, multipliers as by-product.
+
+In the radius formulation (Cornuejols, Nemhauser, Wolsey 1980) a row has a level for each distinct
+value; reaching a level needs a pose that has that value or more:
+
+    maximise   sum of w[l] a[l]  -  epsilon / 2 * sum of x[c] ** 2
+    such that  a[l] <= a[next level above] + sum of x[c] over poses whose value is level l
+               sum of x[c] <= K,  per site <= capacity,  money <= budget,  0 <= a, x <= 1
+
+where w[l] is the step from the next level below. A value stands in one constraint only, so that
+the matrix is as sparse as the values. The small quadratic term makes x unique, which OSQP's
+steps and a sweep over K like. What OSQP returns proves nothing by itself: its multipliers do, once
+:func:`placement.optimiser.coverage.prove` has put them into the Lagrangian bound.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import osqp
+from scipy import sparse
+
+from geometry.arrays import FloatArray, IntArray
+
+from .coverage import Bound, Coverage, prove
+from .multipliers import Tightened, worthiest
+
+_REGULARISATION = 1.0e-3  # of the largest step
+_CHECK_STEPS = 50
+_PENALTY, _OVERRELAXATION = 1.0, 1.8  # of OSQP: measured, two to five times fewer steps than its own
+_TOLERANCE = 1.0e-5
+_WAY = (0.2, 0.4, 0.6, 0.8, 1.0)
+_SMALL_SHARE = 0.01
+_LITTLE = 1.0e-5  # relative; a bound that is better by less is no better
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Relaxed:
+    """A relaxed solution and what it proves.
+
+    Attributes
+    ----------
+    shares : (n_poses,) float
+        x, 0..1; feasible within OSQP's tolerance.
+    bound : Bound
+        Proven by the repaired multipliers, for the poses that were relaxed.
+    is_solved : bool
+        Whether OSQP met its tolerance.
+    n_steps : int
+        Of OSQP.
+    """
+
+    shares: FloatArray
+    bound: Bound
+    is_solved: bool
+    n_steps: int
+
+
+class Relaxation:
+    """The relaxation on some poses, set up and factorised once, solved for one K after another."""
+
+    def __init__(self, coverage: Coverage, *, tolerance: float = _TOLERANCE) -> None:
+        """Set up.
+
+        Parameters
+        ----------
+        coverage : Coverage
+            Some thousand poses at most: the factor of the matrix grows with their square.
+        tolerance : float
+            Of OSQP, absolute and relative, when the largest step of a level is 1.
+        """
+        self._coverage = coverage
+        self._levels = _Levels(coverage)
+        levels, supply = self._levels, coverage.supply
+        n_poses, n_levels = coverage.n_poses, len(levels.step)
+        self._scale = 1.0 / max(float(levels.step.max(initial=0.0)), 1e-300)
+        sites, site = np.unique(supply.site_index, return_inverse=True)
+        every = np.arange(n_poses)
+        prices = supply.prices_eur
+        has_money = np.isfinite(supply.budget_eur) and bool(prices.any())
+        price_scale = 1.0 / prices.max() if has_money else 1.0
+        choice = sparse.vstack(
+            [
+                sparse.csc_matrix(np.ones((1, n_poses))),
+                sparse.csc_matrix((np.ones(n_poses), (site, every)), shape=(len(sites), n_poses)),
+                sparse.csc_matrix(prices[None, :] * (price_scale if has_money else 0.0)),
+            ]
+        )
+        padded = sparse.hstack([choice, sparse.csc_matrix((choice.shape[0], n_levels))])
+        matrix = sparse.vstack([levels.matrix(), padded, sparse.eye(n_poses + n_levels)], "csc")
+        self._upper = np.concatenate(
+            [
+                np.zeros(n_levels),
+                [supply.max_units],
+                supply.site_capacity[sites],
+                [supply.budget_eur * price_scale if has_money else 1.0],
+                np.ones(n_poses + n_levels),
+            ]
+        ).astype(np.float64)
+        lower = np.full(len(self._upper), -np.inf)
+        lower[-(n_poses + n_levels) :] = 0.0
+        quadratic = sparse.diags(
+            np.concatenate([np.full(n_poses, _REGULARISATION), np.zeros(n_levels)]), format="csc"
+        )
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            quadratic,
+            np.concatenate([np.zeros(n_poses), -self._scale * levels.step]),
+            matrix,
+            lower,
+            self._upper,
+            verbose=False,
+            eps_abs=tolerance,
+            eps_rel=tolerance,
+            check_termination=_CHECK_STEPS,
+            rho=_PENALTY,
+            alpha=_OVERRELAXATION,
+        )
+
+    def start_at(self, shares: FloatArray, bound: Bound) -> None:
+        """Let the next solution begin where other steps have come to.
+
+        Parameters
+        ----------
+        shares : (n_poses,) float
+            x, roughly.
+        bound : Bound
+            Of multipliers for the same poses.
+        """
+        levels = self._levels
+        earned = levels.earned(bound.multipliers.astype(np.float64))
+        least = bound.worth[bound.pick.poses].min(initial=np.inf)
+        duals = np.zeros(len(self._upper))
+        duals[: len(levels.step)] = earned
+        duals[len(levels.step)] = least if np.isfinite(least) else 0.0
+        poses = slice(len(duals) - len(levels.step) - len(shares), len(duals) - len(levels.step))
+        duals[poses] = bound.worth - duals[len(levels.step)]
+        duals[len(duals) - len(levels.step) :] = levels.step - earned + levels.next_below(earned)
+        self._solver.warm_start(
+            x=np.concatenate([shares, levels.reached_by(shares)]), y=self._scale * duals
+        )
+
+    def solve(self, max_units: int, *, max_steps: int = 500) -> Relaxed:
+        """Solve for a number of units, from where the last solution stands.
+
+        Parameters
+        ----------
+        max_units : int
+            K.
+        max_steps : int
+            Of OSQP.
+
+        Returns
+        -------
+        relaxed : Relaxed
+            The bound holds whether OSQP has converged or not.
+        """
+        levels, n_poses = self._levels, self._coverage.n_poses
+        self._upper[len(levels.step)] = max_units
+        self._solver.update(u=self._upper)
+        self._solver.update_settings(max_iter=max_steps)
+        result = self._solver.solve(raise_error=False)
+        coverage = self._coverage.with_units(max_units)
+        duals = np.maximum(np.nan_to_num(np.asarray(result.y)), 0.0) / self._scale
+        bounds = [
+            prove(coverage, multipliers)
+            for multipliers in (
+                levels.multipliers_of_rows(duals[: len(levels.step)]),
+                levels.multipliers_of_limits(duals[len(duals) - len(levels.step) :]),
+            )
+        ]
+        return Relaxed(
+            shares=np.clip(np.nan_to_num(np.asarray(result.x)[:n_poses]), 0.0, 1.0),
+            bound=min(bounds, key=lambda bound: bound.limit),
+            is_solved=bool(result.info.status_val == osqp.SolverStatus.OSQP_SOLVED),
+            n_steps=int(result.info.iter),
+        )
+
+
+def polish(
+    coverage: Coverage,
+    tightened: Tightened,
+    *,
+    n_core: int = 500,
+    n_rounds: int = 4,
+    n_steps: int = 300,
+    max_values: int = 100_000,
+) -> Tightened:
+    """Take multipliers that are nearly right to those of the LP relaxation.
+
+    Parameters
+    ----------
+    coverage : Coverage
+        Some thousand poses.
+    tightened : Tightened
+        Multipliers for them, and a relaxed solution, roughly.
+    n_core : int
+        OSQP is given so many of the worthiest, and those that prove to be too good later.
+    n_rounds, n_steps : int
+        How often, and steps of OSQP each time.
+    max_values : int
+        Fewer poses if they have more values above zero: OSQP's factor grows with them.
+
+    Returns
+    -------
+    tightened : Tightened
+        Its bound is no higher.
+
+    Notes
+    -----
+    Multipliers that suit the core are wrong for the others: the best point on the way to them is
+    taken (the bound is convex), and what is too good at their end joins the core: in-out
+    separation (Ben-Ameur, Neto 2007).
+    """
+    best, shares = tightened.bound, tightened.shares
+    row_share = float((coverage.values[::7] > coverage.floor).mean()) if coverage.n_poses else 0.0
+    n_core = min(n_core, int(max_values / max(row_share * coverage.n_rows, 1.0)))
+    core = np.union1d(worthiest(best.worth, n_core), np.flatnonzero(shares > _SMALL_SHARE))
+    for _ in range(n_rounds):
+        part = coverage.of_poses(core)
+        relaxation = Relaxation(part)
+        relaxation.start_at(shares[core], prove(part, best.multipliers))
+        relaxed = relaxation.solve(coverage.supply.max_units, max_steps=n_steps)
+        shares = np.zeros(coverage.n_poses)
+        shares[core] = relaxed.shares
+        before, goal = best, relaxed.bound.multipliers
+        on_the_way = [
+            prove(coverage, (1.0 - share) * before.multipliers + share * goal) for share in _WAY
+        ]
+        best = min([before, *on_the_way], key=lambda bound: bound.limit)
+        gain = before.limit - best.limit
+        is_complete = on_the_way[-1].limit <= relaxed.bound.limit * (1.0 + _LITTLE)
+        if is_complete and gain <= _LITTLE * abs(best.limit):
+            break
+        for bound in (best, on_the_way[-1]):
+            core = np.union1d(core, worthiest(bound.worth, n_core // 4))
+    return Tightened(bound=best, shares=shares)
+
+
+class _Levels:
+    """Distinct values of each row beyond what is reached, from the highest down."""
+
+    def __init__(self, coverage: Coverage) -> None:
+        self.floor = coverage.floor.astype(np.float64)
+        self.n_poses = coverage.n_poses
+        row, pose = np.nonzero(coverage.floor[:, None] < coverage.values.T)
+        value = coverage.values[pose, row].astype(np.float64) - self.floor[row]
+        order = np.lexsort((-value, row))
+        row, self.pose, value = row[order], pose[order], value[order]
+        is_new_row = np.diff(row, prepend=-1) != 0
+        is_new = is_new_row | (np.diff(value, prepend=np.inf) != 0.0)
+        self.level: IntArray = np.cumsum(is_new) - 1  # of every entry
+        self.row: IntArray = row[is_new]
+        self.value: FloatArray = value[is_new]
+        self.is_top = is_new_row[is_new]
+        self.step: FloatArray = self.value - self.next_below(self.value)
+
+    def next_below(self, per_level: FloatArray) -> FloatArray:
+        """What stands at the next level of the same row; 0 at the lowest."""
+        below: FloatArray = np.zeros(len(per_level))
+        below[:-1] = np.where(self.is_top[1:], 0.0, per_level[1:])
+        return below
+
+    def earned(self, multipliers: FloatArray) -> FloatArray:
+        """What a pose earns at each level beyond the multipliers."""
+        earned: FloatArray = np.maximum(self.value + (self.floor - multipliers)[self.row], 0.0)
+        return earned
+
+    def reached_by(self, shares: FloatArray) -> FloatArray:
+        """How much of each level poses in parts reach, 0..1."""
+        at_level = np.bincount(self.level, weights=shares[self.pose], minlength=len(self.value))
+        total = np.cumsum(at_level)
+        before = (total - at_level)[self.is_top]
+        number = np.cumsum(self.is_top) - 1
+        reached: FloatArray = np.minimum(total - before[number], 1.0)
+        return reached
+
+    def matrix(self) -> sparse.csc_matrix:
+        """``a[l] - a[above] - sum of x``, (n_levels, n_poses + n_levels)."""
+        n_levels = len(self.step)
+        every = np.arange(n_levels)
+        lower = every[~self.is_top]
+        rows = np.concatenate([self.level, every, lower])
+        columns = np.concatenate([self.pose, self.n_poses + every, self.n_poses + lower - 1])
+        entries = np.concatenate(
+            [-np.ones(len(self.level)), np.ones(n_levels), -np.ones(len(lower))]
+        )
+        shape = (n_levels, self.n_poses + n_levels)
+        return sparse.csc_matrix((entries, (rows, columns)), shape=shape)
+
+    def multipliers_of_rows(self, duals: FloatArray) -> FloatArray:
+        """Lambda from the constraints: a pose of level l earns its value less lambda there."""
+        multipliers = self.floor.copy()
+        top = self.is_top
+        multipliers[self.row[top]] += np.maximum(self.value[top] - duals[top], 0.0)
+        return multipliers
+
+    def multipliers_of_limits(self, duals: FloatArray) -> FloatArray:
+        """Lambda from the limits a <= 1: their duals add up to it."""
+        return self.floor + np.bincount(self.row, weights=duals, minlength=len(self.floor))

@@ -1,0 +1,366 @@
+"""The objectives one by one: better sets, and how much better one could be."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from geometry.arrays import IntArray
+
+from .best_of import Worth, best_beyond, can_enumerate, relaxed_limit
+from .bitsets import left_after_failures, set_values
+from .effort import Effort
+from .enumeration import best_of_all, best_of_few
+from .limits import COST_TOLERANCE_EUR, are_allowed
+from .problem import TOLERANCE, PlacementProblem
+from .requirements import Requirement
+from .search import Search, settle
+
+_SETS_PER_SECOND = 100_000  # enumeration; measured: two to three times as many
+_MAX_SETS = 400_000  # beyond, models are quicker
+
+
+class Stages:
+    """A method per stage that improves the best set, and says how much better one could be."""
+
+    def __init__(self, problem: PlacementProblem, search: Search, effort: Effort) -> None:
+        self.problem = problem
+        self.search = search
+        self.effort = effort
+        self.held: list[Requirement] = []
+        self.apr_limit = search.reduced.measure.limit
+        self.is_complete: bool | None = None  # not tried yet
+        self.has_enumerated: bool | None = None
+
+    def plan(self) -> list[tuple[str, Callable[[], float]]]:
+        """Names of the stages in order, and what finds their bounds."""
+        first: list[tuple[str, Callable[[], float]]] = []
+        if self.problem.goal == "fewest":
+            first.append(("units", self.bound_units))
+        if self.problem.goal == "cheapest":
+            first.append(("cost_eur", self.bound_first_cost_eur))
+        if self.problem.survive:
+            first.append(("apr_survived", self.bound_apr_survived))
+        if self.problem.stage_weights is not None:
+            return [*first, ("weighted", self.bound_weighted)]
+        return [
+            *first,
+            ("apr", self.bound_apr),
+            ("apr_one_failed", self.bound_apr_one_failed),
+            ("smallest_margin_s", self.bound_smallest_margin_s),
+            ("mean_margin_s", self.bound_mean_margin_s),
+            *([] if self.problem.goal == "cheapest" else [("cost_eur", self.bound_cost_eur)]),
+        ]
+
+    def bound_units(self) -> float:
+        """No layout that reaches the floors has fewer units; from here on none has more."""
+        search = self.search
+        bound = 1.0
+        if not self._is_complete():
+            n_units = len(self._units())
+            if n_units > 1 and not self._one_unit_does():
+                bound = 2.0
+            if n_units > bound:
+                bound = max(bound, np.ceil(search.look_for("units", ()) - 1.0e-6))
+        n_units = len(self._units())
+        search.restrict(replace(search.reduced.limits, budget_units=n_units))
+        return float(n_units) if self._is_complete() else min(bound, float(n_units))
+
+    def bound_first_cost_eur(self) -> float:
+        """No layout that reaches the floors costs less; from here on none costs more."""
+        search = self.search
+        bound = self._cheapest_unit_eur()
+        if not self._is_complete() and search.value.cost_eur > bound + COST_TOLERANCE_EUR:
+            bound = max(bound, search.look_for("cost", ()))
+        cost = search.value.cost_eur
+        search.restrict(replace(search.reduced.limits, budget_eur=cost))
+        return cost if self._is_complete() else min(self._settled_from_below(cost, bound), cost)
+
+    def bound_apr_survived(self) -> float:
+        """No layout keeps a higher APR when its worst units fail."""
+        return self._bound_failed(self.problem.survive, self.search.reduced.measure.limit)
+
+    def bound_apr(self) -> float:
+        """No layout has a higher APR."""
+        search = self.search
+        if not self._is_settled(search.value.apr, self.apr_limit):
+            if self._is_complete() or self._beats_all_promises("apr", search.value.apr):
+                self.apr_limit = search.value.apr
+            else:
+                self.apr_limit = min(self.apr_limit, self._promised("apr"))
+                if not self._is_settled(search.value.apr, self.apr_limit):
+                    bound = search.look_for("apr", self.held)
+                    self.apr_limit = settle(search.value.apr, bound, self.apr_limit)
+        self._hold(Requirement(measure=search.reduced.measure, least=search.value.apr))
+        return self.apr_limit
+
+    def bound_apr_one_failed(self) -> float:
+        """No layout that holds the APR keeps a higher one when one unit fails."""
+        if self.search.reduced.limits.max_units == 1:
+            return 0.0
+        return self._bound_failed(1, self.search.value.apr)
+
+    def bound_smallest_margin_s(self) -> float:
+        """No layout that holds the stages before has a larger smallest margin."""
+        search = self.search
+        if search.value.apr == 0.0:
+            return self._undefined_margin_s()
+        reduced = search.reduced
+        limit = self._smallest_margin_limit_s()
+        if self._is_settled(search.value.smallest_margin_s, limit):
+            return self._hold_margin(limit)
+        if self._is_complete() or self._enumerate():
+            return self._hold_margin(search.value.smallest_margin_s)
+        margins = reduced.margin_s
+        candidates = np.unique(margins[margins <= limit + TOLERANCE])
+        low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
+        high, probe = len(candidates), low
+        while low < high:
+            demand = Requirement(
+                measure=reduced.measure,
+                least=search.value.apr,
+                min_margin_s=float(candidates[probe]),
+            )
+            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
+                high = probe
+            elif search.value.smallest_margin_s >= candidates[probe] - TOLERANCE:
+                low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
+            else:
+                break  # time is up
+            probe = (low + high) // 2
+        bound = float(candidates[high - 1]) if low < high else search.value.smallest_margin_s
+        return self._hold_margin(bound)
+
+    def bound_mean_margin_s(self) -> float:
+        """No layout that holds the stages before has a larger mean margin."""
+        search = self.search
+        if search.value.apr == 0.0:
+            return self._undefined_margin_s()
+        reduced = search.reduced
+        total_s = float(reduced.weight @ np.maximum(self.search.margin_limit_s, 0.0))
+        limit = min(float(search.margin_limit_s.max()), total_s / search.value.apr)
+        if self._is_settled(search.value.mean_margin_s, limit):
+            return limit
+        if self._is_complete() or self._enumerate():
+            return search.value.mean_margin_s
+        value = search.value.mean_margin_s * self._avoided_weight()
+        if self._beats_all_promises("margins", value):
+            return search.value.mean_margin_s
+        limit = min(limit, self._promised("margins") / search.value.apr)
+        if self._is_settled(search.value.mean_margin_s, limit):
+            return limit
+        bound = search.look_for("margins", self.held)
+        return settle(search.value.mean_margin_s, bound / search.value.apr, limit)
+
+    def bound_cost_eur(self) -> float:
+        """No layout that holds the stages before costs less."""
+        search = self.search
+        cost, least = search.value.cost_eur, self._cheapest_unit_eur()
+        if cost <= least + COST_TOLERANCE_EUR or self._is_complete():
+            return cost
+        total_s = search.value.mean_margin_s * self._avoided_weight()
+        if self._no_smaller_set_does(total_s):
+            return search.value.cost_eur
+        mean = Requirement(measure=search.reduced.measure, least=total_s, sums_margins=True)
+        bound = search.look_for("cost", [*self.held, mean])
+        return max(least, self._settled_from_below(search.value.cost_eur, bound))
+
+    def bound_weighted(self) -> float:
+        """No layout has a larger weighted sum: no larger than that of each value's own limit."""
+        limit = float(self.search.limit[3])
+        return float(self.search.row[3]) if self._is_complete() else limit
+
+    def _avoided_weight(self) -> float:
+        return float(self.search.reduced.weight @ self.search.avoided())
+
+    def _promised(self, worth: Worth) -> float:
+        """What no set can be worth more than, by relaxation; infinite where that is not asked."""
+        reduced = self.search.reduced
+        if self.effort.solver == "greedy" or not (worth == "margins" or reduced.measure.is_mean):
+            return np.inf
+        limit = relaxed_limit(reduced, worth)
+        self.search.proofs["Lagrangian relaxation"] = None
+        return limit
+
+    def _beats_all_promises(self, worth: Worth, value: float) -> bool:
+        """Look through all sets that may be worth more than the best; whether that was possible."""
+        search = self.search
+        reduced = search.reduced
+        n_units = reduced.limits.max_units - int(reduced.limits.is_forced.sum())
+        is_possible = search.uses_models and search.left_s() > 0.0 and reduced.measure.is_mean
+        if not (is_possible and can_enumerate(reduced, n_units)):
+            return False
+        need = value + (1.0 if worth == "apr" else -1.0) * TOLERANCE
+        units, is_complete = best_beyond(reduced, worth, need, n_units=n_units)
+        if units is not None:
+            search.keep(units)
+        if is_complete:
+            search.proofs["exhaustive enumeration"] = None
+        return is_complete
+
+    def _no_smaller_set_does(self, total_margin_s: float) -> bool:
+        """Whether, at equal prices, no set with one unit less is as good in all stages before."""
+        search = self.search
+        reduced = search.reduced
+        limits = reduced.limits
+        n_units = len(self._units()) - 1 - int(limits.is_forced.sum())
+        is_uniform = not (limits.site_cost_eur.any() or limits.is_forced.any())
+        is_uniform = is_uniform and np.ptp(limits.unit_cost_eur) == 0.0
+        if not (is_uniform and search.uses_models and can_enumerate(reduced, n_units)):
+            return False
+        if search.left_s() <= 0.0:
+            return False
+        units, is_complete = best_beyond(
+            reduced, "margins", total_margin_s - TOLERANCE, n_units=n_units
+        )
+        if not is_complete:
+            return False
+        search.proofs["exhaustive enumeration"] = None
+        # keep() takes it only if it is as good as the best set, and cheaper.
+        return units is None or not search.keep(units)
+
+    def _bound_failed(self, n_failures: int, limit: float) -> float:
+        """No layout that holds the stages before keeps a higher APR when its worst units fail."""
+        search = self.search
+        value = self._left(n_failures)
+        if not self._is_settled(value, limit):
+            if self._is_complete() or (n_failures == 1 and self._enumerate()):
+                limit = self._left(n_failures)
+            else:
+                limit = self._bound_failed_by_models(n_failures, limit)
+        self._hold(
+            Requirement(
+                measure=search.reduced.measure,
+                least=self._left(n_failures),
+                n_failures=n_failures,
+            )
+        )
+        return limit
+
+    def _bound_failed_by_models(self, n_failures: int, limit: float) -> float:
+        search = self.search
+        reduced = search.reduced
+        n_left = reduced.limits.max_units - n_failures
+        if n_left < 1:
+            return 0.0
+        # What is left when units fail is a layout with fewer, bound by no wish.
+        fewer = replace(
+            reduced,
+            floors=(),
+            limits=replace(
+                reduced.limits,
+                budget_units=n_left,
+                is_forced=np.zeros_like(reduced.limits.is_forced),
+                is_forced_site=np.zeros_like(reduced.limits.is_forced_site),
+            ),
+        )
+        limit = settle(self._left(n_failures), search.look_for("apr", (), fewer), limit)
+        step = 2.0 * TOLERANCE
+        all_runs = reduced.measure.limit
+        if limit >= all_runs - TOLERANCE > self._left(n_failures) and reduced.measure.is_mean:
+            demand = Requirement(measure=reduced.measure, least=all_runs, n_failures=n_failures)
+            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
+                limit = all_runs - float(reduced.weight.min())
+        while self._left(n_failures) < limit - TOLERANCE:
+            before = self._left(n_failures)
+            demand = Requirement(
+                measure=reduced.measure, least=before + step, n_failures=n_failures
+            )
+            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
+                return before
+            if self._left(n_failures) <= before + TOLERANCE:
+                return limit  # time is up
+        return limit
+
+    def _left(self, n_failures: int) -> float:
+        search = self.search
+        sets = self._units()[None, :]
+        left = left_after_failures(search.reduced, search.reduced.measure, n_failures, sets)
+        return float(left[0])
+
+    def _units(self) -> IntArray:
+        units = self.search.units
+        assert units is not None  # a first set is there, or solve_placement has given up
+        return units
+
+    def _hold(self, requirement: Requirement) -> None:
+        self.held.append(requirement)
+
+    def _hold_margin(self, bound: float) -> float:
+        search = self.search
+        self._hold(
+            Requirement(
+                measure=search.reduced.measure,
+                least=search.value.apr,
+                min_margin_s=search.value.smallest_margin_s,
+            )
+        )
+        return bound
+
+    def _is_settled(self, value: float, limit: float) -> bool:
+        return limit - value <= max(TOLERANCE, self.effort.gap * abs(value))
+
+    def _settled_from_below(self, cost: float, bound: float) -> float:
+        return cost if bound >= cost * (1.0 - 1.0e-6) - COST_TOLERANCE_EUR else bound
+
+    def _smallest_margin_limit_s(self) -> float:
+        search = self.search
+        order = np.argsort(-search.margin_limit_s)
+        share = np.cumsum(search.reduced.weight[order])
+        enough = np.argmax(share >= search.value.apr - TOLERANCE)
+        return float(search.margin_limit_s[order[enough]])
+
+    def _undefined_margin_s(self) -> float:
+        """Bound of a margin while nothing is avoided: 0 if that is proven."""
+        return 0.0 if self.apr_limit == 0.0 else float(self.search.margin_limit_s.max())
+
+    def _cheapest_unit_eur(self) -> float:
+        limits = self.search.reduced.limits
+        if not limits.n_poses:
+            return 0.0
+        return float((limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]).min())
+
+    def _one_unit_does(self) -> bool:
+        """Whether a single pose reaches the floors."""
+        reduced = self.search.reduced
+        sets = np.arange(reduced.n_poses)[:, None]
+        sets = sets[are_allowed(reduced.limits, sets)]
+        return bool(len(sets)) and bool((set_values(reduced, sets)[:, 0] == 0.0).any())
+
+    def _is_complete(self) -> bool:
+        """Go through all sets, if they are few; whether that was done."""
+        search = self.search
+        if self.is_complete is None:
+            self.is_complete = False
+            if self.effort.solver in ("auto", "exact"):
+                units, self.is_complete = best_of_few(search.reduced, max_sets=self._max_sets())
+                if units is not None:
+                    search.keep(units)
+            if self.is_complete:
+                search.proofs["exhaustive enumeration"] = None
+        return self.is_complete
+
+    def _enumerate(self) -> bool:
+        """Go through all sets that could be better, if they are few; whether that was done."""
+        search, reduced, problem = self.search, self.search.reduced, self.problem
+        if self.has_enumerated is None:
+            self.has_enumerated = False
+            is_apr_proven = search.value.apr >= self.apr_limit - TOLERANCE
+            is_plain = reduced.limits.is_plain and reduced.measure.is_mean
+            is_plain = is_plain and not (problem.floors or problem.survive)
+            is_full = len(self._units()) == reduced.limits.max_units
+            if is_apr_proven and is_plain and is_full and search.uses_models:
+                best = best_of_all(
+                    reduced,
+                    self._units(),
+                    apr_one_failed=search.value.apr_one_failed,
+                    max_sets=self._max_sets(),
+                )
+                self.has_enumerated = best is not None
+                if best is not None:
+                    search.keep(best)
+                    search.proofs["exhaustive enumeration"] = None
+        return self.has_enumerated
+
+    def _max_sets(self) -> int:
+        return max(0, min(_MAX_SETS, int(self.search.left_s() * _SETS_PER_SECOND)))

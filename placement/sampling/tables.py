@@ -1,0 +1,281 @@
+"""Detection tables of sampled worlds, end to end in one: the optimiser sees a table like any."""
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.errors import InputError, Unquoted
+from scenarios.runs import FrameAxis
+
+from ..candidates import CandidatePose
+from ..detection_table import DetectionTable
+from ..setting import Setting
+from ..visibility import build_detection_table, load_table, save_table, table_fingerprint
+from .drawing import Progress, build_drawn_table, drawing_key, lose_messages
+from .luck import check_whole
+from .samples import Sample, draw_samples
+from .uncertainty import Uncertainty
+
+StageProgress = Callable[[str, int, int], None]
+STAGE = "sampled detection tables"
+_ROWS = 256  # unpacked at a time
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SampledTable:
+    """Detections in many sampled worlds: every run once in each.
+
+    Attributes
+    ----------
+    table : DetectionTable
+        Run ids end in "#1", "#2" and so on; weights are divided by the number of worlds; last
+        brake times have lost what messages take longer than the rule says.
+    sample_index : (n_runs,) int
+        World of each run of `table`, from 0.
+    n_samples : int
+        Number of worlds.
+    """
+
+    table: DetectionTable
+    sample_index: IntArray
+    n_samples: int
+
+    def __post_init__(self) -> None:
+        index = np.array(self.sample_index, dtype=np.int64)
+        n_runs = self.table.axis.n_runs
+        if index.shape != (n_runs,):
+            raise InputError("sample_index", Unquoted(f"shape {index.shape}"), f"shape ({n_runs},)")
+        if sorted(set(index.tolist())) != list(range(self.n_samples)):
+            raise InputError("sample_index", index.tolist(), f"0 .. {self.n_samples - 1}, each")
+        object.__setattr__(self, "sample_index", freeze(index))
+
+    def apr_by_sample(self, is_avoided: BoolArray) -> FloatArray:
+        """Accident prevention ratio in each world.
+
+        Parameters
+        ----------
+        is_avoided : (n_runs,) bool
+            Of `table`.
+
+        Returns
+        -------
+        apr : (n_samples,) float
+            0 .. 1.
+        """
+        weight = self.table.axis.weight
+        every, avoided = (
+            np.bincount(self.sample_index, weights=counted, minlength=self.n_samples)
+            for counted in (weight, weight * np.asarray(is_avoided, dtype=bool))
+        )
+        apr: FloatArray = avoided / every
+        return apr
+
+    def __repr__(self) -> str:
+        return f"SampledTable({self.n_samples} samples, {self.table!r})"
+
+
+def sampled_table(
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    uncertainty: Uncertainty,
+    *,
+    n_samples: int,
+    seed: int = 0,
+    workers: int = 1,
+    cache_folder: Path | None = None,
+    on_progress: StageProgress | None = None,
+) -> SampledTable:
+    """Detections of every candidate pose in many sampled worlds.
+
+    Parameters
+    ----------
+    setting : Setting
+        What is planned in.
+    candidates : sequence of CandidatePose
+        Poses as planned: the rows.
+    uncertainty : Uncertainty
+        What is drawn.
+    n_samples : int
+        How many worlds.
+    seed : int
+        Of all draws, and of the points on the VRUs.
+    workers : int
+        Threads.
+    cache_folder : Path, optional
+        Where the tables of single worlds are kept; by default nowhere.
+    on_progress : callable, optional
+        Called with the stage, and how many mount positions of all worlds are done of how many.
+
+    Returns
+    -------
+    sampled : SampledTable
+        Worlds one after the other, the runs of each in the setting's order.
+
+    Raises
+    ------
+    InputError
+        See :func:`placement.sampling.samples.draw_samples`.
+
+    Notes
+    -----
+    Where mounts, the street or detections are drawn, every world takes about as long as the plan's
+    own table: rays are cast anew, for other things stand in their way. A packed table has
+    n_poses x n_frames / 8 bytes per world, in memory and in the cache.
+    """
+    samples = draw_samples(setting, candidates, uncertainty, n_samples=n_samples, seed=seed)
+    report = on_progress or _ignore
+    report(STAGE, 0, 0)
+    n_frames = setting.axis.n_frames
+    packed = np.zeros((len(candidates), -(-n_samples * n_frames // 8)), dtype=np.uint8)
+    last_brake_s = []
+    worlds = build_sample_tables(
+        samples,
+        seed=seed,
+        workers=workers,
+        cache_folder=cache_folder,
+        on_progress=lambda index, done, total: report(
+            STAGE, index * total + done, n_samples * total
+        ),
+    )
+    for index, (_, table) in enumerate(worlds):
+        _append(packed, table.packed, first_bit=index * n_frames, n_bits=n_frames)
+        last_brake_s.append(table.axis.last_brake_time_s)
+    return SampledTable(
+        table=DetectionTable(
+            pose_ids=tuple(candidate.id for candidate in candidates),
+            axis=_stack_axis(setting.axis, np.concatenate(last_brake_s), n_samples),
+            packed=packed,
+        ),
+        sample_index=np.repeat(np.arange(n_samples), setting.axis.n_runs),
+        n_samples=n_samples,
+    )
+
+
+def build_sample_tables(
+    samples: Iterable[Sample],
+    *,
+    seed: int,
+    workers: int = 1,
+    cache_folder: Path | None = None,
+    on_progress: Callable[[int, int, int], None] | None = None,
+) -> Iterator[tuple[Sample, DetectionTable]]:
+    """Detection table of one sampled world after the other, from the cache or built anew.
+
+    Parameters
+    ----------
+    samples : iterable of Sample
+        Worlds of one setting.
+    seed : int
+        Of the points on the VRUs.
+    workers, cache_folder
+        As for :func:`sampled_table`.
+    on_progress : callable, optional
+        Called with the number of worlds done, and how many mount positions of the next one are
+        done of how many.
+
+    Yields
+    ------
+    sample, table : Sample, DetectionTable
+        V[c, f], less what is lost on the way. Worlds in which all looks as planned, whatever
+        messages do, share one build.
+    """
+    check_whole("workers", workers, least=1)
+    as_planned: DetectionTable | None = None
+    for index, sample in enumerate(samples):
+        report = _part_of(on_progress, index)
+        if sample.looks_as_planned and as_planned is not None:
+            table = replace(as_planned, axis=sample.setting.axis)
+            report(1, 1)
+        else:
+            table = _obtain(
+                sample, seed=seed, workers=workers, cache_folder=cache_folder, report=report
+            )
+            if sample.looks_as_planned:
+                as_planned = table
+        yield sample, lose_messages(sample, table)
+
+
+def _obtain(
+    sample: Sample, *, seed: int, workers: int, cache_folder: Path | None, report: Progress
+) -> DetectionTable:
+    """Table of a world before messages are lost, from the cache or built anew."""
+    setting, detector = sample.setting, sample.drawn_detector
+    if cache_folder is None:
+        return _build(sample, seed=seed, workers=workers, report=report)
+    fingerprint = table_fingerprint(
+        setting.scene, sample.candidates, setting.runs, setting.planner, seed=seed
+    )
+    if detector is not None:
+        drawn = f"{fingerprint} drawn {drawing_key(sample.luck, detector)}"
+        fingerprint = hashlib.blake2b(drawn.encode(), digest_size=16).hexdigest()
+    path = cache_folder / f"table-{fingerprint}.npz"
+    table = load_table(
+        path, fingerprint=fingerprint, candidates=sample.candidates, axis=setting.axis
+    )
+    if table is not None:
+        report(1, 1)
+        return table
+    table = _build(sample, seed=seed, workers=workers, report=report)
+    save_table(path, table, fingerprint=fingerprint)
+    return table
+
+
+def _build(sample: Sample, *, seed: int, workers: int, report: Progress) -> DetectionTable:
+    setting, detector = sample.setting, sample.drawn_detector
+    if detector is not None:
+        return build_drawn_table(sample, detector, seed=seed, workers=workers, on_progress=report)
+    return build_detection_table(
+        setting.scene,
+        sample.candidates,
+        setting.runs,
+        setting.axis,
+        detector=setting.planner,
+        seed=seed,
+        workers=workers,
+        on_progress=report,
+    )
+
+
+def _stack_axis(axis: FrameAxis, last_brake_time_s: FloatArray, n_samples: int) -> FrameAxis:
+    """The axis once per world; the weights of all worlds together sum to 1."""
+    starts = [axis.run_start[:-1] + sample * axis.n_frames for sample in range(n_samples)]
+    return replace(
+        axis,
+        run_ids=tuple(f"{run}#{n}" for n in range(1, n_samples + 1) for run in axis.run_ids),
+        cases=axis.cases * n_samples,
+        approaches=axis.approaches * n_samples,
+        weathers=axis.weathers * n_samples,
+        vut_speed_kmh=np.tile(axis.vut_speed_kmh, n_samples),
+        weight=np.tile(axis.weight / n_samples, n_samples),
+        last_brake_time_s=last_brake_time_s,
+        run_start=np.append(np.concatenate(starts), n_samples * axis.n_frames),
+        time_s=np.tile(axis.time_s, n_samples),
+    )
+
+
+def _append(
+    packed: NDArray[np.uint8], part: NDArray[np.uint8], *, first_bit: int, n_bits: int
+) -> None:
+    """Write a table's columns into a larger one, from a bit on that need not begin a byte."""
+    byte, shift = divmod(first_bit, 8)
+    for row in range(0, len(part), _ROWS):
+        rows = slice(row, row + _ROWS)
+        bits = np.unpackbits(part[rows], axis=1, count=n_bits, bitorder="little")
+        shifted = np.packbits(np.pad(bits, ((0, 0), (shift, 0))), axis=1, bitorder="little")
+        packed[rows, byte : byte + shifted.shape[1]] |= shifted
+
+
+def _part_of(on_progress: Callable[[int, int, int], None] | None, index: int) -> Progress:
+    """Progress of one world, as part of that of all."""
+    if on_progress is None:
+        return lambda done, total: None
+    return lambda done, total: on_progress(index, done, total)
+
+
+def _ignore(stage: str, done: int, total: int) -> None:
+    """Take no notice of progress."""

@@ -1,0 +1,259 @@
+"""Vehicles that stand at random: in the parking lanes of the arms, and at the stop lines."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.actors import Actor, PlacedActor
+from geometry.arrays import FloatArray
+from geometry.junction import Arm, build_junction, lane_length_m, lane_line
+from geometry.poses import Pose
+from geometry.raycast import RayCaster, build_caster
+from geometry.scene import Lane, Scene
+
+from .uncertainty import StandingTraffic, VehicleKind
+from .ways import GroupKey, Ways, footprint_of, touches_any
+
+_HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls; and just below each roof
+_BELOW_ROOF_M = 0.1
+_MOUTH_M = 10.0  # so much of a lane says where it points at its mouth
+_PARALLEL = 1.0e-3
+
+Rng = Callable[..., np.random.Generator]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Kerbside:
+    """One lane along which vehicles stand.
+
+    Attributes
+    ----------
+    lane : Lane
+        Of an arm.
+    is_in : bool
+        Whether it leads into the junction.
+    first_m : float
+        From the lane's mouth to the first place. [m]
+    end_m : float
+        From the lane's mouth to the end of the last one. [m]
+    """
+
+    lane: Lane
+    is_in: bool
+    first_m: float
+    end_m: float
+
+    def at(self, near_m: float, actor: Actor) -> PlacedActor:
+        """A body on the lane, facing as it is driven, one end so far from the lane's mouth."""
+        ends = [self._point(near_m), self._point(near_m + actor.length_m)]
+        rear, front = reversed(ends) if self.is_in else ends
+        east, north = front - rear
+        pose = Pose(
+            position_m=np.append(0.5 * (rear + front), 0.0),
+            yaw_deg=float(np.degrees(np.arctan2(north, east))),
+        )
+        return PlacedActor(actor=actor, pose=pose)
+
+    def _point(self, from_mouth_m: float) -> FloatArray:
+        points = self.lane.centreline_m[::-1] if self.is_in else self.lane.centreline_m
+        covered = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+        return np.array([np.interp(from_mouth_m, covered, points[:, axis]) for axis in (0, 1)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Street:
+    """Where in a scene vehicles may stand.
+
+    Attributes
+    ----------
+    traffic : StandingTraffic
+        How many, of which kinds.
+    parking, entries : tuple of Kerbside
+        Parking lanes, and lanes that lead into the junction.
+    solid : RayCaster
+        Everything but the ground, relative to `origin_m`.
+    origin_m : (3,) float
+        Near the junction: rays are cast in single precision. [m]
+    """
+
+    traffic: StandingTraffic
+    parking: tuple[Kerbside, ...]
+    entries: tuple[Kerbside, ...]
+    solid: RayCaster
+    origin_m: FloatArray
+
+    def draw(self, rng: Rng) -> tuple[PlacedActor, ...]:
+        """Vehicles of one sampled world, clear of the scene and of one another.
+
+        Parameters
+        ----------
+        rng : callable
+            From the key of a thing to its generator: what stands in one lane does not depend on
+            the others.
+        """
+        kept: list[PlacedActor] = []
+        taken: list[FloatArray] = []
+        drawn = [
+            placed
+            for name, lanes, fill in (
+                ("parking", self.parking, _park),
+                ("waiting", self.entries, _queue),
+            )
+            for side in lanes
+            for placed in fill(side, self.traffic, rng(name, side.is_in, side.lane.id))
+        ]
+        for placed in drawn:
+            corners = footprint_of(placed)
+            if not touches_any(corners, taken) and self._is_free(corners, placed.actor.height_m):
+                kept.append(placed)
+                taken.append(corners)
+        return tuple(kept)
+
+    def _is_free(self, corners_m: FloatArray, height_m: float) -> bool:
+        """Whether nothing of the scene is on the sides and diagonals of a footprint."""
+        heights = [h for h in (*_HEIGHTS_M, height_m - _BELOW_ROOF_M) if h < height_m]
+        starts, ends = (
+            np.concatenate(
+                [np.column_stack([corners_m[order], np.full(6, height)]) for height in heights]
+            )
+            - self.origin_m
+            for order in ([0, 1, 2, 3, 0, 1], [1, 2, 3, 0, 2, 3])
+        )
+        vectors = (ends - starts).astype(np.float32)
+        return not self.solid.is_blocked(starts.astype(np.float32), vectors).any()
+
+
+def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
+    """Find where in a scene vehicles may stand.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its junction's lanes.
+    traffic : StandingTraffic
+        How near to the junction, how far along the arms.
+
+    Raises
+    ------
+    InputError
+        The scene has no junction.
+    """
+    parking, entries = [], []
+    for arm in build_junction(scene).arms.values():
+        for is_in, lanes in ((True, arm.lanes_in), (False, arm.lanes_out)):
+            parking += [
+                _kerbside(lane, is_in, traffic.clear_of_mouth_m, traffic)
+                for lane in lanes
+                if lane.kind == "parking"
+            ]
+        entries += [
+            _kerbside(lane, True, stop_line_m(arm, lane, traffic.crosswalk_gap_m), traffic)
+            for lane in arm.entry_lanes
+        ]
+    origin = np.append(scene.outline_m.mean(axis=0), 0.0)
+    solid = [i for i, thing in enumerate(scene.instances) if thing.class_name != "ground"]
+    triangles = np.asarray(scene.triangles)[np.isin(scene.triangle_instance, solid)]
+    return Street(
+        traffic=traffic,
+        parking=tuple(parking),
+        entries=tuple(entries),
+        # Some hundred rays: not worth the second that Open3D takes to load.
+        solid=build_caster(scene.vertices_m - origin, triangles, library="embreex"),
+        origin_m=origin,
+    )
+
+
+def stop_line_m(arm: Arm, lane: Lane, crosswalk_gap_m: float) -> float:
+    """How far before a lane's mouth the first vehicle waits: there, or before the crosswalk.
+
+    Parameters
+    ----------
+    arm : Arm
+        Where pedestrians cross.
+    lane : Lane
+        That leads into the junction.
+    crosswalk_gap_m : float
+        From the line on which they cross to the first bumper. [m]
+
+    Returns
+    -------
+    distance_m : float
+        At least 0. [m]
+    """
+    line, _ = lane_line(lane, is_in=True, length_m=_MOUTH_M)
+    if abs(line.left @ arm.crosswalk.direction) < _PARALLEL:
+        return 0.0
+    ahead_m = float(line.coordinates(line.crossing_with(arm.crosswalk))[0])
+    return max(0.0, crosswalk_gap_m - ahead_m)
+
+
+def clear_of_ways(
+    vehicles: tuple[PlacedActor, ...], ways: Mapping[GroupKey, Ways], *, clearance_m: float
+) -> dict[GroupKey, tuple[PlacedActor, ...]]:
+    """Vehicles that stand in nobody's way, by group of runs.
+
+    Parameters
+    ----------
+    vehicles : tuple of PlacedActor
+        All that stand.
+    ways : mapping of group to Ways
+        What the runs of each group sweep over.
+    clearance_m : float
+        Nobody stands nearer to a way. [m]
+
+    Returns
+    -------
+    clear : dict
+        What stands in the runs of each group: a vehicle that is in the way has not come yet, or
+        has left.
+    """
+    corners = [footprint_of(placed) for placed in vehicles]
+    return {
+        key: tuple(
+            placed
+            for placed, footprint in zip(vehicles, corners, strict=True)
+            if not way.blocks(footprint, clearance_m=clearance_m)
+        )
+        for key, way in ways.items()
+    }
+
+
+def _kerbside(lane: Lane, is_in: bool, first_m: float, traffic: StandingTraffic) -> Kerbside:
+    end_m = min(traffic.along_arm_m, lane_length_m(lane))
+    return Kerbside(lane=lane, is_in=is_in, first_m=first_m, end_m=end_m)
+
+
+def _park(
+    side: Kerbside, traffic: StandingTraffic, rng: np.random.Generator
+) -> Iterator[PlacedActor]:
+    """Place after place is free, or taken by a vehicle as long as it is."""
+    near_m = side.first_m
+    while near_m < side.end_m:
+        if rng.random() >= traffic.taken_share:
+            near_m += traffic.free_place_m
+            continue
+        actor = _pick(traffic.vehicles, [kind.parked_share for kind in traffic.vehicles], rng)
+        if near_m + actor.length_m > side.end_m:
+            return
+        yield side.at(near_m, actor)
+        near_m += actor.length_m + traffic.parked_gap_m
+
+
+def _queue(
+    side: Kerbside, traffic: StandingTraffic, rng: np.random.Generator
+) -> Iterator[PlacedActor]:
+    """One at the stop line or none; behind each, another one or none."""
+    near_m, share = side.first_m, traffic.waiting_share
+    while rng.random() < share:
+        actor = _pick(traffic.vehicles, [kind.waiting_share for kind in traffic.vehicles], rng)
+        if near_m + actor.length_m > side.end_m:
+            return
+        yield side.at(near_m, actor)
+        near_m += actor.length_m + traffic.waiting_gap_m
+        share = traffic.following_share
+
+
+def _pick(kinds: tuple[VehicleKind, ...], shares: list[float], rng: np.random.Generator) -> Actor:
+    weights = np.array(shares)
+    return kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))].actor

@@ -1,0 +1,255 @@
+"""What is not known on the day a layout is chosen, and how much of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from geometry.actors import Actor
+from geometry.arrays import FloatArray
+from geometry.errors import InputError, Unquoted
+
+from ..latency import LatencyBudget
+
+DISTRIBUTIONS = ("gamma", "uniform")
+DRAWN_PER = ("run", "sample")
+_MAX_ANGLE_SD_DEG = 30.0
+_MAX_HEIGHT_SD_M = 0.5  # a small error: the same poles, the same view
+_MAX_LATENCY_S = 10.0
+_MAX_LENGTH_M = 1000.0
+_SUM_TOLERANCE = 1.0e-6
+_UNIFORM_REACH = np.sqrt(
+    3.0
+)  # standard deviations from the mean of a uniform distribution to an end
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountingErrors:
+    """How far off units are after installation.
+
+    Attributes
+    ----------
+    yaw_sd_deg, pitch_sd_deg, height_sd_m : float
+        Standard deviations; normal, cut off at three of them. [deg], [deg], [m]
+    """
+
+    yaw_sd_deg: float = 0.0
+    pitch_sd_deg: float = 0.0
+    height_sd_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("yaw_sd_deg", "pitch_sd_deg"):
+            _check_range(self, name, _MAX_ANGLE_SD_DEG, "degrees")
+        _check_range(self, "height_sd_m", _MAX_HEIGHT_SD_M, "metres")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatencyJitter:
+    """By how much messages take longer than the braking rule says.
+
+    Attributes
+    ----------
+    distribution : {"gamma", "uniform"}
+        Of the time on top of the rule's latency; never negative.
+    mean_s, sd_s : float
+        Mean and standard deviation; with a deviation of 0 it is always the mean. [s]
+    drawn_per : {"run", "sample"}
+        How often it is drawn.
+    budget : LatencyBudget, optional
+        In place of all that: totals are drawn from it, and stand in for the rule's latency.
+    """
+
+    distribution: str = "gamma"
+    mean_s: float = 0.0
+    sd_s: float = 0.0
+    drawn_per: str = "run"
+    budget: LatencyBudget | None = None
+
+    def __post_init__(self) -> None:
+        for name, known in (("distribution", DISTRIBUTIONS), ("drawn_per", DRAWN_PER)):
+            if getattr(self, name) not in known:
+                raise InputError(name, getattr(self, name), "one of " + ", ".join(known))
+        for name in ("mean_s", "sd_s"):
+            _check_range(self, name, _MAX_LATENCY_S, "seconds")
+        most = np.inf if self.distribution == "gamma" else self.mean_s / _UNIFORM_REACH
+        if self.sd_s > most * (1.0 + 1.0e-9) or (self.mean_s == 0.0 and self.sd_s > 0.0):
+            raise InputError(
+                "sd_s", self.sd_s, f"less spread around a mean of {self.mean_s:g} s: none below 0"
+            )
+        if self.budget is not None and (self.mean_s, self.sd_s) != (0.0, 0.0):
+            raise InputError("budget", self.budget.name, "no mean_s and sd_s beside it")
+
+    def draw_s(self, rng: np.random.Generator, n_runs: int, *, rule_latency_s: float) -> FloatArray:
+        """Draw how much longer messages take than by the rule.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Of the draws.
+        n_runs : int
+            How many runs.
+        rule_latency_s : float
+            What the rule counts on. [s]
+
+        Returns
+        -------
+        extra_s : (n_runs,) float
+            Negative where a budget's total is shorter than the rule's latency. [s]
+        """
+        n_draws = n_runs if self.drawn_per == "run" else 1
+        if self.budget is not None:
+            drawn = self.budget.sample_s(rng, n_draws) - rule_latency_s
+        elif self.sd_s == 0.0:
+            drawn = np.full(n_draws, self.mean_s)
+        elif self.distribution == "uniform":
+            reach_s = _UNIFORM_REACH * self.sd_s
+            low_s = max(0.0, self.mean_s - reach_s)
+            drawn = rng.uniform(low_s, self.mean_s + reach_s, n_draws)
+        else:
+            scale_s = self.sd_s**2 / self.mean_s
+            drawn = rng.gamma(self.mean_s / scale_s, scale_s, n_draws)
+        return np.broadcast_to(drawn, (n_runs,)).copy()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VehicleKind:
+    """A kind of vehicle that stands beside the road or waits on it.
+
+    Attributes
+    ----------
+    actor : Actor
+        Its body.
+    parked_share, waiting_share : float
+        Of all that are parked, and of all that wait: so many are of this kind. 0 .. 1
+    """
+
+    actor: Actor
+    parked_share: float
+    waiting_share: float
+
+    def __post_init__(self) -> None:
+        for name in ("parked_share", "waiting_share"):
+            _check_range(self, name, 1.0, "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StandingTraffic:
+    """Vehicles that stand at random: parked along the arms, and waiting to enter the junction.
+
+    Attributes
+    ----------
+    taken_share : float
+        Probability that a place in a parking lane is taken. 0 .. 1
+    waiting_share, following_share : float
+        Probability that somebody waits at the stop line of a lane; then, again and again, that
+        another one stands behind. 0 .. 1
+    vehicles : tuple of VehicleKind
+        What stands there; shares of each use sum to 1.
+    free_place_m : float
+        Length of a place that stays free. [m]
+    parked_gap_m, waiting_gap_m : float
+        From bumper to bumper. [m]
+    clear_of_mouth_m : float
+        No parking nearer to the junction. [m]
+    crosswalk_gap_m : float
+        From the line on which pedestrians cross an arm to the first bumper that waits. [m]
+    along_arm_m : float
+        Nobody stands farther from the junction. [m]
+    clearance_m : float
+        Nobody stands nearer to the way of a VUT or a VRU. [m]
+    """
+
+    taken_share: float = 0.0
+    waiting_share: float = 0.0
+    following_share: float = 0.0
+    vehicles: tuple[VehicleKind, ...] = ()
+    free_place_m: float = 5.5
+    parked_gap_m: float = 0.8
+    clear_of_mouth_m: float = 5.0
+    waiting_gap_m: float = 2.0
+    crosswalk_gap_m: float = 3.0
+    along_arm_m: float = 60.0
+    clearance_m: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("taken_share", "waiting_share", "following_share"):
+            _check_range(self, name, 1.0, "")
+        for name in _LENGTHS:
+            _check_range(self, name, _MAX_LENGTH_M, "metres")
+        if self.free_place_m <= 0.0:
+            raise InputError("free_place_m", self.free_place_m, "metres, more than 0")
+        for name, use in (("taken_share", "parked_share"), ("waiting_share", "waiting_share")):
+            if getattr(self, name) > 0.0:
+                _check_mix(self.vehicles, use)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nobody stands anywhere."""
+        return self.taken_share == 0.0 == self.waiting_share
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Uncertainty:
+    """All that is uncertain; by default nothing is.
+
+    Attributes
+    ----------
+    mounting : MountingErrors
+        How far off units are.
+    latency : LatencyJitter
+        How long messages take.
+    packet_loss : float
+        Probability that the message of one unit in one frame is lost; in place of the setting's.
+        0 .. 1
+    draws_detections : bool
+        Whether a planning detector that gives probabilities is drawn frame by frame.
+    traffic : StandingTraffic
+        What stands at random.
+    name : str
+        What it is called in reports.
+    """
+
+    mounting: MountingErrors = field(default_factory=MountingErrors)
+    latency: LatencyJitter = field(default_factory=LatencyJitter)
+    packet_loss: float = 0.0
+    draws_detections: bool = False
+    traffic: StandingTraffic = field(default_factory=StandingTraffic)
+    name: str = "none"
+
+    def __post_init__(self) -> None:
+        _check_range(self, "packet_loss", 1.0, "")
+        if not isinstance(self.draws_detections, bool):
+            raise InputError("draws_detections", self.draws_detections, "true or false")
+
+    def __repr__(self) -> str:
+        return f"Uncertainty({self.name!r})"
+
+
+_LENGTHS = (
+    "free_place_m",
+    "parked_gap_m",
+    "clear_of_mouth_m",
+    "waiting_gap_m",
+    "crosswalk_gap_m",
+    "along_arm_m",
+    "clearance_m",
+)
+
+
+def _check_mix(vehicles: Sequence[VehicleKind], use: str) -> None:
+    if not vehicles:
+        raise InputError("vehicles", Unquoted("none"), "at least one kind of vehicle")
+    total = sum(getattr(kind, use) for kind in vehicles)
+    if abs(total - 1.0) > _SUM_TOLERANCE:
+        raise InputError(
+            f"vehicles: {use}", Unquoted(f"a sum of {total:g}"), "shares that sum to 1"
+        )
+
+
+def _check_range(holder: object, name: str, most: float, unit: str) -> None:
+    """Check that a field is a number from 0 to a limit."""
+    value: Any = getattr(holder, name)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and 0.0 <= value <= most):
+        raise InputError(name, value, f"0 to {most:g} {unit}".rstrip())

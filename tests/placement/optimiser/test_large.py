@@ -1,0 +1,66 @@
+"""The way of large instances, taken on small ones."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from placement.optimiser import (
+    Effort,
+    PlacementProblem,
+    is_feasible,
+    placement_value,
+    solve_placement,
+)
+from placement.optimiser.large import look_out, margin_limits_s
+
+
+@given(problem=st.from_type(PlacementProblem))
+@settings(deadline=None, max_examples=150)
+def test_all_poses_are_bounded_by_what_they_promise(problem: PlacementProblem) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("placement.optimiser.large.MAX_BITS", 0)
+        solution = solve_placement(problem, effort=Effort(solver="relax"))
+    n_poses, most = problem.table.n_poses, problem.limits.max_units
+    values = [
+        placement_value(problem, poses)
+        for n_units in range(1, most + 1)
+        for poses in combinations(range(n_poses), n_units)
+        if is_feasible(problem, poses)
+    ]
+    assert is_feasible(problem, solution.pose_index)
+    best = max(value.apr for value in values)
+    stages = {stage.name: stage for stage in solution.certificate.stages}
+    assert stages["apr"].bound >= best - 1e-6
+    value = placement_value(problem, solution.pose_index)
+    assert tuple(stage.objective for stage in stages.values()) == pytest.approx(value)
+    as_good = [other for other in values if other.apr >= value.apr - 1e-9]
+    for name in ("apr_one_failed", "mean_margin_s"):
+        assert stages[name].bound >= max(getattr(other, name) for other in as_good) - 1e-6
+    assert "relaxation of all" in solution.certificate.solver
+
+
+@given(problem=st.from_type(PlacementProblem))
+@settings(deadline=None, max_examples=50)
+def test_forced_poses_are_in_the_pool_and_forbidden_ones_are_not(problem: PlacementProblem) -> None:
+    n_poses = problem.table.n_poses
+    is_forced, is_forbidden = np.arange(n_poses) == 0, np.arange(n_poses) == n_poses - 1
+    if n_poses < 2:
+        return
+    limits = replace(problem.limits, is_forced=is_forced, is_forbidden=is_forbidden)
+    pool = look_out(replace(problem, limits=limits)).pool
+    assert 0 in pool
+    assert n_poses - 1 not in pool
+
+
+@given(problem=st.from_type(PlacementProblem))
+@settings(deadline=None, max_examples=50)
+def test_no_pose_has_more_to_spare_than_all_together(problem: PlacementProblem) -> None:
+    limit = margin_limits_s(problem)
+    for pose in range(problem.table.n_poses):
+        value = placement_value(problem, [pose])
+        assert value.smallest_margin_s <= max(limit.max(), 0.0) + 1e-9
+        assert value.apr <= problem.measure().of(limit > -np.inf) + 1e-9

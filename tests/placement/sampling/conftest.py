@@ -1,0 +1,161 @@
+"""Small questions: two sites of the study's junction, and a tiny junction with a queue."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from junctions import ARMS, LANE_M, MOUTH_M, build_scene, lanes_of, turned
+
+from geometry.poses import Pose
+from geometry.scene import Lane
+from geometry.scene_files import load_study_scene
+from placement.candidates import CandidateGrid, CandidatePose, build_candidates
+from placement.detectors import GeometricDetector, load_detector, load_planning_detector
+from placement.sampling import load_uncertainty
+from placement.setting import Setting
+from placement.visibility import casting
+from scenarios.cases import load_cases
+from scenarios.exposure import weight_per_run
+from scenarios.runs import build_frame_axis, build_runs
+
+PARKING_M = 2.6
+_LAST = 41
+_FRAMES = (
+    "time_s",
+    "vut_position_m",
+    "vut_yaw_deg",
+    "vru_position_m",
+    "vru_yaw_deg",
+    "vru_shape",
+)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _points_are_picked_once():
+    """The points on a body are the same in every world: here they are not picked again."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(casting, "build_surface", lru_cache(casting.build_surface))
+        yield
+
+
+def setting_of(scene, runs, rule, **fields):
+    return Setting(
+        scene=scene,
+        runs=tuple(runs),
+        axis=build_frame_axis(runs, weight_per_run(runs)),
+        rule=rule,
+        **{"detector": load_detector(), "planner": load_planning_detector(), **fields},
+    )
+
+
+@pytest.fixture(scope="session")
+def build_setting(rule):
+    return lambda scene, runs, **fields: setting_of(scene, runs, rule, **fields)
+
+
+@pytest.fixture(scope="session")
+def setting(runs, rule):
+    """The last four seconds of three runs at two sites of the study's junction."""
+    scene = load_study_scene()
+    ids = ("CBNA/east/60", "CPNC-50/south/60", "CBLA/east/50")
+    names = ("corner-ne", "mast-w")
+    return setting_of(
+        replace(scene, sites=tuple(site for site in scene.sites if site.id in names)),
+        [
+            replace(run, **{name: getattr(run, name)[-_LAST:] for name in _FRAMES})
+            for run in runs
+            if run.id in ids
+        ],
+        rule,
+    )
+
+
+@pytest.fixture(scope="session")
+def candidates(setting, camera):
+    """Two poses at each site."""
+    grid = CandidateGrid(
+        heights_m=np.array([6.8]),
+        yaw_step_deg=180.0,
+        pitches_deg=np.array([-25.0]),
+        sensors=(camera,),
+    )
+    return build_candidates(setting.scene, grid)
+
+
+@pytest.fixture(scope="session")
+def default():
+    return load_uncertainty()
+
+
+@pytest.fixture(scope="session")
+def junction_scene():
+    """Four arms at right angles, one lane in and out, parking lanes beside them."""
+    lanes = []
+    for arm, bearing in ARMS.items():
+        lanes += lanes_of(arm, bearing, arm_m=80.0)
+        offset_m = LANE_M + 0.5 * PARKING_M
+        for name, way in (
+            ("in", [[MOUTH_M + 80.0, offset_m], [MOUTH_M, offset_m]]),
+            ("out", [[MOUTH_M, -offset_m], [MOUTH_M + 80.0, -offset_m]]),
+        ):
+            lanes.append(
+                Lane(
+                    id=f"{arm}-parking-{name}",
+                    kind="parking",
+                    width_m=PARKING_M,
+                    centreline_m=turned(way, bearing),
+                )
+            )
+    return build_scene(lanes)
+
+
+@pytest.fixture(scope="session")
+def junction_runs(actors, rule, junction_scene):
+    """One straight case from each approach, at its lowest speed."""
+    case = load_cases()["CPNA-25"]
+    slow = replace(case, vut_speeds_kmh=case.vut_speeds_kmh[:1])
+    runs, _ = build_runs(junction_scene, [slow], vut=actors["vut"], rule=rule)
+    return {run.approach: run for run in runs}
+
+
+@pytest.fixture(scope="session")
+def standing_still(junction_runs):
+    """The run from the west, in which the VRU only stands at a place that the test chooses."""
+
+    def build(position_m, *, n_frames=12, run=None):
+        run = junction_runs["west"] if run is None else run
+        frames = {
+            name: getattr(run, name)[-n_frames:] for name in ("time_s", "vut_yaw_deg", "vru_shape")
+        }
+        return replace(
+            run,
+            **frames,
+            # The VUT is far away, and hides nothing.
+            vut_position_m=np.tile([-60.0, -1.75], (n_frames, 1)),
+            vru_position_m=np.tile(np.asarray(position_m, dtype=float), (n_frames, 1)),
+            vru_yaw_deg=np.full(n_frames, 90.0),
+        )
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def look(camera):
+    """A camera of no site that looks along a yaw."""
+
+    def build(name, position_m, *, yaw_deg, pitch_deg=0.0, site_id="", sensor=camera):
+        return CandidatePose(
+            id=name,
+            site_id=site_id,
+            pose=Pose(position_m=position_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg),
+            sensor=sensor,
+        )
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def keen():
+    """A detector that takes boxes of any size."""
+    return GeometricDetector(min_iou=0.5, min_box_height_px=1.0)

@@ -1,0 +1,231 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from geometry.catalogue import load_lidars
+from placement.detection_table import pack_table
+from placement.detectors import load_planning_detector
+from placement.evaluator import build_surroundings, perceive_from_roadside
+from placement.sampling import Uncertainty, draw_samples
+from placement.sampling.drawing import build_drawn_table, link_frames, lose_messages
+from placement.sampling.tables import build_sample_tables
+
+DRAWN = Uncertainty(draws_detections=True)
+
+
+def _table(sample, *, seed=0, **options):
+    ((_, table),) = build_sample_tables([sample], seed=seed, **options)
+    return table
+
+
+def _first(setting, poses, uncertainty, seed=0):
+    return next(iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed)))
+
+
+# Luck from frame to frame
+
+
+def _noise(frames, correlation, seed):
+    return link_frames(np.asarray(frames)).noise(correlation, np.random.default_rng(seed))
+
+
+def test_noise_is_standard_normal_and_linked_within_runs_only():
+    frames = np.concatenate([start + np.arange(5) for start in range(0, 60_000, 6)])
+    noise = _noise(frames, 0.7, 0).reshape(-1, 5)
+    assert kstest(noise.ravel()[::5], "norm").pvalue > 0.001
+    assert noise.mean(axis=0) == pytest.approx(np.zeros(5), abs=0.04)
+    assert noise.std(axis=0) == pytest.approx(np.ones(5), abs=0.03)
+    apart = np.abs(np.subtract.outer(np.arange(5), np.arange(5)))
+    assert np.corrcoef(noise.T) == pytest.approx(0.7**apart, abs=0.04)
+    assert abs(np.corrcoef(noise[:-1, 4], noise[1:, 0])[0, 1]) < 0.04
+
+
+def test_equal_frames_share_their_luck_and_their_order_does_not_matter():
+    frames = np.array([0, 1, 2, 10, 11, 0, 1, 2])
+    noise = _noise(frames, 0.5, 1)
+    assert noise[:3].tolist() == noise[5:].tolist()
+    assert len(set(noise.tolist())) == 5
+    assert _noise(frames[::-1], 0.5, 1)[::-1].tolist() == noise.tolist()
+
+
+def test_full_correlation_is_one_draw_per_run_and_none_is_one_per_frame():
+    frames = np.array([0, 1, 2, 10, 11])
+    fully = _noise(frames, 1.0, 2)
+    assert len(set(fully[:3])) == len(set(fully[3:])) == 1
+    assert fully[0] != fully[3]
+    assert len(set(_noise(frames, 0.0, 2).tolist())) == 5
+
+
+# Tables drawn frame by frame
+
+
+@pytest.fixture(scope="module")
+def response():
+    return load_planning_detector("response")
+
+
+@pytest.fixture(scope="module")
+def watched(junction_scene, standing_still, build_setting, response, look):
+    """A VRU that stands still in the open for two minutes, and who looks at it."""
+    n_frames = 1200
+    run = standing_still([2.0, -1.0])
+    long = {
+        "time_s": 0.1 * np.arange(1 - n_frames, 1),
+        "vut_position_m": np.tile([-60.0, -1.75], (n_frames, 1)),
+        "vut_yaw_deg": np.zeros(n_frames),
+        "vru_position_m": np.tile([2.0, -1.0], (n_frames, 1)),
+        "vru_yaw_deg": np.full(n_frames, 90.0),
+        "vru_shape": np.zeros(n_frames, dtype=np.int64),
+    }
+    run = replace(run, **long)
+    setting = build_setting(
+        junction_scene,
+        (run, replace(run, id="in fog", weather="fog")),
+        planner=replace(response, frame_correlation=0.0),
+    )
+    lidar = next(iter(load_lidars().values()))
+    far = [look(f"{x}", [x, -1.0, 6.0], yaw_deg=0.0, pitch_deg=-5.0) for x in (-28.0, -38.0)]
+    return setting, (*far, look("lidar", [-8.0, -1.0, 1.5], yaw_deg=0.0, sensor=lidar))
+
+
+def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watched):
+    setting, poses = watched
+    drawn = build_drawn_table(
+        _first(setting, poses, DRAWN), setting.planner, seed=0, workers=1
+    ).detected(slice(None))
+    for row, pose in enumerate(poses[:2]):
+        for index, run in enumerate(setting.runs):
+            one_frame = {
+                name: getattr(run, name)[:1]
+                for name in ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m")
+            } | {"vru_yaw_deg": run.vru_yaw_deg[:1], "vru_shape": run.vru_shape[:1]}
+            surroundings = build_surroundings(setting.scene, [replace(run, **one_frame)])
+            evidence = perceive_from_roadside(
+                surroundings, pose.pose, pose.sensor, with_shares=True
+            )
+            (likely,) = setting.planner.probability(
+                replace(evidence, contrast=surroundings.contrast(evidence_distance(pose, run)))
+            )
+            often = drawn[row, setting.axis.frames_of(index)].mean()
+            # 1200 coins, and points instead of pixels.
+            assert often == pytest.approx(likely, abs=0.05)
+            assert 0.05 < likely < 0.97
+
+
+def evidence_distance(pose, run):
+    return np.array([np.linalg.norm([*run.vru_position_m[0], 0.9] - pose.pose.position_m)])
+
+
+def test_in_fog_less_is_detected_of_the_same_frames(watched):
+    setting, poses = watched
+    table = _table(_first(setting, poses, DRAWN), seed=0)
+    day, fog = (table.detected(slice(None))[:, setting.axis.frames_of(run)] for run in (0, 1))
+    assert not (fog & ~day).any()
+    assert fog[0].sum() < day[0].sum()
+
+
+def test_poses_have_luck_of_their_own_that_seed_and_world_change(watched):
+    setting, poses = watched
+    twins = (poses[0], replace(poses[0], id="again"), poses[1])
+
+    def draw(seed, which=twins):
+        return _table(_first(setting, which, DRAWN, seed), seed=0).detected(slice(None))
+
+    first = draw(0)
+    assert np.array_equal(first[0], first[1])  # the same pose under another name
+    assert not np.array_equal(first[0], first[2])
+    assert np.array_equal(draw(0, twins[2:])[0], first[2])
+    assert not np.array_equal(draw(1)[0], first[0])
+    worlds = [
+        _table(sample, seed=0).detected(slice(None))[0]
+        for sample in draw_samples(setting, twins[:1], DRAWN, n_samples=2, seed=0)
+    ]
+    assert np.array_equal(worlds[0], first[0])
+    assert not np.array_equal(worlds[0], worlds[1])
+
+
+def test_a_lidar_counts_the_points_that_it_may_expect(watched):
+    setting, poses = watched
+    drawn, planned = (
+        _table(_first(setting, poses, uncertainty), seed=0).detected([2])
+        for uncertainty in (DRAWN, Uncertainty())
+    )
+    assert np.array_equal(drawn, planned)
+    assert drawn.any()
+
+
+def test_nothing_is_drawn_of_a_detector_that_looks_at_boxes(setting, candidates):
+    drawn, planned = (
+        _table(_first(setting, candidates, uncertainty), seed=0).packed
+        for uncertainty in (DRAWN, Uncertainty())
+    )
+    assert np.array_equal(drawn, planned)
+    assert planned.any()
+
+
+def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
+    chancy = replace(setting, planner=response)
+    calls = []
+    tables = [
+        _table(
+            _first(chancy, candidates, DRAWN),
+            seed=0,
+            workers=workers,
+            on_progress=lambda *call: calls.append(call),
+        ).packed
+        for workers in (1, 2)
+    ]
+    assert np.array_equal(*tables)
+    assert tables[0].any()
+    assert calls == [(0, 1, 2), (0, 2, 2)] * 2  # mount positions of the first world
+
+
+# Messages
+
+
+@pytest.fixture(scope="module")
+def all_seen(setting):
+    """A table in which every pose detects in every frame."""
+    n = setting.axis.n_frames
+    return lambda poses: pack_table(
+        tuple(p.id for p in poses), setting.axis, np.ones((len(poses), n), dtype=bool)
+    )
+
+
+def test_messages_are_lost_as_often_as_asked_and_each_pose_loses_its_own(
+    setting, candidates, all_seen
+):
+    table = all_seen(candidates)
+    sample = _first(setting, candidates, Uncertainty(packet_loss=0.2))
+    arrived = lose_messages(sample, table).detected(slice(None))
+    n = arrived.size
+    assert arrived.mean() == pytest.approx(0.8, abs=4.0 * np.sqrt(0.16 / n))
+    agreement = (arrived[0] == arrived[1]).mean()
+    assert agreement == pytest.approx(0.8**2 + 0.2**2, abs=0.1)
+    again = lose_messages(sample, table).detected(slice(None))
+    assert np.array_equal(arrived, again)
+    other = _first(setting, candidates, Uncertainty(packet_loss=0.2), seed=1)
+    assert not np.array_equal(lose_messages(other, table).detected(slice(None)), arrived)
+
+
+def test_no_message_and_every_message_may_be_lost(setting, candidates, all_seen):
+    table = all_seen(candidates)
+    sample = _first(setting, candidates, Uncertainty())
+    assert lose_messages(sample, table) is table
+    silent = _first(setting, candidates, Uncertainty(packet_loss=1.0))
+    assert not lose_messages(silent, table).packed.any()
+
+
+def test_the_same_messages_are_lost_in_all_weathers(watched):
+    setting, poses = watched
+    sample = _first(setting, poses, Uncertainty(packet_loss=0.5))
+    every = pack_table(
+        tuple(p.id for p in poses), setting.axis, np.ones((3, setting.axis.n_frames), dtype=bool)
+    )
+    day, fog = (
+        lose_messages(sample, every).detected(slice(None))[:, setting.axis.frames_of(run)]
+        for run in (0, 1)
+    )
+    assert np.array_equal(day, fog)

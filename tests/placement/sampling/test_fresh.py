@@ -1,0 +1,180 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.errors import InputError
+from placement.evaluator import evaluate_layout
+from placement.layout import Layout
+from placement.sampling import (
+    LatencyJitter,
+    SampledApr,
+    Uncertainty,
+    draw_samples,
+    out_of_sample,
+    out_of_sample_layouts,
+)
+from placement.sampling.tables import build_sample_tables
+from placement.visibility import build_detection_table
+
+LOSSY = Uncertainty(packet_loss=0.6, latency=LatencyJitter(mean_s=0.4, sd_s=0.3))
+
+
+@pytest.fixture(scope="module")
+def layouts(candidates, look):
+    corner = look(
+        "corner", [-115.4, 8.85, 6.8], yaw_deg=-120.0, pitch_deg=-25.0, site_id="corner-ne"
+    )
+    mast = candidates[2]
+    return [
+        Layout(name="both", units=(corner, mast)),
+        Layout(name="one", units=(corner,)),
+        Layout(name="other", units=(replace(mast, id=corner.id),)),
+    ]
+
+
+@pytest.fixture(scope="module")
+def judged(setting, layouts):
+    return out_of_sample_layouts(setting, layouts, LOSSY, n_samples=12, seed=0)
+
+
+def _table(sample, *, seed=0, **options):
+    ((_, table),) = build_sample_tables([sample], seed=seed, **options)
+    return table
+
+
+def _avoided_by_hand(seen, axis, deadlines_s):
+    """The rule by hand: three frames in a row, 25 ms, the deadline."""
+    avoided = []
+    for run in range(axis.n_runs):
+        frames = axis.frames_of(run)
+        times, row = axis.time_s[frames], seen[frames]
+        confirmed = [t for k, t in enumerate(times) if k >= 2 and row[k - 2 : k + 1].all()]
+        avoided.append(bool(confirmed) and confirmed[0] + 0.025 <= deadlines_s[run] + 1e-9)
+    return np.array(avoided)
+
+
+def test_without_uncertainty_every_world_is_the_plan(setting, layouts):
+    axis, units = setting.axis, layouts[0].units
+    plan = build_detection_table(setting.scene, units, setting.runs, axis, detector=setting.planner)
+    seen = plan.detected(slice(None)).any(axis=0)
+    avoided = _avoided_by_hand(seen, axis, axis.last_brake_time_s)
+    result = out_of_sample(setting, layouts[0], Uncertainty(), n_samples=2)
+    assert result.apr_by_sample == pytest.approx(np.full(2, axis.weight @ avoided))
+    assert result.avoided_share.tolist() == avoided.astype(float).tolist()
+    assert avoided.any()
+
+
+def test_a_layout_is_worth_in_a_world_what_its_table_says(setting, layouts, judged):
+    axis, both = setting.axis, layouts[0]
+    samples = draw_samples(setting, both.units, LOSSY, n_samples=12, seed=0, purpose="judge")
+    for index, sample in enumerate(samples):
+        seen = _table(sample, seed=0).detected(slice(None)).any(axis=0)
+        deadlines_s = axis.last_brake_time_s - sample.extra_latency_s
+        avoided = _avoided_by_hand(seen, axis, deadlines_s)
+        assert judged[0].apr_by_sample[index] == pytest.approx(axis.weight @ avoided)
+
+
+def test_worlds_to_judge_in_are_not_those_to_choose_in(setting, layouts):
+    chosen_in, judged_in = (
+        [
+            (_table(s, seed=0).packed.tobytes(), s.extra_latency_s.tobytes())
+            for s in draw_samples(
+                setting, layouts[0].units, LOSSY, n_samples=3, seed=0, purpose=purpose
+            )
+        ]
+        for purpose in ("choose", "judge")
+    )
+    for part in (0, 1):
+        assert not {w[part] for w in chosen_in} & {w[part] for w in judged_in}
+
+
+def test_layouts_are_judged_in_the_same_worlds_alone_or_together(setting, layouts, judged):
+    for layout, together in zip(layouts, judged, strict=True):
+        alone = out_of_sample(setting, layout, LOSSY, n_samples=12, seed=0, workers=2)
+        assert alone.apr_by_sample.tolist() == together.apr_by_sample.tolist()
+        assert alone.layout is layout
+    both, one, other = judged
+    # More units never do harm, world by world; two units of one name are not confused.
+    assert (both.apr_by_sample >= np.maximum(one.apr_by_sample, other.apr_by_sample)).all()
+    assert not np.array_equal(one.avoided_share, other.avoided_share)
+
+
+def test_a_name_is_not_luck(setting, layouts, judged):
+    renamed = replace(
+        layouts[0], units=tuple(replace(u, id=f"U{n}") for n, u in enumerate(layouts[0].units))
+    )
+    again = out_of_sample(setting, renamed, LOSSY, n_samples=12, seed=0)
+    assert again.apr_by_sample.tolist() == judged[0].apr_by_sample.tolist()
+
+
+def test_numbers_of_a_judgement_belong_together(setting, judged):
+    for item in judged:
+        assert setting.axis.weight @ item.avoided_share == pytest.approx(item.estimate.mean)
+        assert item.worst == item.apr_by_sample.min() == item.cvar(0.0)
+        assert item.worst <= item.cvar(0.25) <= item.cvar(1.0) + 1e-12
+        assert item.cvar(1.0) == pytest.approx(item.estimate.mean)
+        assert item.estimate.low <= item.estimate.mean <= item.estimate.high
+    assert len({item.estimate.mean for item in judged}) > 1
+    assert max(np.ptp(item.apr_by_sample) for item in judged) > 0.0
+    assert repr(judged[0]).startswith("SampledApr('both': 0.")
+
+
+def test_another_seed_is_another_judgement(setting, layouts, judged):
+    other = out_of_sample(setting, layouts[0], LOSSY, n_samples=12, seed=1)
+    assert not np.array_equal(other.apr_by_sample, judged[0].apr_by_sample)
+
+
+def test_alone_a_unit_confirms_no_more_than_all_together(setting, layouts, judged):
+    single = out_of_sample(setting, layouts[0], LOSSY, n_samples=12, seed=0, fusion="single")
+    one, other = judged[1:]
+    assert (single.apr_by_sample <= judged[0].apr_by_sample + 1e-12).all()
+    assert (single.apr_by_sample >= np.maximum(one.apr_by_sample, other.apr_by_sample)).all()
+    assert single.estimate.mean < judged[0].estimate.mean
+
+
+def test_a_units_own_latency_counts(setting, layouts):
+    slow = replace(layouts[1], units=tuple(replace(u, latency_s=60.0) for u in layouts[1].units))
+    result = out_of_sample(setting, slow, Uncertainty(), n_samples=1)
+    assert result.estimate.mean == 0.0
+
+
+def test_progress_counts_worlds(setting, layouts):
+    calls = []
+    out_of_sample(
+        setting,
+        layouts[1],
+        Uncertainty(),
+        n_samples=2,
+        on_progress=lambda *call: calls.append(call),
+    )
+    assert calls == [("out of sample", done, 2) for done in (0, 1, 2)]
+
+
+def test_an_unknown_fusion_is_refused(setting, layouts):
+    with pytest.raises(InputError) as caught:
+        out_of_sample(setting, layouts[0], LOSSY, n_samples=1, fusion="all")
+    assert str(caught.value) == "--fusion: got 'all'; expected one of any, single"
+
+
+def test_a_judgement_must_fit_its_runs(setting, layouts):
+    with pytest.raises(InputError, match="avoided_share"):
+        SampledApr(
+            layout=layouts[0],
+            axis=setting.axis,
+            apr_by_sample=np.ones(3),
+            avoided_share=np.ones(setting.axis.n_runs + 1),
+        )
+
+
+def test_the_evaluator_takes_a_sampled_world_as_it_is(setting, layouts, default):
+    """Full perception of the units as they hang, past what stands in the street."""
+    units = layouts[1].units
+    (sample,) = draw_samples(setting, units, default, n_samples=1, seed=0, purpose="judge")
+    mounted = replace(layouts[1], units=sample.candidates)
+    evaluation = evaluate_layout(mounted, replace(sample.setting, links=setting.links))
+    lossless = replace(sample.setting, links=setting.links)
+    by_table = _table(replace(sample, setting=lossless), seed=0).detected([0])[0]
+    agreement = (evaluation.units[units[0].id].detected == by_table).mean()
+    assert agreement >= 0.95
+    assert by_table.any()

@@ -1,0 +1,152 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from geometry.errors import InputError
+from placement.sampling import cvar, estimate_mean
+
+shares = st.lists(st.floats(0.0, 1.0, allow_subnormal=False), min_size=1, max_size=12)
+
+
+@given(shares, st.integers(1, 40), st.integers(1, 40))
+def test_cvar_is_the_mean_of_the_worst_of_many_equal_parts(samples, a, b):
+    """Every sample cut into equal parts, so that the tail is a whole number of them."""
+    count, of = sorted((a, b))
+    n_parts = len(samples) * of  # of one sample, n_samples * of parts; the tail is count / of
+    tail_parts = count * len(samples) * len(samples)
+    parts = np.sort(np.repeat(samples, n_parts))
+    expected = parts[: max(tail_parts, n_parts)].mean()
+    assert cvar(samples, count / of) == pytest.approx(expected, abs=1e-9)
+
+
+@given(shares, st.floats(0.05, 1.0))
+def test_cvar_is_the_optimum_of_its_linear_programme(samples, tail):
+    """Least mean over all ways to spread a weight of 1, no sample more than 1 / (tail n)."""
+    n = len(samples)
+    spread = linprog(
+        samples,
+        A_eq=np.ones((1, n)),
+        b_eq=[1.0],
+        bounds=[(0.0, max(1.0 / (tail * n), 1.0 / n))] * n if tail * n >= 1.0 else [(0.0, 1.0)] * n,
+    )
+    assert cvar(samples, tail) == pytest.approx(spread.fun, abs=1e-7)
+
+
+@given(shares, st.floats(0.05, 1.0))
+def test_cvar_is_the_optimum_of_rockafellar_and_uryasevs_programme(samples, tail):
+    """Maximise t - sum s / (tail n) with s >= t - apr, s >= 0; t is free."""
+    n = len(samples)
+    solved = linprog(
+        [-1.0] + [1.0 / (tail * n)] * n,
+        A_ub=np.hstack([np.ones((n, 1)), -np.eye(n)]),
+        b_ub=samples,
+        bounds=[(-10.0, 10.0)] + [(0.0, None)] * n,
+    )
+    if tail * n >= 1.0:
+        assert cvar(samples, tail) == pytest.approx(-solved.fun, abs=1e-7)
+    else:  # the programme would go below the worst sample: there is no smaller part of it
+        assert cvar(samples, tail) == min(samples)
+
+
+@given(shares, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_cvar_grows_with_the_tail_from_the_worst_to_the_mean(samples, a, b):
+    small, large = sorted((a, b))
+    assert cvar(samples, small) <= cvar(samples, large) + 1e-12
+    assert cvar(samples, 0.0) == min(samples)
+    assert cvar(samples, 1.0) == pytest.approx(np.mean(samples))
+
+
+def test_a_sample_may_count_in_part():
+    assert cvar([0.0, 1.0, 1.0, 1.0], 0.5) == 0.5
+    assert cvar([0.0, 0.4, 1.0, 1.0], 0.375) == pytest.approx((0.0 + 0.5 * 0.4) / 1.5)
+    assert cvar([0.3, 0.2, 0.9], 1.0 / 3.0) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("tail", [-0.1, 1.1, math.nan, True, "0.1"])
+def test_a_tail_that_is_no_share_is_refused(tail):
+    with pytest.raises(InputError) as caught:
+        cvar([0.5], tail)
+    assert str(caught.value) == f"--tail: got {tail!r}; expected a share of the samples, 0 to 1"
+
+
+def test_nothing_has_neither_tail_nor_mean():
+    for call in (lambda: cvar([], 0.5), lambda: estimate_mean([])):
+        with pytest.raises(InputError) as caught:
+            call()
+        assert str(caught.value) == "samples: got none; expected at least one"
+
+
+# Mean and interval
+
+
+def test_the_interval_is_students():
+    """By hand: mean 0.5, deviation 0.1, t(3 degrees of freedom, 97.5 %) = 3.182446."""
+    estimate = estimate_mean([0.4, 0.6, 0.5 - 0.05 * math.sqrt(2.0), 0.5 + 0.05 * math.sqrt(2.0)])
+    assert estimate.mean == pytest.approx(0.5)
+    assert estimate.standard_error == pytest.approx(0.1 / 2.0)
+    assert estimate.low == pytest.approx(0.5 - 3.182446 * 0.05, abs=1e-6)
+    assert estimate.high == pytest.approx(0.5 + 3.182446 * 0.05, abs=1e-6)
+    assert estimate.method == "95 % interval: Student's t, 4 samples"
+
+
+def test_without_spread_a_few_worlds_may_still_differ():
+    """None of 30 differs: so says chance in 1 of 20 cases if 9.5 % of all worlds do."""
+    estimate = estimate_mean([1.0] * 30)
+    assert (estimate.mean, estimate.standard_error, estimate.high) == (1.0, 0.0, 1.0)
+    assert estimate.low**30 == pytest.approx(0.05)
+    assert estimate.method == "95 % interval: no spread in 30 samples, rule of three"
+    (half,) = [estimate_mean([0.5] * 30)]
+    assert half.low == pytest.approx(0.5 * estimate.low)
+    assert half.high == pytest.approx(1.0 - 0.5 * estimate.low)
+    one = estimate_mean([0.5])
+    assert math.isnan(one.standard_error)
+    assert (one.low, one.high) == (pytest.approx(0.025), pytest.approx(0.975))
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda rng, n: rng.beta(8.0, 2.0, n),
+        lambda rng, n: rng.uniform(0.0, 1.0, n),
+        lambda rng, n: 0.9 + 0.1 * (rng.random(n) < 0.5),
+    ],
+    ids=["beta", "uniform", "two values"],
+)
+def test_the_interval_holds_the_mean_about_as_often_as_it_says(draw):
+    truth = draw(np.random.default_rng(5), 1_000_000).mean()
+    rng = np.random.default_rng(6)
+    estimates = [estimate_mean(draw(rng, 20)) for _ in range(1500)]
+    covered = np.mean([estimate.low <= truth <= estimate.high for estimate in estimates])
+    assert 0.93 <= covered <= 0.975
+
+
+def test_the_interval_holds_the_mean_where_most_samples_are_equal():
+    """One world in fifty is bad: two thirds of all draws of 20 show none of them."""
+    rng = np.random.default_rng(7)
+    estimates = [estimate_mean(1.0 - 0.8 * (rng.random(20) < 0.02)) for _ in range(1500)]
+    truth = 1.0 - 0.8 * 0.02
+    assert np.mean([e.low <= truth <= e.high for e in estimates]) >= 0.95
+    by_t_alone = [e.low <= truth <= e.high for e in estimates if "Student" in e.method]
+    assert 0.2 < len(by_t_alone) / 1500 < 0.5  # without the rule of three most would miss
+
+
+@given(st.lists(st.floats(0.0, 1.0, allow_subnormal=False), min_size=2, max_size=30))
+def test_the_interval_is_around_the_mean_and_within_bounds(samples):
+    estimate = estimate_mean(samples)
+    assert 0.0 <= estimate.low <= estimate.mean <= estimate.high <= 1.0
+
+
+@pytest.mark.parametrize("bad", [[1.2], [-0.1, 0.5], [math.nan]])
+def test_what_is_no_ratio_has_no_interval(bad):
+    with pytest.raises(InputError):
+        estimate_mean(bad)
+
+
+@pytest.mark.parametrize("confidence", [0.0, 1.0, math.nan])
+def test_no_confidence_and_certainty_are_refused(confidence):
+    with pytest.raises(InputError, match="confidence"):
+        estimate_mean([0.5, 0.6], confidence=confidence)

@@ -1,0 +1,279 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import detection_tables
+
+from geometry.actors import Actor
+from geometry.errors import InputError
+from placement.sampling import (
+    LatencyJitter,
+    MountingErrors,
+    SampledTable,
+    StandingTraffic,
+    Uncertainty,
+    VehicleKind,
+    draw_samples,
+    load_uncertainty,
+    sampled_table,
+)
+from placement.sampling.tables import _append, build_sample_tables
+from placement.visibility import build_detection_table
+from scenarios.runs import confirmation_times_s
+
+
+def _table(sample, *, seed=0, **options):
+    ((_, table),) = build_sample_tables([sample], seed=seed, **options)
+    return table
+
+
+def _plan(setting, candidates, seed=0):
+    """The table of a plan in which nothing is uncertain."""
+    return build_detection_table(
+        setting.scene, candidates, setting.runs, setting.axis, detector=setting.planner, seed=seed
+    )
+
+
+@pytest.fixture(scope="module")
+def planned(setting, candidates):
+    return _plan(setting, candidates)
+
+
+@pytest.fixture(scope="module")
+def stacked(setting, candidates, default):
+    return sampled_table(setting, candidates, default, n_samples=3, seed=1)
+
+
+def _detected(table):
+    return table.detected(slice(None))
+
+
+# One table of many
+
+
+def test_without_uncertainty_one_sample_is_the_plans_table(setting, candidates, planned):
+    sampled = sampled_table(setting, candidates, Uncertainty(), n_samples=1)
+    table, axis = sampled.table, setting.axis
+    assert np.array_equal(table.packed, planned.packed)
+    assert table.packed.any()
+    assert table.pose_ids == planned.pose_ids
+    assert table.axis.run_ids == tuple(f"{run}#1" for run in axis.run_ids)
+    for name in ("cases", "approaches", "weathers"):
+        assert getattr(table.axis, name) == getattr(axis, name)
+    for name in ("vut_speed_kmh", "weight", "last_brake_time_s", "run_start", "time_s"):
+        assert np.array_equal(getattr(table.axis, name), getattr(axis, name))
+    assert sampled.sample_index.tolist() == [0] * axis.n_runs
+
+
+def test_without_uncertainty_many_samples_are_the_plans_table_again_and_again(
+    setting, candidates, planned
+):
+    sampled = sampled_table(setting, candidates, load_uncertainty("none"), n_samples=3)
+    assert planned.axis.n_frames % 8  # else the bits of the next world would begin a byte
+    assert np.array_equal(_detected(sampled.table), np.tile(_detected(planned), 3))
+    assert sampled.table.axis.weight == pytest.approx(np.tile(setting.axis.weight, 3) / 3.0)
+
+
+def test_worlds_stand_side_by_side_and_weigh_the_same(setting, candidates, default, stacked):
+    table, axis, n_runs = stacked.table, setting.axis, setting.axis.n_runs
+    assert table.axis.weight.sum() == pytest.approx(1.0, abs=1e-12)
+    assert stacked.sample_index.tolist() == [0] * n_runs + [1] * n_runs + [2] * n_runs
+    assert table.axis.run_ids[n_runs] == f"{axis.run_ids[0]}#2"
+    assert table.axis.cases == axis.cases * 3
+    samples = list(draw_samples(setting, candidates, default, n_samples=3, seed=1))
+    parts = [_table(sample, seed=1) for sample in samples]
+    assert np.array_equal(_detected(table), np.hstack([_detected(part) for part in parts]))
+    assert (
+        table.axis.last_brake_time_s.tolist()
+        == np.concatenate(
+            [axis.last_brake_time_s - sample.extra_latency_s for sample in samples]
+        ).tolist()
+    )
+    for run in range(table.axis.n_runs):
+        frames = table.axis.frames_of(run)
+        assert np.array_equal(table.axis.time_s[frames], axis.time_s[axis.frames_of(run % n_runs)])
+
+
+def test_the_same_seed_gives_the_same_table_and_another_one_another(
+    setting, candidates, default, stacked
+):
+    again = sampled_table(setting, candidates, default, n_samples=3, seed=1, workers=2)
+    assert np.array_equal(again.table.packed, stacked.table.packed)
+    assert np.array_equal(again.table.axis.last_brake_time_s, stacked.table.axis.last_brake_time_s)
+    other = sampled_table(setting, candidates, default, n_samples=1, seed=2)
+    n = setting.axis.n_frames
+    assert not np.array_equal(_detected(other.table), _detected(stacked.table)[:, :n])
+    parts = np.split(_detected(stacked.table), 3, axis=1)
+    assert not np.array_equal(parts[0], parts[1])
+
+
+def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planned):
+    late = Uncertainty(latency=LatencyJitter(mean_s=0.3))
+    sampled = sampled_table(setting, candidates, late, n_samples=1)
+    assert np.array_equal(sampled.table.packed, planned.packed)
+    before, after = setting.axis.last_brake_time_s, sampled.table.axis.last_brake_time_s
+    assert after == pytest.approx(before - 0.3)
+    # As good as a rule with the longer latency.
+    detected = _detected(planned).any(axis=0)
+    confirmed = confirmation_times_s(detected, setting.axis, n_confirmations=3)
+    latency_s = setting.rule.latency_s
+    assert ((confirmed + latency_s <= after) == (confirmed + latency_s + 0.3 <= before)).all()
+
+
+def test_units_that_are_off_detect_otherwise(setting, candidates, planned):
+    off = Uncertainty(mounting=MountingErrors(yaw_sd_deg=10.0))
+    sampled = sampled_table(setting, candidates, off, n_samples=1, seed=3)
+    (sample,) = draw_samples(setting, candidates, off, n_samples=1, seed=3)
+    by_hand = _plan(setting, sample.candidates, seed=3)
+    assert np.array_equal(sampled.table.packed, by_hand.packed)
+    assert not np.array_equal(sampled.table.packed, planned.packed)
+
+
+@given(detection_tables(), st.data())
+def test_apr_by_sample_is_the_weight_of_avoided_runs_of_each_world(drawn, data):
+    table, _ = drawn
+    n_runs = table.axis.n_runs
+    n_samples = data.draw(st.integers(1, n_runs))
+    index = data.draw(st.permutations([i % n_samples for i in range(n_runs)]))
+    weight = 1.0 + np.arange(n_runs)
+    axis = replace(table.axis, weight=weight / weight.sum())
+    avoided = np.array(data.draw(st.lists(st.booleans(), min_size=n_runs, max_size=n_runs)))
+    sampled = SampledTable(
+        table=replace(table, axis=axis), sample_index=np.array(index), n_samples=n_samples
+    )
+    expected = [
+        sum(w for w, a, i in zip(weight, avoided, index, strict=True) if a and i == sample)
+        / sum(w for w, i in zip(weight, index, strict=True) if i == sample)
+        for sample in range(n_samples)
+    ]
+    assert sampled.apr_by_sample(avoided) == pytest.approx(np.array(expected))
+
+
+@given(
+    st.integers(1, 40).flatmap(
+        lambda n: st.lists(st.lists(st.booleans(), min_size=n, max_size=n), min_size=1, max_size=4)
+    )
+)
+def test_bits_are_appended_where_they_belong(worlds):
+    n_bits, n = len(worlds[0]), len(worlds)
+    packed = np.zeros((2, -(-n * n_bits // 8)), dtype=np.uint8)
+    for index, bits in enumerate(worlds):
+        rows = np.array([bits, [not bit for bit in bits]])
+        part = np.packbits(rows, axis=1, bitorder="little")
+        _append(packed, part, first_bit=index * n_bits, n_bits=n_bits)
+    found = np.unpackbits(packed, axis=1, count=n * n_bits, bitorder="little").astype(bool)
+    assert found[0].tolist() == [bit for bits in worlds for bit in bits]
+    assert np.array_equal(found[1], ~found[0])
+    assert not np.unpackbits(packed, axis=1, bitorder="little")[:, n * n_bits :].any()
+
+
+def test_a_sample_index_must_fit(stacked):
+    with pytest.raises(InputError, match="sample_index: got shape"):
+        SampledTable(table=stacked.table, sample_index=np.zeros(2, dtype=int), n_samples=1)
+    with pytest.raises(InputError, match=r"expected 0 \.\. 3, each"):
+        replace(stacked, n_samples=4)
+
+
+def test_workers_are_checked(setting, candidates):
+    with pytest.raises(InputError) as caught:
+        sampled_table(setting, candidates, Uncertainty(), n_samples=1, workers=0)
+    assert str(caught.value) == "workers: got 0; expected a whole number, at least 1"
+
+
+# Cache and progress
+
+
+def test_each_world_has_a_cached_table_of_its_own(setting, candidates, default, stacked, tmp_path):
+    calls = []
+    for n_samples in (2, 3, 3):
+        found = sampled_table(
+            setting,
+            candidates,
+            default,
+            n_samples=n_samples,
+            seed=1,
+            cache_folder=tmp_path,
+            on_progress=lambda *call: calls.append(call),
+        )
+        assert len(list(tmp_path.glob("table-*.npz"))) == n_samples
+    assert np.array_equal(found.table.packed, stacked.table.packed)
+    stage = "sampled detection tables"
+    built, cached = (stage, 5, 6), (stage, 3, 3)
+    assert built in calls  # two mount positions in each of three worlds
+    assert calls[0] == (stage, 0, 0)
+    assert calls[-3:] == [(stage, 1, 3), (stage, 2, 3), cached]
+
+
+def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
+    from placement.detectors import load_planning_detector
+
+    chancy = replace(setting, planner=load_planning_detector("response"))
+    drawn = Uncertainty(draws_detections=True)
+    options = {"n_samples": 2, "cache_folder": tmp_path}
+    first = sampled_table(chancy, candidates, drawn, **options)
+    assert len(list(tmp_path.iterdir())) == 2
+    again = sampled_table(chancy, candidates, drawn, **options)
+    assert np.array_equal(again.table.packed, first.table.packed)
+    sampled_table(chancy, candidates, Uncertainty(), **options)
+    assert len(list(tmp_path.iterdir())) == 3  # both worlds are the plan
+    linked = replace(chancy, planner=replace(chancy.planner, frame_correlation=0.1))
+    other = sampled_table(linked, candidates, drawn, **options)
+    assert len(list(tmp_path.iterdir())) == 5
+    assert not np.array_equal(other.table.packed, first.table.packed)
+
+
+# A queue hides a VRU
+
+
+def _queue_of(actor: Actor, share: float) -> Uncertainty:
+    kind = VehicleKind(actor=actor, parked_share=0.0, waiting_share=1.0)
+    return Uncertainty(traffic=StandingTraffic(waiting_share=share, vehicles=(kind,)))
+
+
+@pytest.fixture(scope="module")
+def truck(default):
+    (found,) = [k.actor for k in default.traffic.vehicles if k.actor.name == "truck"]
+    return found
+
+
+def test_a_vehicle_that_waits_hides_a_vru_behind_it(
+    junction_scene, standing_still, build_setting, look, keen, truck
+):
+    """By hand: a box from 12.5 to 20.5 m east, 0.5 to 3.0 m north, 3.4 m high.
+
+    The VRU stands 3 m north of it, the cameras 10.5 m south of it. A ray down to the road below
+    the VRU passes the box's upper edge, 13 m away of 16 m, at 3/16 of the camera's height: from
+    20 m up all of the VRU is seen; from 9 m up the lowest ray over the edge is 2.11 m high there,
+    above its 1.8 m.
+    """
+    assert (truck.length_m, truck.width_m, truck.height_m) == (8.0, 2.5, 3.4)
+    setting = build_setting(junction_scene, [standing_still([16.5, 6.0])], planner=keen)
+    cameras = [
+        look(f"{z:g}", [16.5, -10.0, z], yaw_deg=90.0, pitch_deg=pitch)
+        for z, pitch in ((9.0, -25.0), (20.0, -50.0))
+    ]
+    rows = {
+        share: _detected(
+            sampled_table(setting, cameras, _queue_of(truck, share), n_samples=1).table
+        )
+        for share in (0.0, 1.0)
+    }
+    assert rows[0.0].all()
+    low, high = rows[1.0]
+    assert not low.any()
+    assert high.all()
+
+
+def test_what_waits_in_the_way_of_the_vut_hides_nothing(
+    junction_scene, junction_runs, standing_still, build_setting, look, keen, truck
+):
+    """The same box, but the VUT comes from the east, in whose lane it would stand."""
+    runs = [standing_still([16.5, 6.0], run=junction_runs[way]) for way in ("west", "east")]
+    setting = build_setting(junction_scene, runs, planner=keen)
+    camera = look("low", [16.5, -10.0, 9.0], yaw_deg=90.0, pitch_deg=-25.0)
+    (row,) = _detected(sampled_table(setting, [camera], _queue_of(truck, 1.0), n_samples=1).table)
+    hidden, seen = (row[setting.axis.frames_of(index)] for index in (0, 1))
+    assert not hidden.any()
+    assert seen.all()

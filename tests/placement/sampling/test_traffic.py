@@ -1,0 +1,266 @@
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from junctions import MOUTH_M, build_scene, protocol_scene
+
+from geometry.actors import load_actors
+from geometry.footprints import footprint_corners, footprint_separation
+from geometry.junction import Line, build_junction
+from geometry.scene_files import load_study_scene
+from placement.sampling import StandingTraffic, VehicleKind, draw_samples
+from placement.sampling.luck import Luck
+from placement.sampling.traffic import build_street, clear_of_ways, stop_line_m
+from placement.sampling.ways import build_ways, group_key
+from scenarios.cases import load_cases
+from scenarios.runs import build_runs
+
+
+def _rng(index=0, seed=3):
+    return Luck(seed=seed, purpose="choose", index=index).rng
+
+
+def _traffic(*, body="parked-van", **fields):
+    kind = VehicleKind(actor=load_actors()[body], parked_share=1.0, waiting_share=1.0)
+    return StandingTraffic(**{"vehicles": (kind,), **fields})
+
+
+def _corners(placed):
+    return footprint_corners(
+        placed.pose.position_m[:2],
+        placed.pose.yaw_deg,
+        length_m=placed.actor.length_m,
+        width_m=placed.actor.width_m,
+    )
+
+
+# Where they stand
+
+
+def test_a_full_parking_lane_is_a_row_of_bumpers(junction_scene):
+    traffic = _traffic(taken_share=1.0, parked_gap_m=0.8, clear_of_mouth_m=5.0, along_arm_m=40.0)
+    vehicles = build_street(junction_scene, traffic).draw(_rng())
+    van = traffic.vehicles[0].actor
+    # From 5 m to 40 m behind the mouth: 4.9 m and 0.8 m, six times.
+    ahead = 5.0 + 0.5 * van.length_m + 5.7 * np.arange(6)
+    beside = 3.5 + 0.5 * 2.6
+    on_east_arm = sorted(
+        (v.pose.position_m[1], v.pose.position_m[0], v.pose.yaw_deg)
+        for v in vehicles
+        if v.pose.position_m[0] > MOUTH_M
+    )
+    assert len(vehicles) == 4 * 12
+    expected = [(-beside, MOUTH_M + x, 0.0) for x in ahead]  # out of the junction: eastwards
+    expected += [(beside, MOUTH_M + x, 180.0) for x in ahead]
+    assert np.array(on_east_arm) == pytest.approx(np.array(expected), abs=1e-9)
+    assert all(v.pose.position_m[2] == 0.0 and v.pose.pitch_deg == 0.0 for v in vehicles)
+
+
+def test_an_empty_street_is_empty(junction_scene):
+    assert build_street(junction_scene, _traffic()).draw(_rng()) == ()
+
+
+def test_the_share_of_places_taken_is_as_asked(junction_scene):
+    # Places and vehicles are equally long here: every place is a coin of its own.
+    traffic = _traffic(taken_share=0.3, free_place_m=5.7, parked_gap_m=0.8, along_arm_m=62.0)
+    street = build_street(junction_scene, traffic)
+    n_places = 8 * 10
+    counts = [len(street.draw(_rng(index))) for index in range(60)]
+    error = np.sqrt(0.3 * 0.7 / (60 * n_places))
+    assert np.mean(counts) / n_places == pytest.approx(0.3, abs=4.0 * error)
+    assert len(set(counts)) > 5
+
+
+def test_a_queue_begins_at_the_stop_line_and_goes_on_behind(junction_scene):
+    traffic = _traffic(
+        waiting_share=1.0,
+        following_share=1.0,
+        waiting_gap_m=2.0,
+        crosswalk_gap_m=3.0,
+        along_arm_m=30.0,
+    )
+    vehicles = build_street(junction_scene, traffic).draw(_rng())
+    # Pedestrians cross 2 m inside the mouth: the first bumper is 1 m behind it.
+    middles = MOUTH_M + 1.0 + 2.45 + 6.9 * np.arange(4)
+    found = sorted(v.pose.position_m[0] for v in vehicles if v.pose.position_m[0] > MOUTH_M)
+    assert found == pytest.approx(middles.tolist())
+    assert {round(v.pose.position_m[1], 9) for v in vehicles if v.pose.yaw_deg == 180.0} == {1.75}
+
+
+def test_queues_are_as_long_as_the_shares_say(junction_scene):
+    street = build_street(
+        junction_scene, _traffic(waiting_share=0.4, following_share=0.5, along_arm_m=80.0)
+    )
+    lengths = Counter()
+    for index in range(150):
+        arms = Counter(
+            int(np.argmax([x, y, -x, -y]))
+            for x, y, _ in (v.pose.position_m for v in street.draw(_rng(index)))
+        )
+        lengths.update(arms[arm] for arm in range(4))
+    total = 4 * 150
+    for n, share in ((0, 0.6), (1, 0.4 * 0.5), (2, 0.4 * 0.25)):
+        error = np.sqrt(share * (1.0 - share) / total)
+        assert lengths[n] / total == pytest.approx(share, abs=4.0 * error)
+
+
+def test_the_stop_line_is_at_the_mouth_or_before_the_crosswalk(junction_scene):
+    arm = build_junction(junction_scene).arms["east"]
+    (lane,) = arm.entry_lanes
+    assert stop_line_m(arm, lane, 3.0) == pytest.approx(1.0)
+    assert stop_line_m(arm, lane, 1.5) == 0.0
+    outside = replace(arm, crosswalk=Line(point_m=np.array([20.0, 0.0]), direction=[0.0, 1.0]))
+    assert stop_line_m(outside, lane, 3.0) == pytest.approx(8.5 + 3.0)
+    along = replace(arm, crosswalk=Line(point_m=np.array([20.0, 0.0]), direction=[1.0, 0.0]))
+    assert stop_line_m(along, lane, 3.0) == 0.0
+
+
+def test_kinds_come_as_often_as_their_shares_say(junction_scene):
+    actors = load_actors()
+    kinds = (
+        VehicleKind(actor=actors["parked-van"], parked_share=0.25, waiting_share=0.0),
+        VehicleKind(actor=actors["parked-car-small"], parked_share=0.75, waiting_share=1.0),
+    )
+    traffic = _traffic(vehicles=kinds, taken_share=1.0, waiting_share=1.0)
+    street = build_street(junction_scene, traffic)
+    parked, waiting = Counter(), Counter()
+    for index in range(12):
+        for placed in street.draw(_rng(index)):
+            beside_m = np.abs(placed.pose.position_m[:2]).min()
+            (waiting if beside_m < 3.5 else parked)[placed.actor.name] += 1
+    n = parked.total()
+    assert parked["parked-van"] / n == pytest.approx(0.25, abs=4.0 * np.sqrt(0.1875 / n))
+    assert set(waiting) == {"parked-car-small"}
+
+
+def test_nobody_stands_in_a_wall_or_in_another_one(default):
+    scene = protocol_scene(boxes=[("wall", 40.0, 1.75, 0.3, 6.0, 2.0)])
+    traffic = _traffic(waiting_share=1.0, following_share=1.0, waiting_gap_m=0.1, along_arm_m=60.0)
+    east = [
+        _corners(v)
+        for v in build_street(scene, traffic).draw(_rng())
+        if v.pose.position_m[0] > MOUTH_M
+    ]
+    assert len(east) == 10  # eleven would fit
+    assert all(c[:, 0].max() < 39.85 or c[:, 0].min() > 40.15 for c in east)
+    street = build_street(load_study_scene(), replace(default.traffic, taken_share=1.0))
+    corners = [_corners(v) for v in street.draw(_rng())]
+    for i, one in enumerate(corners):
+        for other in corners[:i]:
+            assert footprint_separation(one, other) > 0.0
+
+
+def test_a_bridge_above_the_roofs_is_in_nobodys_way():
+    """A box on the ground stands in the way, one at 3 m above a van does not."""
+    scene = protocol_scene(boxes=[("wall", 14.0, 1.75, 0.3, 6.0, 2.0)])
+    lifted = replace(
+        scene,
+        vertices_m=scene.vertices_m
+        + np.where(np.arange(len(scene.vertices_m)) >= 3, 3.0, 0.0)[:, None] * [0.0, 0.0, 1.0],
+    )
+    traffic = _traffic(waiting_share=1.0)
+    counts = [len(build_street(s, traffic).draw(_rng())) for s in (scene, lifted)]
+    assert counts == [3, 4]
+
+
+def test_what_stands_in_one_lane_does_not_depend_on_the_others(default, junction_scene):
+    fewer = replace(
+        junction_scene,
+        lanes=tuple(lane for lane in junction_scene.lanes if "north" not in lane.id),
+    )
+    all_arms, three_arms = (
+        {v.key for v in build_street(scene, default.traffic).draw(_rng())}
+        for scene in (junction_scene, fewer)
+    )
+    assert three_arms < all_arms
+
+
+# Whose way they stand in
+
+
+@pytest.fixture(scope="module")
+def many_ways(actors, rule):
+    """Crossing, turning, longitudinal and obstructed cases at the study's junction."""
+    names = ("CPNCO-50", "CPTAfs-50", "CBTAns-0", "CPLA-25", "CBNA", "CPFA-50")
+    cases = [
+        replace(
+            case, vut_speeds_kmh=tuple(sorted({min(case.vut_speeds_kmh), case.vut_speeds_kmh[-1]}))
+        )
+        for case in (load_cases()[name] for name in names)
+    ]
+    runs, _ = build_runs(load_study_scene(), cases, vut=actors["vut"], rule=rule)
+    return runs
+
+
+def _swept(run, rule):
+    """Footprints of VUT and VRU every two centimetres, until the VUT stands if it brakes at 0."""
+    encounter = run.encounter
+    speed = encounter.vut_motion.speed_mps
+    stop_s = speed / rule.deceleration_mps2
+    stop_m = 0.5 * speed**2 / rule.deceleration_mps2
+    vut_m = float(encounter.vut_motion.distance_m(0.0)) + stop_m
+    vru_m = float(encounter.vru_motion.distance_m(stop_s))
+    for body, motion, end_m in (
+        (encounter.vut, encounter.vut_motion, vut_m),
+        (encounter.vru, encounter.vru_motion, vru_m),
+    ):
+        position, yaw = motion.path.at(np.arange(0.0, end_m, 0.02))
+        yield footprint_corners(position, yaw, length_m=body.length_m, width_m=body.width_m)
+
+
+def test_no_sampled_vehicle_stands_in_a_swept_path(many_ways, build_setting, default, rule):
+    assert rule.build_up_s == 0.0
+    setting = build_setting(load_study_scene(), many_ways)
+    crowded = replace(
+        default,
+        traffic=replace(default.traffic, taken_share=0.9, waiting_share=0.9, clear_of_mouth_m=0.0),
+    )
+    n_standing = n_left_out = 0
+    for sample in draw_samples(setting, (), crowded, n_samples=1, seed=4):
+        for run, planned in list(zip(sample.setting.runs, many_ways, strict=True))[::2]:
+            own, added = np.split(np.array(run.obstruction), [len(planned.obstruction)])
+            assert tuple(own) == planned.obstruction
+            n_standing += len(added)
+            n_left_out += len(sample.vehicles) - len(added)
+            for swept in _swept(run, rule):
+                for placed in added:
+                    near = np.hypot(*(swept.mean(axis=1) - placed.pose.position_m[:2]).T) < 12.0
+                    apart = footprint_separation(swept[near], _corners(placed))
+                    assert apart.min(initial=np.inf) > crowded.traffic.clearance_m - 1e-9
+            for placed in added:
+                for other in planned.obstruction:
+                    assert footprint_separation(_corners(placed), _corners(other)) > 0.0
+    assert n_standing > 2 * n_left_out > 50
+
+
+def test_only_what_is_in_the_way_is_left_out(junction_scene, junction_runs, rule):
+    """Queues on all arms: gone is the one in whose lane the VUT comes."""
+    traffic = _traffic(waiting_share=1.0)
+    vehicles = build_street(junction_scene, traffic).draw(_rng())
+    assert len(vehicles) == 4
+    ways = build_ways(list(junction_runs.values()), rule)
+    clear = clear_of_ways(vehicles, ways, clearance_m=0.5)
+    directions = {"east": (1, 0), "north": (0, 1), "west": (-1, 0), "south": (0, -1)}
+    for approach, run in junction_runs.items():
+        gone = set(vehicles) - set(clear[group_key(run)])
+        (one,) = gone
+        assert one.pose.position_m[:2] @ directions[approach] > MOUTH_M
+
+
+def test_all_speeds_of_a_case_see_the_same_street(runs, build_setting, default):
+    setting = build_setting(load_study_scene(), runs)
+    (sample,) = draw_samples(setting, (), default, n_samples=1, seed=0)
+    streets = {}
+    for run in sample.setting.runs:
+        streets.setdefault((run.case.name, run.approach), set()).add(
+            tuple(placed.key for placed in run.obstruction)
+        )
+    assert {len(street) for street in streets.values()} == {1}
+
+
+def test_a_scene_without_a_junction_has_no_street(default):
+    from geometry.errors import InputError
+
+    with pytest.raises(InputError, match="lanes that begin or end at the outline"):
+        build_street(build_scene(()), default.traffic)

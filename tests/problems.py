@@ -1,0 +1,111 @@
+"""Hypothesis strategies for placement problems: small ones, and every question asked of them."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from hypothesis import strategies as st
+
+from placement.detection_table import pack_table
+from placement.optimiser import Floor, Limits, PlacementProblem
+from scenarios.aeb import AebRule
+from scenarios.runs import FrameAxis
+
+
+@st.composite
+def problems(draw: st.DrawFn) -> PlacementProblem:
+    """Small tables, frames at 10 Hz that end at the impact, any deadlines and weights."""
+    # Sizes are Hypothesis's, what stands in the tables is random: small values of everything at
+    # once, as Hypothesis likes them, leave nothing to choose.
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n_runs = draw(st.integers(1, 4))
+    n_frames = rng.integers(draw(st.sampled_from([6, 1])), 9, size=n_runs)
+    share = rng.integers(draw(st.integers(0, 1)), 4, size=n_runs).astype(np.float64)
+    share[0] += 1.0
+    last_brake = rng.choice([-0.01, -0.125, -0.325, -np.inf], n_runs, p=[0.4, 0.3, 0.2, 0.1])
+    last_brake -= rng.random(n_runs) * draw(st.sampled_from([0.0, 0.3]))
+    axis = FrameAxis(
+        run_ids=tuple(map(str, range(n_runs))),
+        cases=("CPNA-50",) * n_runs,
+        approaches=("north",) * n_runs,
+        weathers=("day",) * n_runs,
+        vut_speed_kmh=np.full(n_runs, 30.0),
+        weight=share / share.sum(),
+        last_brake_time_s=last_brake,
+        run_start=np.cumsum([0, *n_frames]),
+        time_s=np.concatenate([np.arange(1 - n, 1) / 10.0 for n in n_frames]),
+    )
+    n_poses = draw(st.sampled_from([8, 7, 6, 5, 4, 3, 2, 1]))
+    detected = rng.random((n_poses, n_frames.sum())) < draw(st.sampled_from([0.6, 0.8, 0.4]))
+    n_sites = draw(st.sampled_from(sorted({n_poses, 1 + n_poses // 2, 1})))
+    site_index = rng.integers(n_sites, size=n_poses)
+    site_capacity = rng.integers(1, 3, size=n_sites)
+    max_units = np.minimum(site_capacity, np.bincount(site_index, minlength=n_sites)).sum()
+    return PlacementProblem(
+        table=pack_table(tuple(map(str, range(n_poses))), axis, detected),
+        limits=Limits(
+            site_index=site_index,
+            site_capacity=site_capacity,
+            budget_units=min(draw(st.sampled_from([3, 2, 1])), int(max_units)),
+            unit_cost_eur=np.full(n_poses, 1500.0),
+        ),
+        fusion=draw(st.sampled_from(["any", "single"])),
+        rule=AebRule(
+            deceleration_mps2=7.72,
+            latency_s=0.025,
+            n_confirmations=draw(st.sampled_from([2, 3, 1])),
+            frame_rate_hz=10.0,
+        ),
+    )
+
+
+@st.composite
+def questions(draw: st.DrawFn) -> PlacementProblem:
+    """Any problem with any wishes; many cannot be met."""
+    problem = draw(problems())
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    limits, n_poses, n_runs = problem.limits, problem.table.n_poses, problem.table.axis.n_runs
+    n_sites = limits.n_sites
+    kinds = draw(st.sets(st.sampled_from(["money", "wishes", "floors", "failures", "samples"])))
+    if "money" in kinds:
+        limits = replace(
+            limits,
+            unit_cost_eur=rng.integers(1, 4, n_poses).astype(np.float64),
+            site_cost_eur=rng.integers(0, 3, n_sites).astype(np.float64),
+            budget_eur=draw(st.sampled_from([None, 8.0, 5.0, 3.0])),
+        )
+    if "wishes" in kinds:
+        rivals = [(a, b) for a, b in combinations(range(n_sites), 2) if rng.random() < 0.2]
+        limits = replace(
+            limits,
+            is_forced=rng.random(n_poses) < 0.15,
+            is_forbidden=rng.random(n_poses) < 0.15,
+            is_forced_site=rng.random(n_sites) < 0.15,
+            rivals=np.array(rivals, dtype=np.int64).reshape(-1, 2),
+        )
+    floors: list[Floor] = []
+    n_failures = draw(st.integers(0, 2)) if "failures" in kinds else 0
+    if "floors" in kinds:
+        floors.append(
+            Floor(name="--target", share=rng.choice([1.0, 0.75, 0.5]), n_failures=n_failures)
+        )
+        counted = rng.random(n_runs) < 0.5
+        if problem.table.axis.weight[counted].sum() > 0.0:
+            share = rng.choice([1.0, 0.5])
+            floors.append(Floor(name="--min-case-apr", share=share, is_counted=counted))
+    sample_index = None
+    weight = problem.table.axis.weight
+    if "samples" in kinds:
+        sample_index = rng.integers(0, 2, n_runs)
+        if not (np.bincount(sample_index, weights=weight, minlength=2) > 0.0).all():
+            sample_index = None
+    goals = ["best", "fewest", "cheapest"] if floors else ["best"]
+    return replace(
+        problem,
+        limits=limits,
+        floors=tuple(floors),
+        goal=draw(st.sampled_from(goals)),
+        survive=0 if floors else n_failures,
+        sample_index=sample_index,
+        tail=1.0 if sample_index is None else draw(st.sampled_from([1.0, 0.5, 0.1])),
+    )
