@@ -25,6 +25,7 @@ from .cli_planning import check_asked, planning_options
 from .cli_recording import check_recording_options, is_given, recording_options
 from .cli_render import render
 from .cli_scenarios import scenarios
+from .cli_solve import solve
 from .progress import Interrupted, StageProgress, ending_on_signals
 from .question import Planning, Question
 from .recording_tables import recorded_placement_table, recording_table
@@ -287,6 +288,7 @@ def export(*, layout_names: tuple[str, ...], format_name: str, out: Path | None)
 cli.add_command(latency)
 cli.add_command(render)
 cli.add_command(scenarios)
+cli.add_command(solve)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 from itertools import count
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from geometry.arrays import FloatArray, IntArray
 
-from .coverage import Bound, Coverage, can_matter
+from .coverage import Bound, Coverage, ValueArray, can_matter
 from .lazy_greedy import fill, swap
 from .multipliers import tighten
 
@@ -57,13 +58,13 @@ class _Node:
     number: int
     pool: IntArray = field(compare=False)
     groups: tuple[IntArray, ...] = field(compare=False)  # poses of the whole coverage
-    multipliers: FloatArray = field(compare=False)
+    multipliers: ValueArray = field(compare=False)
 
 
 def branch_and_bound(
     coverage: Coverage,
     incumbent: IntArray,
-    multipliers: FloatArray,
+    multipliers: ValueArray,
     *,
     gap: float = 0.0,
     time_limit_s: float = 60.0,
@@ -99,7 +100,21 @@ def branch_and_bound(
     Nodes with the highest limit first: good sets come from exchanges rather than from the depth,
     and so the proven limit falls from node to node.
     """
-    end_s = time.monotonic() + time_limit_s
+    with threadpool_limits(1):  # products are too small for BLAS's threads
+        return _search(
+            coverage, incumbent, multipliers, gap, time.monotonic() + time_limit_s, max_nodes, workers
+        )
+
+
+def _search(
+    coverage: Coverage,
+    incumbent: IntArray,
+    multipliers: ValueArray,
+    gap: float,
+    end_s: float,
+    max_nodes: int | None,
+    workers: int,
+) -> Search:
     best, value = incumbent, coverage.value(incumbent)
     numbers = count()
     root = _Node(

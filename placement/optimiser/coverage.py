@@ -23,6 +23,7 @@ from .supply import Pick, Supply
 ValueArray = NDArray[np.float32] | NDArray[np.float64]
 
 _BLOCK_VALUES = 1 << 18  # differences of so many values at a time stay in the cache
+_WORTH_THREADS = 1 << 21  # values: with fewer, threads take longer to start than to work
 _ROUNDING = 1.0 + 2.0**-22  # float32 differences are within one part in 2**24
 
 
@@ -143,7 +144,7 @@ def gains(
         over.sum(axis=1, dtype=np.float64, out=result[part])
 
     starts = range(0, n_poses, step)
-    if workers == 1 or len(starts) == 1:
+    if workers == 1 or n_poses * values.shape[1] < _WORTH_THREADS:
         for start in starts:
             work(start)
     else:

@@ -7,9 +7,9 @@ columns, independent parts [1]_ [2]_. Each is a function of its own and changes 
 References
 ----------
 .. [1] J. E. Beasley, "An algorithm for set covering problem", European Journal of Operational
-   Research 31, 1987: reductions 1 to 4.
-.. [2] M. Brévilliers, J. Lepagnot, L. Idoumghar et al., GECCO 2020 competition on the optimal
-   camera placement problem and the unicost set covering problem.
+   Research 31, 1987.
+.. [2] "Weighting-based Variable Neighborhood Search for Optimal Camera Placement", HAL
+   hal-04322244: four reduction rules based on dominance and independence.
 """
 
 from dataclasses import dataclass, fields
@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .containment import first_equal, supersets
+from .covering_containment import first_equal, supersets
 from .covering_instance import CoveringInstance
 from .covering_questions import TOLERANCE
 

@@ -26,7 +26,7 @@ MAX_UNITS = 8
 SURE_UNITS = 3
 """Budgets for which it comes to an end: the last three columns need no branches."""
 
-_MAX_CELLS = 2.0e8  # of the dense matrix, and of the overlaps of all pairs
+_MAX_CELLS = 1.0e8  # of the dense matrix, and of the overlaps of all pairs
 _BLOCK = 1 << 22  # cells worked on at once
 _GATHER_PENALTY = 20  # a pair picked out costs as much as so many of a matrix product
 _EXACT_FLOAT32 = 1 << 24  # whole numbers up to it have no rounding error in float32

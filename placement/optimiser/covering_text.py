@@ -12,9 +12,9 @@ References
    optimal camera placement problem and the unicost set covering problem", documentation.
 """
 
+import contextlib
 import re
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,7 @@ from geometry.errors import InputError, Unquoted
 
 from .covering_instance import CoveringInstance
 
+_ORLIB, _GECCO = "orlib", "gecco"
 _MAX_SIZE = 10_000_000  # rows, columns: what a file of a few bytes may make us allocate
 _NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _CHARACTERS = b"0123456789+-.eE \t\n\r\v\f"
@@ -94,7 +95,8 @@ def parse_covering_text(data: bytes, where: str, format_name: str | None) -> Cov
     where : str
         Its name, for messages.
     format_name : str or None
-        A name of :data:`TEXT_FORMATS`; None: the one that it fits.
+        A name of :data:`TEXT_FORMATS`; None: the one that it fits. Few numbers can fit both: it is
+        GECCO's then if each line is a sample.
 
     Returns
     -------
@@ -118,13 +120,17 @@ def parse_covering_text(data: bytes, where: str, format_name: str | None) -> Cov
     if len(fits) == 1:
         return next(iter(fits.values()))
     if fits:
+        lines = list(_are_samples(data))
+        if lines and all(lines):
+            return fits[_GECCO]
         raise InputError(
             where,
             Unquoted("numbers that fit more than one format"),
             "--format " + " or ".join(fits),
         )
-    # The format that it fits longest is the one that was meant.
-    name = max(misfits, key=lambda each: misfits[each].index)
+    # The format that was meant: the one with such lines, else the one that it fits longest.
+    has_samples = next(_are_samples(data), False)
+    name = max(misfits, key=lambda each: (each == _GECCO and has_samples, misfits[each].index))
     index = misfits[name].index
     raise InputError(
         f"{where}: {numbers.place(index)}",
@@ -138,8 +144,7 @@ def _numbers(data: bytes, where: str) -> _Numbers:
     start = np.flatnonzero(~is_blank & np.append(True, is_blank[:-1])[: len(is_blank)])
     value = np.empty(0)
     if not data.translate(None, _CHARACTERS):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # reads as far as it can
+        with contextlib.suppress(ValueError):  # such as a sign without digits, told below
             value = np.fromstring(data.decode("ascii"), sep=" ")
     if len(value) != len(start) or not np.isfinite(value).all():
         for index, offset in enumerate(start):
@@ -152,6 +157,14 @@ def _numbers(data: bytes, where: str) -> _Numbers:
                     "a number (format orlib or gecco), or an .npz file of this program",
                 )
     return _Numbers(data=data, start=start, value=value)
+
+
+def _are_samples(data: bytes) -> Iterator[bool]:
+    """Whether each line after the first is a sample of GECCO's: id, count, so many ids."""
+    for line in data.splitlines()[1:]:
+        numbers = line.split()
+        if numbers:
+            yield len(numbers) > 1 and numbers[1] == str(len(numbers) - 2).encode()
 
 
 def _token(data: bytes, offset: int, *, longest: int | None = 40) -> str:
@@ -229,8 +242,8 @@ def _instance(
 
 
 _READERS: Mapping[str, Callable[[_Numbers], CoveringInstance]] = {
-    "orlib": _read_orlib,
-    "gecco": _read_gecco,
+    _ORLIB: _read_orlib,
+    _GECCO: _read_gecco,
 }
 
 TEXT_FORMATS = tuple(_READERS)

@@ -1,7 +1,7 @@
 """Optimisation instances from and to disk: this program's own, OR-Library's, GECCO 2020's."""
 
 import stat
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,10 +18,9 @@ NPZ = "npz"
 FORMATS = (NPZ, *TEXT_FORMATS)
 """Names of the formats that :func:`load_instance` reads; of its own, npz."""
 
-COVERING = "covering"
-"""Kind of an instance: any set of columns covers what its columns cover one by one."""
+KIND = "place-rsus/covering-instance/1"
+"""What our own files say they hold; raise the number whenever the fields change."""
 
-_FORMAT = "place-rsus/instance/1"  # raise it whenever files of before cannot be read any more
 _ZIP_MAGIC = b"PK"
 _MAX_BYTES = 1 << 30
 _MAX_UNPACKED_BYTES = 1 << 32
@@ -95,8 +94,7 @@ def save_instance(path: Path, instance: CoveringInstance) -> None:
         path,
         lambda file: np.savez_compressed(
             file,
-            format=_FORMAT,
-            kind=COVERING,
+            kind=KIND,
             n_rows=instance.n_rows,
             covered_rows_start=covers.indptr,
             covered_rows=covers.indices,
@@ -106,6 +104,27 @@ def save_instance(path: Path, instance: CoveringInstance) -> None:
             numbered_from=instance.numbered_from,
         ),
     )
+
+
+def instance_kind(path: Path) -> str | None:
+    """What a file of this program says it holds, so that other kinds can be read elsewhere.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    kind : str or None
+        Such as :data:`KIND`; None: it cannot be read, or is none of this program's files.
+    """
+    try:
+        # Opened here: numpy does not close a file that turns out to be no archive.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            return str(stored["kind"])
+    except Exception:  # what is wrong with it is told by what reads it
+        return None
 
 
 def _load_npz(file: BinaryIO, where: str) -> CoveringInstance:
@@ -126,17 +145,11 @@ def _load_npz(file: BinaryIO, where: str) -> CoveringInstance:
         raise InputError(
             where, Unquoted(f"a damaged file ({words})"), "an .npz file of this program"
         ) from None
-    if str(fields.get("format", "")) != _FORMAT:
-        raise InputError(
-            f"{where}: format",
-            str(fields["format"]) if "format" in fields else Unquoted("nothing"),
-            repr(_FORMAT),
-        )
-    kind = str(fields.get("kind", ""))
-    if kind not in _KINDS:
-        raise InputError(f"{where}: kind", kind, "one of " + ", ".join(_KINDS))
+    kind = str(fields["kind"]) if "kind" in fields else Unquoted("nothing")
+    if kind != KIND:
+        raise InputError(f"{where}: kind", kind, repr(KIND))
     try:
-        return _KINDS[kind](fields)
+        return _covering_from(fields)
     except InputError as error:
         raise InputError(f"{where}: {error.where}", error.got, error.expected) from None
 
@@ -172,7 +185,3 @@ def _covering_from(fields: Mapping[str, Any]) -> CoveringInstance:
         names=tuple(map(str, np.atleast_1d(fields.get("names", ())))),
         numbered_from=int(fields.get("numbered_from", 0)),
     )
-
-
-# The seam for further kinds of instances: what reads the fields of a file, by its kind.
-_KINDS: Mapping[str, Callable[[Mapping[str, Any]], CoveringInstance]] = {COVERING: _covering_from}

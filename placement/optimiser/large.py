@@ -142,7 +142,6 @@ def _promise(coverage: Coverage) -> tuple[IntArray, Columns]:
         coverage,
         better,
         multipliers=columns.bound.multipliers.astype(np.float64),
-        pool=columns.pool,
         workers=_WORKERS,
     )
     return better, columns

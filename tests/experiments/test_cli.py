@@ -89,6 +89,7 @@ def test_help_starts_in_half_a_second():
         ["compare"],
         ["export"],
         ["latency"],
+        ["solve"],
         ["scenarios", "list"],
         ["scenarios", "show"],
         ["scenarios", "export"],

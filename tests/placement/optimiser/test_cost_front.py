@@ -65,6 +65,19 @@ def asked_for_nothing_but_the_best(problem: PlacementProblem) -> PlacementProble
 @given(problem=questions().map(asked_for_nothing_but_the_best), stages=ANY_STAGES)
 @settings(deadline=None, max_examples=80)
 def test_steps_are_those_of_brute_force(problem: PlacementProblem, stages: str) -> None:
+    check_steps(problem, stages)
+
+
+@given(problem=questions().map(asked_for_nothing_but_the_best))
+@settings(deadline=None, max_examples=25)
+def test_models_find_the_same_steps_without_enumeration(problem: PlacementProblem) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("placement.optimiser.stages.best_of_all", lambda *_, **__: None)
+        patch.setattr("placement.optimiser.stages.best_of_few", lambda *_, **__: (None, False))
+        check_steps(problem, "first")
+
+
+def check_steps(problem: PlacementProblem, stages: str) -> None:
     weight = problem.table.axis.weight
     step = float(weight[weight > 0.0].min())
     expected = steps_of(all_values(problem), step)
@@ -120,9 +133,10 @@ def test_the_next_point_costs_least_for_one_more_run_or_one_more_that_survives()
     assert [(p.value.cost_eur, p.value.apr, p.value.apr_one_failed) for p in front.points] == [
         (1.0, 0.5, 0.0),
         (3.0, 1.0, 0.5),
+        (10.0, 1.0, 1.0),
     ]
-    assert [point.pose_index for point in front.points] == [(0,), (0, 1)]
-    assert front.settled == 3.0
+    assert [point.pose_index for point in front.points] == [(0,), (0, 1), (0, 1, 2)]
+    assert front.settled == 10.0
     assert front.is_proven
     assert (front.by, front.stages) == ("cost", "first")
 

@@ -45,7 +45,7 @@ def best_rank(problem: PlacementProblem) -> PlacementValue | None:
 
 
 @given(problem=ANY_PROBLEM, stages=ANY_STAGES)
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=60)
 def test_every_point_is_the_best_that_brute_force_finds(
     problem: PlacementProblem, best_value: BestValue, stages: str
 ) -> None:
@@ -68,7 +68,7 @@ def test_every_point_is_the_best_that_brute_force_finds(
 
 
 @given(problem=questions(), stages=ANY_STAGES)
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=60)
 def test_wishes_hold_at_every_point_and_refuse_those_that_cannot_meet_them(
     problem: PlacementProblem, stages: str
 ) -> None:
@@ -90,8 +90,24 @@ def test_wishes_hold_at_every_point_and_refuse_those_that_cannot_meet_them(
     assert refused == [u for u in range(max(1, n_forced), 4) if u not in possible]
 
 
+@given(problem=ANY_PROBLEM, stages=ANY_STAGES)
+@settings(deadline=None, max_examples=25)
+def test_models_find_the_same_points_without_enumeration(
+    problem: PlacementProblem, best_value: BestValue, stages: str
+) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("placement.optimiser.stages.best_of_all", lambda *_, **__: None)
+        patch.setattr("placement.optimiser.stages.best_of_few", lambda *_, **__: (None, False))
+        front = pareto_front(problem, max_units=3, stages=stages)
+    n_held = 2 if stages == "first" else 5
+    for point in front.points:
+        best = best_value(with_units(problem, point.units), range(problem.table.n_poses))
+        assert point.value[:n_held] == pytest.approx(best[:n_held], abs=1e-9)
+        assert point.is_proven
+
+
 @given(problem=ANY_PROBLEM)
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=30)
 def test_points_agree_with_separate_solves(problem: PlacementProblem) -> None:
     for point in pareto_front(problem, max_units=3, stages="all").points:
         solution = solve_placement(with_units(problem, point.units))
@@ -101,7 +117,7 @@ def test_points_agree_with_separate_solves(problem: PlacementProblem) -> None:
 
 
 @given(problem=questions(), seconds=st.sampled_from([1e-9, 60.0]), stages=ANY_STAGES)
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=60)
 def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
     problem: PlacementProblem, seconds: float, stages: str
 ) -> None:
