@@ -40,7 +40,8 @@ Examples:
   place-rsus solve scp41.txt                       all rows at least cost
   place-rsus solve scp41.txt --target 0.9          enough of them
   place-rsus solve scp41.txt --budget 3 --json     what 3 columns cover
-  place-rsus solve scp41.txt --out scp41.npz       in our own format, too"""
+  place-rsus solve scp41.txt --out scp41.npz       in our own format, too
+  place-rsus solve results/latest/instance.npz --budget 2"""
 )
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option(
@@ -115,16 +116,44 @@ def solve(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Solve a covering problem from a file, and prove it.
+    """Solve a covering or placement problem from a file, and prove it.
+
+    Placement problems (instance.npz of a result folder) are solved as they were asked, unless
+    --budget, --budget-cost or --target asks something else.
 
     Chosen columns are numbered as in the file: from 1 in OR-Library's, else from 0; --json says
     so in numbered_from.
     """
     _check_one_question()
     progress.start(quiet=quiet)
+    from placement.instance import KIND
+    from placement.optimiser.instance_files import instance_kind
+
     from . import solve_jobs
     from .exports import to_json_text
 
+    if format_name in ("auto", "npz") and instance_kind(file) == KIND:
+        from . import window_jobs
+
+        if out is not None:
+            raise click.UsageError(f"--out: got {out}; expected it with covering problems only")
+        has_target = click.get_current_context().get_parameter_source("target")
+        summary = window_jobs.run_solve_windows(
+            file,
+            budget_units=budget_units,
+            budget_cost=budget_cost,
+            target=float("inf")
+            if target is None and has_target is click.core.ParameterSource.COMMANDLINE
+            else target,
+            solver=solver,
+            time_limit_s=time_limit,
+            gap=gap,
+            progress=progress,
+        )
+        progress.stop()
+        text = to_json_text(summary).rstrip() if as_json else window_jobs.window_text(summary)
+        click.echo(text)
+        return
     try:
         summary = solve_jobs.run_solve(
             file,
