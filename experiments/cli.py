@@ -26,6 +26,7 @@ from .cli_recording import check_recording_options, is_given, recording_options
 from .cli_render import render
 from .cli_scenarios import scenarios
 from .cli_solve import solve
+from .cli_verify import verify
 from .progress import Interrupted, StageProgress, ending_on_signals
 from .question import Planning, Question
 from .recording_tables import recorded_placement_table, recording_table
@@ -56,10 +57,11 @@ Examples:
   place-rsus evaluate --layout carlancap-12        the study's 12 cameras
   place-rsus --budget 3 --recording ncap_data      the best recorded units
   place-rsus compare --layout results/latest/layout.json --layout carlancap-12
+  place-rsus verify results/latest                 check a result's certificate
   place-rsus export --layout results/latest/layout.json --format carla
 
-Exit codes: 0 done, 2 the input is wrong (one line says what), 130 interrupted,
-143 terminated.""",
+Exit codes: 0 done, 1 a check of `verify` has failed, 2 the input is wrong or
+cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 )
 @click.version_option(package_name="place-rsus")
 @click.option(
@@ -289,6 +291,7 @@ cli.add_command(latency)
 cli.add_command(render)
 cli.add_command(scenarios)
 cli.add_command(solve)
+cli.add_command(verify)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

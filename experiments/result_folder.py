@@ -19,6 +19,8 @@ _OURS = (
     "report.html",
     "layout.*",
     "latency.csv",
+    "certificate.json",
+    "instance.npz",
     "apr.csv",
     "runs.parquet",
     "*.png",

@@ -192,7 +192,7 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
         is_needless[left] = is_dominated(
             reduced.words[left], reduced.limits.of_poses(left), max_units=limits.max_units
         )
-        if is_needless.all() and len(poses):  # a layout has a unit, even where that is useless
+        if len(poses):  # a layout has a unit, even where none avoids anything: the cheapest then
             price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
             is_needless[np.argmin(price[poses])] = False
         if not is_needless.any():

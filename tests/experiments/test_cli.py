@@ -90,6 +90,7 @@ def test_help_starts_in_half_a_second():
         ["export"],
         ["latency"],
         ["solve"],
+        ["verify"],
         ["scenarios", "list"],
         ["scenarios", "show"],
         ["scenarios", "export"],

@@ -1,0 +1,76 @@
+"""What ``place-rsus verify`` does: a folder of results, checked without the optimiser."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from geometry.errors import InputError, Unquoted
+from placement.certificates import CERTIFICATE_FILE, INSTANCE_FILE, load_certificate
+from placement.instance import load_problem
+from placement.layout import layout_records, load_layout
+from placement.verification import verify_certificate
+
+from .progress import StageProgress
+
+LAYOUT_FILE = "layout.json"
+
+
+def run_verification(folder: Path, *, progress: StageProgress) -> dict[str, Any]:
+    """Check the certificate in a result folder against the instance and the layout beside it.
+
+    Parameters
+    ----------
+    folder : Path
+        As an optimisation has written it.
+    progress : StageProgress
+        Is told the stages.
+
+    Returns
+    -------
+    summary : dict
+        ``{"folder", "is_verified", "checks": [{"name", "passed", "detail"}], "stages": [{"name",
+        "objective", "bound", "gap", "claims_optimum", "is_proven_again", "reason"}], "solver",
+        "not_checked": [..], "seconds"}``; of a stage whose proof could not be looked at, the last
+        three are missing.
+
+    Raises
+    ------
+    InputError
+        There is no such folder, or a file in it is missing, damaged or no such file at all.
+    """
+    if not folder.is_dir():
+        raise InputError(str(folder), Unquoted("no folder"), "a folder with results")
+    progress("read", 0, 0)
+    stored = load_certificate(folder / CERTIFICATE_FILE)
+    problem = load_problem(folder / INSTANCE_FILE)
+    layout = load_layout(folder / LAYOUT_FILE)
+    found = verify_certificate(
+        problem,
+        stored,
+        layout_records(layout),
+        on_stage=lambda stage: progress(stage, 0, 0),
+    )
+    proofs = {proof.name: proof._asdict() for proof in found.proofs}
+    return {
+        "folder": str(folder),
+        "is_verified": found.passed,
+        "checks": [check._asdict() for check in found.checks],
+        "stages": [
+            {
+                **{key: value for key, value in asdict(stage).items() if key != "seconds"},
+                **proofs.get(stage.name, {}),
+            }
+            for stage in stored.stages
+        ],
+        "solver": stored.solver,
+        "not_checked": [
+            "whether the detection table is right: the evaluator's disagreement with it is in "
+            "the report",
+            *(
+                f"that no layout is better in {proof.name}: this rests on {stored.solver}"
+                for proof in found.proofs
+                if proof.claims_optimum and proof.reason == stored.solver
+            ),
+        ],
+        "seconds": progress.finish(),
+    }
