@@ -57,7 +57,7 @@ Examples:
   place-rsus evaluate --layout carlancap-12        the study's 12 cameras
   place-rsus --budget 3 --recording ncap_data      the best recorded units
   place-rsus compare --layout results/latest/layout.json --layout carlancap-12
-  place-rsus verify results/latest                 check a result's certificate
+  place-rsus verify results/latest                 check a certificate
   place-rsus export --layout results/latest/layout.json --format carla
 
 Exit codes: 0 done, 1 a check of `verify` has failed, 2 the input is wrong or

@@ -45,6 +45,10 @@ def unit_table(name: str, layout: Layout) -> dict[str, Any]:
     return {"caption": f"Units of {name}", "rows": rows}
 
 
+_AMOUNTS = ("units", "cost_eur", "weighted")
+"""Objectives that are neither a share nor a time."""
+
+
 def stage_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     """The optimiser's objectives, best value and bound; none where nothing was optimised."""
     return [_stage_row(stage) for stage in summary.get("stages", ())]
@@ -56,6 +60,8 @@ def _stage_row(stage: Mapping[str, Any]) -> list[str]:
     def shown(value: float | None) -> str:
         if value is None or not math.isfinite(value):
             return NOTHING
+        if stage["name"] in _AMOUNTS:
+            return number(value, 2)
         return f"{number(value, 3)} s" if is_time else percent(value)
 
     gap = stage["gap"]

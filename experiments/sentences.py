@@ -23,6 +23,10 @@ STAGES = {
     "apr_one_failed": "APR if the most needed unit fails",
     "smallest_margin_s": "smallest time to spare",
     "mean_margin_s": "mean time to spare",
+    "cost_eur": "cost",
+    "units": "units",
+    "apr_survived": "APR if the most needed units fail",
+    "weighted": "weighted sum",
 }
 """Names of the optimiser's objectives."""
 _SAME_TIME_S = 1.0e-9
@@ -77,14 +81,28 @@ def answer(summary: Mapping[str, Any], shown: Mapping[str, Evaluation]) -> list[
 
 
 def _proof_in_short(summary: Mapping[str, Any]) -> str:
-    gap, bound = summary["stages"][0]["gap"], summary["stages"][0]["bound"]
     n_candidates = summary.get("candidates")
     among = f"{n_candidates} candidate poses" if n_candidates else "the candidate poses"
-    if gap == 0.0:
-        return f"Proven on the detection table: no choice among {among} has a higher APR"
+    stage = next((one for one in summary["stages"] if one["name"] == "apr"), summary["stages"][0])
+    if stage["name"] != "apr":
+        proof = "proven" if stage["gap"] == 0.0 else f"bound {stage['bound']:.4g}"
+        return f"Chosen among {among} by a weighted sum: {stage['objective']:.4g}, {proof}"
+    first = summary["stages"][0]
+    within = ""
+    if first["name"] in ("units", "cost_eur"):
+        what = "units" if first["name"] == "units" else "EUR"
+        least = (
+            "the least"
+            if first["gap"] == 0.0
+            else f"no choice needs less than {first['bound']:,.0f}"
+        )
+        within = f" With {first['objective']:,.0f} {what} for what was asked, {least}:"
+    if stage["gap"] == 0.0:
+        text = f"no choice among {among} has a higher APR"
+        return f"Proven on the detection table:{within} {text}"
     return (
-        f"The best choice among {among} found in the time given: on the detection table, no other "
-        f"can exceed an APR of {percent(bound)}"
+        f"The best choice among {among} found in the time given:{within} on the detection table, "
+        f"no other can exceed an APR of {percent(stage['bound'])}"
     )
 
 
@@ -176,7 +194,7 @@ def assumptions(
         terms.append(("Radio", _radio(setting.links)))
     if "fusion" in summary:
         terms.append(("Units together", _FUSIONS.get(summary["fusion"], summary["fusion"])))
-    if "budget" in summary:
+    if summary.get("budget") is not None:
         terms.append(("Budget", _several(summary["budget"], "unit", "units") + "."))
     return terms
 

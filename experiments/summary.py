@@ -78,7 +78,9 @@ def summarise_placement(
     """
     certificate, problem = placement.certificate, placement.problem
     rule = problem.rule
-    first = certificate.stages[0]
+    value = placement_value(problem, placement.pose_index)
+    by_name = {stage.name: stage for stage in certificate.stages}
+    apr_stage = by_name.get("apr")  # none where a weighted sum was asked for
     return {
         **summarise_layout(found, rule),
         "budget": problem.limits.budget_units,
@@ -86,10 +88,11 @@ def summarise_placement(
         "goal": problem.goal,
         "candidates": problem.table.n_poses,
         "presolve": str(placement.presolve),
-        "apr": first.objective,
-        "bound": first.bound,
-        "gap": first.gap,
-        "apr_without_worst_unit": placement_value(problem, placement.pose_index).apr_one_failed,
+        "apr": value.apr,
+        "bound": None if apr_stage is None else apr_stage.bound,
+        "gap": None if apr_stage is None else apr_stage.gap,
+        "apr_without_worst_unit": value.apr_one_failed,
+        "spent_eur": value.cost_eur,
         "stages": [
             {
                 "name": stage.name,

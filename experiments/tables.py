@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,15 +103,24 @@ def _explained(*heads: str) -> list[str]:
     )
 
 
+def _seconds(value: float) -> str:
+    return f"{value:6.3f} s"
+
+
+_OBJECTIVES: dict[str, tuple[str, Callable[[float], str]]] = {
+    "units": ("units", "{:.0f}".format),
+    "apr_survived": ("if the worst ones fail", percent),
+    "apr": ("accidents prevented", percent),
+    "apr_one_failed": ("if the worst one fails", percent),
+    "smallest_margin_s": ("smallest margin", _seconds),
+    "mean_margin_s": ("mean margin", _seconds),
+    "cost_eur": ("cost, EUR", "{:,.0f}".format),
+    "weighted": ("weighted sum", "{:.4f}".format),
+}
+
+
 def placement_table(summary: dict[str, Any], out: Path) -> str:
     """The main job's result: units, proof, APR of all parties."""
-    stages = {stage["name"]: stage for stage in summary["stages"]}
-    names = {
-        "apr": ("accidents prevented", percent),
-        "apr_one_failed": ("if the worst one fails", percent),
-        "smallest_margin_s": ("smallest margin", lambda value: f"{value:6.3f} s"),
-        "mean_margin_s": ("mean margin", lambda value: f"{value:6.3f} s"),
-    }
     evaluation, baseline = summary["evaluation"], summary["baseline"]
     lines = [
         f"Best {len(summary['layout'])} of {summary['candidates']} poses on {summary['runs']} runs "
@@ -121,8 +130,8 @@ def placement_table(summary: dict[str, Any], out: Path) -> str:
         "",
         f"  {'on the detection table':<24} {'found':>9} {'bound':>9} {'gap':>8}",
     ]
-    for key, (words, show) in names.items():
-        stage = stages[key]
+    for stage in summary["stages"]:
+        words, show = _OBJECTIVES[stage["name"]]
         gap = "proven" if stage["gap"] == 0.0 else _gap(stage["gap"])
         lines.append(
             f"  {words:<24} {show(stage['objective']):>9} {show(stage['bound']):>9} {gap:>8}"

@@ -328,6 +328,8 @@ def test_placement_prints_one_object_and_writes_a_report(run, small_study):
     assert 0.0 <= summary["apr_without_worst_unit"] <= summary["apr"] <= summary["bound"] <= 1.0
     assert {path.name for path in Path("results/latest").iterdir()} == {
         "report.html",
+        "certificate.json",
+        "instance.npz",
         "layout.json",
         "layout.csv",
         "layout.geojson",
