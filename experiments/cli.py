@@ -148,7 +148,7 @@ def cli(
         command=_command_line(),
         progress=progress,
     )
-    _print(summary, progress, as_json, lambda: tables.placement_table(summary, out))
+    _print(summary, progress, as_json, lambda: _placement_text(summary, out))
 
 
 @cli.command(
@@ -364,6 +364,14 @@ def _load_layouts(names: Sequence[str], number: int) -> list["Layout"]:
     from .study import find_layout
 
     return [find_layout(name, "--layout") for name in names]
+
+
+def _placement_text(summary: dict[str, Any], out: Path) -> str:
+    from .additions import added_text
+
+    return "\n\n".join(
+        text for text in (added_text(summary), tables.placement_table(summary, out)) if text
+    )
 
 
 def _print(

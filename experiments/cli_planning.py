@@ -143,6 +143,13 @@ _LOOKING = (
         help="Relative gap at which an objective counts as settled.",
     ),
 )
+_REFINING = click.option(
+    "--refine/--no-refine",
+    default=False,
+    show_default=True,
+    help="Look between the poses of the grid, too: turn, tilt, raise and zoom the units found; up "
+    "to a minute more.",
+)
 _SAMPLING = (
     click.option(
         "--samples",
@@ -174,9 +181,9 @@ def planning_options(*, has_samples: bool = True) -> Decorator:
     Parameters
     ----------
     has_samples : bool
-        Whether it can choose for sampled worlds.
+        Whether it can choose for sampled worlds, and refine what it chose.
     """
-    options = (*_ASKED, *_SITES, *_LOOKING, *(_SAMPLING if has_samples else ()))
+    options = (*_ASKED, *_SITES, *_LOOKING, *((_REFINING, *_SAMPLING) if has_samples else ()))
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)

@@ -15,6 +15,7 @@ from placement.evaluator import evaluate_layouts
 from placement.layout import Layout, check_layout
 from placement.optimiser import Fusion
 from placement.pipeline import Placement, place
+from placement.refine import refine
 from placement.sampling import load_uncertainty, out_of_sample_layouts
 from placement.setting import Setting
 
@@ -25,6 +26,7 @@ from .plan import plot_plan
 from .planning import build_plan
 from .progress import WRITING, StageProgress
 from .question import Planning, Question
+from .refinement_summary import summarise_refinement
 from .report import GREEDY, pick_heatmap_runs, write_report
 from .result_folder import MARKER, check_result_folder, new_result_folder
 from .study import load_carlancap_layout
@@ -89,11 +91,25 @@ def run_placement(
         cache_folder=cache_folder,
         on_progress=report,
     )
+    refinement = None
+    if planning.refine:
+        refinement = refine(
+            setting,
+            placement,
+            plan.candidates,
+            solver=plan.effort,
+            seed=seed,
+            workers=workers,
+            on_progress=report,
+        )
+        placement = refinement.placement
     found, greedy, baseline = _evaluate(
         [placement.layout, placement.greedy, study], setting, seed, workers, progress
     )
     summary = summarise_placement(placement, setting, found=found, greedy=greedy, baseline=baseline)
     summary |= summarise_drives(setting)
+    if refinement is not None:
+        summary["refinement"] = summarise_refinement(refinement)
     figures = {}
     if planning.samples:
         judged = out_of_sample_layouts(

@@ -67,6 +67,11 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
     InputError
         A word is unknown, a layout does not fit the scene, or a wish cannot be met at its sites.
     """
+    for option, is_given in (("--within", bool(planning.within)), ("--samples", planning.samples)):
+        if planning.refine and is_given:
+            raise InputError(
+                "--refine", Unquoted(f"it beside {option}"), "one of them: poses stay as they are"
+            )
     study = load_carlancap_layout()
     kept = _layout(planning.keep, "--keep", scene)
     within = _layout(planning.within, "--within", scene)

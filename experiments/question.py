@@ -80,6 +80,8 @@ class Planning:
         Whether the study's 12 poses are candidates.
     solver, time_limit_s, gap, milp_solver
         See :class:`placement.optimiser.Effort`.
+    refine : bool
+        Whether to look between the poses of the grid.
     samples : int
         Sampled worlds to choose in; 0: the nominal one.
     uncertainty : str
@@ -109,6 +111,7 @@ class Planning:
     time_limit_s: float = 20.0
     gap: float = 0.0
     milp_solver: str = "HIGHS"
+    refine: bool = False
     samples: int = 0
     uncertainty: str = "default"
     risk: str = "mean"

@@ -20,6 +20,7 @@ from geometry.junction import COMPASS
 from placement.evaluation import Evaluation
 from placement.setting import Setting
 
+from .additions import added_sentences
 from .exports import margin_s
 from .figures import describe_run, plot_apr_by_case, plot_heatmap, to_png, unit_labels
 from .plan import plot_plan
@@ -110,7 +111,7 @@ def render_report(
     run_indices = _heatmap_indices(subject, setting, heatmap_runs)
     return _template().render(
         title=title(summary, setting, evaluations),
-        answer=answer(summary, shown),
+        answer=[*answer(summary, shown), *added_sentences(summary)],
         layouts=[unit_table(name, item.layout) for name, item in detailed.items()],
         plans=_plans(setting, detailed, [] if is_comparison else [*shown.values()][1:]),
         proof=proof(summary),

@@ -3,9 +3,10 @@
 from functools import cache
 from importlib.resources import files
 
+from .errors import InputError
 from .lidar import LidarModel, load_lidars
 from .sensors import CameraModel
-from .toml_files import load_toml, pick, take, take_number
+from .toml_files import Table, load_toml, pick, take, take_list, take_number
 
 Sensor = CameraModel | LidarModel
 SENSOR_KINDS = ("camera", "lidar")
@@ -15,18 +16,48 @@ SENSOR_KINDS = ("camera", "lidar")
 def load_cameras() -> dict[str, CameraModel]:
     """All camera models of the catalogue, by name."""
     table = load_toml(files(__package__) / "data" / "sensors.toml")
-    return {
-        name: CameraModel(
-            name=name,
-            width_px=take(entry, "width_px", f"sensors.toml: {name}"),
-            height_px=take(entry, "height_px", f"sensors.toml: {name}"),
-            **{
-                key: take_number(entry, key, f"sensors.toml: {name}")
-                for key in ("horizontal_fov_deg", "frame_rate_hz", "near_m", "price_eur")
-            },
-        )
-        for name, entry in table.items()
-    }
+    return {name: read_camera(name, entry, "sensors.toml") for name, entry in table.items()}
+
+
+def read_camera(name: str, entry: Table, source: str) -> CameraModel:
+    """Camera model from the fields of a TOML table.
+
+    Parameters
+    ----------
+    name : str
+        Name in the catalogue.
+    entry : mapping
+        Fields of :class:`geometry.sensors.CameraModel`; fov_range_deg may be missing.
+    source : str
+        What is being read, for error messages.
+
+    Raises
+    ------
+    InputError
+        A field is missing or not of its kind.
+    """
+    where = f"{source}: {name}"
+    return CameraModel(
+        name=name,
+        width_px=take(entry, "width_px", where),
+        height_px=take(entry, "height_px", where),
+        fov_range_deg=_read_fov_range_deg(entry, where),
+        **{
+            key: take_number(entry, key, where)
+            for key in ("horizontal_fov_deg", "frame_rate_hz", "near_m", "price_eur")
+        },
+    )
+
+
+def _read_fov_range_deg(entry: Table, where: str) -> tuple[float, float] | None:
+    key = "fov_range_deg"
+    if key not in entry:
+        return None
+    numbers = take_list(entry, key, where)
+    if len(numbers) != 2:
+        raise InputError(f"{where}.{key}", numbers, "[low, high] in degrees")
+    low, high = (take_number({key: number}, key, where) for number in numbers)
+    return low, high
 
 
 def sensor_kind(sensor: Sensor) -> str:

@@ -1,7 +1,7 @@
 """Camera models: intrinsics, projection, field of view."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +30,9 @@ class CameraModel:
         that carries the camera. [m]
     price_eur : float
         Price of one unit. [EUR]
+    fov_range_deg : (float, float), optional
+        Least and largest horizontal field of view of a varifocal lens; by default the lens is
+        fixed. [deg]
     """
 
     name: str
@@ -39,6 +42,7 @@ class CameraModel:
     frame_rate_hz: float
     near_m: float
     price_eur: float
+    fov_range_deg: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for field in ("width_px", "height_px"):
@@ -55,6 +59,20 @@ class CameraModel:
                 raise InputError(f"{self.name}.{field}", value, "a positive number")
         if not (math.isfinite(self.price_eur) and self.price_eur >= 0.0):
             raise InputError(f"{self.name}.price_eur", self.price_eur, "a number, at least 0")
+        if self.fov_range_deg is not None:
+            low, high = self.fov_range_deg
+            if not 0.0 < low < high < 180.0:
+                raise InputError(
+                    f"{self.name}.fov_range_deg",
+                    list(self.fov_range_deg),
+                    "[low, high] in degrees, 0 < low < high < 180",
+                )
+            if not low <= self.horizontal_fov_deg <= high:
+                raise InputError(
+                    f"{self.name}.horizontal_fov_deg",
+                    self.horizontal_fov_deg,
+                    f"{low:g} .. {high:g} degrees, its fov_range_deg",
+                )
 
     @property
     def focal_length_px(self) -> float:
@@ -71,6 +89,42 @@ class CameraModel:
         """Full angle across the diagonal, in degrees: the image lies within this cone."""
         half_diagonal_px = 0.5 * math.hypot(self.width_px, self.height_px)
         return math.degrees(2.0 * math.atan(half_diagonal_px / self.focal_length_px))
+
+
+def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
+    """A camera with its varifocal lens set to another field of view.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The model.
+    fov_deg : float
+        Horizontal. [deg]
+    where : str
+        What asks for it, for the error message.
+
+    Returns
+    -------
+    camera : CameraModel
+        The model itself where it has this field of view already.
+
+    Raises
+    ------
+    InputError
+        The lens is fixed at another field of view, or does not reach this one.
+    """
+    if fov_deg == camera.horizontal_fov_deg:
+        return camera
+    if camera.fov_range_deg is None:
+        raise InputError(
+            where,
+            fov_deg,
+            f"{camera.horizontal_fov_deg:g} degrees: {camera.name} has a fixed lens",
+        )
+    low, high = camera.fov_range_deg
+    if not low <= fov_deg <= high:
+        raise InputError(where, fov_deg, f"{low:g} .. {high:g} degrees, the lens of {camera.name}")
+    return replace(camera, horizontal_fov_deg=float(fov_deg))
 
 
 def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> FloatArray:

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from geometry.catalogue import SENSOR_KINDS, pick_sensor, sensor_kind
+from geometry.catalogue import SENSOR_KINDS, Sensor, load_cameras, pick_sensor, sensor_kind
 from geometry.errors import InputError, Unquoted
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
+from geometry.sensors import CameraModel, with_fov
 
 from .candidates import CandidatePose
 
@@ -123,7 +124,8 @@ def relative_gap(objective: float, bound: float) -> float:
 def layout_records(layout: Layout) -> list[dict[str, Any]]:
     """Units as plain records: id, site, x_m, y_m, z_m, yaw_deg, pitch_deg, camera or lidar.
 
-    A unit with a latency of its own has latency_s, too.
+    A unit with a latency of its own has latency_s, too; one whose varifocal lens is not set as in
+    the catalogue has fov_deg.
     """
     return [
         {
@@ -135,10 +137,21 @@ def layout_records(layout: Layout) -> list[dict[str, Any]]:
             "yaw_deg": unit.pose.yaw_deg,
             "pitch_deg": unit.pose.pitch_deg,
             sensor_kind(unit.sensor): unit.sensor.name,
+            **_lens_record(unit.sensor),
             **({} if unit.latency_s is None else {"latency_s": unit.latency_s}),
         }
         for unit in layout.units
     ]
+
+
+def _lens_record(sensor: Sensor) -> dict[str, float]:
+    """Field of view of a lens that is not set as in the catalogue."""
+    if not isinstance(sensor, CameraModel) or sensor.fov_range_deg is None:
+        return {}
+    model = load_cameras().get(sensor.name)
+    if model is not None and model.horizontal_fov_deg == sensor.horizontal_fov_deg:
+        return {}
+    return {"fov_deg": sensor.horizontal_fov_deg}
 
 
 def layout_from_records(name: str, records: Sequence[Any], where: str) -> Layout:
@@ -174,7 +187,10 @@ def layout_from_records(name: str, records: Sequence[Any], where: str) -> Layout
             if not isinstance(record[key], str) or not record[key]:
                 raise InputError(f"{here}.{key}", record[key], "text")
         latency_s = record.get("latency_s")
-        for key in (*_NUMBERS, *(["latency_s"] if latency_s is not None else [])):
+        fov_deg = record.get("fov_deg")
+        for key in (*_NUMBERS, "latency_s", "fov_deg"):
+            if key not in _NUMBERS and record.get(key) is None:
+                continue
             value = record[key]
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
             if not (is_number and abs(value) <= sys.float_info.max):
@@ -186,6 +202,11 @@ def layout_from_records(name: str, records: Sequence[Any], where: str) -> Layout
         site = record.get("site", "")
         if not isinstance(site, str):
             raise InputError(f"{here}.site", site, "text")
+        sensor = pick_sensor(record[kind], f"{here}.{kind}", kind=kind)
+        if fov_deg is not None:
+            if not isinstance(sensor, CameraModel):
+                raise InputError(f"{here}.fov_deg", fov_deg, "nothing: only cameras have lenses")
+            sensor = with_fov(sensor, fov_deg, f"{here}.fov_deg")
         units.append(
             CandidatePose(
                 id=record["id"],
@@ -195,7 +216,7 @@ def layout_from_records(name: str, records: Sequence[Any], where: str) -> Layout
                     yaw_deg=record["yaw_deg"],
                     pitch_deg=record["pitch_deg"],
                 ),
-                sensor=pick_sensor(record[kind], f"{here}.{kind}", kind=kind),
+                sensor=sensor,
                 latency_s=latency_s,
             )
         )

@@ -6,6 +6,7 @@ that all have that APR. Few have: to put together what they allow takes seconds 
 cuts.py take minutes.
 """
 
+import time
 from itertools import chain, combinations
 from math import comb
 
@@ -22,7 +23,9 @@ MAX_UNITS = 3
 _PART_SETS = 1 << 14
 
 
-def best_of_few(reduced: ReducedProblem, *, max_sets: int) -> tuple[IntArray | None, bool]:
+def best_of_few(
+    reduced: ReducedProblem, *, max_sets: int, end_s: float = np.inf
+) -> tuple[IntArray | None, bool]:
     """Best of all allowed sets, of any size, where they are few.
 
     Parameters
@@ -31,6 +34,8 @@ def best_of_few(reduced: ReducedProblem, *, max_sets: int) -> tuple[IntArray | N
         What to choose from.
     max_sets : int
         Give up if there are more sets to go through.
+    end_s : float
+        Give up then, on the monotonic clock. [s]
 
     Returns
     -------
@@ -54,6 +59,8 @@ def best_of_few(reduced: ReducedProblem, *, max_sets: int) -> tuple[IntArray | N
         for part in _parts(sets[are_allowed(reduced.limits, sets)]):
             if not len(part):
                 continue
+            if time.monotonic() > end_s:
+                return best, False
             values = set_values(reduced, part)
             row = best_row(values)
             if best is None or exceeds(values[row], best_value):

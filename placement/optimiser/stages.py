@@ -16,7 +16,8 @@ from .problem import TOLERANCE, PlacementProblem
 from .requirements import Requirement
 from .search import Search, settle
 
-_SETS_PER_SECOND = 100_000  # enumeration; measured: two to three times as many
+_SETS_PER_SECOND = 30_000  # enumeration; measured: two to three times as many
+_MAX_FEW_SETS = 60_000  # of all sizes, when every one is valued in full
 _MAX_SETS = 400_000  # beyond, models are quicker
 
 
@@ -333,7 +334,11 @@ class Stages:
         if self.is_complete is None:
             self.is_complete = False
             if self.effort.solver in ("auto", "exact"):
-                units, self.is_complete = best_of_few(search.reduced, max_sets=self._max_sets())
+                units, self.is_complete = best_of_few(
+                    search.reduced,
+                    max_sets=min(self._max_sets(), _MAX_FEW_SETS),
+                    end_s=search.end_s,
+                )
                 if units is not None:
                     search.keep(units)
             if self.is_complete:

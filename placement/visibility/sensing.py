@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.catalogue import Sensor
 from geometry.lidar import LidarModel, beams_per_steradian, load_lidar_detection, return_probability
 from geometry.poses import body_rotation, camera_rotation
 from geometry.raycast import FloatRays
@@ -77,6 +78,15 @@ class Sensing:
                 in_weather[entries] = self.detector.is_expected(seen)
         return detected
 
+    def frames(self, candidate: CandidatePose) -> BoolArray:
+        """Whether each frame of the frame axis shows a detected VRU, (n_frames,)."""
+        # One more entry, never detected, for frames in which nothing is seen (index -1).
+        detected = np.pad(self.detected(candidate), ((0, 0), (0, 1)))
+        in_frames: BoolArray = detected[
+            self.world.views.weather_of_frame, self.sight.entry_of_frame
+        ]
+        return in_frames
+
 
 def build_sensing(
     world: World, sight: Sight, position_m: FloatArray, detector: PlanningDetector
@@ -109,6 +119,33 @@ def build_sensing(
         contrast=np.stack([w.contrast * w.transmission(distance) for w in views.weathers]),
         vru_class=classes[views.surface_index[sight.view_index]],
         aspect_deg=aspects_deg(middle[:, :2], views.yaw_deg[sight.view_index]),
+    )
+
+
+def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
+    """Distance from a mount beyond which a sensor detects no VRU, however its lens is set.
+
+    Parameters
+    ----------
+    sensor : CameraModel or LidarModel
+        What hangs there.
+    detector : PlanningDetector
+        Of cameras.
+    world : World
+        What is looked at.
+
+    Returns
+    -------
+    reach_m : float
+        To the middle of the footprint; may be infinite. [m]
+    """
+    extent_m = 2.0 * world.radius_m  # to the nearest point it is at most this much less
+    if isinstance(sensor, LidarModel):
+        return extent_m + sensor.range_m
+    fovs_deg = sensor.fov_range_deg or (sensor.horizontal_fov_deg,)
+    return extent_m + max(
+        max_distance_m(replace(sensor, horizontal_fov_deg=fov), detector, vru_height_m=extent_m)
+        for fov in fovs_deg  # convex in the focal length: the farthest is at either end
     )
 
 

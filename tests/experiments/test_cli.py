@@ -228,7 +228,8 @@ def test_a_folder_is_no_layout_file(run, tmp_path):
         ({"z_m": "8"}, "layout[0].z_m: got '8'; expected a finite number"),
         (
             {"camera": "x"},
-            "layout[0].camera: got 'x'; expected one of carla-ncap-rgb, carla-ncap-rgb-90",
+            "layout[0].camera: got 'x'; expected one of carla-ncap-rgb, carla-ncap-rgb-90, "
+            "varifocal-1080p",
         ),
     ],
 )

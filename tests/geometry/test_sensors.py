@@ -9,7 +9,7 @@ from strategies import cameras, numbers, points_m, poses
 
 from geometry.errors import InputError
 from geometry.poses import Pose, body_rotation
-from geometry.sensors import pixel_rays, project_points
+from geometry.sensors import pixel_rays, project_points, with_fov
 
 
 @given(poses(), cameras(), st.data(), numbers(0.1, 300.0))
@@ -86,9 +86,49 @@ def test_what_lies_behind_the_camera_has_no_pixel(camera):
         ({"frame_rate_hz": 0.0}, "cam.frame_rate_hz: got 0.0; expected a positive number"),
         ({"near_m": math.inf}, "cam.near_m: got inf; expected a positive number"),
         ({"price_eur": -1.0}, "cam.price_eur: got -1.0; expected a number, at least 0"),
+        (
+            {"fov_range_deg": (120.0, 30.0)},
+            "cam.fov_range_deg: got [120.0, 30.0]; expected [low, high] in degrees, "
+            "0 < low < high < 180",
+        ),
+        (
+            {"fov_range_deg": (30.0, 100.0)},
+            "cam.horizontal_fov_deg: got 110.0; expected 30 .. 100 degrees, its fov_range_deg",
+        ),
     ],
 )
 def test_camera_model_says_what_is_wrong(camera, change, message):
     with pytest.raises(InputError) as caught:
         dataclasses.replace(camera, name="cam", **change)
     assert str(caught.value) == message
+
+
+# Varifocal lenses
+
+
+@given(numbers(30.0, 120.0))
+def test_a_lens_is_set_to_any_field_of_view_in_its_range(camera, fov_deg):
+    zoom = dataclasses.replace(camera, fov_range_deg=(30.0, 120.0))
+    set_to = with_fov(zoom, fov_deg, "test")
+    assert set_to.horizontal_fov_deg == fov_deg
+    assert with_fov(set_to, zoom.horizontal_fov_deg, "test") == zoom
+    assert with_fov(set_to, fov_deg, "test") is set_to
+
+
+def test_a_fixed_lens_has_one_field_of_view(camera):
+    assert with_fov(camera, 110.0, "test") is camera
+    with pytest.raises(InputError) as caught:
+        with_fov(camera, 90.0, "f.json: fov_deg")
+    assert str(caught.value) == (
+        "f.json: fov_deg: got 90.0; expected 110 degrees: carla-ncap-rgb has a fixed lens"
+    )
+
+
+@pytest.mark.parametrize("fov_deg", [29.0, 121.0, math.nan])
+def test_a_lens_does_not_go_beyond_its_range(camera, fov_deg):
+    zoom = dataclasses.replace(camera, name="zoom", fov_range_deg=(30.0, 120.0))
+    with pytest.raises(InputError) as caught:
+        with_fov(zoom, fov_deg, "here")
+    assert str(caught.value) == (
+        f"here: got {fov_deg}; expected 30 .. 120 degrees, the lens of zoom"
+    )

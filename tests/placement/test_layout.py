@@ -1,17 +1,19 @@
 import copy
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import points_m, poses
+from strategies import numbers, points_m, poses
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
+from geometry.sensors import CameraModel, with_fov
 from placement.candidates import CandidatePose
 from placement.layout import (
     RESERVED_IDS,
@@ -84,6 +86,46 @@ def _layouts(draw) -> Layout:
     )
 
 
+def _zoomed(sensor, share):
+    """A camera with its lens set somewhere in its range."""
+    if not isinstance(sensor, CameraModel) or sensor.fov_range_deg is None:
+        return sensor
+    low, high = sensor.fov_range_deg
+    return with_fov(sensor, low + share * (high - low), "test")
+
+
+@given(_layouts(), numbers(0.0, 1.0))
+def test_a_lens_that_is_set_comes_back_from_its_records(layout, share):
+    units = tuple(replace(unit, sensor=_zoomed(unit.sensor, share)) for unit in layout.units)
+    layout = replace(layout, units=units)
+    records = json.loads(json.dumps(layout_records(layout), allow_nan=False))
+    back = layout_from_records(layout.name, records, "f.json")
+    assert [unit.sensor for unit in back.units] == [unit.sensor for unit in units]
+    for record, unit in zip(records, units, strict=True):
+        model = load_cameras().get(unit.sensor.name)
+        is_set = model is not None and model.horizontal_fov_deg != unit.sensor.horizontal_fov_deg
+        assert ("fov_deg" in record) == is_set
+
+
+def test_a_lens_as_in_the_catalogue_may_be_told_or_not():
+    zoom = load_cameras()["varifocal-1080p"]
+    for more in ({}, {"fov_deg": None}, {"fov_deg": zoom.horizontal_fov_deg}):
+        records = _changed(camera=zoom.name, **more)
+        assert layout_from_records("l", records, "f.json").units[1].sensor is zoom
+    records = _changed(camera=zoom.name, fov_deg=40)
+    sensor = layout_from_records("l", records, "f.json").units[1].sensor
+    assert (sensor.name, sensor.horizontal_fov_deg) == (zoom.name, 40.0)
+    assert sensor.focal_length_px > zoom.focal_length_px
+
+
+def test_a_lidar_has_no_field_of_view_to_set():
+    records = _changed(lidar="carla-ncap-lidar", fov_deg=40.0)
+    del records[1]["camera"]
+    assert _message(layout_from_records, "l", records, "f.json") == (
+        "f.json: layout[1].fov_deg: got 40.0; expected nothing: only cameras have lenses"
+    )
+
+
 @given(_layouts())
 def test_a_layout_comes_back_from_its_records_bit_by_bit(layout):
     text = json.dumps(layout_records(layout), allow_nan=False)
@@ -138,6 +180,16 @@ def test_a_missing_field_is_named(key):
         ({"camera": ["x"]}, "layout[1].camera: got ['x']; expected text"),
         ({"site": 7}, "layout[1].site: got 7; expected text"),
         ({"lidar": "carla-ncap-lidar"}, "layout[1]: got camera and lidar; expected one of them"),
+        (
+            {"fov_deg": 60.0},
+            "layout[1].fov_deg: got 60.0; expected 90 degrees: carla-ncap-rgb-90 has a fixed lens",
+        ),
+        (
+            {"camera": "varifocal-1080p", "fov_deg": 120},
+            "layout[1].fov_deg: got 120; expected 26.2 .. 89.6 degrees, the lens of "
+            "varifocal-1080p",
+        ),
+        ({"fov_deg": "wide"}, "layout[1].fov_deg: got 'wide'; expected a finite number"),
         ({"latency_s": -0.1}, "layout[1].latency_s: got -0.1; expected seconds, at least 0"),
         ({"latency_s": "0.1"}, "layout[1].latency_s: got '0.1'; expected a finite number"),
     ],

@@ -1,0 +1,299 @@
+"""New poses: around the chosen ones, and aimed at what they see too late.
+
+The idea is that of adaptive sampling [1]_: exploit what was chosen by sampling around it, and
+target what is not covered. Here a target is a place where a VRU is in a frame that would prevent
+an accident, or prevent it with more time to spare.
+
+References
+----------
+.. [1] Y. Kumar, R. Bollapragada, B. Leibowicz, "Efficient mathematical programming formulation and
+   algorithmic framework for optimal camera placement", arXiv:2411.17942, 2024.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.poses import Pose, wrap_deg
+from geometry.scene import Scene, Site, containing_instance
+from geometry.sensors import CameraModel, with_fov
+
+from ..candidates import CandidatePose
+from ..detection_table import DetectionTable
+from ..optimiser import Limits
+from .weak_spots import WeakSpots
+
+_DIGITS = 2  # of metres and degrees: finer than anyone mounts
+_N_HEIGHTS = 2  # new ones per unit and round, beside its own
+_N_AT_OWN_HEIGHTS = 96  # per round, of all units: they need no new rays
+_PER_NEW_HEIGHT = 12
+_N_AIMED_MOUNTS = 4  # per round
+_PER_AIMED_MOUNT = 8
+_LARGEST_TURN_DEG = 16.0
+_LARGEST_LIFT_M = 2.0
+_LARGEST_LOG_ZOOM = 0.4
+_N_HALVINGS = 5  # the smallest steps are so many times halved
+_N_LIFT_HALVINGS = 3  # heights cost new rays: no steps of a few centimetres
+_AIM_SD_DEG = 8.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Places:
+    """Where poses of a grid may be moved to.
+
+    Attributes
+    ----------
+    scene : Scene
+        Its sites say how high.
+    candidates : tuple of CandidatePose
+        The grid.
+    is_free : (n,) bool
+        Which of them stand for poses that may be chosen: not forbidden, and not kept.
+    site_index : (n,) int
+        Equal for poses of one site.
+    row_of : mapping of str to int
+        Row of every id.
+    """
+
+    scene: Scene
+    candidates: tuple[CandidatePose, ...]
+    is_free: BoolArray
+    site_index: IntArray
+    row_of: Mapping[str, int]
+
+    def height_range_m(self, origin: int) -> tuple[float, float]:
+        """Lowest and highest position at the site of a grid's pose; its own where none is known.
+
+        Returns
+        -------
+        low_m, high_m : float
+            World frame. [m]
+        """
+        pose = self.candidates[origin]
+        own_m = float(pose.pose.position_m[2])
+        site = self.site_of(origin)
+        if site is None:
+            return own_m, own_m
+        low_m, high_m = site.position_m[2] + site.height_range_m
+        return min(float(low_m), own_m), max(float(high_m), own_m)
+
+    def site_of(self, origin: int) -> Site | None:
+        """Site of the scene that carries a grid's pose, if there is one."""
+        name = self.candidates[origin].site_id
+        return next((site for site in self.scene.sites if site.id == name), None)
+
+
+def build_places(scene: Scene, candidates: Sequence[CandidatePose], limits: Limits) -> Places:
+    """Where poses may be moved to under limits."""
+    return Places(
+        scene=scene,
+        candidates=tuple(candidates),
+        is_free=~(limits.is_forced | limits.is_forbidden),
+        site_index=limits.site_index,
+        row_of={candidate.id: row for row, candidate in enumerate(candidates)},
+    )
+
+
+def moved(
+    places: Places,
+    origin: int,
+    *,
+    height_m: float,
+    yaw_deg: float,
+    pitch_deg: float,
+    fov_deg: float | None = None,
+) -> CandidatePose | None:
+    """A pose at the place of one of the grid, with its sensor.
+
+    Parameters
+    ----------
+    places : Places
+        Height ranges.
+    origin : int
+        Row of the grid.
+    height_m : float
+        World frame; brought into the site's range. [m]
+    yaw_deg, pitch_deg : float
+        Direction; the pitch is brought into -90 .. 90. [deg]
+    fov_deg : float, optional
+        Of a varifocal lens, brought into its range; by default as in the grid. [deg]
+
+    Returns
+    -------
+    candidate : CandidatePose or None
+        Rounded to what can be mounted, its id says where and how; None if it would hang inside
+        something.
+    """
+    grid = places.candidates[origin]
+    low_m, high_m = places.height_range_m(origin)
+    height_m = float(np.clip(round(height_m, _DIGITS), low_m, high_m))
+    yaw_deg = round(float(wrap_deg(round(yaw_deg, _DIGITS))), _DIGITS)
+    pitch_deg = float(np.clip(round(pitch_deg, _DIGITS), -90.0, 90.0))
+    position_m = np.append(grid.pose.position_m[:2], height_m)
+    is_old = height_m == grid.pose.position_m[2]
+    if not is_old and containing_instance(places.scene, position_m) is not None:
+        return None
+    sensor, lens = grid.sensor, ""
+    if isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None:
+        asked = sensor.horizontal_fov_deg if fov_deg is None else fov_deg
+        fov_deg = float(np.clip(round(asked, _DIGITS), *sensor.fov_range_deg))
+        sensor, lens = with_fov(sensor, fov_deg, grid.id), f"/{fov_deg:g}"
+    # As the grid names its poses: the same name is the same pose.
+    site = places.site_of(origin)
+    is_of_grid = site is not None and grid.id.startswith(f"{site.id}/")
+    name = grid.site_id if is_of_grid else grid.id
+    above_m = height_m if site is None else height_m - float(site.position_m[2])
+    return replace(
+        grid,
+        id=f"{name}/{above_m:g}m/{yaw_deg:g}/{pitch_deg:g}/{sensor.name}{lens}",
+        pose=Pose(position_m=position_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg),
+        sensor=sensor,
+    )
+
+
+def around(
+    places: Places,
+    chosen: Sequence[tuple[int, CandidatePose]],
+    rng: np.random.Generator,
+    *,
+    spread: float,
+) -> list[tuple[int, CandidatePose]]:
+    """Poses near those chosen, at the same sites.
+
+    Parameters
+    ----------
+    places : Places
+        Where poses may be moved to.
+    chosen : sequence of (int, CandidatePose)
+        Row of the grid that each chosen unit stands for, and the unit; only free ones are moved.
+    rng : numpy.random.Generator
+        Of the draws.
+    spread : float
+        1 at first, less in later rounds: all steps are multiplied by it.
+
+    Returns
+    -------
+    proposals : list of (int, CandidatePose)
+        With the rows that they stand for.
+    """
+    found = []
+    free = [(origin, unit) for origin, unit in chosen if places.is_free[origin]]
+    for origin, unit in free:
+        own_m = float(unit.pose.position_m[2])
+        heights_m = [own_m] * max(_N_AT_OWN_HEIGHTS // len(free), _PER_NEW_HEIGHT)
+        if np.ptp(places.height_range_m(origin)) > 0.0:
+            lifts_m = _steps(rng, _N_HEIGHTS, spread * _LARGEST_LIFT_M, _N_LIFT_HALVINGS)
+            heights_m += np.repeat(own_m + lifts_m, _PER_NEW_HEIGHT).tolist()
+        turns_deg, tilts_deg = _steps(rng, (2, len(heights_m)), spread * _LARGEST_TURN_DEG)
+        zooms = np.exp(_steps(rng, len(heights_m), spread * _LARGEST_LOG_ZOOM))
+        follows = rng.uniform(size=len(heights_m))
+        for height_m, turn_deg, tilt_deg, zoom, follow in zip(
+            heights_m, turns_deg, tilts_deg, zooms, follows, strict=True
+        ):
+            pitch_deg = unit.pose.pitch_deg
+            # Between the same pitch and the same point of the road in the middle of the image.
+            same_point_deg = _pitch_to_same_point_deg(places, origin, unit, height_m)
+            pose = moved(
+                places,
+                origin,
+                height_m=height_m,
+                yaw_deg=unit.pose.yaw_deg + turn_deg,
+                pitch_deg=pitch_deg + follow * (same_point_deg - pitch_deg) + tilt_deg,
+                fov_deg=zoom * unit.sensor.horizontal_fov_deg,
+            )
+            found.append((origin, pose))
+    return [(origin, pose) for origin, pose in found if pose is not None]
+
+
+def aimed(
+    places: Places, table: DetectionTable, spots: WeakSpots, rng: np.random.Generator
+) -> list[tuple[int, CandidatePose]]:
+    """Poses that look at weak spots, from sites that may carry units.
+
+    Parameters
+    ----------
+    places : Places
+        Where poses may be moved to.
+    table : DetectionTable
+        Of the grid: a site from which some pose of it sees a spot is preferred to one from which
+        none does.
+    spots : WeakSpots
+        What to look at.
+    rng : numpy.random.Generator
+        Of the draws.
+
+    Returns
+    -------
+    proposals : list of (int, CandidatePose)
+        With the rows of the grid that they stand for.
+    """
+    free = np.flatnonzero(places.is_free)
+    found: list[tuple[int, CandidatePose | None]] = []
+    if len(spots) == 0 or len(free) == 0:
+        return []
+    for first in rng.choice(len(spots), size=_N_AIMED_MOUNTS, p=spots.probability):
+        frame = spots.frame_index[first]
+        sees = (table.packed[free, frame // 8] >> (frame % 8)) & 1 == 1
+        sites = np.unique(places.site_index[free[sees] if sees.any() else free])
+        of_site = free[places.site_index[free] == rng.choice(sites)]
+        origin = int(rng.choice(of_site))
+        height_m = rng.uniform(*places.height_range_m(origin))
+        others = rng.choice(len(spots), size=_PER_AIMED_MOUNT - 1, p=spots.probability)
+        for spot in (first, *others):
+            position_m = np.append(places.candidates[origin].pose.position_m[:2], height_m)
+            yaw_deg, pitch_deg = _direction_deg(spots.vru_m[spot] - position_m)
+            aside_deg, above_deg = rng.normal(0.0, _AIM_SD_DEG, 2)
+            pose = moved(
+                places,
+                origin,
+                height_m=height_m,
+                yaw_deg=yaw_deg + aside_deg,
+                pitch_deg=pitch_deg + above_deg,
+                fov_deg=_any_fov_deg(places.candidates[origin], rng),
+            )
+            found.append((origin, pose))
+    return [(origin, pose) for origin, pose in found if pose is not None]
+
+
+def _direction_deg(offset_m: FloatArray) -> tuple[float, float]:
+    """Yaw and pitch of a direction."""
+    east, north, up = offset_m
+    yaw_deg = np.degrees(np.arctan2(north, east))
+    return float(yaw_deg), float(np.degrees(np.arctan2(up, np.hypot(east, north))))
+
+
+def _steps(
+    rng: np.random.Generator,
+    shape: int | tuple[int, ...],
+    largest: float,
+    n_halvings: int = _N_HALVINGS,
+) -> FloatArray:
+    """Normal steps of all sizes: standard deviations are `largest`, halved up to so many times.
+
+    A set of poses that is as good in the first stages may be a narrow ridge: some degrees long in
+    yaw, one in pitch. Steps of one size would hardly ever stay on it.
+    """
+    scale = largest * 0.5 ** rng.uniform(0.0, n_halvings, shape)
+    steps: FloatArray = scale * rng.standard_normal(shape)
+    return steps
+
+
+def _pitch_to_same_point_deg(
+    places: Places, origin: int, unit: CandidatePose, height_m: float
+) -> float:
+    """Pitch at which a unit at another height looks at the same point of the road."""
+    site = places.site_of(origin)
+    pitch_deg = unit.pose.pitch_deg
+    if site is None or not -90.0 < pitch_deg < 0.0:
+        return pitch_deg
+    old_m, new_m = (z - float(site.position_m[2]) for z in (unit.pose.position_m[2], height_m))
+    return float(np.degrees(np.arctan(np.tan(np.radians(pitch_deg)) * max(new_m, 0.0) / old_m)))
+
+
+def _any_fov_deg(grid: CandidatePose, rng: np.random.Generator) -> float | None:
+    sensor = grid.sensor
+    if not isinstance(sensor, CameraModel) or sensor.fov_range_deg is None:
+        return None
+    return float(np.exp(rng.uniform(*np.log(sensor.fov_range_deg))))

@@ -1,0 +1,195 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import numbers
+
+from geometry.catalogue import pick_sensor
+from geometry.poses import Pose, body_rotation
+from placement.candidates import CandidateGrid, CandidatePose, build_candidates
+from placement.optimiser import Limits
+from placement.refinement.proposals import aimed, around, build_places, moved
+from placement.refinement.weak_spots import WeakSpots, find_weak_spots
+
+
+def _limits(candidates, **fields):
+    sites = sorted({candidate.site_id or candidate.id for candidate in candidates})
+    return Limits(
+        site_index=np.array([sites.index(c.site_id or c.id) for c in candidates]),
+        site_capacity=np.ones(len(sites), dtype=int),
+        budget_units=1,
+        **fields,
+    )
+
+
+@pytest.fixture(scope="module")
+def places(meadow, meadow_grid):
+    return build_places(meadow.scene, meadow_grid, _limits(meadow_grid))
+
+
+@given(st.integers(0, 15), numbers(-50.0, 50.0), numbers(-900.0, 900.0), numbers(-200.0, 200.0))
+def test_a_moved_pose_is_at_its_place_and_within_all_ranges(
+    places, origin, height_m, yaw_deg, pitch_deg
+):
+    pose = moved(places, origin, height_m=height_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    grid = places.candidates[origin]
+    assert (pose.site_id, pose.sensor) == (grid.site_id, grid.sensor)
+    assert np.array_equal(pose.pose.position_m[:2], grid.pose.position_m[:2])
+    assert pose.pose.position_m[2] == pytest.approx(np.clip(height_m, 4.0, 8.0), abs=0.0051)
+    assert 4.0 <= pose.pose.position_m[2] <= 8.0
+    assert -180.0 < pose.pose.yaw_deg <= 180.0
+    assert abs((pose.pose.yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0) <= 0.0051
+    assert pose.pose.pitch_deg == pytest.approx(np.clip(pitch_deg, -90.0, 90.0), abs=0.0051)
+
+
+def test_a_pose_of_the_grid_keeps_its_name(places):
+    for origin, candidate in enumerate(places.candidates):
+        pose = candidate.pose
+        same = moved(
+            places,
+            origin,
+            height_m=pose.position_m[2],
+            yaw_deg=pose.yaw_deg,
+            pitch_deg=pose.pitch_deg,
+        )
+        assert same.id == candidate.id
+        assert np.array_equal(same.pose.position_m, pose.position_m)
+
+
+def test_a_pose_of_no_site_stays_at_its_height(meadow, narrow_camera):
+    drone = CandidatePose(
+        id="drone",
+        site_id="",
+        pose=Pose(position_m=[3.0, 4.0, 30.0], yaw_deg=0.0, pitch_deg=-80.0),
+        sensor=narrow_camera,
+    )
+    places = build_places(meadow.scene, [drone], _limits([drone]))
+    pose = moved(places, 0, height_m=20.0, yaw_deg=10.0, pitch_deg=-70.0)
+    assert pose.pose.position_m.tolist() == [3.0, 4.0, 30.0]
+    assert pose.id == "drone/30m/10/-70/narrow"
+
+
+def test_a_pose_that_hangs_outside_of_its_sites_range_may_stay_there(meadow, narrow_camera):
+    """An existing unit, 9 m up and half a metre beside a pole for 4 to 8 m."""
+    high = CandidatePose(
+        id="RSU9",
+        site_id="west",
+        pose=Pose(position_m=[0.5, 0.0, 9.0], yaw_deg=0.0, pitch_deg=-10.0),
+        sensor=narrow_camera,
+    )
+    places = build_places(meadow.scene, [high], _limits([high]))
+    assert places.height_range_m(0) == (4.0, 9.0)
+    pose = moved(places, 0, height_m=12.0, yaw_deg=0.0, pitch_deg=-10.0)
+    assert pose.pose.position_m.tolist() == [0.5, 0.0, 9.0]
+    assert pose.id == "RSU9/9m/0/-10/narrow"
+
+
+def test_nothing_is_moved_into_a_wall(narrow_camera):
+    from geometry.scene_files import load_study_scene
+
+    scene = load_study_scene()
+    wall = next(
+        index for index, item in enumerate(scene.instances) if item.class_name == "building"
+    )
+    corners = scene.vertices_m[scene.triangles[scene.triangle_instance == wall]].reshape(-1, 3)
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    assert corners[:, 2].max() > 4.5
+    site = replace(
+        scene.sites[0], position_m=[*middle[:2], 0.0], height_range_m=[4.0, corners[:, 2].max() + 9]
+    )
+    scene = replace(scene, sites=(site,))
+    grid = CandidateGrid(
+        heights_m=np.array([corners[:, 2].max() + 5.0]),
+        yaw_step_deg=360.0,
+        pitches_deg=np.array([-15.0]),
+        sensors=(narrow_camera,),
+    )
+    candidates = build_candidates(scene, grid)
+    places = build_places(scene, candidates, _limits(candidates))
+    assert moved(places, 0, height_m=4.1, yaw_deg=0.0, pitch_deg=0.0) is None
+    assert moved(places, 0, height_m=1e3, yaw_deg=0.0, pitch_deg=0.0) is not None
+
+
+def test_a_varifocal_lens_is_set_within_its_range(meadow):
+    camera = pick_sensor("varifocal-1080p", "test")
+    grid = CandidateGrid(
+        heights_m=np.array([5.0]),
+        yaw_step_deg=360.0,
+        pitches_deg=np.array([-15.0]),
+        sensors=(camera,),
+    )
+    candidates = build_candidates(meadow.scene, grid)
+    places = build_places(meadow.scene, candidates, _limits(candidates))
+    pose = {"height_m": 5.0, "yaw_deg": 0.0, "pitch_deg": -15.0}
+    for asked, got in ((1.0, 26.2), (170.0, 89.6), (50.123, 50.12), (None, 89.6)):
+        zoomed = moved(places, 0, **pose, fov_deg=asked)
+        assert zoomed.sensor.horizontal_fov_deg == got
+        assert zoomed.id.endswith(f"/varifocal-1080p/{got:g}")
+    rng = np.random.default_rng(0)
+    fovs = [
+        c.sensor.horizontal_fov_deg
+        for _, c in around(places, [(0, candidates[0])], rng, spread=1.0)
+    ]
+    assert min(fovs) >= 26.2
+    assert max(fovs) == 89.6
+    assert len(set(fovs)) > 20
+
+
+def test_poses_around_a_unit_stay_at_its_site_and_shrink_with_the_spread(places):
+    unit = places.candidates[3]
+
+    def turns(spread):
+        found = around(places, [(3, unit)], np.random.default_rng(0), spread=spread)
+        assert {origin for origin, _ in found} == {3}
+        assert {pose.site_id for _, pose in found} == {unit.site_id}
+        assert 1 < len({pose.pose.position_m[2] for _, pose in found}) <= 3
+        away = [
+            (pose.pose.yaw_deg - unit.pose.yaw_deg + 180.0) % 360.0 - 180.0 for _, pose in found
+        ]
+        return np.abs(away)
+
+    wide, narrow = turns(1.0), turns(0.1)
+    assert np.median(wide) > 5.0 * np.median(narrow)
+    assert wide.max() > 16.0
+    assert narrow.max() < 8.0
+
+
+def test_poses_that_are_forced_or_forbidden_are_not_moved(meadow, meadow_grid, meadow_placement):
+    n_poses = len(meadow_grid)
+    is_forced = np.arange(n_poses) == 2
+    is_forbidden = np.arange(n_poses) >= 8
+    limits = _limits(meadow_grid, is_forced=is_forced, is_forbidden=is_forbidden)
+    places = build_places(meadow.scene, meadow_grid, limits)
+    rng = np.random.default_rng(0)
+    chosen = [(row, meadow_grid[row]) for row in (2, 9)]
+    assert around(places, chosen, rng, spread=1.0) == []
+    spots = find_weak_spots(meadow_placement.problem, meadow_placement.pose_index, meadow.runs)
+    origins = {origin for origin, _ in aimed(places, meadow_placement.problem.table, spots, rng)}
+    assert origins
+    assert origins <= {0, 1, 3, 4, 5, 6, 7}
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 2**32 - 1))
+def test_aimed_poses_look_at_what_is_weak(meadow_placement, meadow_grid, places, seed):
+    spots = WeakSpots(
+        frame_index=np.array([5]), probability=np.array([1.0]), vru_m=np.array([[12.0, 9.0, 0.9]])
+    )
+    rng = np.random.default_rng(seed)
+    found = aimed(places, meadow_placement.problem.table, spots, rng)
+    assert len(found) == 32
+    for origin, candidate in found:
+        assert candidate.site_id == meadow_grid[origin].site_id
+        ahead = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)[:, 0]
+        offset = spots.vru_m[0] - candidate.pose.position_m
+        assert ahead @ offset / np.linalg.norm(offset) > np.cos(np.radians(50.0))
+
+
+def test_nothing_is_aimed_at_where_nothing_is_weak(places, meadow_placement):
+    nothing = WeakSpots(
+        frame_index=np.array([], dtype=int), probability=np.array([]), vru_m=np.zeros((0, 3))
+    )
+    rng = np.random.default_rng(0)
+    assert aimed(places, meadow_placement.problem.table, nothing, rng) == []

@@ -1,0 +1,118 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.catalogue import pick_sensor
+from geometry.poses import Pose
+from geometry.sensors import with_fov
+from placement.candidates import CandidatePose
+from placement.detectors import load_planning_detector
+from placement.refinement.rows import RayRows
+from placement.visibility import build_detection_table
+from scenarios.exposure import weight_per_run
+from scenarios.runs import build_frame_axis
+
+SENSORS = ("carla-ncap-rgb", "varifocal-1080p", "carla-ncap-lidar")
+
+
+def _random_poses(n_poses, seed):
+    """Cameras, zooms and LiDARs at three positions."""
+    rng = np.random.default_rng(seed)
+    positions = ([0.0, 0.0, 5.0], [34.0, 4.0, 6.5], [0.0, 0.0, 6.1])
+    poses = []
+    for index in range(n_poses):
+        sensor = pick_sensor(SENSORS[index % 3], "test")
+        if index % 3 == 1:
+            sensor = with_fov(sensor, float(rng.uniform(*sensor.fov_range_deg)), "test")
+        pose = Pose(
+            position_m=positions[rng.integers(3)],
+            yaw_deg=rng.uniform(-180.0, 180.0),
+            pitch_deg=rng.uniform(-45.0, 0.0),
+        )
+        poses.append(CandidatePose(id=str(index), site_id="", pose=pose, sensor=sensor))
+    return poses
+
+
+@pytest.fixture(scope="module")
+def settings(meadow):
+    """By day, and by response in fog, too."""
+    runs = (*meadow.runs, *(replace(run, id=f"{run.id}/fog", weather="fog") for run in meadow.runs))
+    foggy = replace(
+        meadow,
+        runs=runs,
+        axis=build_frame_axis(runs, weight_per_run(runs)),
+        planner=load_planning_detector("response"),
+    )
+    return {"day": meadow, "fog": foggy}
+
+
+@pytest.mark.parametrize("name", ["day", "fog"])
+def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
+    setting = settings[name]
+    poses = _random_poses(36, seed=3)
+    table = build_detection_table(
+        setting.scene, poses, setting.runs, setting.axis, detector=setting.planner
+    )
+    rows = table.detected(slice(None))
+    assert rows.any(axis=1).sum() > 8
+    builder = RayRows(setting, workers=2)
+    assert np.array_equal(builder(poses), table.packed)
+    order = np.random.default_rng(0).permutation(36)
+    for part in np.array_split(order, 7):
+        assert np.array_equal(builder([poses[row] for row in part]), table.packed[part])
+
+
+def test_rays_are_cast_once_per_position_however_often_the_direction_changes(meadow):
+    builder = RayRows(meadow)
+    (camera,) = _random_poses(1, seed=0)
+    for yaw_deg in range(0, 360, 30):
+        builder([replace(camera, pose=replace(camera.pose, yaw_deg=yaw_deg))])
+    assert builder.n_casts == 1
+    away = replace(camera.pose, position_m=camera.pose.position_m + [0.0, 0.0, 0.25])
+    builder([replace(camera, pose=away)])
+    assert builder.n_casts == 2
+
+
+def test_another_setting_of_the_lens_needs_no_new_rays_either(meadow):
+    builder = RayRows(meadow)
+    zoom = _random_poses(2, seed=0)[1]
+    for fov_deg in (89.6, 26.2, 50.0):
+        builder([replace(zoom, sensor=with_fov(zoom.sensor, fov_deg, "test"))])
+    assert builder.n_casts == 1
+
+
+def test_a_sensor_that_reaches_farther_gets_its_own_rays(meadow):
+    """First one that is blind beyond a few metres, then one that is not."""
+    builder = RayRows(meadow)
+    (near,) = _random_poses(1, seed=0)
+    coarse = replace(near.sensor, width_px=64, height_px=36)
+    pose = replace(near.pose, position_m=[0.0, 0.0, 5.0], yaw_deg=45.0, pitch_deg=-15.0)
+    near = replace(near, pose=pose)
+    builder([replace(near, sensor=coarse)])
+    table = build_detection_table(
+        meadow.scene, [near], meadow.runs, meadow.axis, detector=meadow.planner
+    )
+    assert table.detected([0]).any()
+    assert np.array_equal(builder([near]), table.packed)
+    assert builder.n_casts == 2
+    builder([replace(near, sensor=coarse)])
+    assert builder.n_casts == 2
+
+
+def test_many_positions_are_forgotten_and_cast_again(meadow):
+    (camera,) = _random_poses(1, seed=0)
+    poses = [
+        replace(camera, id=str(i), pose=replace(camera.pose, position_m=[0.0, 0.0, 4.0 + 0.1 * i]))
+        for i in range(20)
+    ]
+    builder = RayRows(meadow, workers=2)
+    table = build_detection_table(
+        meadow.scene, poses, meadow.runs, meadow.axis, detector=meadow.planner
+    )
+    assert np.array_equal(builder(poses), table.packed)
+    assert builder.n_casts == 20
+    assert np.array_equal(builder(poses[-1:]), table.packed[-1:])
+    assert builder.n_casts == 20
+    assert np.array_equal(builder(poses[:1]), table.packed[:1])
+    assert builder.n_casts == 21

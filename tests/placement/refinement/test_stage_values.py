@@ -1,0 +1,90 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from problems import problems, questions
+
+from geometry.errors import InputError
+from placement.layout import Certificate, Stage
+from placement.optimiser import Effort, PlacementValue, is_better, placement_value, solve_placement
+from placement.refinement.stage_values import StageValue, certify, improves, stage_values
+
+
+@given(questions(), st.booleans())
+def test_stages_are_those_of_the_certificate_with_the_same_values(problem, is_weighted):
+    if is_weighted:
+        problem = replace(problem, stage_weights=(1.0, 0.5, 0.25, 0.1, 0.001))
+    try:
+        solution = solve_placement(problem, effort=Effort(solver="greedy"))
+    except InputError:
+        return
+    values = stage_values(problem, solution.pose_index)
+    stages = solution.certificate.stages
+    assert [value.name for value in values] == [stage.name for stage in stages]
+    assert [value.value for value in values] == pytest.approx(
+        [stage.objective for stage in stages], abs=1e-12
+    )
+
+
+@given(problems(), st.data())
+def test_without_further_wishes_a_set_improves_where_its_value_is_better(problem, data):
+    n_poses = problem.table.n_poses
+    sets = st.sets(st.integers(0, n_poses - 1), min_size=1, max_size=3).map(sorted)
+    one, other = data.draw(sets), data.draw(sets)
+    values = [placement_value(problem, units) for units in (one, other)]
+    assert improves(stage_values(problem, one), stage_values(problem, other)) == is_better(*values)
+
+
+def test_units_and_cost_are_the_better_the_smaller():
+    few = (StageValue("units", 2.0), StageValue("apr", 0.5))
+    many = (StageValue("units", 3.0), StageValue("apr", 0.9))
+    assert improves(few, many)
+    assert not improves(many, few)
+    assert not improves(few, few)
+    dear, cheap = (StageValue("cost_eur", cost) for cost in (1500.0, 1499.0))
+    assert improves([cheap], [dear])
+    assert not improves([dear], [cheap])
+    assert not improves([dear._replace(value=1500.0 - 1e-9)], [dear])
+
+
+def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
+    def stage(name, objective, bound):
+        return Stage(name=name, objective=objective, bound=bound, gap=9.0, seconds=1.5)
+
+    certificate = Certificate(
+        stages=(
+            stage("units", 3.0, 2.0),
+            stage("apr", 0.5, 0.75),
+            stage("mean_margin_s", 1.0, 1.5),
+            stage("cost_eur", 4000.0, 2000.0),
+        ),
+        solver="some",
+    )
+    values = [
+        StageValue("units", 2.0),
+        StageValue("apr", 0.6),
+        StageValue("mean_margin_s", 2.0),
+        StageValue("cost_eur", 2500.0),
+    ]
+    made = certify(values, certificate, "any")
+    assert made.solver == "any"
+    assert [(s.objective, s.bound) for s in made.stages] == [
+        (2.0, 2.0),
+        (0.6, 0.75),
+        (2.0, 2.0),  # a bound below what is at hand held for sets worse in the stages before
+        (2500.0, 2000.0),
+    ]
+    assert [s.gap for s in made.stages] == pytest.approx([0.0, 0.25, 0.0, 0.2])
+    assert {s.seconds for s in made.stages} == {1.5}
+
+
+def test_the_survived_stage_comes_before_the_apr():
+    from hypothesis import find
+
+    problem = find(problems(), lambda p: p.table.n_poses >= 2 and p.limits.max_units >= 2)
+    problem = replace(problem, survive=1)
+    names = [value.name for value in stage_values(problem, [0, 1])]
+    assert names == ["apr_survived", *PlacementValue._fields]
+    assert np.isfinite([value.value for value in stage_values(problem, [0, 1])]).all()
