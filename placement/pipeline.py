@@ -247,7 +247,7 @@ def _alone(
         seed=seed,
         workers=workers,
     )
-    wishes = Wishes(budget_units=len(units), kept=tuple(unit.id for unit in units[1:]))
+    wishes = Wishes(budget_units=1, kept=tuple(unit.id for unit in units[1:]))
     return build_problem(setting, units, table, wishes=wishes, fusion=fusion)
 
 

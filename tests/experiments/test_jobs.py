@@ -147,3 +147,33 @@ def test_names_with_markup_are_escaped_in_the_report(small_study, tmp_path):
 def test_every_export_names_every_unit(name):
     text = jobs.export_layout(load_carlancap_layout(), name)
     assert all(unit.id in text for unit in load_carlancap_layout().units)
+
+
+def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
+    small_study, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(jobs, "MIN_FRESH_WORLDS", 3)
+    summary = place(tmp_path / "out", samples=2, risk="worst", budget=2)
+    sampled = summary["sampled"]
+    assert sampled["samples"] == 3
+    assert sampled["tail"] == 0.5
+    subject, *others = sampled["layouts"]
+    assert subject["name"] == "best-2"
+    assert len(others) == 2
+    assert len(subject["apr_by_sample"]) == 3
+    assert subject["worst"] == min(subject["apr_by_sample"])
+    assert summary["surrogate_disagreement"] is not None
+    assert (tmp_path / "out/sampled_apr.png").is_file()
+
+
+def test_a_refined_layout_is_no_worse(small_study, tmp_path):
+    plain = place(tmp_path / "plain")
+    refined = place(tmp_path / "refined", refine=True)
+    assert refined["candidates"] >= plain["candidates"]
+    assert refined["apr"] >= plain["apr"]
+    assert "refinement" in refined
+
+
+def test_refinement_is_refused_where_poses_are_given(tmp_path):
+    with pytest.raises(InputError, match="--refine: got it beside --within; expected one of them"):
+        place(tmp_path / "out", refine=True, within="carlancap-12")
