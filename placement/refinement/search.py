@@ -218,6 +218,7 @@ class Search:
             placement,
             layout=layout,
             certificate=certificate,
+            presolve=presolve(problem).statistics,
             problem=problem,
             pose_index=pose_index,
             nominal=problem,
