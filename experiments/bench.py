@@ -128,7 +128,7 @@ def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
         integrality=chosen,
         bounds=Bounds(0.0, 1.0),
         constraints=[
-            LinearConstraint(chosen, ub=problem.limits.budget_units),
+            LinearConstraint(chosen, ub=float(problem.limits.max_units)),
             LinearConstraint(cover, ub=0.0),
         ],
     )

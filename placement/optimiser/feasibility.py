@@ -38,7 +38,7 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
         )
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
     for site in np.flatnonzero(at_site > limits.site_capacity):
-        names = ", ".join(pose_ids[pose] for pose in forced if limits.site_index[pose] == site)
+        names = ", ".join(pose_ids[int(pose)] for pose in forced if limits.site_index[pose] == site)
         raise InputError(
             "forced units",
             Unquoted(f"{at_site[site]} at one site ({names})"),

@@ -13,8 +13,8 @@ from placement.detectors import load_detector, load_planning_detector
 from placement.layout import check_layout
 from placement.optimiser import is_better, is_feasible, placement_value, solve_greedy
 from placement.pipeline import obtain_table, place
-from placement.wishes import Wishes, build_problem, check_wishes
 from placement.setting import Setting
+from placement.wishes import Wishes, build_problem, check_wishes
 from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis
 
