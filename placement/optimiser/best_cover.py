@@ -2,9 +2,10 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from geometry.arrays import IntArray
 
@@ -101,11 +102,25 @@ def find_best_cover(
     Lazy greedy; multipliers with column generation, OSQP's relaxation at the end of it; rounding
     and exchanges among the worthiest poses; reduced costs; branch and bound on the poses left.
     """
-    report = on_step or _ignore
     began_s = time.monotonic()
-    end_s = began_s + time_limit_s
+    with threadpool_limits(1):  # products are too small for BLAS's threads
+        cover = _find(
+            coverage, gap, began_s + time_limit_s, like, seed, workers, on_step or _ignore
+        )
+    return replace(cover, seconds=time.monotonic() - began_s)
+
+
+def _find(
+    coverage: Coverage,
+    gap: float,
+    end_s: float,
+    like: Cover | None,
+    seed: int,
+    workers: int,
+    report: Callable[[str], None],
+) -> Cover:
     report("greedy")
-    best = _greedy(coverage, workers)
+    best = choose_greedily(coverage, workers=workers)
     if like is not None and coverage.supply.allows(like.poses):
         gained = gains(coverage.values, coverage.level(like.poses), workers=workers)
         extended = lazy_greedy(coverage, like.poses, worth=gained)
@@ -115,20 +130,20 @@ def find_best_cover(
         coverage,
         best,
         multipliers=None if like is None else like.multipliers,
-        improve=lambda part, tightened: polish(part, tightened),
+        improve=polish,
         tolerance=min(2.0e-4, max(0.1 * gap, 1.0e-6)),
         end_s=end_s,
         workers=workers,
     )
     bound = columns.bound
-    n_nodes, limit, left = 0, bound.limit, np.empty(0, dtype=np.int64)
+    n_nodes, limit, left = 0, columns.limit, np.empty(0, dtype=np.int64)
 
     def is_enough() -> bool:
         return limit <= coverage.value(best) * (1.0 + max(gap, _ROUNDING))
 
     if not is_enough() and time.monotonic() < end_s:
         report("exchange")
-        best = _search_near(coverage, columns, best, seed)
+        best = search_near(coverage, columns, best, seed=seed)
     if not is_enough():
         enough = coverage.value(best) * (1.0 + gap)
         left = np.flatnonzero(can_matter(coverage, bound, enough))
@@ -151,16 +166,21 @@ def find_best_cover(
         value=value,
         limit=max(limit, value),
         multipliers=bound.multipliers,
-        root_limit=bound.limit,
+        root_limit=columns.limit,
         n_poses_left=len(left),
         n_nodes=n_nodes,
-        seconds=time.monotonic() - began_s,
+        seconds=0.0,
     )
 
 
 def sweep_covers(
-    coverage: Coverage, units: Sequence[int], *, gap: float = 0.0, time_limit_s: float = 300.0,
-    seed: int = 0, workers: int = 1,
+    coverage: Coverage,
+    units: Sequence[int],
+    *,
+    gap: float = 0.0,
+    time_limit_s: float = 300.0,
+    seed: int = 0,
+    workers: int = 1,
 ) -> Iterator[Cover]:
     """Best covers for one number of units after the other, each begun where the last one ended.
 
@@ -193,8 +213,8 @@ def sweep_covers(
         yield last
 
 
-def _greedy(coverage: Coverage, workers: int) -> IntArray:
-    """The better of greedy by gain and by gain per euro."""
+def choose_greedily(coverage: Coverage, *, workers: int = 1) -> IntArray:
+    """Greedy by gain; where money is short, the better of that and of greedy by gain per euro."""
     worth = gains(coverage.values, coverage.floor, workers=workers)
     chosen = lazy_greedy(coverage, worth=worth)
     if np.isfinite(coverage.supply.budget_eur):
@@ -203,7 +223,14 @@ def _greedy(coverage: Coverage, workers: int) -> IntArray:
     return chosen
 
 
-def _search_near(coverage: Coverage, columns: Columns, best: IntArray, seed: int) -> IntArray:
+def search_near(
+    coverage: Coverage,
+    columns: Columns,
+    best: IntArray,
+    *,
+    n_restarts: int = _N_RESTARTS,
+    seed: int = 0,
+) -> IntArray:
     """Round the relaxed solution, exchange, and leave local bests again and again."""
     pool = np.union1d(best, worthiest(columns.bound.worth, _LOCAL_POSES))
     pool = np.union1d(pool, columns.pool[columns.shares > 0.0])
@@ -214,7 +241,7 @@ def _search_near(coverage: Coverage, columns: Columns, best: IntArray, seed: int
     every = np.arange(len(pool))
     rounded = round_shares(part, every, shares)
     start = max((np.searchsorted(pool, best), rounded), key=part.value)
-    found = search_around(part, start, every, n_restarts=_N_RESTARTS, seed=seed)
+    found = search_around(part, start, every, n_restarts=n_restarts, seed=seed)
     return pool[found]
 
 

@@ -7,6 +7,7 @@ accounted for, and then which half of its poses that unit is among.
 
 import heapq
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import count
 
@@ -66,6 +67,7 @@ def branch_and_bound(
     incumbent: IntArray,
     multipliers: ValueArray,
     *,
+    evaluate: Callable[[IntArray], float] | None = None,
     gap: float = 0.0,
     time_limit_s: float = 60.0,
     max_nodes: int | None = None,
@@ -81,6 +83,8 @@ def branch_and_bound(
         A feasible set.
     multipliers : (n_rows,) float
         To begin with.
+    evaluate : callable, optional
+        What a set is truly worth, where f is a limit of that only; by default f.
     gap : float
         Sets that are better by no more than this share of the incumbent need not be found.
     time_limit_s : float
@@ -100,79 +104,109 @@ def branch_and_bound(
     Nodes with the highest limit first: good sets come from exchanges rather than from the depth,
     and so the proven limit falls from node to node.
     """
+    end_s = time.monotonic() + time_limit_s
     with threadpool_limits(1):  # products are too small for BLAS's threads
-        return _search(
-            coverage, incumbent, multipliers, gap, time.monotonic() + time_limit_s, max_nodes, workers
-        )
-
-
-def _search(
-    coverage: Coverage,
-    incumbent: IntArray,
-    multipliers: ValueArray,
-    gap: float,
-    end_s: float,
-    max_nodes: int | None,
-    workers: int,
-) -> Search:
-    best, value = incumbent, coverage.value(incumbent)
-    numbers = count()
-    root = _Node(
-        priority=-np.inf,
-        number=next(numbers),
-        pool=np.arange(coverage.n_poses),
-        groups=coverage.supply.groups,
-        multipliers=multipliers,
+        tree = _Tree(coverage, incumbent, multipliers, evaluate or coverage.value, gap, workers)
+        while tree.is_open and tree.n_nodes != max_nodes and time.monotonic() <= end_s:
+            tree.look_at_next()
+    return Search(
+        poses=tree.best,
+        value=tree.value,
+        limit=tree.limit,
+        n_nodes=tree.n_nodes,
+        is_finished=not tree.is_open,
     )
-    heap, given_up, n_nodes = [root], value, 0
-    while heap:
-        enough = value * (1.0 + gap)
-        if -heap[0].priority <= enough * (1.0 + _LEAST_GAIN):
-            break
-        if time.monotonic() > end_s or n_nodes == max_nodes:
-            limit = max(-heap[0].priority, given_up)
-            return Search(
-                poses=best, value=value, limit=limit, n_nodes=n_nodes, is_finished=False
-            )
-        node = heapq.heappop(heap)
-        n_nodes += 1
-        part = _part(coverage, node.pool, node.groups)
+
+
+class _Tree:
+    """Open nodes, the best set so far, and what has been given up."""
+
+    def __init__(
+        self,
+        coverage: Coverage,
+        incumbent: IntArray,
+        multipliers: ValueArray,
+        evaluate: Callable[[IntArray], float],
+        gap: float,
+        workers: int,
+    ) -> None:
+        self.coverage, self.evaluate = coverage, evaluate
+        self.gap, self.workers = gap, workers
+        self.best, self.value = incumbent, evaluate(incumbent)
+        self.n_nodes = 0
+        self.given_up = -np.inf  # no set that was left aside is worth more
+        self.numbers = count()
+        self.heap: list[_Node] = []
+        self._open(np.inf, np.arange(coverage.n_poses), coverage.supply.groups, multipliers)
+
+    @property
+    def enough(self) -> float:
+        """Sets worth no more are not looked for."""
+        rounding = 4.0 * float(np.finfo(self.coverage.values.dtype).eps)
+        return self.value * (1.0 + max(self.gap, rounding, _LEAST_GAIN))
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a node may hold a set that is looked for."""
+        return bool(self.heap) and -self.heap[0].priority > self.enough
+
+    @property
+    def limit(self) -> float:
+        """No set is worth more."""
+        return max([self.value, self.given_up] + [-node.priority for node in self.heap])
+
+    def look_at_next(self) -> None:
+        """Bound the node with the highest limit; ask a question about it."""
+        node = heapq.heappop(self.heap)
+        self.n_nodes += 1
+        part = _part(self.coverage, node.pool, node.groups)
         tightened = tighten(
             part,
             node.multipliers,
-            target=value,
-            n_steps=_NODE_STEPS if n_nodes > 1 else _ROOT_STEPS,
-            stop_below=enough,
-            workers=workers,
+            target=self.value,
+            n_steps=_NODE_STEPS if self.n_nodes > 1 else _ROOT_STEPS,
+            stop_below=self.enough,
+            workers=self.workers,
         )
         bound = tightened.bound
         limit = min(bound.limit, -node.priority)
-        trial = _complete(part, bound)
-        if part.value(trial) > value * (1.0 + _LEAST_GAIN):
-            best, value = node.pool[trial], part.value(trial)
-            enough = value * (1.0 + gap)
-        if limit <= enough:
-            given_up = max(given_up, limit)
-            continue
-        left = np.flatnonzero(can_matter(part, bound, enough))
-        given_up = max(given_up, enough) if len(left) < part.n_poses else given_up
-        part, shares = part.of_poses(left), tightened.shares[left]
-        pool = node.pool[left]
+        for trial in _sets_near(part, bound):
+            self._offer(node.pool[trial], part.value(trial))
+        if limit <= self.enough:
+            self.given_up = max(self.given_up, limit)
+            return
+        left = np.flatnonzero(can_matter(part, bound, self.enough))
+        if len(left) < part.n_poses:
+            self.given_up = max(self.given_up, min(self.enough, limit))
+        part, pool = part.of_poses(left), node.pool[left]
         if not all(map(len, part.supply.groups)):
-            continue
-        for some, groups in _children(part, shares):
-            heapq.heappush(
-                heap,
-                _Node(
-                    priority=-limit,
-                    number=next(numbers),
-                    pool=pool[some],
-                    groups=tuple(pool[group] for group in groups),
-                    multipliers=bound.multipliers,
-                ),
-            )
-    limit = max([given_up, value] + [-node.priority for node in heap])
-    return Search(poses=best, value=value, limit=limit, n_nodes=n_nodes, is_finished=True)
+            return
+        for some, groups in _children(part, tightened.shares[left]):
+            self._open(limit, pool[some], tuple(pool[group] for group in groups), bound.multipliers)
+
+    def _open(
+        self,
+        limit: float,
+        pool: IntArray,
+        groups: tuple[IntArray, ...],
+        multipliers: ValueArray,
+    ) -> None:
+        node = _Node(
+            priority=-limit,
+            number=next(self.numbers),
+            pool=pool,
+            groups=groups,
+            multipliers=multipliers,
+        )
+        heapq.heappush(self.heap, node)
+
+    def _offer(self, poses: IntArray, promise: float) -> None:
+        """Keep a set if it is better; what it promises is a limit of its value."""
+        if promise <= self.value * (1.0 + _LEAST_GAIN) or not self.coverage.supply.allows(poses):
+            return
+        value = self.evaluate(poses)
+        if value > self.value * (1.0 + _LEAST_GAIN):
+            self.best, self.value = poses, value
 
 
 def _part(coverage: Coverage, pool: IntArray, groups: tuple[IntArray, ...]) -> Coverage:
@@ -182,19 +216,18 @@ def _part(coverage: Coverage, pool: IntArray, groups: tuple[IntArray, ...]) -> C
     return grouped.of_poses(pool)
 
 
-def _complete(part: Coverage, bound: Bound) -> IntArray:
-    """A good set near what the bound picks."""
+def _sets_near(part: Coverage, bound: Bound) -> list[IntArray]:
+    """Sets near what the bound picks: filled up, and exchanged until that does not help."""
     chosen = np.empty(0, dtype=np.int64)
     for pose in bound.pick.poses[np.argsort(-bound.pick.shares, kind="stable")]:
         if part.supply.has_room(chosen)[pose]:
             chosen = np.append(chosen, pose)
     every = np.arange(part.n_poses)
-    return swap(part, fill(part, chosen, every), every)
+    filled = fill(part, chosen, every)
+    return [filled, swap(part, filled, every)]
 
 
-def _children(
-    part: Coverage, shares: FloatArray
-) -> list[tuple[IntArray, tuple[IntArray, ...]]]:
+def _children(part: Coverage, shares: FloatArray) -> list[tuple[IntArray, tuple[IntArray, ...]]]:
     """Pools and groups of the nodes that a node falls apart into; none if it is one set.
 
     Every set of the node is in one of them.

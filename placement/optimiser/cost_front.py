@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 
 from .effort import Effort
@@ -17,18 +18,20 @@ from .front import (
     StageChoice,
     check_front,
     largest_values,
-    look_around,
-    prove_point,
     reaches,
-    tightened,
 )
-from .limits import COST_TOLERANCE_EUR
+from .front_points import look_around, prove_point
+from .greedy import to_full
+from .limits import COST_TOLERANCE_EUR, Limits
 from .presolve import ReducedProblem, presolve
+from .price_levels import level_at_least_eur, level_beyond_eur, price_levels_eur
 from .problem import TOLERANCE, Floor, PlacementProblem
 from .requirements import Requirement
+from .solve import _stage as build_stage
+from .stages import Stages
 
 DEFAULT_MAX_POINTS = 40
-_SHARES = 3  # a point may take this part of the time that is left: most leave some of it
+_SHARES = 2  # a point may take this part of the time that is left: most leave some of it
 
 
 def cost_front(
@@ -93,6 +96,7 @@ def cost_front(
         end_s=time.monotonic() + effort.time_limit_s,
         step=float(weight.min()) if step_apr is None else step_apr,
         largest=largest_values(reduced, "first") or {},
+        levels_eur=price_levels_eur(problem.limits),
     )
     points = [climb.first()]
     higher = _UNKNOWN
@@ -104,11 +108,17 @@ def cost_front(
         if higher is _UNKNOWN:
             higher = climb.higher(last)
         safer = climb.safer(last)
-        if higher.point is None and safer.point is None:
-            if higher.is_impossible and safer.is_impossible and last.is_proven:
+        # Whatever is better than the last point is one of the two.
+        least_eur = min(higher.least_eur, safer.least_eur)
+        if higher.pose_index is None and safer.pose_index is None:
+            if least_eur == np.inf and last.is_proven:
                 settled = last.value.cost_eur
             break
-        point = _cheaper(higher, safer, last)
+        if higher.cost_eur <= safer.cost_eur + COST_TOLERANCE_EUR:
+            point = climb.point(higher, least_eur)
+        else:
+            is_best = higher.least_eur > safer.cost_eur + COST_TOLERANCE_EUR
+            point = climb.point(safer, least_eur, is_best=is_best)
         if point.value.apr > last.value.apr + TOLERANCE:
             higher = _UNKNOWN
         points = [*_not_beaten(points, point), point]
@@ -126,20 +136,19 @@ def cost_front(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Step:
-    """The cheapest layout that is better in one respect.
+    """The cheapest layout that is better in one respect, as found.
 
     `least_eur` is proven: no such layout costs less; infinite if there is none.
     """
 
-    point: FrontPoint | None
+    pose_index: tuple[int, ...] | None
+    cost_eur: float
     least_eur: float
-
-    @property
-    def is_impossible(self) -> bool:
-        return self.least_eur == np.inf
+    seconds: float
+    floors: tuple[tuple[float, int], ...] = ()
 
 
-_UNKNOWN = _Step(point=None, least_eur=-np.inf)
+_UNKNOWN = _Step(pose_index=None, cost_eur=np.inf, least_eur=-np.inf, seconds=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -153,70 +162,133 @@ class _Climb:
     end_s: float
     step: float
     largest: dict[str, float]
+    levels_eur: FloatArray | None
 
     def first(self) -> FrontPoint:
         """The cheapest layout that avoids anything."""
-        problem, reduced, effort = self._asking([(self.step, 0)])
-        search = look_around(problem, reduced, effort=effort, stages=self.stages)
-        check_floors(problem, search)
-        return prove_point(problem, reduced, search, effort=effort, stages=self.stages)
+        step = self._cheapest([(self.step, 0)], None)
+        assert step.pose_index is not None  # check_floors has seen to it
+        return self.point(step, step.least_eur)
 
     def higher(self, last: FrontPoint) -> _Step:
         """The cheapest layout with a higher APR."""
-        return self._step(last, "apr", [(last.value.apr + self.step, 0)])
+        if last.value.apr + self.step > self.largest["apr"] + TOLERANCE:
+            return replace(_UNKNOWN, least_eur=np.inf)
+        return self._cheapest([(last.value.apr + self.step, 0)], last)
 
     def safer(self, last: FrontPoint) -> _Step:
         """The cheapest layout with the same APR that keeps more of it when one unit fails."""
         least = last.value.apr_one_failed + self.step
-        return self._step(last, "apr_one_failed", [(last.value.apr, 0), (least, 1)])
+        if least > self.largest["apr_one_failed"] + TOLERANCE:
+            return replace(_UNKNOWN, least_eur=np.inf)
+        return self._cheapest([(last.value.apr, 0), (least, 1)], last)
 
-    def _step(self, last: FrontPoint, name: str, asked: Sequence[tuple[float, int]]) -> _Step:
-        if asked[-1][0] > self.largest[name] + TOLERANCE:
-            return _Step(point=None, least_eur=np.inf)
-        problem, reduced, effort = self._asking(asked)
+    def _cheapest(self, asked: Sequence[tuple[float, int]], last: FrontPoint | None) -> _Step:
+        """The cheapest layout that reaches APRs: pairs of a share and how many units may fail."""
+        began_s = time.monotonic()
+        problem = replace(self.problem, goal="cheapest", floors=self._floors(asked))
+        reduced = replace(self.reduced, goal="cheapest", floors=self._requirements(asked))
+        effort = self._effort()
+        start = () if last is None else last.pose_index
+        search = look_around(problem, reduced, effort=effort, stages="first", start=start)
+        known_eur = self._known_eur(last)
+        if last is None:
+            check_floors(problem, search)
+        elif search.units is None or search.shortfall > 0.0:
+            least_eur = np.inf if search.nothing_meets_all else known_eur
+            return replace(_UNKNOWN, least_eur=least_eur)
+        if search.value.cost_eur > known_eur + COST_TOLERANCE_EUR:
+            bound = Stages(problem, search, effort).bound_first_cost_eur()
+            known_eur = max(known_eur, level_at_least_eur(self.levels_eur, bound))
+        units = search.units
+        assert units is not None
+        return _Step(
+            pose_index=to_full(reduced, units),
+            cost_eur=search.value.cost_eur,
+            least_eur=known_eur,
+            seconds=time.monotonic() - began_s,
+            floors=tuple(asked),
+        )
+
+    def _known_eur(self, last: FrontPoint | None) -> float:
+        """What is better than a point costs at least so much.
+
+        It is better than all points before, too; and it costs more than this point, if that is the
+        best at its cost.
+        """
+        if last is None:
+            return level_at_least_eur(self.levels_eur, 0.0)
+        if last.is_proven:
+            return level_beyond_eur(self.levels_eur, last.value.cost_eur)
+        return last.certificate.stages[0].bound
+
+    def point(self, step: _Step, least_eur: float, *, is_best: bool = True) -> FrontPoint:
+        """The best layout for the cost of a step.
+
+        Parameters
+        ----------
+        step : _Step
+            With a layout.
+        least_eur : float
+            No layout that is better than the point before costs less.
+        is_best : bool
+            Nothing with a higher APR than asked for costs as little: what was asked for need not be
+            asked again.
+        """
+        assert step.pose_index is not None
+        limits = _within(self.problem.limits, step.cost_eur)
+        asked = () if is_best else step.floors
+        problem = replace(self.problem, limits=limits, floors=self._floors(asked))
+        reduced = replace(
+            self.reduced,
+            limits=limits.of_poses(self.reduced.pose_index),
+            floors=self._requirements(asked),
+        )
+        effort = self._effort()
         search = look_around(
-            problem, reduced, effort=effort, stages=self.stages, start=last.pose_index
+            problem, reduced, effort=effort, stages=self.stages, start=step.pose_index
         )
-        # What is better than the point before costs more, if that point is the best at its cost.
-        least_eur = last.value.cost_eur if last.is_proven else 0.0
-        if search.units is None or search.shortfall > 0.0:
-            return _Step(point=None, least_eur=np.inf if search.nothing_meets_all else least_eur)
-        point = prove_point(problem, reduced, search, effort=effort, stages=self.stages)
-        return _Step(point=point, least_eur=max(point.certificate.stages[0].bound, least_eur))
+        point = prove_point(
+            problem, reduced, search, effort=effort, stages=self.stages, is_cheapest=True
+        )
+        cost = build_stage("cost_eur", point.value.cost_eur, least_eur, step.seconds)
+        return replace(
+            point,
+            certificate=replace(point.certificate, stages=(cost, *point.certificate.stages)),
+        )
 
-    def _asking(
-        self, asked: Sequence[tuple[float, int]]
-    ) -> tuple[PlacementProblem, ReducedProblem, Effort]:
-        """The problem with floors of the APR: pairs of a share and how many units may fail."""
-        floors = [
-            Floor(name="APR", share=min(share, 1.0), n_failures=failed) for share, failed in asked
-        ]
-        requirements = [
-            Requirement(
-                measure=self.reduced.measure, least=floor.share, n_failures=floor.n_failures
-            )
-            for floor in floors
-        ]
-        left_s = max(self.end_s - time.monotonic(), 1.0e-3)
+    def _floors(self, asked: Sequence[tuple[float, int]]) -> tuple[Floor, ...]:
         return (
-            replace(self.problem, goal="cheapest", floors=(*self.problem.floors, *floors)),
-            replace(self.reduced, goal="cheapest", floors=(*self.reduced.floors, *requirements)),
-            replace(self.effort, time_limit_s=left_s / _SHARES),
+            *self.problem.floors,
+            *(
+                Floor(name="APR", share=min(share, 1.0), n_failures=failed)
+                for share, failed in asked
+            ),
         )
 
+    def _requirements(self, asked: Sequence[tuple[float, int]]) -> tuple[Requirement, ...]:
+        measure = self.reduced.measure
+        return (
+            *self.reduced.floors,
+            *(
+                Requirement(measure=measure, least=min(share, 1.0), n_failures=failed)
+                for share, failed in asked
+            ),
+        )
 
-def _cheaper(higher: _Step, safer: _Step, last: FrontPoint) -> FrontPoint:
-    """The next point: the cheaper of two steps, at equal cost the one with the higher APR."""
-    steps = [step for step in (higher, safer) if step.point is not None]
-    costs = [step.point.value.cost_eur for step in steps if step.point is not None]
-    is_first = len(steps) == 1 or costs[0] <= costs[1] + COST_TOLERANCE_EUR
-    point = steps[0 if is_first else 1].point
-    assert point is not None
-    # Whatever is better than the last point is one of the two: it costs no less than either bound.
-    bound = min(higher.least_eur, safer.least_eur)
-    (cost, *others) = point.certificate.stages
-    loosened = tightened(replace(cost, bound=-np.inf), bound)
-    return replace(point, certificate=replace(point.certificate, stages=(loosened, *others)))
+    def _effort(self) -> Effort:
+        left_s = max(self.end_s - time.monotonic(), 1.0e-3)
+        return replace(self.effort, time_limit_s=left_s / _SHARES)
+
+
+def _within(limits: Limits, cost_eur: float) -> Limits:
+    """Limits with so much money; as a number of units, where that says the same."""
+    price = float(limits.unit_cost_eur.max(initial=0.0))
+    if price > 0.0 and np.ptp(limits.unit_cost_eur) == 0.0 and not limits.site_cost_eur.any():
+        affordable = int((cost_eur + COST_TOLERANCE_EUR) / price)
+        most = affordable if limits.budget_units is None else min(affordable, limits.budget_units)
+        return replace(limits, budget_units=most, budget_eur=None)
+    return replace(limits, budget_eur=cost_eur)
 
 
 def _not_beaten(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoint]:

@@ -24,7 +24,6 @@ ValueArray = NDArray[np.float32] | NDArray[np.float64]
 
 _BLOCK_VALUES = 1 << 18  # differences of so many values at a time stay in the cache
 _WORTH_THREADS = 1 << 21  # values: with fewer, threads take longer to start than to work
-_ROUNDING = 1.0 + 2.0**-22  # float32 differences are within one part in 2**24
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,12 +53,12 @@ class Coverage:
     @property
     def n_poses(self) -> int:
         """Number of poses."""
-        return self.values.shape[0]
+        return len(self.values)
 
     @property
     def n_rows(self) -> int:
         """Number of rows."""
-        return self.values.shape[1]
+        return int(self.values.shape[1])
 
     @property
     def floor(self) -> ValueArray:
@@ -179,7 +178,7 @@ def prove(coverage: Coverage, multipliers: ValueArray, *, workers: int = 1) -> B
     """
     level = np.maximum(multipliers.astype(coverage.values.dtype), coverage.floor)
     worth = gains(coverage.values, level, workers=workers)
-    worth *= _ROUNDING
+    worth *= 1.0 + 2.0 * np.finfo(coverage.values.dtype).eps  # more than differences err by
     pick = coverage.supply.pick(worth)
     return Bound(
         limit=float(level.sum(dtype=np.float64)) + pick.limit,

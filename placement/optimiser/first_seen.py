@@ -16,11 +16,10 @@ from geometry.arrays import FloatArray, IntArray
 from scenarios.aeb import AebRule, is_in_time
 from scenarios.runs import FrameAxis
 
-from .coverage import ValueArray
-
 WordArray = NDArray[np.uint64]
 
 _BLOCK_WORDS = 1 << 18  # 2 MB: what is worked on stays in the cache
+_SHARE_DIGITS = 3  # shares that differ by less are equal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,7 +74,11 @@ def timely_windows(axis: FrameAxis, rule: AebRule) -> TimelyWindows:
 
 
 def first_seen_index(
-    packed: NDArray[np.uint8], windows: TimelyWindows, *, frames: slice, workers: int = 1
+    packed: NDArray[np.uint8],
+    windows: TimelyWindows,
+    *,
+    frames: slice | IntArray,
+    workers: int = 1,
 ) -> NDArray[np.uint16]:
     """First window of each run of which each pose sees certain frames.
 
@@ -85,8 +88,10 @@ def first_seen_index(
         V[c, f], lowest bit first.
     windows : TimelyWindows
         Of the same frames.
-    frames : slice
-        Frames of a window that count: ``slice(0, 1)`` the first one, ``slice(None)`` all.
+    frames : slice or (n_rows, largest n_windows) int
+        Frames of a window that count. A slice: the same of every window, all needed, such as
+        ``slice(0, 1)``, the first one, or ``slice(None)``, all. An array: one of each window, see
+        :func:`hardest_frames`.
     workers : int
         Threads.
 
@@ -98,7 +103,7 @@ def first_seen_index(
     Raises
     ------
     ValueError
-        No frame counts.
+        No frame counts, or one that no window has.
     """
     index = np.empty((len(packed), len(windows.run_index)), dtype=np.uint16)
 
@@ -114,9 +119,10 @@ def first_seen_values(
     windows: TimelyWindows,
     worth: FloatArray,
     *,
-    frames: slice,
+    frames: slice | IntArray,
+    out: NDArray[np.float32] | None = None,
     workers: int = 1,
-) -> ValueArray:
+) -> NDArray[np.float32]:
     """What each pose alone is worth in each run.
 
     Parameters
@@ -125,24 +131,26 @@ def first_seen_values(
         As for :func:`first_seen_index`.
     worth : (n_rows, largest n_windows + 1) float
         If window k is the first one seen, such as weight times margin; what stands at n_windows
-        is for runs that are not seen.
+        is for runs that are not seen. Must not grow with k.
+    out : (n_poses, n_rows) float32, optional
+        Where to write.
 
     Returns
     -------
     values : (n_poses, n_rows) float32
-        v[c, r]. With ``slice(None)`` exact where one unit must confirm alone. With
-        ``slice(j, j + 1)``, any j, the largest of the values of the chosen poses is a limit of what
-        they reach together, whoever sees the frames: where a window is seen as a whole, one of
-        them sees its frame j, and worth must not grow with k.
+        v[c, r], rounded up. With ``slice(None)`` exact where one unit must confirm alone. With one
+        frame of each window the largest of the values of the chosen poses is a limit of what they
+        reach together, whoever sees the frames: where a window is seen as a whole, one of them
+        sees that frame of it.
 
     Raises
     ------
     ValueError
-        No frame counts, or `worth` has another shape.
+        As for :func:`first_seen_index`, or `worth` has another shape.
     """
     if worth.shape != windows.margin_s.shape:
         raise ValueError(f"worth: got {worth.shape}; expected {windows.margin_s.shape}")
-    values = np.empty((len(packed), len(windows.run_index)), dtype=np.float32)
+    values = np.empty((len(packed), len(worth)), dtype=np.float32) if out is None else out
     table = worth.astype(np.float32)
     is_less = table < worth  # rounded up instead: a limit stays one
     table[is_less] = np.nextafter(table[is_less], np.float32(np.inf))
@@ -155,22 +163,54 @@ def first_seen_values(
     return values
 
 
+def hardest_frames(seen_share: FloatArray, windows: TimelyWindows) -> IntArray:
+    """Of each window the frame that is seen least.
+
+    Parameters
+    ----------
+    seen_share : (n_frames,) float
+        How much of each frame a relaxed solution sees, 0..1.
+    windows : TimelyWindows
+        Of the same frames.
+
+    Returns
+    -------
+    frames : (n_rows, largest n_windows) int
+        For :func:`first_seen_values`; of equal ones the first.
+
+    Notes
+    -----
+    Whichever frame of a window is asked for, values are limits. To ask for the one that is seen
+    least promises least: for a set it finds exactly the windows that it sees as a whole.
+    """
+    window = np.minimum(np.arange(windows.margin_s.shape[1] - 1), windows.n_windows[:, None] - 1)
+    frame = windows.first_frame[:, None] + window
+    shares = [seen_share[frame + offset] for offset in range(windows.n_confirmations)]
+    frames: IntArray = np.argmin(np.round(np.stack(shares), _SHARE_DIGITS), axis=0)
+    return frames
+
+
 def _go_through(
     packed: NDArray[np.uint8],
     windows: TimelyWindows,
-    frames: slice,
+    frames: slice | IntArray,
     keep: Callable[[slice, IntArray], None],
     workers: int,
 ) -> None:
     """Call `keep` with the indices, (n_rows, n_poses), of a few poses at a time."""
-    counted = range(windows.n_confirmations)[frames]
-    if len(counted) == 0:
+    every = range(windows.n_confirmations)
+    if isinstance(frames, slice):
+        is_possible = len(every[frames]) > 0
+    else:
+        shape = (len(windows.run_index), windows.margin_s.shape[1] - 1)
+        is_possible = frames.shape == shape and bool(np.isin(frames, every).all())
+    if not is_possible:
         raise ValueError(f"frames: got {frames}; expected some of {windows.n_confirmations}")
     n_poses = max(64, _BLOCK_WORDS // max(1, len(windows.run_index)))
 
     def work(start: int) -> None:
         rows = slice(start, start + n_poses)
-        keep(rows, _first_seen(_by_word(packed[rows]), windows, counted))
+        keep(rows, _first_seen(_by_word(packed[rows]), windows, frames))
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(work, range(0, len(packed), n_poses)))
@@ -184,16 +224,24 @@ def _by_word(packed: NDArray[np.uint8]) -> WordArray:
     return np.ascontiguousarray(padded.view("<u8").T)
 
 
-def _first_seen(words: WordArray, windows: TimelyWindows, counted: range) -> IntArray:
+def _first_seen(words: WordArray, windows: TimelyWindows, frames: slice | IntArray) -> IntArray:
     """Index of the first window of each run, (n_rows, n_poses)."""
     index = np.repeat(windows.n_windows[:, None], words.shape[1], axis=1)
     n_rounds = -(-int(windows.n_windows.max(initial=0)) // 64)
     for first_window in range(64 * (n_rounds - 1), -1, -64):
         longer = np.flatnonzero(windows.n_windows > first_window)
         begin = windows.first_frame[longer] + first_window
-        seen = _words_from(words, begin + counted[0])
-        for frame in counted[1:]:
-            seen &= _words_from(words, begin + frame)
+        if isinstance(frames, slice):
+            offsets = range(windows.n_confirmations)[frames]
+            seen = _words_from(words, begin + offsets[0])
+            for offset in offsets[1:]:
+                seen &= _words_from(words, begin + offset)
+        else:
+            asked = frames[longer, first_window : first_window + 64]
+            seen = np.zeros((len(longer), words.shape[1]), dtype=np.uint64)
+            for offset in range(windows.n_confirmations):
+                of_window = _by_word(np.packbits(asked == offset, axis=1, bitorder="little"))[0]
+                seen |= _words_from(words, begin + offset) & of_window[:, None]
         n_left = np.minimum(windows.n_windows[longer] - first_window, 64).astype(np.uint64)
         seen &= (~np.uint64(0) >> (np.uint64(64) - n_left))[:, None]
         lowest = np.bitwise_count(~seen & (seen - np.uint64(1)))  # 64 if no bit is set
@@ -206,4 +254,5 @@ def _words_from(words: WordArray, first_frame: IntArray) -> WordArray:
     word, bit = np.divmod(first_frame, 64)
     bit = bit.astype(np.uint64)[:, None]
     # numpy shifts everything out where the shift is 64.
-    return (words[word] >> bit) | (words[word + 1] << (np.uint64(64) - bit))
+    result: WordArray = (words[word] >> bit) | (words[word + 1] << (np.uint64(64) - bit))
+    return result

@@ -9,7 +9,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 
-from .coverage import Bound, Coverage, prove
+from .coverage import Bound, Coverage, ValueArray, prove
 
 _DEFLECTION = 0.7  # of the last direction that is kept
 _PATIENCE = 15  # steps without a better bound before the step is cut
@@ -18,6 +18,7 @@ _SMALLEST_STEP = 1.0e-4
 _MEMORY = 0.95  # of the shares: the last 20 steps or so
 _LEAST = 1.0e-7  # relative; a bound that is better by less is no better
 _COARSE_STEPS, _FINE_STEPS = 50, 200
+_WAY_BACK = (0.6, 0.3)  # to the best multipliers so far, where new ones are no better
 
 _limit = attrgetter("limit")
 
@@ -62,7 +63,7 @@ class Tightened:
 
 def tighten(
     coverage: Coverage,
-    multipliers: FloatArray,
+    multipliers: ValueArray,
     *,
     target: float,
     n_steps: int = 300,
@@ -146,6 +147,8 @@ class Columns:
 
     Attributes
     ----------
+    limit : float
+        No feasible set is worth more: that of `bound`, or what all poses together reach.
     bound : Bound
         For all poses.
     pool : (n,) int
@@ -154,6 +157,7 @@ class Columns:
         Their shares in a relaxed solution, roughly.
     """
 
+    limit: float
     bound: Bound
     pool: IntArray
     shares: FloatArray
@@ -163,7 +167,7 @@ def generate_columns(
     coverage: Coverage,
     incumbent: IntArray,
     *,
-    multipliers: FloatArray | None = None,
+    multipliers: ValueArray | None = None,
     improve: Callable[[Coverage, Tightened], Tightened] | None = None,
     sizes: PoolSizes | None = None,
     tolerance: float = 2.0e-4,
@@ -199,15 +203,15 @@ def generate_columns(
     Notes
     -----
     Multipliers that suit a poor pool too well are worth nothing outside it: few steps while many
-    poses still join, more in the end.
+    poses still join, more in the end. Where new multipliers are no better for all poses than the
+    best so far, points between the two are tried (in-out separation, Ben-Ameur, Neto 2007).
     """
     sizes = PoolSizes() if sizes is None else sizes
     slack = tolerance * max(coverage.value(incumbent), 1e-300)
     start = first_multipliers(coverage, incumbent) if multipliers is None else multipliers
-    ceiling = coverage.values.max(axis=0, initial=0.0).astype(np.float64)
-    bounds = [prove(coverage, one, workers=workers) for one in (start, ceiling)]
-    best = bound = min(bounds, key=_limit)
-    pool = np.union1d(incumbent, worthiest(bounds[0].worth, sizes.n_first))
+    ceiling = np.maximum(coverage.values.max(axis=0, initial=0.0), coverage.floor)
+    best = origin = prove(coverage, np.minimum(start, ceiling), workers=workers)
+    pool = np.union1d(incumbent, worthiest(best.worth, sizes.n_first))
     shares = np.zeros(len(pool))
     n_new = coverage.n_poses
     for number in range(sizes.n_rounds):
@@ -215,7 +219,7 @@ def generate_columns(
         part = coverage.of_poses(pool)
         tightened = tighten(
             part,
-            (bounds[0] if number == 0 else bound).multipliers,
+            origin.multipliers,
             target=coverage.value(incumbent),
             n_steps=_COARSE_STEPS if is_coarse else _FINE_STEPS,
             workers=workers,
@@ -223,17 +227,48 @@ def generate_columns(
         if improve is not None and not is_coarse:
             tightened = improve(part, tightened)
         shares = tightened.shares
-        bound = prove(coverage, tightened.bound.multipliers, workers=workers)
-        before, best = best, min(best, bound, key=_limit)
-        is_complete = bound.limit <= tightened.bound.limit + slack
+        goal = tightened.bound.multipliers
+        before, tried = best, [prove(coverage, goal, workers=workers)]
+        for share in _WAY_BACK:
+            if number == 0 or min(tried, key=_limit).limit <= before.limit - slack:
+                break
+            between = share * goal + (1.0 - share) * before.multipliers
+            tried.append(prove(coverage, between, workers=workers))
+        best = min([before, *tried], key=_limit)
+        is_complete = tried[0].limit <= tightened.bound.limit + slack
+        is_complete |= number > 0 and n_new == 0
         is_settled = not is_coarse and is_complete and before.limit - best.limit < slack
         if is_settled or number == sizes.n_rounds - 1 or time.monotonic() > end_s:
             break
-        joining = np.setdiff1d(worthiest(bound.worth, sizes.n_more), pool)
+        origin = tried[0] if is_coarse else best
+        inside = pool[tightened.bound.pick.poses]
+        joining = np.union1d(
+            _too_good(coverage, tried[0], inside, pool, sizes.n_more),
+            _too_good(coverage, best, best.pick.poses, pool, sizes.n_more),
+        )
         n_new = len(joining)
-        kept = pool[worthiest(bound.worth[pool], sizes.n_most)]
+        kept = pool[worthiest(best.worth[pool], sizes.n_most)]
         pool = np.union1d(np.union1d(kept, joining), incumbent)
-    return Columns(bound=best, pool=pool, shares=shares)
+    limit = min(best.limit, float(ceiling.sum(dtype=np.float64)))
+    return Columns(limit=limit, bound=best, pool=pool, shares=shares)
+
+
+def _too_good(
+    coverage: Coverage, bound: Bound, picked: IntArray, pool: IntArray, n_poses: int
+) -> IntArray:
+    """Poses outside a pool that are worth more than one that is picked: the worthiest of them.
+
+    Where money is short, that is worth for money.
+    """
+    score = bound.worth
+    if np.isfinite(coverage.supply.budget_eur):
+        score = score / np.maximum(coverage.supply.prices_eur, 1e-9)
+    least = score[picked].min(initial=np.inf)
+    outside = score.copy()
+    outside[pool] = -np.inf
+    top = worthiest(outside, n_poses)
+    joining: IntArray = top[outside[top] >= max(least, 1e-300)]
+    return joining
 
 
 def worthiest(worth: FloatArray, n_poses: int) -> IntArray:

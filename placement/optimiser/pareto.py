@@ -20,12 +20,11 @@ from .front import (
     check_front,
     from_solution,
     largest_values,
-    look_around,
     no_worse,
-    prove_point,
     reaches,
     tightened,
 )
+from .front_points import look_around, prove_point
 from .large import is_large
 from .limits import COST_TOLERANCE_EUR
 from .presolve import ReducedProblem, presolve
@@ -33,7 +32,7 @@ from .problem import TOLERANCE, PlacementProblem
 from .solve import solve_placement
 
 DEFAULT_MAX_UNITS = 8
-_SHARES = 3  # a point may take this part of the time that is left: most leave some of it
+_SHARES = 2  # a point may take this part of the time that is left: most leave some of it
 
 
 def pareto_front(

@@ -26,7 +26,10 @@ from .multipliers import Tightened, worthiest
 
 _REGULARISATION = 1.0e-3  # of the largest step
 _CHECK_STEPS = 50
-_PENALTY, _OVERRELAXATION = 1.0, 1.8  # of OSQP: measured, two to five times fewer steps than its own
+_PENALTY, _OVERRELAXATION = (
+    1.0,
+    1.8,
+)  # of OSQP: measured, two to five times fewer steps than its own
 _TOLERANCE = 1.0e-5
 _WAY = (0.2, 0.4, 0.6, 0.8, 1.0)
 _SMALL_SHARE = 0.01
@@ -72,7 +75,7 @@ class Relaxation:
         self._levels = _Levels(coverage)
         levels, supply = self._levels, coverage.supply
         n_poses, n_levels = coverage.n_poses, len(levels.step)
-        self._scale = 1.0 / max(float(levels.step.max(initial=0.0)), 1e-300)
+        self._scale = 1.0 / float(levels.step.max()) if n_levels else 1.0
         sites, site = np.unique(supply.site_index, return_inverse=True)
         every = np.arange(n_poses)
         prices = supply.prices_eur

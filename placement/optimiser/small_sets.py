@@ -7,6 +7,7 @@ nearly every triple before any is looked at row by row.
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ MAX_POSES = 6000  # the table of pairs takes 4 bytes each: 144 MB
 _SLACK = 2.0e-6  # relative: the table of pairs, in float32, errs by less
 _FIRST_ROWS = 8
 _BLOCK_SETS = 1 << 15
+_BATCH_TRIPLES = 1 << 25
+_MAX_SETS = 10_000_000
 _BLOCK_SECONDS = 64
 _SAMPLE = 4096
 
@@ -48,7 +51,7 @@ class SmallSets:
 def best_sets(
     coverage: Coverage, need: float, *, max_triples: float = 1e9, workers: int = 1
 ) -> SmallSets | None:
-    """Find every feasible set of ``max_units`` poses, at most three, that is worth more than a need.
+    """Find every feasible set of ``max_units`` poses, at most three, worth more than a need.
 
     Parameters
     ----------
@@ -58,15 +61,15 @@ def best_sets(
         What a set must be worth more than: an incumbent's value less a tolerance. A tolerance
         below the rounding of the values, 6e-8 of them in float32, asks for float64 values.
     max_triples : float
-        Give up if so many are left after the apexes; their number is counted before they are gone
-        through. A second takes some ten million.
+        Give up if so many are left after the first apex; their number is counted before they are
+        gone through, some ten million a second.
     workers : int
         Threads.
 
     Returns
     -------
     found : SmallSets or None
-        None: given up.
+        None: given up, or ten million sets are worth more.
 
     Raises
     ------
@@ -91,10 +94,17 @@ def best_sets(
         if n_units == 2:
             candidates = np.argwhere(np.triu(pairs > rough_need, k=1))
         else:
-            if _count_triples(pairs, rough_need) > max_triples:
+            counts = _count_triples(pairs, rough_need)
+            if counts.sum() > max_triples:
                 return None
-            triples = _triples(pairs, rough_need, workers)
-            candidates = _thinned(values[order], triples, rough_need, workers)
+            found: list[IntArray] = [np.empty((0, 3), dtype=np.int64)]
+            batch = np.cumsum(counts) // _BATCH_TRIPLES  # of each apex
+            for number in np.unique(batch):
+                triples = _triples(pairs, rough_need, np.flatnonzero(batch == number), workers)
+                found.append(_thinned(values[order], triples, rough_need, workers))
+                if sum(map(len, found)) > _MAX_SETS:
+                    return None
+            candidates = np.concatenate(found)
     sets = np.sort(order[candidates], axis=1)
     sets = sets[coverage.supply.allows_each(sets)]
     worth = np.concatenate(
@@ -135,17 +145,17 @@ def _partners(pairs: PairArray, need: float, apex: int) -> tuple[IntArray, IntAr
     return order + apex + 1, limit
 
 
-def _count_triples(pairs: PairArray, need: float) -> int:
-    """Triples that the apex of their best pose leaves over."""
-    count = 0
-    for apex in range(len(pairs) - 2):
+def _count_triples(pairs: PairArray, need: float) -> IntArray:
+    """Triples that the apex of their best pose leaves over, by that pose."""
+    counts = np.zeros(max(len(pairs) - 2, 0), dtype=np.int64)
+    for apex in range(len(counts)):
         _, limit = _partners(pairs, need, apex)
-        count += int(np.maximum(limit - np.arange(1, len(limit) + 1), 0).sum())
-    return count
+        counts[apex] = np.maximum(limit - np.arange(1, len(limit) + 1), 0).sum()
+    return counts
 
 
-def _triples(pairs: PairArray, need: float, workers: int) -> IntArray:
-    """Triples that all three apexes leave over, (n, 3)."""
+def _triples(pairs: PairArray, need: float, apexes: IntArray, workers: int) -> IntArray:
+    """Triples whose best pose is one of some, that all three apexes leave over, (n, 3)."""
     single = np.diagonal(pairs)
 
     def work(apex: int) -> list[IntArray]:
@@ -169,7 +179,7 @@ def _triples(pairs: PairArray, need: float, workers: int) -> IntArray:
         return found
 
     with ThreadPoolExecutor(workers) as pool:
-        parts = [part for found in pool.map(work, range(len(pairs) - 2)) for part in found]
+        parts = [part for found in pool.map(work, apexes.tolist()) for part in found]
     return np.concatenate([np.empty((0, 3), dtype=np.int64), *parts])
 
 
@@ -183,16 +193,13 @@ def _thinned(values: FloatArray, sets: IntArray, need: float, workers: int) -> I
         return sets
     best = values.max(axis=0)
     short = (best - values).astype(np.float32)
-    allowed = np.float32(best.sum() - need)
+    allowed = np.float32(best.sum(dtype=np.float64) - need)
     sample = sets[:: max(1, len(sets) // _SAMPLE)]
     order = np.argsort(-short[sample].min(axis=1).mean(axis=0), kind="stable")
     bounds = [0]
     while bounds[-1] < len(order):
         bounds.append(min(len(order), max(_FIRST_ROWS, 2 * bounds[-1])))
-    parts = [
-        np.ascontiguousarray(short[:, order[first:last]])
-        for first, last in zip(bounds, bounds[1:], strict=False)
-    ]
+    parts = [np.ascontiguousarray(short[:, order[first:last]]) for first, last in pairwise(bounds)]
 
     def work(first: int) -> IntArray:
         left = sets[first : first + _BLOCK_SETS]

@@ -7,6 +7,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 
+_MONEY_TOLERANCE_EUR = 1.0e-6
 _MAX_LINES = 60  # of the search for the price of money: it ends long before
 
 
@@ -53,18 +54,26 @@ class Supply:
     max_units: int
     site_index: IntArray
     site_capacity: IntArray
-    unit_cost_eur: FloatArray | None = None
-    site_cost_eur: FloatArray | None = None
+    unit_cost_eur: FloatArray = None  # type: ignore[assignment]  # filled in below
+    site_cost_eur: FloatArray = None  # type: ignore[assignment]
     budget_eur: float = np.inf
     groups: tuple[IntArray, ...] = ()
 
     def __post_init__(self) -> None:
-        n_poses, n_sites = len(self.site_index), len(self.site_capacity)
-        unit, site = self.unit_cost_eur, self.site_cost_eur
-        unit = np.zeros(n_poses) if unit is None else np.array(unit, dtype=np.float64)
-        site = np.zeros(n_sites) if site is None else np.array(site, dtype=np.float64)
-        object.__setattr__(self, "unit_cost_eur", freeze(unit))
-        object.__setattr__(self, "site_cost_eur", freeze(site))
+        for field, size in (
+            ("unit_cost_eur", len(self.site_index)),
+            ("site_cost_eur", len(self.site_capacity)),
+        ):
+            cost = getattr(self, field)
+            cost = np.zeros(size) if cost is None else np.array(cost, dtype=np.float64)
+            if cost.shape != (size,) or not (cost >= 0.0).all():
+                raise ValueError(f"{field}: got {cost}; expected {size} costs, at least 0")
+            object.__setattr__(self, field, freeze(cost))
+
+    @property
+    def money_eur(self) -> float:
+        """The budget and what sums of prices may err by."""
+        return self.budget_eur + _MONEY_TOLERANCE_EUR
 
     @property
     def n_poses(self) -> int:
@@ -74,14 +83,12 @@ class Supply:
     @property
     def prices_eur(self) -> FloatArray:
         """Of each pose, with its share of a site that is full, (n_poses,): no set costs less."""
-        assert self.unit_cost_eur is not None and self.site_cost_eur is not None
         room = np.maximum(self.site_capacity, 1)
         prices: FloatArray = self.unit_cost_eur + (self.site_cost_eur / room)[self.site_index]
         return prices
 
     def of_poses(self, poses: IntArray) -> "Supply":
         """The same for some of the poses; groups lose those that are not among them."""
-        assert self.unit_cost_eur is not None
         place = np.full(self.n_poses, -1)
         place[poses] = np.arange(len(poses))
         groups = [place[group] for group in self.groups]
@@ -102,7 +109,6 @@ class Supply:
 
     def cost_eur(self, poses: IntArray) -> float:
         """What a set costs."""
-        assert self.unit_cost_eur is not None and self.site_cost_eur is not None
         sites = np.unique(self.site_index[poses])
         return float(self.unit_cost_eur[poses].sum() + self.site_cost_eur[sites].sum())
 
@@ -112,24 +118,23 @@ class Supply:
         return (
             len(np.unique(poses)) == len(poses) <= self.max_units
             and bool((at_site <= self.site_capacity).all())
-            and self.cost_eur(poses) <= self.budget_eur
+            and self.cost_eur(poses) <= self.money_eur
             and all(np.isin(group, poses).any() for group in self.groups)
         )
 
     def allows_each(self, sets: IntArray) -> BoolArray:
         """Which sets of distinct poses are feasible: (n_sets, n_units) -> (n_sets,)."""
-        assert self.unit_cost_eur is not None and self.site_cost_eur is not None
         sites = self.site_index[sets]
         same = sites[:, :, None] == sites[:, None, :]
-        can: BoolArray = (same.sum(axis=2) <= self.site_capacity[sites]).all(axis=1)
+        can = (same.sum(axis=2) <= self.site_capacity[sites]).all(axis=1)
         is_first = ~np.tril(same, k=-1).any(axis=2)
         cost = self.unit_cost_eur[sets].sum(axis=1)
         cost += np.where(is_first, self.site_cost_eur[sites], 0.0).sum(axis=1)
-        return can & (cost <= self.budget_eur) & (sets.shape[1] <= self.max_units)
+        can_each: BoolArray = can & (cost <= self.money_eur) & (sets.shape[1] <= self.max_units)
+        return can_each
 
     def extra_cost_eur(self, poses: IntArray) -> FloatArray:
         """What each pose would cost on top of a set, (n_poses,)."""
-        assert self.unit_cost_eur is not None and self.site_cost_eur is not None
         due = self.site_cost_eur.copy()
         due[self.site_index[poses]] = 0.0
         cost: FloatArray = self.unit_cost_eur + due[self.site_index]
@@ -142,7 +147,7 @@ class Supply:
         at_site = np.bincount(self.site_index[poses], minlength=len(self.site_capacity))
         can: BoolArray = (at_site < self.site_capacity)[self.site_index]
         if np.isfinite(self.budget_eur):
-            can &= self.extra_cost_eur(poses) <= self.budget_eur - self.cost_eur(poses)
+            can &= self.extra_cost_eur(poses) <= self.money_eur - self.cost_eur(poses)
         can[poses] = False
         return can
 
@@ -178,7 +183,7 @@ class Supply:
         def line(mu: float) -> tuple[IntArray, float, float]:
             """Best set at a price of money, its worth, the money it leaves."""
             poses = self._pick_units(worth - mu * prices) if mu > 0.0 else free
-            return poses, float(worth[poses].sum()), self.budget_eur - float(prices[poses].sum())
+            return poses, float(worth[poses].sum()), self.money_eur - float(prices[poses].sum())
 
         falling = line(0.0)
         if falling[2] >= 0.0:
@@ -204,7 +209,8 @@ class Supply:
         part = rising[2] / (rising[2] - falling[2])
         poses, where = np.unique(np.concatenate([falling[0], rising[0]]), return_inverse=True)
         weights = np.repeat([part, 1.0 - part], [len(falling[0]), len(rising[0])])
-        return Pick(limit, poses, np.bincount(where, weights=weights, minlength=len(poses)))
+        shares: FloatArray = np.bincount(where, weights=weights, minlength=len(poses)).astype(float)
+        return Pick(limit, poses, shares)
 
     def _pick_units(self, worth: FloatArray) -> IntArray:
         """Best set by units, sites and groups alone: of each group the best, then the worthiest.
