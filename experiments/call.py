@@ -1,0 +1,35 @@
+"""What a call of the program knows of its surroundings. Imports nothing heavy."""
+
+import logging
+import os
+import shlex
+import sys
+from pathlib import Path
+
+_log = logging.getLogger(__name__)
+
+
+def cache_folder() -> Path:
+    """Where detection tables are kept: PLACE_RSUS_CACHE, or the user's cache folder."""
+    folder = os.environ.get("PLACE_RSUS_CACHE")
+    if folder:
+        return Path(folder)
+    from platformdirs import user_cache_path
+
+    return user_cache_path("place-rsus")
+
+
+def command_line() -> str:
+    """The command line of this call, as a shell would take it again."""
+    # What the system hands over need not be text.
+    arguments = [argument.encode(errors="replace").decode() for argument in sys.argv[1:]]
+    return shlex.join(["place-rsus", *arguments])
+
+
+def warn_of_slow_rays() -> None:
+    """Say so where rays are cast by the slower library."""
+    from geometry.raycast import open3d_problem
+
+    problem = open3d_problem()
+    if problem is not None:
+        _log.warning("%s", problem)

@@ -1,0 +1,113 @@
+"""``place-rsus retrofit``: what to remove, re-aim or add where units hang already."""
+
+from pathlib import Path
+
+import click
+
+from .call import cache_folder, command_line, warn_of_slow_rays
+from .cli_latency import latency_budget_options
+from .cli_options import (
+    Number,
+    json_option,
+    layout_option,
+    question_options,
+    quiet_option,
+    seed_option,
+    workers_option,
+)
+from .cli_pareto import leave_out
+from .cli_planning import planning_options
+from .progress import StageProgress
+from .question import Planning, Question
+
+_TIME_LIMIT_S = 60.0
+# What hangs there is --layout; what is added is asked for by money alone.
+_NOT_ASKED = (
+    *("budget", "target", "least", "min_case_apr", "survive", "stage_weights"),
+    *("keep", "within", "force_site", "study_poses"),
+)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  place-rsus retrofit --layout carlancap-12
+  place-rsus retrofit --layout results/latest/layout.json --budget-cost 4000
+  place-rsus retrofit --layout mine.json --sensors carla-ncap-lidar
+  place-rsus retrofit --layout carlancap-12 --visit-cost 300 --json"""
+)
+@layout_option
+@click.option(
+    "--visit-cost",
+    "visit_eur",
+    type=Number("EUR", "euros", may_be_zero=True),
+    help="Of a re-aim or a removal; default: people and a lift, by the project's assumptions.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder for retrofit.csv and retrofit.json; else none.",
+)
+@planning_options(has_samples=False)
+@question_options()
+@latency_budget_options()
+@json_option
+@quiet_option
+@seed_option
+@workers_option
+@click.option(
+    "--cache/--no-cache",
+    "uses_cache",
+    default=True,
+    show_default=True,
+    help="Keep detection tables between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
+)
+@click.pass_obj
+def retrofit(
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    visit_eur: float | None,
+    out: Path | None,
+    planning: Planning,
+    question: Question,
+    as_json: bool,
+    quiet: bool,
+    seed: int,
+    workers: int,
+    uses_cache: bool,
+) -> None:
+    """What to change about units that hang already: remove, re-aim or add one, each priced.
+
+    A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost, the best
+    re-aims and additions together for the money, too.
+    """
+    if len(layout_names) != 1:
+        got = f"{len(layout_names)} layouts" if layout_names else "nothing"
+        raise click.UsageError(f"--layout: got {got}; expected it once")
+    from .study import find_layout
+
+    layout = find_layout(layout_names[0], "--layout")
+    progress.start(quiet=quiet)
+    from .exports import to_json_text
+    from .retrofit_jobs import run_retrofit
+    from .retrofit_sentences import retrofit_text
+
+    warn_of_slow_rays()
+    summary = run_retrofit(
+        question,
+        planning,
+        layout=layout,
+        visit_eur=visit_eur,
+        out=out,
+        seed=seed,
+        workers=workers,
+        cache_folder=cache_folder() if uses_cache else None,
+        command=command_line(),
+        progress=progress,
+    )
+    progress.stop()
+    click.echo(to_json_text(summary).rstrip() if as_json else retrofit_text(summary, out))
+
+
+leave_out(retrofit, _NOT_ASKED, time_limit_s=_TIME_LIMIT_S)

@@ -1,0 +1,228 @@
+"""What ``place-rsus pareto`` does: a front of layouts, with proofs, tables, a figure and words."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, cast
+
+import pandas as pd
+
+from geometry.scene_files import load_study_scene
+from placement.candidates import CandidatePose
+from placement.layout import layout_records
+from placement.optimiser import Fusion, PlacementProblem
+from placement.optimiser.cost_front import cost_front
+from placement.optimiser.front import Front, FrontPoint, StageChoice
+from placement.optimiser.pareto import pareto_front
+from placement.pipeline import obtain_table, pick_layout
+from placement.wishes import build_problem
+
+from .driving import build_setting
+from .exports import to_json_text
+from .figures import to_png
+from .folder_files import check_folder, write_files
+from .pareto_figures import plot_front
+from .planning import Plan, build_plan
+from .progress import WRITING, StageProgress
+from .question import Planning, Question
+from .summary import summarise_drives, versions
+from .unit_sentences import describe_money, describe_units
+
+CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
+_STAGES = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eur")
+
+
+def run_pareto(
+    question: Question,
+    planning: Planning,
+    *,
+    by: str,
+    max_units: int,
+    all_stages: bool,
+    out: Path | None,
+    seed: int,
+    workers: int,
+    cache_folder: Path | None,
+    command: str,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Find what each further unit, or more money, buys; write it to `out` if asked to.
+
+    Parameters
+    ----------
+    question : Question
+        What is driven.
+    planning : Planning
+        What is asked beside the number of units, and how it is looked for: its time is for all
+        points together.
+    by : {"units", "cost"}
+        See :class:`placement.optimiser.front.Front`.
+    max_units : int
+        Most units, beside those that are kept.
+    all_stages : bool
+        Optimise margins and cost, too.
+    out : Path, optional
+        Folder that gets ``pareto.csv``, ``pareto.json`` and ``pareto.png``; what else it holds
+        stays.
+    seed, workers, cache_folder
+        See :func:`placement.pipeline.place`.
+    command : str
+        Command line that makes the result again.
+    progress : StageProgress
+        Is told the stages.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`summarise_front`.
+
+    Raises
+    ------
+    InputError
+        A wish cannot be met, or `out` cannot be written.
+    """
+    scene = load_study_scene()
+    if out is not None:
+        check_folder(out)
+        progress.kept = f"nothing was written to {out}"
+    plan = build_plan(replace(planning, budget=1), scene)
+    wishes = replace(plan.wishes, budget_units=max_units)
+    progress("setting", 0, 0)
+    setting = build_setting(question, scene)
+    table = obtain_table(
+        setting,
+        plan.candidates,
+        seed=seed,
+        workers=workers,
+        cache_folder=cache_folder,
+        on_progress=progress,
+    )
+    fusion = cast(Fusion, planning.fusion)
+    problem = build_problem(setting, plan.candidates, table, wishes=wishes, fusion=fusion)
+    progress("front", 0, 0)
+    n_kept = 0 if plan.kept is None else len(plan.kept.units)
+    front = _find_front(
+        problem, by=by, all_stages=all_stages, n_kept=n_kept, plan=plan, progress=progress
+    )
+    summary = summarise_front(front, problem, plan.candidates, n_kept=n_kept)
+    summary |= {"command": command, **summarise_drives(setting)}
+    if out is not None:
+        progress(WRITING, 0, 0)
+        csv = front_table(front, plan.candidates).to_csv(index=False, lineterminator="\n")
+        png = to_png(plot_front(front))
+        summary |= {"seconds": progress.finish(), "versions": versions()}
+        json = to_json_text(summary)
+        write_files(out, {CSV_NAME: csv.encode(), PNG_NAME: png, JSON_NAME: json.encode()})
+        progress.kept = f"the results are in {out}"
+    else:
+        summary |= {"seconds": progress.finish(), "versions": versions()}
+    return summary
+
+
+def _find_front(
+    problem: PlacementProblem,
+    *,
+    by: str,
+    all_stages: bool,
+    n_kept: int,
+    plan: Plan,
+    progress: StageProgress,
+) -> Front:
+    stages: StageChoice = "all" if all_stages else "first"
+    if by == "cost":
+        return cost_front(
+            problem,
+            stages=stages,
+            effort=plan.effort,
+            on_point=lambda point: progress(f"front: {point.value.cost_eur:,.0f} EUR", 0, 0),
+        )
+    most = problem.limits.budget_units
+    assert most is not None  # that was asked for
+    return pareto_front(
+        problem,
+        max_units=most,
+        min_units=max(n_kept, 1),
+        stages=stages,
+        effort=plan.effort,
+        on_point=lambda point: progress(f"front: {point.units} of {most} units", 0, 0),
+    )
+
+
+def summarise_front(
+    front: Front,
+    problem: PlacementProblem,
+    candidates: Sequence[CandidatePose],
+    *,
+    n_kept: int = 0,
+) -> dict[str, Any]:
+    """A front as one plain object: what ``--json`` prints, and ``pareto.json``.
+
+    Parameters
+    ----------
+    front : Front
+        By units or by cost.
+    problem : PlacementProblem
+        What it was found in.
+    candidates : sequence of CandidatePose
+        Rows of its table.
+    n_kept : int
+        Units that hang there already.
+
+    Returns
+    -------
+    summary : dict
+        "points" has, for each: units, the values, "is_proven", "stages" with objective, bound and
+        gap, "solver", "layout" and "pose_ids"; "sentences" says what each one buys; "settled" is
+        the number of units, or the euros, from which on nothing grows, or None.
+    """
+    sentences = (
+        describe_units(front, n_kept=n_kept) if front.by == "units" else describe_money(front)
+    )
+    return {
+        "by": front.by,
+        "optimised": front.stages,
+        "candidates": problem.table.n_poses,
+        "runs": problem.table.axis.n_runs,
+        "fusion": problem.fusion,
+        "kept": n_kept,
+        "settled": front.settled,
+        "is_proven": front.is_proven,
+        "presolve": None if front.presolve is None else asdict(front.presolve),
+        "refused": [{"units": units, "reason": why} for units, why in front.refused],
+        "points": [_point_record(point, candidates) for point in front.points],
+        "sentences": sentences,
+    }
+
+
+def front_table(front: Front, candidates: Sequence[CandidatePose]) -> pd.DataFrame:
+    """One row per point.
+
+    Returns
+    -------
+    table : DataFrame
+        Columns units, apr, apr_bound and so on, is_proven, poses: ids with spaces between. The
+        bound of what was not optimised is missing.
+    """
+    rows = []
+    for point in front.points:
+        row: dict[str, Any] = {"units": point.units}
+        for name, value in zip(_STAGES, point.value, strict=True):
+            stage = point.stage(name)
+            row |= {name: value, f"{name}_bound": None if stage is None else stage.bound}
+        row["is_proven"] = point.is_proven
+        row["poses"] = " ".join(candidates[index].id for index in point.pose_index)
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _point_record(point: FrontPoint, candidates: Sequence[CandidatePose]) -> dict[str, Any]:
+    layout = pick_layout(candidates, point.pose_index, f"front-{point.units}")
+    return {
+        "units": point.units,
+        **point.value._asdict(),
+        "is_proven": point.is_proven,
+        "stages": [asdict(stage) for stage in point.certificate.stages],
+        "solver": point.certificate.solver,
+        "layout": layout_records(layout),
+        "pose_ids": [candidates[index].id for index in point.pose_index],
+    }

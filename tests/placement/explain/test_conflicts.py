@@ -1,0 +1,246 @@
+"""Conflicts and relaxations of small problems against all sets of poses."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import chain, combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import problems, questions
+
+from placement.explain import Demand, Separation, find_conflicts, relax
+from placement.explain.demands import Wish
+from placement.optimiser import PlacementProblem, cost_eur, floor_value, is_feasible
+
+Poses = tuple[int, ...]
+
+
+@st.composite
+def wishes(draw: st.DrawFn) -> tuple[PlacementProblem, Separation | None]:
+    """Questions, many of which cannot be met; rivals may come from a distance."""
+    problem = draw(questions())
+    limits = problem.limits
+    if not draw(st.booleans()):
+        return problem, None
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    separation = Separation(
+        distance_m=20.0,
+        pair_distance_m=rng.integers(1, 20, len(limits.rivals)).astype(np.float64),
+        site_capacity=limits.site_capacity,
+    )
+    one_each = replace(limits, site_capacity=np.minimum(limits.site_capacity, 1))
+    return replace(problem, limits=one_each), separation
+
+
+def sets_of(n: int) -> list[Poses]:
+    return list(chain.from_iterable(combinations(range(n), size) for size in range(1, n + 1)))
+
+
+def meets(
+    problem: PlacementProblem,
+    separation: Separation | None,
+    demand: Demand,
+    poses: Poses,
+    *,
+    survives: bool,
+) -> bool:
+    """Whether a set of poses meets one demand."""
+    limits, kind = problem.limits, demand.kind
+    sites = limits.site_index[list(poses)]
+    at_site = np.bincount(sites, minlength=limits.n_sites)
+    if kind == "floor":
+        floor = problem.floors[demand.floor]
+        floor = floor if survives else replace(floor, n_failures=0)
+        return floor_value(problem, floor, poses) >= floor.share - 1e-9
+    if kind == "budget_units":
+        return len(poses) <= limits.budget_units
+    if kind == "budget_eur":
+        return cost_eur(limits, poses) <= limits.budget_eur + 1e-6
+    if kind == "capacity":
+        capacity = limits.site_capacity if separation is None else separation.site_capacity
+        return bool((at_site <= capacity).all())
+    if kind == "separation":
+        if separation is not None and (at_site > limits.site_capacity).any():
+            return False
+        return not any(at_site[one] and at_site[other] for one, other in limits.rivals)
+    if kind == "forced":
+        return set(np.flatnonzero(limits.is_forced).tolist()) <= set(poses)
+    if kind == "forbidden":
+        return not limits.is_forbidden[list(poses)].any()
+    if kind == "forced_sites":
+        return bool((at_site[limits.is_forced_site] > 0).all())
+    return True  # "survive" shows in the floors
+
+
+def met_together(
+    problem: PlacementProblem, separation: Separation | None, demands: Iterable[Demand]
+) -> list[Poses]:
+    """All sets of poses that meet some demands."""
+    demands = list(demands)
+    survives = any(demand.kind == "survive" for demand in demands)
+    return [
+        poses
+        for poses in sets_of(problem.table.n_poses)
+        if all(meets(problem, separation, d, poses, survives=survives) for d in demands)
+    ]
+
+
+def check_conflicts(problem, separation, **options):
+    demands = Wish(problem, separation).demands
+    found = find_conflicts(problem, separation=separation, **options)
+    feasible = [poses for poses in sets_of(problem.table.n_poses) if is_feasible(problem, poses)]
+    assert met_together(problem, separation, demands) == feasible
+    assert (len(found) == 0) == (len(feasible) > 0)
+    left = list(demands)
+    for conflict in found:
+        assert conflict.is_smallest
+        for size in range(1, len(conflict.demands)):
+            for fewer in combinations(left, size):
+                assert met_together(problem, separation, fewer)
+        assert not met_together(problem, separation, conflict.demands)
+        for relaxation in conflict.relaxations:
+            check_relaxation(problem, separation, conflict, relaxation)
+        assert [r.demand for r in conflict.relaxations] == list(conflict.demands)
+        left = [demand for demand in left if demand not in conflict.demands]
+    assert not found or met_together(problem, separation, left)
+
+
+def check_relaxation(problem, separation, conflict, relaxation):
+    demands = Wish(problem, separation).demands
+    demand = relaxation.demand
+    others = [other for other in demands if other != demand]
+    assert relaxation.suffices == bool(met_together(problem, separation, others))
+    if relaxation.suffices:
+        assert is_feasible(relax(problem, relaxation, separation), relaxation.pose_index)
+    else:
+        others = [other for other in conflict.demands if other != demand]
+    allowed = met_together(problem, separation, others)
+    assert relaxation.pose_index in allowed
+    assert relaxation.is_least
+    expected = least(problem, separation, demand, others, allowed)
+    if not relaxation.given_up:
+        assert relaxation.value == pytest.approx(expected)
+    elif demand.kind == "forbidden":
+        assert len(set(problem.limits.site_index[list(relaxation.given_up)])) == expected
+    else:
+        assert len(relaxation.given_up) == expected
+
+
+def least(problem, separation, demand, others, allowed):
+    """The best value of a relaxation, or how few items have to go."""
+    limits, kind = problem.limits, demand.kind
+    survives = any(other.kind == "survive" for other in others)
+    sites = [set(limits.site_index[list(poses)].tolist()) for poses in allowed]
+    if kind == "budget_units":
+        return min(map(len, allowed))
+    if kind == "budget_eur":
+        return min(cost_eur(limits, poses) for poses in allowed)
+    if kind == "floor":
+        floor = problem.floors[demand.floor]
+        floor = floor if survives else replace(floor, n_failures=0)
+        return max(floor_value(problem, floor, poses) for poses in allowed)
+    if kind == "survive":
+        counted = [problem.floors[other.floor] for other in others if other.floor is not None]
+        return max(
+            n
+            for n in range(3)
+            for poses in allowed
+            if all(
+                floor_value(problem, replace(f, n_failures=min(n, f.n_failures)), poses)
+                >= f.share - 1e-9
+                for f in counted
+            )
+            and n < max(f.n_failures for f in counted)
+        )
+    if kind == "capacity":
+        capacity = limits.site_capacity if separation is None else separation.site_capacity
+        return min(
+            max(
+                (n for n, most in zip(counts(limits, poses), capacity, strict=True) if n > most),
+                default=0,
+            )
+            for poses in allowed
+        )
+    if kind == "separation":
+        if separation is None:
+            return min(
+                sum({one, other} <= used for one, other in limits.rivals.tolist()) for used in sites
+            )
+        return max(
+            nearest(limits, separation, poses, used)
+            for poses, used in zip(allowed, sites, strict=True)
+        )
+    if kind == "forced":
+        forced = set(np.flatnonzero(limits.is_forced).tolist())
+        return min(len(forced - set(poses)) for poses in allowed)
+    if kind == "forbidden":
+        return min(
+            len({limits.site_index[pose] for pose in poses if limits.is_forbidden[pose]})
+            for poses in allowed
+        )
+    forced_sites = set(np.flatnonzero(limits.is_forced_site).tolist())
+    return min(len(forced_sites - used) for used in sites)
+
+
+def counts(limits, poses):
+    return np.bincount(limits.site_index[list(poses)], minlength=limits.n_sites)
+
+
+def nearest(limits, separation, poses, used):
+    """The largest distance at which a set of poses is allowed."""
+    if (counts(limits, poses) > limits.site_capacity).any():
+        return 0.0
+    distances = [
+        distance
+        for (one, other), distance in zip(
+            limits.rivals.tolist(), separation.pair_distance_m, strict=True
+        )
+        if {one, other} <= used
+    ]
+    return min(distances, default=np.inf)
+
+
+@given(wish=wishes())
+@settings(deadline=None, max_examples=150)
+def test_conflicts_are_smallest_and_relaxations_are_least(wish):
+    check_conflicts(*wish)
+
+
+@given(wish=wishes())
+@settings(deadline=None, max_examples=40)
+def test_models_find_the_same_conflicts_without_enumeration(wish):
+    check_conflicts(*wish, max_sets=0)
+
+
+@given(problem=problems())
+@settings(deadline=None, max_examples=30)
+def test_what_can_be_met_has_no_conflict(problem):
+    assert find_conflicts(problem) == ()
+
+
+@given(wish=wishes())
+@settings(deadline=None, max_examples=30)
+def test_the_whole_is_the_sum_of_its_demands(wish):
+    problem, separation = wish
+    whole = Wish(problem, separation)
+    part = whole.part(whole.everything)
+    for poses in sets_of(problem.table.n_poses)[:60]:
+        assert is_feasible(part, poses) == is_feasible(problem, poses)
+        met = whole.met_by(poses, frozenset())
+        assert is_feasible(whole.part(met), poses)
+        assert (met == whole.everything) == is_feasible(problem, poses)
+
+
+@given(wish=wishes())
+@settings(deadline=None, max_examples=20)
+def test_nothing_is_claimed_when_time_is_up(wish):
+    problem, separation = wish
+    demands = Wish(problem, separation).demands
+    for conflict in find_conflicts(problem, separation=separation, time_limit_s=0.0, max_sets=0):
+        assert not met_together(problem, separation, conflict.demands)
+        for relaxation in conflict.relaxations:
+            others = conflict.demands if not relaxation.suffices else demands
+            others = [other for other in others if other != relaxation.demand]
+            assert relaxation.pose_index in met_together(problem, separation, others)

@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import problems
+
+from placement.explain import find_contributions
+from placement.explain.contributions import first_shares
+from placement.optimiser import PlacementProblem, apr, placement_value, run_margins_s
+
+PROBLEMS = problems()
+
+
+def some_poses(problem: PlacementProblem, data: st.DataObject) -> list[int]:
+    return data.draw(st.permutations(range(problem.table.n_poses)))[: data.draw(st.integers(1, 4))]
+
+
+@given(problem=PROBLEMS, data=st.data())
+@settings(deadline=None, max_examples=200)
+def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
+    poses = some_poses(problem, data)
+    whole = run_margins_s(problem, poses)
+    weight = problem.table.axis.weight
+    found = find_contributions(problem, poses)
+    assert [part.pose_index for part in found] == poses
+    for part in found:
+        others = [pose for pose in poses if pose != part.pose_index]
+        left = run_margins_s(problem, others)
+        assert part.only_runs.tolist() == [
+            run for run in range(len(left)) if whole[run] > -np.inf and left[run] == -np.inf
+        ]
+        assert part.marginal_apr == pytest.approx(apr(problem, poses) - apr(problem, others))
+        assert part.marginal_apr == pytest.approx(weight[part.only_runs].sum())
+        assert part.without == placement_value(problem, others)
+        delays = [
+            (whole[run] - left[run], weight[run])
+            for run in range(len(left))
+            if left[run] > -np.inf and weight[run] > 0.0
+        ]
+        if delays:
+            seconds, weights = np.array(delays).T
+            assert part.mean_delay_s == pytest.approx(np.average(seconds, weights=weights))
+            assert part.max_delay_s == pytest.approx(seconds.max())
+        else:
+            assert part.mean_delay_s == part.max_delay_s == 0.0
+        assert 0.0 <= part.mean_delay_s <= part.max_delay_s + 1e-12
+
+
+@given(problem=PROBLEMS, data=st.data())
+@settings(deadline=None, max_examples=100)
+def test_first_confirmations_are_shared_out_in_full(problem, data):
+    poses = some_poses(problem, data)
+    shares = first_shares(problem, poses)
+    counts = (run_margins_s(problem, poses) > -np.inf) & (problem.table.axis.weight > 0.0)
+    assert shares.sum() == pytest.approx(1.0 if counts.any() else 0.0)
+    assert (shares >= 0.0).all()
+
+
+@given(problem=PROBLEMS, data=st.data())
+@settings(deadline=None, max_examples=100)
+def test_a_unit_that_detects_nothing_contributes_nothing(problem, data):
+    poses = some_poses(problem, data)
+    blind = [
+        part
+        for part in find_contributions(problem, poses)
+        if not problem.table.detected([part.pose_index]).any()
+    ]
+    for part in blind:
+        assert part.marginal_apr == part.mean_delay_s == part.first_share == 0.0
+
+
+def test_frames_of_the_first_window_are_shared_by_who_detects_in_them():
+    from placement.explain.contributions import _parts_of_firsts, _parts_of_window
+
+    detected = np.array([[0, 1, 1, 1, 1], [0, 0, 1, 1, 1], [1, 0, 0, 0, 1]], dtype=bool)
+    parts = _parts_of_window(detected, n_confirmations=3)  # frames 0, 1, 2
+    np.testing.assert_allclose(parts, np.array([1.0 + 0.5, 0.5, 1.0]) / 3.0)
+    np.testing.assert_allclose(_parts_of_firsts(detected, n_confirmations=3), [1.0, 0.0, 0.0])

@@ -1,0 +1,84 @@
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import questions
+from small_tables import avoiding_problem
+
+from placement.optimiser import PlacementProblem, cost_eur, is_allowed
+from placement.optimiser.affordable import affordable_sets
+from placement.optimiser.price_levels import (
+    level_at_least_eur,
+    level_beyond_eur,
+    price_levels_eur,
+)
+
+
+def allowed_sets(problem: PlacementProblem) -> list[tuple[int, ...]]:
+    n_poses = problem.table.n_poses
+    return [
+        poses
+        for n_units in range(1, n_poses + 1)
+        for poses in combinations(range(n_poses), n_units)
+        if is_allowed(problem.limits, poses)
+    ]
+
+
+@given(problem=questions())
+@settings(deadline=None, max_examples=100)
+def test_every_layout_costs_one_of_the_levels(problem: PlacementProblem) -> None:
+    levels = price_levels_eur(problem.limits)
+    assert levels is not None
+    assert (np.diff(levels) > 0.0).all()
+    costs = [cost_eur(problem.limits, poses) for poses in allowed_sets(problem)]
+    assert all(np.abs(levels - cost).min() <= 1e-6 for cost in costs)
+    for cost in costs:
+        assert level_at_least_eur(levels, cost) == pytest.approx(cost)
+        dearer = [other for other in costs if other > cost + 1e-6]
+        assert level_beyond_eur(levels, cost) > cost
+        assert not dearer or min(dearer) >= level_beyond_eur(levels, cost) - 1e-6
+
+
+@given(problem=questions(), max_sets=st.sampled_from([10_000, 5]))
+@settings(deadline=None, max_examples=100)
+def test_affordable_sets_are_all_that_the_limits_allow(
+    problem: PlacementProblem, max_sets: int
+) -> None:
+    expected = allowed_sets(problem)
+    sizes = affordable_sets(problem.limits, max_sets=max_sets)
+    if sizes is None:
+        assert len(expected) > max_sets
+        return
+    assert len(expected) <= max_sets
+    assert {tuple(row) for sets in sizes for row in sets.tolist()} == set(expected)
+    assert sum(map(len, sizes)) == len(expected)
+
+
+def test_sites_that_carry_two_leave_fewer_levels() -> None:
+    problem = avoiding_problem(["1"] * 4, price_eur=[1500.0] * 4, budget_units=3)
+    limits = replace(
+        problem.limits,
+        site_index=np.array([0, 0, 1, 1]),
+        site_capacity=np.array([2, 2]),
+        site_cost_eur=np.array([1000.0, 1000.0]),
+        is_forced_site=np.zeros(2, dtype=bool),
+    )
+    levels = price_levels_eur(limits)
+    assert levels is not None
+    # Three units need two sites.
+    assert levels.tolist() == [2500.0, 4000.0, 5000.0, 6500.0]
+    assert level_beyond_eur(levels, 2500.0) == 4000.0
+    assert level_at_least_eur(levels, 4000.5) == 5000.0
+    assert level_beyond_eur(levels, 6500.0) == np.inf
+
+
+def test_prices_without_whole_cents_or_too_many_have_no_levels() -> None:
+    problem = avoiding_problem(["1", "1"], price_eur=[1.0, np.pi])
+    assert price_levels_eur(problem.limits) is None
+    assert level_beyond_eur(None, 3.0) == level_at_least_eur(None, 3.0) == 3.0
+    prices = (np.arange(300) ** 3 + 1.0) / 100.0
+    many = avoiding_problem(["1"] * 300, price_eur=prices.tolist(), budget_units=3)
+    assert price_levels_eur(many.limits) is None

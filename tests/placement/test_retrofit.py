@@ -1,0 +1,293 @@
+"""Retrofits against brute force: every way to keep, turn, take away and add, priced anew."""
+
+from dataclasses import replace
+from itertools import chain, combinations, product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import problems
+from small_tables import avoiding_problem
+
+from geometry.errors import InputError
+from geometry.poses import Pose
+from placement.candidates import CandidateGrid, CandidatePose
+from placement.labour import Labour
+from placement.layout import Layout
+from placement.optimiser import (
+    Limits,
+    PlacementProblem,
+    PlacementValue,
+    is_better,
+    placement_value,
+    run_margins_s,
+)
+from placement.retrofit import Change, combined_limits, find_retrofit
+from placement.retrofit_poses import RetrofitPoses, build_retrofit_poses
+
+RE_AIM_EUR = 2.0
+
+
+def labour() -> Labour:
+    return Labour(
+        people=1.0,
+        wage_eur_per_h=1.0,
+        travel_h=1.0,
+        lift_eur=0.0,
+        re_aim_h=1.0,
+        remove_h=0.5,
+        source="a test",
+    )
+
+
+@st.composite
+def retrofits(draw: st.DrawFn) -> tuple[PlacementProblem, RetrofitPoses]:
+    """Small tables whose first poses hang, whose next ones are re-aims of those."""
+    problem = draw(problems())
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n_poses = problem.table.n_poses
+    n_units = min(draw(st.integers(1, 3)), n_poses)
+    n_aims = min(draw(st.integers(0, 3)), n_poses - n_units)
+    unit_index = np.full(n_poses, -1)
+    unit_index[:n_units] = np.arange(n_units)
+    unit_index[n_units : n_units + n_aims] = rng.integers(n_units, size=n_aims)
+    n_sites = draw(st.integers(1, 4))
+    site_index = rng.integers(n_sites, size=n_poses)
+    is_old = unit_index >= 0
+    site_index[is_old] = site_index[unit_index[is_old]]
+    at_site = np.bincount(site_index[:n_units], minlength=n_sites)
+    capacity = np.maximum(rng.integers(1, 4, size=n_sites), at_site)
+    pairs = [pair for pair in combinations(range(n_sites), 2) if rng.random() < 0.2]
+    rivals = [(a, b) for a, b in pairs if not (at_site[a] and at_site[b])]
+    is_forced = np.arange(n_poses) < n_units
+    price = rng.integers(1, 4, n_poses).astype(float)
+    limits = Limits(
+        site_index=site_index,
+        site_capacity=capacity,
+        unit_cost_eur=np.where(is_forced, 0.0, price),
+        site_cost_eur=np.where(at_site > 0, 0.0, rng.integers(0, 3, n_sites).astype(float)),
+        is_forced=is_forced,
+        is_forbidden=(rng.random(n_poses) < 0.15) & ~is_forced,
+        rivals=np.array(rivals, dtype=np.int64).reshape(-1, 2),
+    )
+    candidates = tuple(_pose(str(index)) for index in range(n_poses))
+    poses = RetrofitPoses(candidates=candidates, unit_index=unit_index)
+    return replace(problem, limits=limits), poses
+
+
+def _pose(name: str) -> CandidatePose:
+    return CandidatePose(
+        id=name,
+        site_id="",
+        pose=Pose(position_m=np.array([0.0, 0.0, 5.0]), yaw_deg=0.0, pitch_deg=-20.0),
+        sensor=None,  # type: ignore[arg-type]  # nothing looks here
+    )
+
+
+def additions_allowed(
+    problem: PlacementProblem, poses: RetrofitPoses, new: tuple[int, ...]
+) -> bool:
+    limits = problem.limits
+    if limits.is_forbidden[list(new)].any():
+        return False
+    sites = limits.site_index[[*range(poses.n_units), *new]]
+    counts = np.bincount(sites, minlength=limits.n_sites)
+    used = counts > 0
+    return bool((counts <= limits.site_capacity)[used].all()) and not any(
+        used[one] and used[other] for one, other in limits.rivals
+    )
+
+
+def price_of(problem: PlacementProblem, poses: RetrofitPoses, new: tuple[int, ...]) -> float:
+    limits = problem.limits
+    opened = {int(limits.site_index[pose]) for pose in new} - set(
+        limits.site_index[: poses.n_units].tolist()
+    )
+    return float(
+        sum(limits.unit_cost_eur[pose] for pose in new)
+        + sum(limits.site_cost_eur[site] for site in opened)
+    )
+
+
+def subsets(items: list[int]) -> list[tuple[int, ...]]:
+    return list(chain.from_iterable(combinations(items, n) for n in range(len(items) + 1)))
+
+
+def best_of(
+    problem: PlacementProblem, options: list[tuple[tuple[int, ...], float]]
+) -> PlacementValue:
+    """Best value of sets with prices, the price in place of the cost."""
+    values = [placement_value(problem, poses)._replace(cost_eur=price) for poses, price in options]
+    best = values[0]
+    for value in values[1:]:
+        best = value if is_better(value, best) else best
+    return best
+
+
+def check_change(problem: PlacementProblem, poses: RetrofitPoses, change: Change) -> None:
+    """Whether a change says of itself what is true."""
+    standing = set(range(poses.n_units))
+    after = (standing - set(change.removed)) | set(change.added)
+    assert change.pose_index == tuple(sorted(after))
+    ids = np.array(problem.table.axis.run_ids)
+    was = run_margins_s(problem, sorted(standing)) > -np.inf
+    now = run_margins_s(problem, sorted(after)) > -np.inf
+    assert set(change.gained) == set(ids[now & ~was])
+    assert set(change.lost) == set(ids[was & ~now])
+    assert change.value[:4] == placement_value(problem, sorted(after))[:4]
+    assert change.is_proven
+
+
+@given(retrofit=retrofits(), budget_eur=st.sampled_from([None, 0.0, 3.0, 6.0]))
+@settings(deadline=None, max_examples=150)
+def test_the_best_change_of_each_kind_is_that_of_brute_force(
+    retrofit: tuple[PlacementProblem, RetrofitPoses], budget_eur: float | None
+) -> None:
+    problem, poses = retrofit
+    standing = tuple(range(poses.n_units))
+    found = find_retrofit(problem, poses, labour=labour(), budget_eur=budget_eur)
+    assert found.before == placement_value(problem, standing)
+    for change in (*found.removals, *found.re_aims, found.addition, found.combination):
+        if change is not None:
+            check_change(problem, poses, change)
+
+    # Removals: all of them, the one that loses least first.
+    assert sorted(change.removed for change in found.removals) == [(unit,) for unit in standing]
+    values = [change.value._replace(cost_eur=0.0) for change in found.removals]
+    assert not any(is_better(value, values[0]) for value in values)
+    assert all(change.price_eur == labour().remove_eur for change in found.removals)
+
+    # Re-aims: the best of every unit that has any, the best of all first.
+    n_aims = int((poses.unit_index[poses.n_units :] >= 0).sum())
+    for change in found.re_aims:
+        (unit,), (aim,) = change.removed, change.added
+        assert poses.unit_index[aim] == unit
+        assert (change.price_eur, change.n_compared) == (RE_AIM_EUR, n_aims)
+        options = [
+            (tuple(sorted({*standing} - {unit} | {int(row)})), 0.0) for row in poses.aims_of(unit)
+        ]
+        best = best_of(problem, options)
+        assert change.value[:4] == pytest.approx(best[:4], abs=1e-9)
+    values = [change.value._replace(cost_eur=0.0) for change in found.re_aims]
+    assert not any(is_better(value, values[0]) for value in values)
+
+    # An addition: one new unit, or none where none is better.
+    new = [int(row) for row in np.flatnonzero(poses.unit_index < 0)]
+    money = np.inf if budget_eur is None else budget_eur
+    additions = [
+        ((*standing, *rows), price_of(problem, poses, rows))
+        for rows in [(), *((row,) for row in new)]
+        if additions_allowed(problem, poses, rows)
+    ]
+    best = best_of(problem, [option for option in additions if option[1] <= money + 1e-6])
+    assert value_of(found.addition, found.before) == pytest.approx(best, abs=1e-8)
+
+    # All together for the money.
+    if budget_eur is None:
+        assert found.combination is None
+        return
+    ways = [[unit, *poses.aims_of(unit).tolist()] for unit in standing]
+    together = [
+        ((*hanging, *rows), price)
+        for hanging in product(*ways)
+        for rows in subsets(new)
+        if additions_allowed(problem, poses, rows)
+        for turned in [sum(pose >= poses.n_units for pose in hanging)]
+        for price in [RE_AIM_EUR * turned + price_of(problem, poses, rows)]
+        if price <= money + 1e-6
+    ]
+    best = best_of(problem, together)
+    assert value_of(found.combination, found.before) == pytest.approx(best, abs=1e-8)
+
+
+def value_of(change: Change | None, before: PlacementValue) -> PlacementValue:
+    """Value afterwards, with the price in place of the cost."""
+    if change is None:
+        return before._replace(cost_eur=0.0)
+    return change.value._replace(cost_eur=change.price_eur)
+
+
+@given(retrofit=retrofits())
+@settings(deadline=None, max_examples=40)
+def test_combined_limits_have_a_pose_for_every_unit_and_room_for_what_is_left(
+    retrofit: tuple[PlacementProblem, RetrofitPoses],
+) -> None:
+    problem, poses = retrofit
+    limits = combined_limits(problem.limits, poses, re_aim_eur=RE_AIM_EUR, budget_eur=6.0)
+    sites = limits.site_index
+    assert (sites[: poses.n_units] == problem.limits.n_sites + np.arange(poses.n_units)).all()
+    assert limits.is_forced_site[problem.limits.n_sites :].all()
+    assert not limits.unit_cost_eur[: poses.n_units].any()
+    assert not limits.is_forbidden[poses.unit_index >= 0].any()
+
+
+def test_what_is_lost_gained_and_paid() -> None:
+    # A sees runs 0 and 1, B run 1 alone; turned, B sees run 2; a new unit sees 2 and 3.
+    problem = avoiding_problem(["1100", "0100", "0010", "0011"], price_eur=[0.0, 0.0, 9.0, 5.0])
+    limits = replace(problem.limits, is_forced=np.array([True, True, False, False]))
+    poses = RetrofitPoses(
+        candidates=tuple(map(_pose, ["A", "B", "B/aim", "new"])),
+        unit_index=np.array([0, 1, 1, -1]),
+    )
+    problem = replace(problem, limits=limits)
+    found = find_retrofit(problem, poses, labour=labour(), budget_eur=6.0)
+    assert (found.before.apr, found.before.apr_one_failed) == (0.5, 0.25)
+    assert [(change.removed, change.lost) for change in found.removals] == [
+        ((1,), ()),
+        ((0,), ("run0",)),
+    ]
+    (re_aim,) = found.re_aims
+    assert (re_aim.removed, re_aim.added, re_aim.price_eur) == ((1,), (2,), RE_AIM_EUR)
+    assert (re_aim.gained, re_aim.lost, re_aim.value.apr) == (("run2",), (), 0.75)
+    assert found.addition is not None
+    assert (found.addition.added, found.addition.price_eur) == ((3,), 5.0)
+    assert (found.addition.gained, found.addition.value.apr) == (("run2", "run3"), 1.0)
+    assert found.combination is not None
+    assert found.combination.added == (3,)  # 7 EUR for both would be too much
+    assert find_retrofit(problem, poses, labour=labour(), budget_eur=4.0).addition is None
+
+
+def _layout(*units: CandidatePose) -> Layout:
+    return Layout(name="mine", units=units)
+
+
+@pytest.fixture
+def grid(camera):  # type: ignore[no-untyped-def]
+    return CandidateGrid(
+        heights_m=np.array([5.0]),
+        yaw_step_deg=90.0,
+        pitches_deg=np.array([-15.0, -30.0]),
+        sensors=(camera,),
+    )
+
+
+def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(grid, camera) -> None:  # type: ignore[no-untyped-def]
+    position = np.array([1.0, 2.0, 7.3])
+    unit = CandidatePose(
+        id="A",
+        site_id="corner",
+        pose=Pose(position_m=position, yaw_deg=-180.0, pitch_deg=-15.0),
+        sensor=camera,
+        latency_s=0.2,
+    )
+    new = replace(unit, id="new")
+    poses = build_retrofit_poses(_layout(unit, replace(unit, id="B")), grid, [new, unit])
+    assert poses.n_units == 2
+    assert [pose.id for pose in poses.candidates[:2]] == ["A", "B"]
+    assert poses.candidates[-1] is new  # the unit itself is not offered once more
+    aims = [poses.candidates[row] for row in poses.aims_of(0)]
+    assert len(aims) == 4 * 2 - 1
+    assert {(aim.pose.yaw_deg, aim.pose.pitch_deg) for aim in aims} == set(
+        product([-90.0, 0.0, 90.0, 180.0], [-15.0, -30.0])
+    ) - {(180.0, -15.0)}
+    for aim in aims:
+        assert aim.pose.position_m.tolist() == position.tolist()
+        assert (aim.sensor, aim.site_id, aim.latency_s) == (camera, "corner", 0.2)
+
+
+def test_ids_that_clash_are_refused(grid, camera) -> None:  # type: ignore[no-untyped-def]
+    unit = replace(_pose("A"), sensor=camera)
+    twin = replace(unit, id="A/aim/0/-30")
+    with pytest.raises(InputError, match=r"layout mine: id: got 'A/aim/0/-30'; expected ids"):
+        build_retrofit_poses(_layout(unit), grid, [twin])
