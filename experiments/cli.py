@@ -21,9 +21,11 @@ from .cli_options import (
     seed_option,
     workers_option,
 )
+from .cli_pareto import pareto
 from .cli_planning import check_asked, planning_options
 from .cli_recording import check_recording_options, is_given, recording_options
 from .cli_render import render
+from .cli_retrofit import retrofit
 from .cli_scenarios import scenarios
 from .cli_solve import solve
 from .cli_verify import verify
@@ -57,6 +59,8 @@ Examples:
   place-rsus evaluate --layout carlancap-12        the study's 12 cameras
   place-rsus --budget 3 --recording ncap_data      the best recorded units
   place-rsus compare --layout results/latest/layout.json --layout carlancap-12
+  place-rsus pareto --max 8                        what each further unit buys
+  place-rsus retrofit --layout carlancap-12        remove, re-aim or add a unit
   place-rsus verify results/latest                 check a certificate
   place-rsus export --layout results/latest/layout.json --format carla
 
@@ -288,7 +292,9 @@ def export(*, layout_names: tuple[str, ...], format_name: str, out: Path | None)
 
 
 cli.add_command(latency)
+cli.add_command(pareto)
 cli.add_command(render)
+cli.add_command(retrofit)
 cli.add_command(scenarios)
 cli.add_command(solve)
 cli.add_command(verify)

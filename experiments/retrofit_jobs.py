@@ -1,6 +1,5 @@
 """What ``place-rsus retrofit`` does: the best change of every kind, priced."""
 
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
@@ -289,9 +288,3 @@ def _pose_words(candidate: CandidatePose) -> str:
 
 def _degrees(angle_deg: float) -> str:
     return f"{round(angle_deg, 1) + 0.0:g}"
-
-
-def all_changes(summary: dict[str, Any]) -> Sequence[dict[str, Any]]:
-    """Every change of a summary."""
-    single = [summary[kind] for kind in ("addition", "combination") if summary[kind] is not None]
-    return [*summary["removals"], *summary["re_aims"], *single]

@@ -2,7 +2,7 @@
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ..optimiser import (
 from ..optimiser.bitsets import left_after_failures, union_margins_s
 from ..optimiser.enumeration import best_of_few
 from ..optimiser.feasibility import check_limits
-from ..optimiser.greedy import to_full
+from ..optimiser.greedy import improve, to_full
 from ..optimiser.limits import COST_TOLERANCE_EUR
 from ..optimiser.measure import Measure
 from ..optimiser.problem import TOLERANCE
@@ -33,6 +33,7 @@ _APR_ALONE = (1.0, 0.0, 0.0, 0.0, 0.0)
 _NOTHING_ELSE = (0.0, 0.0, 0.0, 0.0, 0.0)
 """Stage weights: what comes after limits and floors is worth no exchange."""
 _NO_OBJECTIVE: dict[str, Any] = {"floors": (), "goal": "best", "survive": 0, "stage_weights": None}
+_FEW_UNITS = 6
 _SHARE_OF_TIME = 0.4  # that one question may take of what is left
 
 
@@ -105,41 +106,48 @@ class Oracle:
         units, is_complete = best_of_few(reduced, max_sets=self.max_sets)
         if not is_complete:
             search = self._search(replace(reduced, stage_weights=_NOTHING_ELSE))
-            bound = search.look_for("nothing", ())
-            if search.units is None or search.shortfall > 0.0:
-                return Answer(pose_index=None, is_proven=bound == -np.inf)
+            if not _has_set(search):
+                bound = search.look_for("nothing", ())
+                if not _has_set(search):
+                    return Answer(pose_index=None, is_proven=bound == -np.inf)
             units = search.units
         return _NONE if units is None or not meets(reduced, units) else _found(reduced, units)
 
-    def least_units(self, problem: PlacementProblem) -> Answer:
-        """The fewest units that meet limits and floors."""
-        return self._least(problem, "units")
+    def least_units(self, problem: PlacementProblem, *, more_than: int) -> Answer:
+        """The fewest units that meet limits and floors, where so many are known not to."""
+        is_proven = True
+        for n_units in range(more_than + 1, problem.limits.max_units + 1):
+            if self.left_s() <= 0.0:
+                break
+            answer = self.find(_with(problem, budget_units=n_units))
+            if answer.pose_index is not None:
+                return replace(answer, value=float(n_units), is_proven=is_proven)
+            is_proven &= answer.is_proven
+        any_number = self.find(problem)
+        if any_number.pose_index is None:
+            return any_number
+        return replace(any_number, value=float(len(any_number.pose_index)), is_proven=False)
 
-    def least_cost_eur(self, problem: PlacementProblem) -> Answer:
-        """The least cost at which limits and floors are met, in euros."""
-        return self._least(problem, "cost")
-
-    def _least(self, problem: PlacementProblem, what: Literal["units", "cost"]) -> Answer:
-        if self._is_refused_at_once(problem):
-            return _NONE
-        reduced = self._ask_of(self._presolve(problem), problem)
-        reduced = replace(reduced, goal="fewest" if what == "units" else "cheapest")
-        units, is_complete = best_of_few(reduced, max_sets=self.max_sets)
-        bound = np.inf
-        if not is_complete:
-            search = self._search(replace(reduced, stage_weights=_NOTHING_ELSE))
-            bound = search.look_for(what, ())
-            if search.units is None or search.shortfall > 0.0:
-                return Answer(pose_index=None, is_proven=bound == np.inf)
-            units = search.units
-        if units is None or not meets(reduced, units):
-            return _NONE
-        value = float(len(units)) if what == "units" else cost_eur(reduced.limits, units)
-        return replace(
-            _found(reduced, units),
-            is_proven=bound >= value * (1.0 - 1.0e-6) - COST_TOLERANCE_EUR,
-            value=value,
-        )
+    def least_cost_eur(self, problem: PlacementProblem, *, more_than_eur: float) -> Answer:
+        """The least cost at which limits and floors are met, where so much is known not to do."""
+        limits = problem.limits
+        step_eur = _price_step_eur(limits)
+        best = self.find(problem)
+        if best.pose_index is None:
+            return best
+        value, low, is_proven = cost_eur(limits, best.pose_index), more_than_eur, True
+        while value - low > step_eur + COST_TOLERANCE_EUR and self.left_s() > 0.0:
+            # No set costs anything between two multiples of the step.
+            middle = step_eur * np.floor((0.5 * (low + value)) / step_eur + 1.0e-9)
+            if middle <= low + COST_TOLERANCE_EUR:
+                middle = step_eur * np.floor(value / step_eur - 1.0 + 1.0e-9)
+            answer = self.find(_with(problem, budget_eur=float(middle)))
+            if answer.pose_index is not None:
+                best, value = answer, cost_eur(limits, answer.pose_index)
+            else:
+                low, is_proven = float(middle), is_proven and answer.is_proven
+        is_proven &= value - low <= step_eur + COST_TOLERANCE_EUR
+        return replace(best, value=value, is_proven=is_proven)
 
     def most(self, problem: PlacementProblem, measure: Measure, n_failures: int) -> Answer:
         """The highest ratio that is left when units fail, within limits and floors.
@@ -167,9 +175,9 @@ class Oracle:
         if not is_complete:
             everything = Requirement(measure=measure, least=measure.limit, n_failures=n_failures)
             search = self._search(reduced, everything)
-            if search.units is None or search.shortfall > 0.0:
+            if not _has_set(search):
                 bound = search.look_for("nothing", ())
-                if search.units is None or search.shortfall > 0.0:
+                if not _has_set(search):
                     return Answer(pose_index=None, is_proven=bound == -np.inf)
             is_proven = _raise_ratio(search, n_failures)
             units = search.units
@@ -221,13 +229,15 @@ class Oracle:
         )
 
     def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search:
-        """A search that begins with what greedy choice finds, of the time left a part."""
+        """A search that begins with a set found quickly, of the time left a part."""
         end_s = time.monotonic() + _SHARE_OF_TIME * max(self.left_s(), 0.0)
         search = Search(reduced, end_s=end_s, milp_solver=self.milp_solver)
         floors = reduced.floors if aim is None else (*reduced.floors, aim)
         units = choose_greedily(replace(reduced, floors=floors))
         if len(units) and is_allowed(reduced.limits, units):
             search.keep(units)
+            if len(units) <= _FEW_UNITS:  # exchanges take long for more
+                search.keep(improve(reduced, units, search.limit, end_s=end_s))
         return search
 
 
@@ -236,6 +246,23 @@ _NONE = Answer(pose_index=None, is_proven=True)
 
 def _found(reduced: ReducedProblem, units: IntArray) -> Answer:
     return Answer(pose_index=to_full(reduced, units), is_proven=True)
+
+
+def _has_set(search: Search) -> bool:
+    """Whether a set that meets limits and floors has been found."""
+    return search.units is not None and search.shortfall == 0.0
+
+
+def _with(problem: PlacementProblem, **limits: Any) -> PlacementProblem:
+    """The problem with some of its limits set anew."""
+    return replace(problem, limits=replace(problem.limits, **limits))
+
+
+def _price_step_eur(limits: Limits) -> float:
+    """All costs are multiples of this: of a cent, if of nothing larger."""
+    prices = np.concatenate([limits.unit_cost_eur, limits.site_cost_eur])
+    cents = np.round(100.0 * prices).astype(np.int64)
+    return max(float(np.gcd.reduce(cents)), 1.0) / 100.0
 
 
 def _left(reduced: ReducedProblem, units: IntArray, n_failures: int) -> float:

@@ -126,9 +126,11 @@ def find_relaxation(
     demand = wish.demands[number]
     with_it, without = wish.part(others | {number}), wish.part(others)
     if demand.kind == "budget_units":
-        return _of_value(demand, oracle.least_units(without))
+        asked = with_it.limits.budget_units or 0
+        return _of_value(demand, oracle.least_units(without, more_than=asked))
     if demand.kind == "budget_eur":
-        return _of_value(demand, oracle.least_cost_eur(without))
+        asked_eur = with_it.limits.budget_eur or 0.0
+        return _of_value(demand, oracle.least_cost_eur(without, more_than_eur=asked_eur))
     if demand.kind == "floor":
         assert demand.floor is not None
         floor = wish.problem.floors[demand.floor]

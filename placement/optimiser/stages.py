@@ -65,7 +65,10 @@ class Stages:
                 bound = max(bound, np.ceil(search.look_for("units", ()) - 1.0e-6))
         n_units = len(self._units())
         search.restrict(replace(search.reduced.limits, budget_units=n_units))
-        return float(n_units) if self._is_complete() else min(bound, float(n_units))
+        if self.is_complete:
+            return float(n_units)
+        self.is_complete = None  # fewer sets are left now
+        return min(bound, float(n_units))
 
     def bound_first_cost_eur(self) -> float:
         """No layout that reaches the floors costs less; from here on none costs more."""
@@ -75,7 +78,10 @@ class Stages:
             bound = max(bound, search.look_for("cost", ()))
         cost = search.value.cost_eur
         search.restrict(replace(search.reduced.limits, budget_eur=cost))
-        return cost if self._is_complete() else min(self._settled_from_below(cost, bound), cost)
+        if self.is_complete:
+            return cost
+        self.is_complete = None  # fewer sets are left now
+        return min(self._settled_from_below(cost, bound), cost)
 
     def bound_apr_survived(self) -> float:
         """No layout keeps a higher APR when its worst units fail."""

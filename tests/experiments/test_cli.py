@@ -89,6 +89,8 @@ def test_help_starts_in_half_a_second():
         ["compare"],
         ["export"],
         ["latency"],
+        ["pareto"],
+        ["retrofit"],
         ["solve"],
         ["verify"],
         ["scenarios", "list"],

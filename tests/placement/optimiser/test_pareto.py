@@ -45,7 +45,7 @@ def best_rank(problem: PlacementProblem) -> PlacementValue | None:
 
 
 @given(problem=ANY_PROBLEM, stages=ANY_STAGES)
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=35)
 def test_every_point_is_the_best_that_brute_force_finds(
     problem: PlacementProblem, best_value: BestValue, stages: str
 ) -> None:
@@ -68,7 +68,7 @@ def test_every_point_is_the_best_that_brute_force_finds(
 
 
 @given(problem=questions(), stages=ANY_STAGES)
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=35)
 def test_wishes_hold_at_every_point_and_refuse_those_that_cannot_meet_them(
     problem: PlacementProblem, stages: str
 ) -> None:
@@ -117,7 +117,7 @@ def test_points_agree_with_separate_solves(problem: PlacementProblem) -> None:
 
 
 @given(problem=questions(), seconds=st.sampled_from([1e-9, 60.0]), stages=ANY_STAGES)
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=35)
 def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
     problem: PlacementProblem, seconds: float, stages: str
 ) -> None:
@@ -142,7 +142,7 @@ def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
 
 
 @given(problem=questions(), stages=ANY_STAGES)
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=35)
 def test_where_nothing_grows_nothing_grows(problem: PlacementProblem, stages: str) -> None:
     problem = replace(problem, goal="best", survive=0)
     try:
@@ -161,7 +161,7 @@ def test_where_nothing_grows_nothing_grows(problem: PlacementProblem, stages: st
 
 
 @given(problem=ANY_PROBLEM)
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=35)
 def test_no_set_keeps_more_than_all_poses_but_one_reach(problem: PlacementProblem) -> None:
     n_poses = problem.table.n_poses
     limit = one_failed_limit(presolve(with_units(problem, n_poses)))
