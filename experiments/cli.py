@@ -60,7 +60,7 @@ Examples:
   place-rsus --budget 3 --recording ncap_data      the best recorded units
   place-rsus compare --layout results/latest/layout.json --layout carlancap-12
   place-rsus pareto --max 8                        what each further unit buys
-  place-rsus retrofit --layout carlancap-12        remove, re-aim or add a unit
+  place-rsus retrofit --layout carlancap-12        remove, re-aim or add
   place-rsus verify results/latest                 check a certificate
   place-rsus export --layout results/latest/layout.json --format carla
 
