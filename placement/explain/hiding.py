@@ -122,7 +122,7 @@ def find_reasons(
 def _causes(
     setting: Setting,
     world: World,
-    names: Sequence[NDArray[np.str_]],
+    names: Sequence[NDArray[np.object_]],
     unit: CandidatePose,
     frames: IntArray,
 ) -> list[tuple[Cause, str]]:
@@ -193,7 +193,7 @@ def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
 
 def _things_between(
     world: World,
-    names: Sequence[NDArray[np.str_]],
+    names: Sequence[NDArray[np.object_]],
     unit: CandidatePose,
     frames: IntArray,
     open_sight: Sight,
@@ -208,7 +208,7 @@ def _things_between(
         rays = _rays(eye, views.points_m[view][faces_eye], unit.sensor.near_m)
         static = int(views.static_index[view])
         share, triangle = world.static[static].first_triangle(*rays)
-        thing = np.where(share < 1.0, names[static][triangle], "")
+        thing = names[static][np.where(share < 1.0, triangle, -1)]
         thing[_vut_shares(world, frame, rays) < np.minimum(share, 1.0)] = THE_VUT
         blockers = Counter(thing[thing != ""].tolist()).most_common(1)
         things.append(blockers[0][0] if blockers else "")
@@ -234,7 +234,7 @@ def _vut_shares(world: World, frame: int, rays: tuple[FloatRays, FloatRays]) -> 
     )
 
 
-def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.str_]]:
+def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.object_]]:
     """Name of what each triangle of each static world belongs to, as they are put together."""
     instances = [scene.instances[index].id for index in scene.triangle_instance]
     names = []
@@ -250,5 +250,5 @@ def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.str_]]
             for _ in range(len(body.actor.shapes[0].triangles))
         ]
         # One more at the end: nothing is hit (index -1).
-        names.append(np.array([*instances, *of_bodies, ""]))
+        names.append(np.array([*instances, *of_bodies, ""], dtype=object))
     return names

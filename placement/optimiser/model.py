@@ -75,7 +75,8 @@ def limit_constraints(x: cp.Variable, o: cp.Variable, limits: Limits) -> list[cp
 
     1 <= sum x <= K; unit costs @ x + site costs @ o <= budget; sum of the x of a site <= its
     capacity; x_c <= o_s; x_c = 1 for forced poses; sum of the x of a forced site >= 1;
-    o_s + o_t <= 1 for rivals. For whole x, o is bounded from below by zeros and ones, and nothing raises it.
+    o_s + o_t <= 1 for rivals. For whole x, o is bounded from below by zeros and ones, and nothing
+    raises it.
     """
     at_site = _incidence(limits.site_index, limits.n_sites)
     constraints = [at_site @ x <= limits.site_capacity, x.sum() >= 1.0]

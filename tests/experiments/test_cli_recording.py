@@ -117,7 +117,11 @@ def test_braking_and_confidence_are_heard(run, recording):
         ("--budget 1 --no-study-poses", f"--study-poses: {BESIDE}"),
         ("--budget 1 --no-cache", f"--cache: {BESIDE}"),
         ("--budget 3", "--budget: got 3; expected at most 2, the units recorded"),
-        ("", "--budget: got nothing; expected a whole number of units, at least 1"),
+        (
+            "",
+            "--budget: got nothing; expected a whole number of units, at least 1 (or --target, or "
+            "--budget-cost)",
+        ),
         (
             "evaluate --min-confidence -1",
             "--min-confidence: got '-1'; expected a confidence, 0 to 1",

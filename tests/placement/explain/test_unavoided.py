@@ -1,0 +1,351 @@
+"""Why runs are not avoided: named things in tiny worlds, and everything else by brute force."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from junctions import build_scene
+
+from geometry.actors import PlacedActor, load_actors
+from geometry.catalogue import pick_sensor
+from geometry.errors import InputError
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.detection_table import pack_table
+from placement.detectors import load_detector, load_planning_detector
+from placement.explain import find_unavoided
+from placement.explain.hiding import Look, find_reasons
+from placement.optimiser import Limits, PlacementProblem, run_margins_s
+from placement.setting import Setting
+from placement.visibility import build_detection_table
+from scenarios.aeb import Encounter, load_aeb_rule
+from scenarios.cases import load_cases
+from scenarios.exposure import weight_per_run
+from scenarios.paths import Motion, StraightPath
+from scenarios.runs import Run, build_frame_axis
+
+FAR = (-390.0, -390.0)
+N_FRAMES = 20
+
+
+def run_of(vru_m, *, vut_m=FAR, weather="day", obstruction=(), name="run", last_brake_s=-0.5):
+    """An adult that stands somewhere for two seconds; nothing moves."""
+    motion = Motion(
+        path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0), speed_mps=1.0, start_time_s=0.0
+    )
+    actors = load_actors()
+    return Run(
+        id=name,
+        case=load_cases()["CPNC-50"],
+        approach="east",
+        weather=weather,
+        vut_speed_kmh=20.0,
+        encounter=Encounter(
+            vut=actors["vut"], vut_motion=motion, vru=actors["adult"], vru_motion=motion
+        ),
+        time_s=np.arange(1.0 - N_FRAMES, 1.0) / 10.0,
+        vut_position_m=np.tile(vut_m, (N_FRAMES, 1)),
+        vut_yaw_deg=np.full(N_FRAMES, 90.0),
+        vru_position_m=np.tile(vru_m, (N_FRAMES, 1)),
+        vru_yaw_deg=np.zeros(N_FRAMES),
+        vru_shape=np.zeros(N_FRAMES, dtype=np.int64),
+        obstruction=tuple(obstruction),
+        last_brake_time_s=last_brake_s,
+    )
+
+
+def setting_of(*runs, boxes=()):
+    return Setting(
+        scene=build_scene([], boxes=boxes),
+        runs=runs,
+        axis=build_frame_axis(runs, weight_per_run(runs)),
+        rule=load_aeb_rule(),
+        detector=load_detector(),
+        planner=load_planning_detector(),
+    )
+
+
+def unit(
+    x, y, z=5.0, *, yaw_deg=0.0, pitch_deg=-15.0, sensor="carla-ncap-rgb", fov_deg=None, name="unit"
+):
+    model = pick_sensor(sensor, "test")
+    return CandidatePose(
+        id=name,
+        site_id="",
+        pose=Pose(position_m=np.array([x, y, z]), yaw_deg=yaw_deg, pitch_deg=pitch_deg),
+        sensor=model if fov_deg is None else replace(model, horizontal_fov_deg=fov_deg),
+    )
+
+
+def reasons_of(setting, candidate, run_index=0):
+    looks = [Look(unit=candidate, run_index=run_index, frame_index=np.arange(N_FRAMES))]
+    return [(r.cause, r.thing, r.n_frames) for r in find_reasons(setting, looks)[0]]
+
+
+def is_detected(setting, candidate):
+    table = build_detection_table(
+        setting.scene, [candidate], setting.runs, setting.axis, detector=setting.planner
+    )
+    return table.detected([0])[0]
+
+
+WALL = ("wall-a", -8.0, 0.0, 0.5, 6.0, 4.0)
+BEHIND = ("wall-b", 8.0, 0.0, 0.5, 6.0, 4.0)
+PARKED = [
+    PlacedActor(
+        actor=load_actors()["parked-van"],
+        pose=Pose(position_m=np.array([x, 0.0, 0.0]), yaw_deg=90.0, pitch_deg=0.0),
+    )
+    for x in (-5.0, -9.0)
+]
+
+
+@pytest.mark.parametrize("sensor", ["carla-ncap-rgb", "carla-ncap-lidar"])
+@pytest.mark.parametrize(
+    ("boxes", "run", "expected"),
+    [
+        ([WALL, BEHIND], run_of((0.0, 0.0)), ("hidden", "wall-a")),
+        ([BEHIND], run_of((0.0, 0.0), obstruction=PARKED[:1]), ("hidden", "parked-van")),
+        ([BEHIND], run_of((0.0, 0.0), vut_m=(-2.0, 0.0)), ("hidden", "the VUT")),
+        ([BEHIND], run_of((0.0, 0.0), obstruction=PARKED), ("hidden", "parked-van (2)")),
+    ],
+    ids=["wall", "parked", "VUT", "two alike"],
+)
+def test_what_is_in_the_way_is_named(sensor, boxes, run, expected):
+    setting, low = setting_of(run, boxes=boxes), unit(-20.0, 0.0, 1.2, pitch_deg=0.0, sensor=sensor)
+    assert not is_detected(setting, low).any()
+    assert reasons_of(setting, low) == [(*expected, N_FRAMES)]
+    # Without the thing it is detected: that is what "hidden" says.
+    cleared = setting_of(run_of((0.0, 0.0)), boxes=[BEHIND])
+    assert is_detected(cleared, low).all()
+
+
+def test_the_nearer_of_two_things_is_named():
+    setting = setting_of(run_of((0.0, 0.0), vut_m=(-2.0, 0.0)), boxes=[WALL])
+    assert reasons_of(setting, unit(-20.0, 0.0, 1.2, pitch_deg=0.0)) == [
+        ("hidden", "wall-a", N_FRAMES)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("candidate", "run", "expected"),
+    [
+        (unit(-20.0, 0.0, yaw_deg=180.0), run_of((0.0, 0.0)), "out of view"),
+        (unit(-20.0, 0.0, pitch_deg=28.5), run_of((0.0, 0.0)), "cut off"),
+        (unit(-20.0, 0.0), run_of((250.0, 0.0)), "too far"),
+        (
+            unit(-60.0, 0.0, pitch_deg=-4.0, fov_deg=30.0),
+            run_of((0.0, 0.0), weather="fog"),
+            "too dark",
+        ),
+        (
+            unit(-20.0, 0.0, yaw_deg=180.0, sensor="carla-ncap-lidar"),
+            run_of((0.0, 0.0)),
+            "out of view",
+        ),
+        (unit(-20.0, 0.0, sensor="carla-ncap-lidar"), run_of((350.0, 0.0)), "too far"),
+    ],
+)
+def test_what_else_it_may_be_is_told_apart(candidate, run, expected):
+    setting = setting_of(run)
+    assert not is_detected(setting, candidate).any()
+    assert reasons_of(setting, candidate) == [(expected, "", N_FRAMES)]
+
+
+def test_a_frame_that_only_the_table_misses_is_said_to_be_so():
+    assert reasons_of(setting_of(run_of((0.0, 0.0))), unit(-20.0, 0.0)) == [
+        ("otherwise", "", N_FRAMES)
+    ]
+
+
+def problem_of(setting, candidates, detected, **options):
+    n = len(candidates)
+    limits = {"site_index": np.arange(n), "site_capacity": np.ones(n, dtype=np.int64)}
+    return PlacementProblem(
+        table=pack_table(tuple(c.id for c in candidates), setting.axis, detected),
+        limits=Limits(**limits | options.pop("limits", {})),
+        fusion=options.pop("fusion", "any"),
+        rule=setting.rule,
+    )
+
+
+def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
+    setting = setting_of(run_of((0.0, 0.0)), boxes=[WALL])
+    candidates = [
+        unit(-3.0, 0.0, yaw_deg=180.0, name="near"),
+        unit(-20.0, 0.0, 1.2, pitch_deg=0.0, name="far"),
+        unit(-3.0, 0.5, name="helper"),
+    ]
+    table = build_detection_table(
+        setting.scene, candidates, setting.runs, setting.axis, detector=setting.planner
+    )
+    problem = problem_of(setting, candidates, table.detected(slice(None)))
+    (missed,) = find_unavoided(setting, problem, candidates, [0, 1])
+    assert (missed.outcome, missed.unit_id, missed.n_seen) == ("never seen", "far", 0)
+    assert [(r.cause, r.thing) for r in missed.reasons] == [("hidden", "wall-a")]
+    assert missed.n_frames == missed.reasons[0].n_frames == 14  # until 0.525 s before the impact
+    (missed,) = find_unavoided(setting, problem, candidates, [0])
+    assert (missed.unit_id, missed.reasons[0].cause) == ("near", "out of view")
+    assert missed.rescue is not None
+    assert missed.rescue.pose_id == "helper" or not table.detected([2]).any()
+
+
+@st.composite
+def tables(draw):
+    """Three runs with any deadlines, seven poses anywhere, any detections."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    last = rng.choice([-0.3, -0.9, -1.5, -1.85, -np.inf], size=3)
+    setting = setting_of(
+        *(run_of((0.0, 0.0), name=f"run-{i}", last_brake_s=s) for i, s in enumerate(last))
+    )
+    n_poses = 7
+    places = rng.integers(0, 4, size=(n_poses, 2)) * 10.0
+    candidates = [unit(x, y, name=f"unit-{i}") for i, (x, y) in enumerate(places)]
+    share = draw(st.sampled_from([0.1, 0.3, 0.6]))
+    detected = rng.random((n_poses, setting.axis.n_frames)) < share
+    problem = problem_of(
+        setting,
+        candidates,
+        detected,
+        fusion=draw(st.sampled_from(["any", "single"])),
+        limits={
+            "site_index": rng.integers(0, 4, n_poses),
+            "site_capacity": rng.integers(1, 4, 4),
+            "budget_units": 2,
+            "is_forbidden": rng.random(n_poses) < 0.2,
+            "rivals": np.array([[0, 1]]) if draw(st.booleans()) else None,
+        },
+    )
+    return setting, problem, candidates, rng.choice(n_poses, size=2, replace=False).tolist()
+
+
+@given(given_=tables())
+@settings(deadline=None, max_examples=150)
+def test_outcome_and_rescue_match_brute_force(given_):
+    setting, problem, candidates, chosen = given_
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "placement.explain.unavoided.find_reasons",
+            lambda setting, looks, seed: [()] * len(looks),
+        )
+        found = {
+            entry.run_index: entry for entry in find_unavoided(setting, problem, candidates, chosen)
+        }
+    margin = run_margins_s(problem, chosen)
+    assert sorted(found) == np.flatnonzero(margin == -np.inf).tolist()
+    for run, entry in found.items():
+        check_outcome(problem, chosen, entry)
+        helping = {
+            pose: run_margins_s(problem, [*chosen, pose])[run]
+            for pose in range(len(candidates))
+            if pose not in chosen and may_join(problem.limits, chosen, pose)
+        }
+        helping = {pose: left for pose, left in helping.items() if left > -np.inf}
+        if not helping:
+            assert entry.rescue is None
+            continue
+        away = {
+            pose: min(
+                np.linalg.norm(candidates[pose].pose.position_m - candidates[c].pose.position_m)
+                for c in chosen
+            )
+            for pose in helping
+        }
+        nearest = min(away.values())
+        assert entry.rescue.distance_m == pytest.approx(nearest)
+        assert entry.rescue.pose_index in helping
+        best = max(helping[pose] for pose in helping if away[pose] == pytest.approx(nearest))
+        assert entry.rescue.margin_s == pytest.approx(best)
+        assert entry.rescue.margin_s == pytest.approx(helping[entry.rescue.pose_index])
+
+
+def check_outcome(problem, chosen, entry):
+    axis, rule = problem.table.axis, problem.rule
+    frames = axis.frames_of(entry.run_index)
+    time_s, last_s = axis.time_s[frames], axis.last_brake_time_s[entry.run_index]
+    counts = time_s + rule.latency_s <= last_s + 1e-9
+    seen = problem.table.detected(chosen)[:, frames]
+    assert entry.n_frames == counts.sum()
+    assert entry.n_seen == (seen.any(axis=0) & counts).sum()
+    together = [seen.any(axis=0)] if problem.fusion == "any" else list(seen)
+    n = rule.n_confirmations
+    confirmed = [
+        time_s[end]
+        for party in together
+        for end in range(n - 1, len(time_s))
+        if party[end + 1 - n : end + 1].all()
+    ]
+    if counts.sum() < n:
+        assert entry.outcome == "hopeless"
+        assert entry.rescue is None
+        assert entry.unit_id == ""
+    elif not seen.any():
+        assert entry.outcome == "never seen"
+    elif not confirmed:
+        assert entry.outcome == "never confirmed"
+    else:
+        assert entry.outcome == "too late"
+    if confirmed and np.isfinite(last_s):
+        assert entry.late_s == pytest.approx(min(confirmed) + rule.latency_s - last_s)
+    else:
+        assert entry.late_s == np.inf
+
+
+def may_join(limits, chosen, pose):
+    sites = limits.site_index
+    n_there = int((sites[chosen] == sites[pose]).sum())
+    is_rival = any(
+        {one, other} <= {sites[pose], *sites[chosen]} and sites[pose] in (one, other)
+        for one, other in limits.rivals.tolist()
+    )
+    return (
+        not limits.is_forbidden[pose]
+        and n_there < limits.site_capacity[sites[pose]]
+        and not is_rival
+    )
+
+
+def test_only_the_tables_own_runs_and_candidates_will_do():
+    setting = setting_of(run_of((0.0, 0.0)))
+    candidates = [unit(-20.0, 0.0, name="a"), unit(-20.0, 5.0, name="b")]
+    problem = problem_of(setting, candidates, np.zeros((2, N_FRAMES), dtype=bool))
+    with pytest.raises(InputError, match="candidates: got others; expected the rows of the table"):
+        find_unavoided(setting, problem, candidates[::-1], [0])
+    with pytest.raises(InputError, match=r"pose_index: got \[\]; expected at least one pose"):
+        find_unavoided(setting, problem, candidates, [])
+    other = setting_of(run_of((0.0, 0.0), name="another"))
+    with pytest.raises(InputError, match="table: got 1 other runs; expected the setting's runs"):
+        find_unavoided(other, problem, candidates, [0])
+
+
+def test_each_look_gets_its_own_reasons():
+    runs = [run_of((0.0, 0.0), name="a"), run_of((0.0, 40.0), name="b")]
+    setting = setting_of(*runs, boxes=[WALL])
+    low, away = unit(-20.0, 0.0, 1.2, pitch_deg=0.0), unit(-20.0, 40.0, yaw_deg=180.0)
+    looks = [
+        Look(unit=away, run_index=1, frame_index=np.array([3, 4])),
+        Look(unit=low, run_index=0, frame_index=np.array([5])),
+        Look(unit=away, run_index=0, frame_index=np.array([0, 1, 2])),
+        Look(unit=low, run_index=1, frame_index=np.array([], dtype=np.int64)),
+    ]
+    found = [
+        [(r.cause, r.thing, r.n_frames) for r in reasons]
+        for reasons in find_reasons(setting, looks)
+    ]
+    assert found == [
+        [("out of view", "", 2)],
+        [("hidden", "wall-a", 1)],
+        [("out of view", "", 3)],
+        [],
+    ]
+    assert find_reasons(setting, []) == []
+
+
+def test_weather_and_speed_share_no_reason():
+    clear, foggy = run_of((0.0, 0.0)), run_of((0.0, 0.0), weather="fog", name="fog")
+    setting = setting_of(clear, replace(foggy, encounter=clear.encounter), boxes=[])
+    candidate = unit(-60.0, 0.0, pitch_deg=-4.0, fov_deg=30.0)
+    assert reasons_of(setting, candidate, 0) == [("otherwise", "", N_FRAMES)]
+    assert reasons_of(setting, candidate, 1) == [("too dark", "", N_FRAMES)]
