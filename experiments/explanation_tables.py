@@ -223,11 +223,15 @@ def pool_sentences(explained: Mapping[str, Any]) -> list[str]:
         ]
     sentences = [f"All choices were gone through: {_layouts(within)} with {worth}."]
     if within > len(pool["sets"]):
-        sentences.append(f"The {len(pool['sets'])} best of them are listed.")
+        sentences.append(_listed(len(pool["sets"])))
     always = [site["site"] for site in pool["sites"] if site["share"] == 1.0]
     if always and within > 1:
         sentences.append(f"Each of them has a unit at {', '.join(always)}.")
     return sentences
+
+
+def _listed(count: int) -> str:
+    return "The best one is listed." if count == 1 else f"The {count} best of them are listed."
 
 
 def pool_table(explained: Mapping[str, Any]) -> dict[str, Any]:

@@ -43,6 +43,7 @@ def find_conflicts(
     problem: PlacementProblem,
     *,
     separation: Separation | None = None,
+    keeps_forced: bool = False,
     time_limit_s: float = 30.0,
     milp_solver: str = DEFAULT_SOLVER,
     max_sets: int = _MAX_SETS,
@@ -55,6 +56,8 @@ def find_conflicts(
         The wish.
     separation : Separation, optional
         Where its rivals come from, if from a least distance.
+    keeps_forced : bool
+        Forced poses are no demand but a fact, such as units that hang there already.
     time_limit_s : float
         For all questions together; presolve is finished in any case. [s]
     milp_solver : str
@@ -66,11 +69,12 @@ def find_conflicts(
     -------
     conflicts : tuple of Conflict
         A smallest one first, then a smallest one among the demands that are left, and so on: no
-        two share a demand. None if the wish can be met, or it was not found out that it cannot.
+        two share a demand. None if the wish can be met, or it was not found out that it cannot, or
+        nothing would help.
     """
     if problem.table.n_poses == 0:
         return ()
-    wish = Wish(problem, separation)
+    wish = Wish(problem, separation, keeps_forced=keeps_forced)
     oracle = Oracle(
         problem, end_s=time.monotonic() + time_limit_s, milp_solver=milp_solver, max_sets=max_sets
     )
@@ -81,6 +85,8 @@ def find_conflicts(
             asked[active] = oracle.find(wish.part(active))
         return asked[active]
 
+    if ask(frozenset()).pose_index is None:  # forced and forbidden, say
+        return ()
     left, found = wish.everything, []
     while left and _is_refused(ask(left)):
         numbers, is_smallest = _smallest_conflict(wish, left, ask)

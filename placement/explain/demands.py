@@ -70,11 +70,24 @@ class Wish:
         The whole.
     separation : Separation, optional
         Where the rivals of its limits come from, if from a least distance.
+    keeps_forced : bool
+        Forced poses are no demand but a fact, such as units that hang there already.
     """
 
-    def __init__(self, problem: PlacementProblem, separation: Separation | None = None) -> None:
+    def __init__(
+        self,
+        problem: PlacementProblem,
+        separation: Separation | None = None,
+        *,
+        keeps_forced: bool = False,
+    ) -> None:
         self.problem, self.separation = problem, separation
-        self.demands = _list_demands(problem, separation)
+        self.keeps_forced = keeps_forced
+        self.demands = tuple(
+            demand
+            for demand in _list_demands(problem, separation)
+            if not (keeps_forced and demand.kind == "forced")
+        )
         self.everything = frozenset(range(len(self.demands)))
         self._limits: dict[frozenset[int], Limits] = {}
 
@@ -133,6 +146,8 @@ class Wish:
         )
         if key not in self._limits:
             kinds = {self.demands[number].kind for number in key}
+            if self.keeps_forced:
+                kinds.add("forced")
             self._limits[key] = _loosen(self.problem.limits, kinds, self.separation)
         return self._limits[key]
 

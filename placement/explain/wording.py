@@ -49,7 +49,11 @@ def find_refusal(
     """
     separation = build_separation(problem, wishes, scene, candidates)
     conflicts = find_conflicts(
-        problem, separation=separation, time_limit_s=time_limit_s, milp_solver=milp_solver
+        problem,
+        separation=separation,
+        keeps_forced=True,
+        time_limit_s=time_limit_s,
+        milp_solver=milp_solver,
     )
     if not conflicts:
         return None
@@ -100,7 +104,6 @@ class _Words:
         self, problem: PlacementProblem, wishes: Wishes, candidates: Sequence[CandidatePose]
     ) -> None:
         self.problem, self.wishes = problem, wishes
-        self.pose_ids = [candidate.id for candidate in candidates]
         self.site_ids = {
             int(site): candidate.site_id or candidate.id
             for site, candidate in zip(problem.limits.site_index, candidates, strict=True)
@@ -125,8 +128,6 @@ class _Words:
             floor = self.problem.floors[demand.floor]
             is_max = floor.name == "--target" and self.wishes.target == np.inf
             return _inserted(floor.name, "max" if is_max else f"{floor.share:g}")
-        if kind == "forced":
-            return f"--keep ({self._named(np.flatnonzero(limits.is_forced).tolist())})"
         if kind == "forbidden":
             return f"--forbid-site {self._sites_of(np.flatnonzero(limits.is_forbidden).tolist())}"
         if kind == "forced_sites":
@@ -150,8 +151,6 @@ class _Words:
             assert demand.floor is not None
             name = self.problem.floors[demand.floor].name
             text = _inserted(name, f"{np.floor(value * 1.0e4 + 1.0e-6) / 1.0e4:g}")
-        elif demand.kind == "forced":
-            text = f"--keep without {self._named(gone)}"
         elif demand.kind == "forbidden":
             text = f"--forbid-site without {self._sites_of(gone)}"
         elif demand.kind == "forced_sites":
@@ -175,9 +174,6 @@ class _Words:
     def _n_kept(self) -> int:
         """Units that are kept aside from the budget."""
         return int(self.problem.limits.is_forced.sum())
-
-    def _named(self, poses: Sequence[int]) -> str:
-        return _few([self.pose_ids[pose] for pose in poses])
 
     def _sites_of(self, poses: Sequence[int]) -> str:
         sites = self.problem.limits.site_index[list(poses)].tolist()

@@ -214,6 +214,25 @@ def test_models_find_the_same_conflicts_without_enumeration(wish):
     check_conflicts(*wish, max_sets=0)
 
 
+@given(wish=wishes())
+@settings(deadline=None, max_examples=100)
+def test_what_is_forced_is_a_fact_where_that_is_asked(wish):
+    problem, separation = wish
+    given = [demand for demand in Wish(problem, separation).demands if demand.kind == "forced"]
+    found = find_conflicts(problem, separation=separation, keeps_forced=True)
+    free = [demand for demand in Wish(problem, separation).demands if demand not in given]
+    is_feasible_at_all = bool(met_together(problem, separation, [*given, *free]))
+    assert (len(found) == 0) == (is_feasible_at_all or not met_together(problem, separation, given))
+    for conflict in found:
+        assert not met_together(problem, separation, [*given, *conflict.demands])
+        for demand in conflict.demands:
+            fewer = [other for other in conflict.demands if other != demand]
+            assert met_together(problem, separation, [*given, *fewer])
+        for relaxation in conflict.relaxations:
+            if relaxation.suffices:
+                assert is_feasible(relax(problem, relaxation, separation), relaxation.pose_index)
+
+
 @given(problem=problems())
 @settings(deadline=None, max_examples=30)
 def test_what_can_be_met_has_no_conflict(problem):

@@ -1,0 +1,164 @@
+"""What a user reads when wishes contradict each other."""
+
+import numpy as np
+import pytest
+
+from experiments.study import load_carlancap_layout
+from geometry.scene_files import load_study_scene
+from placement.candidates import CandidateGrid, build_candidates, load_candidate_grid
+from placement.detection_table import pack_table
+from placement.explain import build_separation, find_refusal
+from placement.setting import Setting
+from placement.wishes import Wishes, build_problem
+from scenarios.aeb import load_aeb_rule
+from scenarios.runs import FrameAxis
+
+N_RUNS, N_FRAMES = 4, 6
+SITES = ("corner-ne", "corner-nw", "corner-sw", "lamp-e1")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_study_scene()
+
+
+@pytest.fixture(scope="module")
+def candidates(scene):
+    """One pose at each of four sites, and the study's first two units."""
+    grid = CandidateGrid(
+        heights_m=np.array([5.0]),
+        yaw_step_deg=360.0,
+        pitches_deg=np.array([-30.0]),
+        sensors=load_candidate_grid().sensors,
+    )
+    every = build_candidates(scene, grid, extra=load_carlancap_layout().units[:2])
+    return tuple(c for c in every if c.site_id in SITES or c.id in ("RSU0", "RSU1"))
+
+
+@pytest.fixture(scope="module")
+def setting(scene):
+    axis = FrameAxis(
+        run_ids=tuple("abcd"),
+        cases=("CPNA-25", "CPNA-25", "CBNA", "CBNA"),
+        approaches=("north",) * N_RUNS,
+        weathers=("day",) * N_RUNS,
+        vut_speed_kmh=np.full(N_RUNS, 30.0),
+        weight=np.full(N_RUNS, 0.25),
+        last_brake_time_s=np.full(N_RUNS, -0.1),
+        run_start=N_FRAMES * np.arange(N_RUNS + 1),
+        time_s=np.tile(np.arange(1 - N_FRAMES, 1) / 10.0, N_RUNS),
+    )
+    return Setting(
+        scene=scene, runs=(), axis=axis, rule=load_aeb_rule(), detector=None, planner=None
+    )
+
+
+@pytest.fixture(scope="module")
+def refusal_of(setting, scene, candidates):
+    """Pose i of the four sees run i and no other; the study's units see nothing."""
+    detected = np.zeros((len(candidates), N_RUNS * N_FRAMES), dtype=bool)
+    for row, candidate in enumerate(candidates):
+        if not candidate.id.startswith("RSU"):
+            run = SITES.index(candidate.site_id)
+            detected[row, N_FRAMES * run : N_FRAMES * (run + 1)] = True
+    table = pack_table(tuple(c.id for c in candidates), setting.axis, detected)
+
+    def build(**wishes):
+        wished = Wishes(**wishes)
+        problem = build_problem(setting, candidates, table, wishes=wished)
+        return find_refusal(problem, wished, scene, candidates)
+
+    return build
+
+
+TOGETHER = "got demands that no layout meets together; expected"
+TOO_MUCH = "got more than any layout gives; expected"
+
+
+@pytest.mark.parametrize(
+    ("wishes", "text"),
+    [
+        (
+            {"budget_units": 2, "target": 1.0},
+            f"--target 1 and --budget 2: {TOGETHER} one of them to give way: --target 0.5 "
+            "or --budget 4",
+        ),
+        (
+            {"budget_units": 3, "target": np.inf},
+            f"--target max and --budget 3: {TOGETHER} one of them to give way: --target 0.75 "
+            "or --budget 4",
+        ),
+        (
+            {"budget_eur": 3000.0, "target": 0.7},
+            f"--target 0.7 and --budget-cost 3000: {TOGETHER} one of them to give way: "
+            "--target 0.5 or --budget-cost 4500",
+        ),
+        (
+            {"budget_eur": 1000.0},
+            f"--budget-cost 1000: {TOO_MUCH} --budget-cost 1500",
+        ),
+        (
+            {"target": 1.0, "survive": 1},
+            f"--target 1 and --survive 1: {TOGETHER} one of them to give way: --target 0.75 "
+            "or --survive 0",
+        ),
+        (
+            {"budget_units": 1, "min_case_apr": 0.5},
+            f"--min-case-apr 0.5 in CPNA-25, --min-case-apr 0.5 in CBNA and --budget 1: {TOGETHER} "
+            "one of them to give way: --min-case-apr 0 in CPNA-25 or --min-case-apr 0 in CBNA or "
+            "--budget 2",
+        ),
+        (
+            {"budget_units": 3, "target": 1.0, "kept": ("RSU0", "RSU1")},
+            f"--target 1 and --budget 3: {TOGETHER} one of them to give way: --target 0.75 "
+            "or --budget 4",
+        ),
+        (
+            {"target": 1.0, "forbidden_sites": ("corner-ne", "lamp-e1")},
+            f"--target 1 and --forbid-site corner-ne,lamp-e1: {TOGETHER} one of them to give way: "
+            "--target 0.5 or --forbid-site without corner-ne,lamp-e1",
+        ),
+        (
+            {"budget_units": 1, "forced_sites": ("corner-ne", "lamp-e1")},
+            f"--budget 1 and --force-site corner-ne,lamp-e1: {TOGETHER} one of them to give way: "
+            "--budget 2 or --force-site without lamp-e1",
+        ),
+        (
+            {"budget_units": 4, "target": 1.0, "separation_m": 30.0},
+            f"--target 1 and --separation 30: {TOGETHER} one of them to give way: --target 0.5 "
+            "or --separation 18.23",
+        ),
+    ],
+)
+def test_conflicts_are_told_in_the_options_own_words(refusal_of, wishes, text):
+    assert str(refusal_of(**wishes)) == text
+
+
+def test_two_conflicts_are_both_told(refusal_of):
+    refusal = refusal_of(
+        budget_units=1, target=0.5, budget_eur=1000.0, forced_sites=("corner-ne", "lamp-e1")
+    )
+    assert str(refusal) == (
+        f"--budget-cost 1000: {TOO_MUCH} --budget-cost 1500 (not enough by itself); besides, "
+        "--target 0.5 and --budget 1: one of them to give way: --target 0.25 (not enough by "
+        "itself) or --budget 2 (not enough by itself)"
+    )
+
+
+def test_what_can_be_met_is_not_refused(refusal_of):
+    assert refusal_of(budget_units=2, target=0.5) is None
+
+
+def test_separation_is_taken_apart_into_distances_and_capacities(setting, scene, candidates):
+    wishes = Wishes(budget_units=2, separation_m=40.0, site_capacity=3)
+    detected = np.zeros((len(candidates), N_RUNS * N_FRAMES), dtype=bool)
+    table = pack_table(tuple(c.id for c in candidates), setting.axis, detected)
+    problem = build_problem(setting, candidates, table, wishes=wishes)
+    separation = build_separation(problem, wishes, scene, candidates)
+    assert len(separation.pair_distance_m) == len(problem.limits.rivals) > 0
+    assert (separation.pair_distance_m < 40.0).all()
+    at = [c.site_id in SITES for c in candidates]
+    assert (separation.site_capacity[problem.limits.site_index[at]] == 3).all()
+    assert (problem.limits.site_capacity[problem.limits.site_index[at]] == 1).all()
+    none = Wishes(budget_units=2)
+    assert build_separation(problem, none, scene, candidates) is None
