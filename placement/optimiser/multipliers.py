@@ -12,7 +12,6 @@ from geometry.arrays import FloatArray, IntArray
 from .coverage import Bound, Coverage, ValueArray, prove
 
 _DEFLECTION = 0.7  # of the last direction that is kept
-_PATIENCE = 15  # steps without a better bound before the step is cut
 _CUT = 0.7
 _SMALLEST_STEP = 1.0e-4
 _MEMORY = 0.95  # of the shares: the last 20 steps or so
@@ -68,6 +67,8 @@ def tighten(
     target: float,
     n_steps: int = 300,
     stop_below: float = -np.inf,
+    first_length: float = 1.0,
+    patience: int = 15,
     workers: int = 1,
 ) -> Tightened:
     """Lower the bound by subgradient steps.
@@ -84,6 +85,11 @@ def tighten(
         At most.
     stop_below : float
         A bound below it is good enough.
+    first_length : float
+        Share of the way to the target that the first step aims at: little where the multipliers
+        are nearly right.
+    patience : int
+        Steps without a better bound before steps are cut.
     workers : int
         Threads.
 
@@ -101,7 +107,7 @@ def tighten(
     best = bound = prove(coverage, multipliers, workers=workers)
     shares = np.zeros(coverage.n_poses)
     direction = np.zeros(coverage.n_rows)
-    length, n_idle = 1.0, 0
+    length, n_idle = first_length, 0
     for step in range(n_steps):
         shares *= _MEMORY
         shares[bound.pick.poses] += (1.0 - _MEMORY) * bound.pick.shares
@@ -111,7 +117,7 @@ def tighten(
             n_idle += 1
         if best.limit < stop_below or length < _SMALLEST_STEP:
             break
-        if n_idle > _PATIENCE:
+        if n_idle > patience:
             bound, direction[:] = best, 0.0
             length, n_idle = length * _CUT, 0
         direction = _slope(coverage, bound) + _DEFLECTION * direction

@@ -20,7 +20,7 @@ from geometry.arrays import FloatArray, IntArray
 
 from .best_cover import choose_greedily, search_near
 from .branch_and_bound import branch_and_bound
-from .coverage import Coverage, ValueArray, can_matter
+from .coverage import Coverage, ValueArray, can_matter, prove
 from .first_seen import TimelyWindows, first_seen_values, hardest_frames
 from .lazy_greedy import round_shares
 from .multipliers import Columns, Tightened, generate_columns, tighten, worthiest
@@ -32,6 +32,7 @@ _EXCHANGE_POSES = 1000
 _N_ROUNDS = 6
 _N_PASSES = 3
 _N_STEPS = 200
+_N_LONGER = 12
 _N_RESTARTS = 15
 _LEAST_GAIN = 1.0e-9
 _SETTLED = 2.0e-4  # relative
@@ -221,6 +222,9 @@ def find_window_cover(
                 first_seen_values(
                     packed, windows, worth, frames=root_frames, out=values, workers=workers
                 )
+            report("exchange")
+            _look_longer(state, coverage, root, gap, seed, end_s)
+        if limit > state.value * (1.0 + gap) and time.monotonic() < end_s:
             report("branch")
             limit, n_nodes = _branch(state, coverage, root, gap, end_s, workers)
     return WindowCover(
@@ -308,6 +312,24 @@ def _look_near(
     start = np.searchsorted(pool, state.best) if np.isin(state.best, pool).all() else rounded
     found = search_near(part, own, start, n_restarts=_N_RESTARTS, seed=seed)
     state.offer(pool[found], pool[near])
+
+
+def _look_longer(
+    state: _State, coverage: Coverage, root: Columns, gap: float, seed: int, end_s: float
+) -> None:
+    """Offer sets again and again while half of the time is left and the gap is too large."""
+    pool = np.union1d(root.pool, worthiest(root.bound.worth, _POOL_POSES))
+    pool = np.union1d(pool, state.best)
+    shares = np.zeros(len(pool))
+    shares[np.searchsorted(pool, root.pool)] = root.shares
+    part = coverage.of_poses(pool)
+    near = Tightened(bound=prove(part, root.bound.multipliers), shares=shares)
+    half_s = time.monotonic() + 0.5 * (end_s - time.monotonic())
+    for number in range(_N_LONGER):
+        _look_near(state, part, pool, near, seed + _N_ROUNDS * _N_PASSES + number)
+        is_enough = root.limit <= state.value * (1.0 + gap)
+        if is_enough or time.monotonic() > half_s:
+            break
 
 
 def _branch(

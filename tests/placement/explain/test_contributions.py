@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems import problems
 
+from placement.detection_table import pack_table
 from placement.explain import find_contributions
 from placement.explain.contributions import first_shares
 from placement.optimiser import PlacementProblem, apr, placement_value, run_margins_s
@@ -59,14 +62,16 @@ def test_first_confirmations_are_shared_out_in_full(problem, data):
 @given(problem=PROBLEMS, data=st.data())
 @settings(deadline=None, max_examples=100)
 def test_a_unit_that_detects_nothing_contributes_nothing(problem, data):
-    poses = some_poses(problem, data)
-    blind = [
-        part
-        for part in find_contributions(problem, poses)
-        if not problem.table.detected([part.pose_index]).any()
-    ]
-    for part in blind:
-        assert part.marginal_apr == part.mean_delay_s == part.first_share == 0.0
+    first, *others = some_poses(problem, data)
+    detected = problem.table.detected(slice(None))
+    detected[first] = False
+    table = problem.table
+    blinded = replace(problem, table=pack_table(table.pose_ids, table.axis, detected))
+    blind, *parts = find_contributions(blinded, [first, *others])
+    assert len(blind.only_runs) == 0
+    assert blind.marginal_apr == blind.mean_delay_s == blind.max_delay_s == blind.first_share == 0.0
+    alone = find_contributions(blinded, others)
+    assert [part.first_share for part in parts] == [part.first_share for part in alone]
 
 
 def test_frames_of_the_first_window_are_shared_by_who_detects_in_them():

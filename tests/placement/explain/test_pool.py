@@ -1,5 +1,6 @@
 """Pools against all sets of small problems, whatever is asked."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -140,6 +141,27 @@ def test_what_exchanges_find_is_within_the_tolerance_and_in_order(problem, toler
     for pose in range(problem.table.n_poses):
         share = sum(pose in poses for poses in listed) / len(listed)
         assert pool.pose_share[pose] == pytest.approx(share)
+
+
+@given(problem=PROBLEMS, tolerance=st.sampled_from([0.0, 0.2]))
+@settings(deadline=None, max_examples=40)
+def test_a_weighted_sum_is_a_first_stage_too(problem, tolerance):
+    weights = (1.0, 0.3, 0.1, 0.02, 1.0e-5)
+    problem = replace(problem, stage_weights=weights)
+    pool = find_pool(problem, solve_placement(problem).pose_index, n_sets=5, tolerance=tolerance)
+
+    def total(poses):
+        *gains, cost = placement_value(problem, poses)
+        return sum(w * g for w, g in zip(weights, gains, strict=False)) - weights[-1] * cost
+
+    sums = {poses: total(poses) for poses in all_sets(problem)}
+    assume(len(sums) > 0)
+    least = max(sums.values()) - tolerance
+    within = sorted((value for value in sums.values() if value >= least - 1e-9), reverse=True)
+    assert (pool.stage, pool.scope, pool.n_within) == ("weighted", "all", len(within))
+    found = [sums[entry.pose_index] for entry in pool.sets]
+    assert found == pytest.approx(within[:5], abs=1e-7)
+    assert [entry.objective for entry in pool.sets] == pytest.approx(found)
 
 
 @given(problem=PROBLEMS, data=st.data())
