@@ -1,9 +1,10 @@
-"""What refinement and sampled worlds add to a result, where they were asked for."""
+"""What a placement's result has beside layout and proof: what units buy, why these, samples."""
 
 import textwrap
 from collections.abc import Mapping
 from typing import Any
 
+from .explanation_tables import explanation_text
 from .refinement_summary import refinement_sentences
 from .uncertainty_summary import uncertainty_sentences, uncertainty_text
 
@@ -22,10 +23,23 @@ def added_sentences(summary: Mapping[str, Any]) -> list[str]:
 
 def added_text(summary: Mapping[str, Any]) -> str:
     """For a terminal; empty where nothing is added."""
-    lines: list[str] = []
+    parts = []
+    if summary.get("bought"):
+        parts.append(["What each unit buys:", *_wrapped(summary["bought"], indent="  ")])
+    if "explained" in summary:
+        parts.append([explanation_text(summary["explained"])])
     if "refinement" in summary:
-        for sentence in refinement_sentences(summary["refinement"]):
-            lines += textwrap.wrap(sentence, _WIDTH)
+        parts.append(_wrapped(refinement_sentences(summary["refinement"])))
     if "sampled" in summary:
-        lines += ([""] if lines else []) + uncertainty_text(summary["sampled"]).splitlines()
-    return "\n".join(lines)
+        parts.append([uncertainty_text(summary["sampled"])])
+    return "\n\n".join("\n".join(part) for part in parts)
+
+
+def _wrapped(sentences: list[str], indent: str = "") -> list[str]:
+    return [
+        line
+        for sentence in sentences
+        for line in textwrap.wrap(
+            sentence, _WIDTH, initial_indent=indent, subsequent_indent=2 * indent
+        )
+    ]

@@ -173,6 +173,22 @@ _SAMPLING = (
         help="With --samples: mean, worst, or the share of the worst worlds whose mean APR counts.",
     ),
 )
+_POOL = (
+    click.option(
+        "--pool",
+        type=WholeNumber(0, "a number of layouts"),
+        default=0,
+        help="List so many layouts that are as good in the first objective, the best first, and "
+        "how often each site appears in them.",
+    ),
+    click.option(
+        "--pool-tolerance",
+        type=Share("a share"),
+        default=0.0,
+        help="How much worse the layouts of --pool may be: a share of the runs, or of the units "
+        "or the cost that a target needs.",
+    ),
+)
 
 
 def planning_options(*, has_samples: bool = True) -> Decorator:
@@ -181,9 +197,10 @@ def planning_options(*, has_samples: bool = True) -> Decorator:
     Parameters
     ----------
     has_samples : bool
-        Whether it can choose for sampled worlds, and refine what it chose.
+        Whether it can choose for sampled worlds, refine what it chose, and list what is as good.
     """
-    options = (*_ASKED, *_SITES, *_LOOKING, *((_REFINING, *_SAMPLING) if has_samples else ()))
+    more = (_REFINING, *_SAMPLING, *_POOL) if has_samples else ()
+    options = (*_ASKED, *_SITES, *_LOOKING, *more)
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)

@@ -350,11 +350,12 @@ def _first_runs(runs: Sequence[str]) -> str:
 
 def _in_short(part: Mapping[str, Any]) -> str:
     runs = part["only_runs"]
-    named = f" ({_first_runs(runs)})" if runs else ""
-    words = (
-        f"{part['unit']}: only it saves {count_runs(len(runs))}{named}, "
-        f"{percent(part['marginal_apr'])} of the APR"
-    )
+    words = f"{part['unit']}: no run hangs on it alone"
+    if runs:
+        words = (
+            f"{part['unit']}: only it saves {count_runs(len(runs))} ({_first_runs(runs)}), "
+            f"{percent(part['marginal_apr'])} of the APR"
+        )
     if part["without"]["apr"] == 0.0:
         return words
     return (

@@ -1,7 +1,7 @@
 """Why these poses, what they miss, what else would do: as one plain object."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -52,7 +52,8 @@ def summarise_explanations(
     Returns
     -------
     summary : dict
-        Ready for JSON; ratios are 0 .. 1. ``{"contributions": [{"unit", "only_runs": [id],
+        Ready for JSON; "unit" is one of the layout's, in pool and "rescue" a candidate; ratios
+        are 0 .. 1. ``{"contributions": [{"unit", "only_runs": [id],
         "marginal_apr", "first_share", "mean_delay_s", "max_delay_s", "without": {..}}],
         "not_avoided": [{"run", "outcome", "late_s", "frames_in_time", "frames_seen", "unit",
         "reasons": [{"cause", "thing", "frames"}], "rescue": {"unit", "site", "distance_m",
@@ -63,6 +64,10 @@ def summarise_explanations(
         never sets in.
     """
     problem, chosen = placement.problem, placement.pose_index
+    names = {
+        problem.table.pose_ids[pose]: unit.id
+        for pose, unit in zip(chosen, placement.layout.units, strict=True)
+    }
     contributions = find_contributions(problem, chosen)
     if placement.nominal is problem:
         missed = find_unavoided(setting, problem, candidates, chosen, seed=seed)
@@ -70,7 +75,7 @@ def summarise_explanations(
         missed = find_unavoided(
             setting,
             placement.nominal,
-            placement.layout.units,
+            [candidates[pose] for pose in chosen],
             placement.nominal_index,
             seed=seed,
         )
@@ -78,16 +83,18 @@ def summarise_explanations(
     if n_pool:
         pool = find_pool(problem, chosen, n_sets=n_pool, tolerance=tolerance)
     return {
-        "contributions": [_contribution_record(problem, part) for part in contributions],
-        "not_avoided": [_missed_record(entry) for entry in missed],
+        "contributions": [_contribution_record(problem, part, names) for part in contributions],
+        "not_avoided": [_missed_record(entry, names) for entry in missed],
         "pool": None if pool is None else _pool_record(problem, candidates, pool),
     }
 
 
-def _contribution_record(problem: PlacementProblem, part: Contribution) -> dict[str, Any]:
+def _contribution_record(
+    problem: PlacementProblem, part: Contribution, names: Mapping[str, str]
+) -> dict[str, Any]:
     table = problem.table
     return {
-        "unit": table.pose_ids[part.pose_index],
+        "unit": names[table.pose_ids[part.pose_index]],
         "only_runs": [table.axis.run_ids[run] for run in part.only_runs.tolist()],
         "marginal_apr": part.marginal_apr,
         "first_share": part.first_share,
@@ -97,14 +104,14 @@ def _contribution_record(problem: PlacementProblem, part: Contribution) -> dict[
     }
 
 
-def _missed_record(entry: Unavoided) -> dict[str, Any]:
+def _missed_record(entry: Unavoided, names: Mapping[str, str]) -> dict[str, Any]:
     return {
         "run": entry.run_id,
         "outcome": entry.outcome,
         "late_s": entry.late_s if math.isfinite(entry.late_s) else None,
         "frames_in_time": entry.n_frames,
         "frames_seen": entry.n_seen,
-        "unit": entry.unit_id,
+        "unit": names.get(entry.unit_id, entry.unit_id),
         "reasons": [_reason_record(reason) for reason in entry.reasons],
         "rescue": None if entry.rescue is None else _rescue_record(entry.rescue),
     }

@@ -14,6 +14,7 @@ from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
 from placement.layout import Layout, check_layout
 from placement.optimiser import Fusion
+from placement.optimiser.pareto import front_below
 from placement.pipeline import Placement, place
 from placement.refine import refine
 from placement.sampling import load_uncertainty, out_of_sample_layouts
@@ -21,9 +22,10 @@ from placement.setting import Setting
 
 from . import exports
 from .driving import build_setting
+from .explanations import summarise_explanations
 from .figures import plot_apr_by_case, plot_heatmap, to_png
 from .plan import plot_plan
-from .planning import build_plan
+from .planning import Plan, build_plan
 from .progress import WRITING, StageProgress
 from .question import Planning, Question
 from .refinement_summary import summarise_refinement
@@ -37,6 +39,7 @@ from .summary import (
     summarise_placement,
 )
 from .uncertainty_summary import plot_sampled_apr, summarise_uncertainty
+from .unit_sentences import describe_units
 
 MIN_FRESH_WORLDS = 60
 """Sampled worlds that a layout is judged in, at least: with fewer, intervals say little."""
@@ -103,11 +106,22 @@ def run_placement(
             on_progress=report,
         )
         placement = refinement.placement
+    progress("explain", 0, 0)
+    explained = summarise_explanations(
+        placement,
+        setting,
+        plan.candidates if refinement is None else refinement.candidates,
+        n_pool=planning.pool,
+        tolerance=planning.pool_tolerance,
+        seed=seed,
+    )
+    bought = _what_units_buy(placement, plan, progress)
     found, greedy, baseline = _evaluate(
         [placement.layout, placement.greedy, study], setting, seed, workers, progress
     )
     summary = summarise_placement(placement, setting, found=found, greedy=greedy, baseline=baseline)
     summary |= summarise_drives(setting)
+    summary |= {"bought": bought, "explained": explained}
     if refinement is not None:
         summary["refinement"] = summarise_refinement(refinement)
     figures = {}
@@ -146,6 +160,23 @@ def run_placement(
         more_figures=figures,
     )
     return summary
+
+
+def _what_units_buy(placement: Placement, plan: Plan, progress: StageProgress) -> list[str]:
+    """What each further unit buys, in sentences; none where the best was not what was asked."""
+    problem = placement.problem
+    if problem.goal != "best" or problem.survive or problem.stage_weights is not None:
+        return []
+    n_kept = 0 if plan.kept is None else len(plan.kept.units)
+    front = front_below(
+        problem,
+        placement.pose_index,
+        placement.certificate,
+        min_units=n_kept,
+        effort=plan.effort,
+        on_point=lambda point: progress(f"fewer units: {point.units}", 0, 0),
+    )
+    return describe_units(front, n_kept=n_kept)
 
 
 def run_evaluation(
@@ -336,7 +367,15 @@ def _write_results(
             figures[f"heatmap_{run_id.replace('/', '_')}"] = plot_heatmap(subject, index)
         for name, figure in figures.items():
             (new / f"{name}.png").write_bytes(to_png(figure))
-        write_report(new, known, setting, evaluations, command=command, heatmap_runs=heatmap_runs)
+        write_report(
+            new,
+            known,
+            setting,
+            evaluations,
+            command=command,
+            heatmap_runs=heatmap_runs,
+            sampled_figure=(more_figures or {}).get("sampled_apr"),
+        )
         summary["seconds"] = progress.finish()
         _write_text(new / MARKER, exports.to_json_text(summary))
     progress.kept = f"the results are in {folder}"

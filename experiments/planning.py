@@ -72,6 +72,8 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
             raise InputError(
                 "--refine", Unquoted(f"it beside {option}"), "one of them: poses stay as they are"
             )
+    if planning.pool_tolerance and not planning.pool:
+        raise InputError("--pool-tolerance", planning.pool_tolerance, "--pool beside it")
     study = load_carlancap_layout()
     kept = _layout(planning.keep, "--keep", scene)
     within = _layout(planning.within, "--within", scene)

@@ -86,6 +86,10 @@ class Planning:
         Sampled worlds to choose in; 0: the nominal one.
     uncertainty : str
         See :func:`placement.sampling.load_uncertainty`.
+    pool : int
+        Layouts as good to list beside the one chosen.
+    pool_tolerance : float
+        See :func:`placement.explain.find_pool`.
     risk : str
         "mean", "worst", or the share of the worst worlds whose mean counts.
     """
@@ -115,3 +119,5 @@ class Planning:
     samples: int = 0
     uncertainty: str = "default"
     risk: str = "mean"
+    pool: int = 0
+    pool_tolerance: float = 0.0

@@ -6,12 +6,11 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined, Template
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.figure import Figure
 
 from geometry.atomic_files import write_atomically
@@ -21,6 +20,7 @@ from placement.evaluation import Evaluation
 from placement.setting import Setting
 
 from .additions import added_sentences
+from .explanation_tables import report_part
 from .exports import margin_s
 from .figures import describe_run, plot_apr_by_case, plot_heatmap, to_png, unit_labels
 from .plan import plot_plan
@@ -41,10 +41,12 @@ from .sentences import (
     describe_refusals,
     disagreement,
     is_weighted,
+    latency_in_short,
     number,
     proof,
     title,
 )
+from .uncertainty_summary import uncertainty_sentences, what_is_uncertain
 
 FILE_NAME = "report.html"
 GREEDY = "greedy"
@@ -59,9 +61,17 @@ def write_report(
     *,
     command: str,
     heatmap_runs: Sequence[str] = (),
+    sampled_figure: Figure | None = None,
 ) -> Path:
     """Write :func:`render_report`'s page to ``report.html`` in `folder`, which must exist."""
-    page = render_report(summary, setting, evaluations, command=command, heatmap_runs=heatmap_runs)
+    page = render_report(
+        summary,
+        setting,
+        evaluations,
+        command=command,
+        heatmap_runs=heatmap_runs,
+        sampled_figure=sampled_figure,
+    )
     path = folder / FILE_NAME
     write_atomically(path, lambda file: file.write(page.encode()))
     return path
@@ -74,6 +84,7 @@ def render_report(
     *,
     command: str,
     heatmap_runs: Sequence[str] = (),
+    sampled_figure: Figure | None = None,
 ) -> str:
     """A result as one HTML page that loads nothing from elsewhere.
 
@@ -91,6 +102,8 @@ def render_report(
         Command line that makes the result again.
     heatmap_runs : sequence of str
         Ids of the runs to draw; else see :func:`pick_heatmap_runs`.
+    sampled_figure : Figure, optional
+        Of the APR in sampled worlds, where they were asked for.
 
     Returns
     -------
@@ -117,15 +130,19 @@ def render_report(
         proof=proof(summary),
         stages=stage_rows(summary),
         solver=summary.get("solver", NOTHING),
+        bought=summary.get("bought", []),
+        explained=report_part(summary.get("explained"), unit_labels(subject.layout)),
         is_weighted=is_weighted(subject.axis),
         apr_table=apr_table(evaluations),
         apr_figure=_apr_figure(evaluations),
+        sampled_figure=_sampled_figure(sampled_figure, summary),
         alone=[unit_apr_table(name, item) for name, item in detailed.items()],
         heatmaps=[
             {"name": name, "figures": [_heatmap(item, index) for index in run_indices]}
             for name, item in detailed.items()
         ],
         rule=setting.rule,
+        latency=latency_in_short(setting.rule, [item.layout for item in detailed.values()]),
         disagreement=disagreement(summary),
         disagreements=disagreement_rows(summary),
         assumptions=assumptions(
@@ -157,10 +174,13 @@ class _Picture:
 @cache
 def _template() -> Template:
     environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader("experiments"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    source = files(__package__) / "templates" / "report.html.j2"
-    return environment.from_string(source.read_text(encoding="utf-8"))
+    return environment.get_template("report.html.j2")
 
 
 def _picture(figure: Figure, *, title: str, caption: str, alt: str) -> _Picture:
@@ -221,6 +241,18 @@ def _apr_figure(evaluations: Mapping[str, Evaluation]) -> _Picture:
         alt="Shaded table. Over all runs: "
         + "; ".join(f"{name} {share}" for name, share in over_all)
         + ".",
+    )
+
+
+def _sampled_figure(figure: Figure | None, summary: Mapping[str, Any]) -> _Picture | None:
+    if figure is None:
+        return None
+    return _picture(
+        figure,
+        title="APR in sampled worlds",
+        caption="Worlds that were not used for the choice. Drawn at random: "
+        f"{what_is_uncertain(summary['sampled'])}.",
+        alt=f"Staircases. {' '.join(uncertainty_sentences(summary['sampled']))}",
     )
 
 

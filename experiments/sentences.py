@@ -199,6 +199,22 @@ def assumptions(
     return terms
 
 
+def latency_in_short(rule: AebRule, layouts: Sequence[Layout]) -> str:
+    """How long after a confirmation braking sets in.
+
+    Examples
+    --------
+    "25 ms"; with units of their own latency: "25 ms to 120 ms, by the unit's own latency,".
+    """
+    own_s = sorted(
+        {rule.latency_s, *(unit.latency(rule) for layout in layouts for unit in layout.units)}
+    )
+    if len(own_s) == 1:
+        return f"{1000.0 * own_s[0]:g} ms"
+    low_ms, high_ms = 1000.0 * own_s[0], 1000.0 * own_s[-1]
+    return f"{low_ms:g} ms to {high_ms:g} ms, by the unit's own latency,"
+
+
 def _latency(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
     """The rule's latency, then the units that have another of their own, equal ones together."""
     own = []

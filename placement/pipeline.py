@@ -7,12 +7,14 @@ from pathlib import Path
 
 from .candidates import CandidatePose
 from .detection_table import DetectionTable
+from .explain import find_refusal
 from .layout import Certificate, Layout
 from .optimiser import (
     Effort,
     PlacementProblem,
     PresolveStatistics,
     Solution,
+    UnmetError,
     presolve,
     solve_greedy,
     solve_placement,
@@ -117,7 +119,7 @@ def place(
     Raises
     ------
     InputError
-        A wish cannot be met; the message says which, and the best that can.
+        Wishes cannot be met; the message says which, and how little has to give way.
     """
     check_wishes(wishes, setting.scene)
     report = on_progress or _ignore
@@ -150,12 +152,25 @@ def place(
     )
     report("optimise", 0, 0)
     reduced = presolve(problem)
-    solution: Solution = solve_placement(
-        problem,
-        reduced,
-        effort=effort,
-        on_stage=lambda stage: report(f"optimise: {stage}", 0, 0),
-    )
+    try:
+        solution: Solution = solve_placement(
+            problem,
+            reduced,
+            effort=effort,
+            on_stage=lambda stage: report(f"optimise: {stage}", 0, 0),
+        )
+    except UnmetError as error:
+        report("what has to give way", 0, 0)
+        effort = effort or Effort()
+        refusal = find_refusal(
+            problem,
+            wishes,
+            setting.scene,
+            candidates,
+            time_limit_s=effort.time_limit_s,
+            milp_solver=effort.milp_solver,
+        )
+        raise refusal or error from None
     optimised = time.perf_counter()
     report("greedy", 0, 0)
     greedy_index = solve_greedy(problem, reduced)

@@ -10,6 +10,7 @@ which wish cannot be met.
 """
 
 from .effort import Effort
+from .feasibility import UnmetError
 from .greedy import solve_greedy
 from .limits import Limits, cost_eur, is_allowed
 from .presolve import PresolveStatistics, ReducedProblem, presolve
@@ -41,6 +42,7 @@ __all__ = [
     "PresolveStatistics",
     "ReducedProblem",
     "Solution",
+    "UnmetError",
     "apr",
     "apr_failed",
     "apr_one_failed",

@@ -14,6 +14,10 @@ from .problem import TOLERANCE, PlacementProblem
 from .search import Search
 
 
+class UnmetError(InputError):
+    """A wish that no layout meets, or none that was found."""
+
+
 def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
     """Check limits against each other, before anything is solved.
 
@@ -26,43 +30,43 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
 
     Raises
     ------
-    InputError
+    UnmetError
         Two of them cannot both be met: forced and forbidden, a site that is too small, money that
         does not suffice, rivals that are both forced, or no unit at all.
     """
     forced = np.flatnonzero(limits.is_forced)
     both = np.flatnonzero(limits.is_forced & limits.is_forbidden)
     if len(both):
-        raise InputError(
+        raise UnmetError(
             pose_ids[int(both[0])], Unquoted("forced and forbidden"), "one of the two at most"
         )
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
     for site in np.flatnonzero(at_site > limits.site_capacity):
         names = ", ".join(pose_ids[int(pose)] for pose in forced if limits.site_index[pose] == site)
-        raise InputError(
+        raise UnmetError(
             "forced units",
             Unquoted(f"{at_site[site]} at one site ({names})"),
             f"at most {limits.site_capacity[site]}, what the site can carry",
         )
     usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
     if not usable.any():
-        raise InputError("candidates", Unquoted("none that may be used"), "at least one")
+        raise UnmetError("candidates", Unquoted("none that may be used"), "at least one")
     for site in np.flatnonzero(limits.is_forced_site):
         if not usable[limits.site_index == site].any():
-            raise InputError(
+            raise UnmetError(
                 "forced sites", Unquoted("a site without a pose that may be used"), "one or more"
             )
     must_carry = limits.is_forced_site | (at_site > 0)
     for one, other in limits.rivals:
         if must_carry[one] and must_carry[other]:
-            raise InputError(
+            raise UnmetError(
                 "--separation",
                 Unquoted("two sites nearer than that which must both carry units"),
                 "one of them at most",
             )
     n_needed = len(forced) + int((limits.is_forced_site & (at_site == 0)).sum())
     if limits.budget_units is not None and n_needed > limits.budget_units:
-        raise InputError(
+        raise UnmetError(
             "--budget",
             limits.budget_units,
             f"at least {n_needed}, the units that are forced or stand at forced sites",
@@ -75,7 +79,7 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
     if not len(forced):
         needed, what = float(price[usable].min()), "the price of the cheapest unit with its site"
     if needed > limits.budget_eur + COST_TOLERANCE_EUR:
-        raise InputError("--budget-cost", limits.budget_eur, f"at least {needed:.2f} EUR, {what}")
+        raise UnmetError("--budget-cost", limits.budget_eur, f"at least {needed:.2f} EUR, {what}")
 
 
 def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
@@ -83,7 +87,7 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
 
     Raises
     ------
-    InputError
+    UnmetError
         They do not.
     """
     everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
@@ -91,7 +95,7 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
     for floor, requirement in zip(problem.floors, reduced.floors, strict=True):
         reached = float(requirement.measure.of(is_avoided)[0])
         if reached < floor.share - TOLERANCE:
-            raise InputError(
+            raise UnmetError(
                 floor.name,
                 Unquoted(f"{floor.share:g}"),
                 f"at most {_rounded_down(reached)}, what all candidate poses together reach",
@@ -103,7 +107,7 @@ def check_floors(problem: PlacementProblem, search: Search) -> None:
 
     Raises
     ------
-    InputError
+    UnmetError
         It does not: out of reach, and the best that can be reached, or not found in time.
     """
     if search.units is not None and search.shortfall == 0.0:
@@ -111,7 +115,7 @@ def check_floors(problem: PlacementProblem, search: Search) -> None:
     reduced = search.reduced
     if search.units is None:
         why = "no set of poses meets all of them" if search.nothing_meets_all else "none was found"
-        raise InputError("limits", Unquoted(why), "limits that leave a choice")
+        raise UnmetError("limits", Unquoted(why), "limits that leave a choice")
     worst = max(
         zip(problem.floors, reduced.floors, strict=True),
         key=lambda pair: pair[1].least - _reached(search, pair[1].measure, pair[1].n_failures),
@@ -126,7 +130,7 @@ def check_floors(problem: PlacementProblem, search: Search) -> None:
             f"more time than the limit, or at most {_rounded_down(reached)}{failing}, what the "
             "best set found in it reaches"
         )
-    raise InputError(floor.name, Unquoted(f"{floor.share:g}"), expected)
+    raise UnmetError(floor.name, Unquoted(f"{floor.share:g}"), expected)
 
 
 def _reached(search: Search, measure: Measure, n_failures: int) -> float:

@@ -11,7 +11,7 @@ from geometry.errors import InputError
 
 from ..layout import Certificate
 from .effort import Effort
-from .feasibility import check_floors, check_limits, check_reach
+from .feasibility import UnmetError, check_floors, check_limits, check_reach
 from .front import (
     Front,
     FrontPoint,
@@ -28,7 +28,7 @@ from .front_points import look_around, prove_point
 from .large import is_large
 from .limits import COST_TOLERANCE_EUR
 from .presolve import ReducedProblem, presolve
-from .problem import TOLERANCE, PlacementProblem
+from .problem import TOLERANCE, PlacementProblem, placement_value
 from .solve import solve_placement
 
 DEFAULT_MAX_UNITS = 8
@@ -94,7 +94,7 @@ def pareto_front(
     full = replace(limits, budget_units=None).max_units
     points: list[FrontPoint] = []
     refused: list[tuple[int, str]] = []
-    error: InputError | None = None
+    error: UnmetError | None = None
     settled = None
     for units in range(first, max_units + 1):
         if points and (settled is not None or units > full):
@@ -106,7 +106,7 @@ def pareto_front(
         at_point = replace(problem, limits=replace(limits, budget_units=units))
         try:
             point = _solve_point(at_point, reduced, fewer, effort=share, stages=stages)
-        except InputError as found:
+        except UnmetError as found:
             error = found
             refused.append((units, str(found)))
             continue
@@ -117,7 +117,7 @@ def pareto_front(
             on_point(points[-1])
     if error is not None and not points:
         option = "--max" if error.where == "--budget" else error.where
-        raise InputError(option, error.got, error.expected)
+        raise UnmetError(option, error.got, error.expected)
     if settled is None and full <= max_units and points[-1].is_proven:
         settled = max(points[0].units, full)
     points = _exchange_bounds(points, is_free=_is_free(problem))
@@ -129,6 +129,67 @@ def pareto_front(
         refused=tuple(refused),
         presolve=None if reduced is None else reduced.statistics,
     )
+
+
+def front_below(
+    problem: PlacementProblem,
+    pose_index: tuple[int, ...],
+    certificate: Certificate,
+    *,
+    min_units: int = 1,
+    effort: Effort | None = None,
+    on_point: OnPoint | None = None,
+) -> Front:
+    """A front that ends with a layout that is known: what each of its units has bought.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        What was solved: for the best.
+    pose_index : tuple of int
+        Its solution, ascending.
+    certificate : Certificate
+        The proof.
+    min_units, effort, on_point
+        As for :func:`pareto_front`; all stages are optimised.
+
+    Returns
+    -------
+    front : Front
+        Points of fewer units, then the one given.
+
+    Raises
+    ------
+    InputError
+        As :func:`pareto_front`, but where the wishes cannot be met with fewer units: there the
+        front has the last point alone.
+    """
+    check_front(problem, "all")
+    most = problem.limits.budget_units or len(pose_index)
+    last = FrontPoint(
+        units=most,
+        pose_index=pose_index,
+        value=placement_value(problem, pose_index),
+        certificate=certificate,
+    )
+    alone = Front(by="units", points=(last,), stages="all", settled=None, refused=(), presolve=None)
+    first = max(min_units, int(problem.limits.is_forced.sum()), 1)
+    if first >= most:
+        return alone
+    try:
+        fewer = pareto_front(
+            problem,
+            max_units=most - 1,
+            min_units=first,
+            stages="all",
+            effort=effort,
+            on_point=on_point,
+        )
+    except UnmetError:
+        return alone
+    last = no_worse(last, fewer.points[-1])
+    points = _exchange_bounds([*fewer.points, last], is_free=_is_free(problem))
+    return replace(fewer, points=tuple(points))
 
 
 def _is_too_large(problem: PlacementProblem, effort: Effort) -> bool:
