@@ -75,6 +75,8 @@ def run_placement(
     setting = build_setting(question, load_study_scene())
     study = load_carlancap_layout()
     uncertainty = load_uncertainty(planning.uncertainty, where="--uncertainty")
+    if question.packet_loss:
+        uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
 
     def report(stage: str, done: int, total: int) -> None:
         if stage == "optimise" and cache_folder is not None and any(cache_folder.glob("table-*")):

@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from geometry.errors import InputError, Unquoted
+from placement.certificates import build_certificate, save_certificate
 from placement.evaluation import Verdict, apr, apr_by_case, detected_share
 from placement.optimiser import (
     Fusion,
@@ -146,7 +147,16 @@ def run_recorded_placement(
             **_summarise_evaluation(take_units(everything, greedy, rule), rule),
         },
     }
-    return _finish(summary, out, progress)
+    document = build_certificate(
+        problem,
+        solution.certificate,
+        pose_index=solution.pose_index,
+        units=summary["layout"],
+        presolve=solution.presolve,
+        seconds=progress.seconds,
+        versions=summary["versions"],
+    )
+    return _finish(summary, out, progress, lambda new: save_certificate(new, document, problem))
 
 
 def rsu_name(folder_name: str) -> str:
@@ -277,12 +287,19 @@ def _drives(recording: Recording, evaluation: RecordedEvaluation) -> list[dict[s
     ]
 
 
-def _finish(summary: dict[str, Any], out: Path | None, progress: StageProgress) -> dict[str, Any]:
+def _finish(
+    summary: dict[str, Any],
+    out: Path | None,
+    progress: StageProgress,
+    write_more: Callable[[Path], None] | None = None,
+) -> dict[str, Any]:
     if out is None:
         summary["seconds"] = progress.finish()
         return summary
     progress(WRITING, 0, 0)
     with new_result_folder(out) as new:
+        if write_more is not None:
+            write_more(new)
         summary["seconds"] = progress.finish()
         (new / MARKER).write_text(to_json_text(summary), encoding="utf-8")
     progress.kept = f"the results are in {out}"

@@ -1,5 +1,7 @@
 """What ``place-rsus verify`` does: a folder of results, checked without the optimiser."""
 
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ from placement.layout import layout_records, load_layout
 from placement.verification import verify_certificate
 
 from .progress import StageProgress
+from .result_folder import MARKER
 
 LAYOUT_FILE = "layout.json"
 
@@ -43,11 +46,10 @@ def run_verification(folder: Path, *, progress: StageProgress) -> dict[str, Any]
     progress("read", 0, 0)
     stored = load_certificate(folder / CERTIFICATE_FILE)
     problem = load_problem(folder / INSTANCE_FILE)
-    layout = load_layout(folder / LAYOUT_FILE)
     found = verify_certificate(
         problem,
         stored,
-        layout_records(layout),
+        _shown_units(folder),
         on_stage=lambda stage: progress(stage, 0, 0),
     )
     proofs = {proof.name: proof._asdict() for proof in found.proofs}
@@ -74,3 +76,20 @@ def run_verification(folder: Path, *, progress: StageProgress) -> dict[str, Any]
         ],
         "seconds": progress.finish(),
     }
+
+
+def _shown_units(folder: Path) -> Sequence[Mapping[str, Any]]:
+    """Units of the layout file; of a recording, which has no poses, those of the summary."""
+    marker = folder / MARKER
+    if (folder / LAYOUT_FILE).exists() or not marker.exists():
+        return layout_records(load_layout(folder / LAYOUT_FILE))
+    try:
+        summary = json.loads(marker.read_text(encoding="utf-8"))
+        units = summary["layout"] if "recording" in summary else None
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        units = None
+    if not isinstance(units, list) or not all(isinstance(unit, dict) for unit in units):
+        raise InputError(
+            str(folder), Unquoted(f"no {LAYOUT_FILE}"), f"one, or a recording's {MARKER}"
+        )
+    return units

@@ -55,7 +55,9 @@ def mount_key(candidate: CandidatePose) -> tuple[object, ...]:
 def pose_key(candidate: CandidatePose) -> tuple[object, ...]:
     """Equal for units that are meant to see the same, whatever they are called."""
     pose = candidate.pose
-    return (*pose.position_m.tolist(), pose.yaw_deg, pose.pitch_deg, candidate.sensor.name)
+    zoom_deg = getattr(candidate.sensor, "horizontal_fov_deg", None)
+    angles_deg = (pose.yaw_deg, pose.pitch_deg, zoom_deg)
+    return (*pose.position_m.tolist(), *angles_deg, candidate.sensor.name)
 
 
 def check_whole(where: str, value: Any, *, least: int) -> None:

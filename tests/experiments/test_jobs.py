@@ -24,7 +24,8 @@ def place(out, **options):
     asked = {"budget": 1, "time_limit_s": 60.0}
     names = {field.name for field in fields(Planning)} & set(options)
     asked |= {name: options.pop(name) for name in names}
-    return jobs.run_placement(Question(), Planning(**asked), **(given | options))
+    question = options.pop("question", Question())
+    return jobs.run_placement(question, Planning(**asked), **(given | options))
 
 
 def evaluate(layout, out=None):
@@ -48,12 +49,31 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
     summary = place(tmp_path / "out", progress=progress)
     assert json.loads((tmp_path / "out/summary.json").read_text()) == summary
     assert load_layout(tmp_path / "out/layout.json").name == "best-1"
-    stages = ["start", "setting", "detection table", "optimise", "greedy", "evaluate"]
-    assert list(summary["seconds"]) == [*stages, "write results", "total"]
+    stages = ["setting", "detection table", "optimise", "greedy", "explain", "evaluate"]
+    assert list(summary["seconds"]) == ["start", *stages, "write results", "total"]
     page = (tmp_path / "out/report.html").read_text()
     assert "place-rsus --budget 1 &lt;&amp;&gt;" in page
     assert "<&>" not in page
+    assert len(summary["bought"]) == 1
+    assert summary["bought"][0] in page
+    (part,) = summary["explained"]["contributions"]
+    assert part["unit"] == summary["layout"][0]["id"]
+    assert "Why these poses" in page
+    assert "Other layouts as good" not in page
     assert progress.kept == f"the results are in {tmp_path}/out"
+
+
+def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(small_study, tmp_path):
+    question = Question(packet_loss=0.25)
+    summary = place(tmp_path / "out", question=question, samples=2, pool=3, budget=2)
+    assert summary["sampled"]["uncertainty"]["messages"]["packet_loss"] == 0.25
+    explained = summary["explained"]
+    assert {entry["unit"] for entry in explained["not_avoided"]} <= {"", "U1", "U2"}
+    assert [len(entry["units"]) for entry in explained["pool"]["sets"]] == [2, 2, 2]
+    page = (tmp_path / "out/report.html").read_text()
+    assert "If the world is not as planned" in page
+    assert "25.0 % of the messages lost" in page
+    assert "Other layouts as good" in page
 
 
 def test_the_studys_poses_are_candidates_only_if_asked_for(small_study, tmp_path, monkeypatch):

@@ -10,6 +10,7 @@ from experiments.progress import StageProgress
 from experiments.question import Planning, Question
 from experiments.recording_jobs import run_recorded_placement, run_recording
 from experiments.recording_tables import recorded_placement_table, recording_table
+from experiments.verify_jobs import run_verification
 from geometry.errors import InputError
 from placement.recordings import WrittenDrive, write_recording
 from scenarios.aeb import load_aeb_rule
@@ -220,7 +221,7 @@ def test_without_the_vuts_camera_there_is_no_verdict_of_it(tmp_path):
     assert "car" not in recording_table(summary, None).split("Read:")[0]
 
 
-def test_nothing_is_written_unless_asked_for_and_then_one_file(tmp_path, monkeypatch):
+def test_nothing_is_written_unless_asked_for_and_then_little(tmp_path, monkeypatch):
     _write(tmp_path / "data", _random(1))
     monkeypatch.chdir(tmp_path)
     _evaluate(Path("data"))
@@ -229,7 +230,9 @@ def test_nothing_is_written_unless_asked_for_and_then_one_file(tmp_path, monkeyp
     for run in (_evaluate, _place):
         progress = StageProgress()
         summary = run(Path("data"), out=Path("out"), progress=progress)
-        assert [path.name for path in Path("out").iterdir()] == ["summary.json"]
+        names = {path.name for path in Path("out").iterdir()}
+        proof = {"certificate.json", "instance.npz"} if run is _place else set()
+        assert names == {"summary.json"} | proof
         assert json.loads(Path("out/summary.json").read_text()) == summary
         assert progress.kept == "the results are in out"
     assert "Written to out: summary.json." in recorded_placement_table(summary, Path("out"))
@@ -255,3 +258,16 @@ def test_tables_fit_80_columns_and_show_every_party(tmp_path):
     assert "12 (where no unit has that number) and -1 mean car" in evaluation.replace("\n", " ")
     assert "proven" in placement
     assert load_aeb_rule().deceleration_mps2 == 7.72  # what the numbers of this file stand on
+
+
+def test_a_recorded_choice_has_a_certificate_that_holds(tmp_path):
+    _write(tmp_path / "data", _random(5))
+    out = tmp_path / "out"
+    summary = _place(tmp_path / "data", out=out)
+    assert run_verification(out, progress=StageProgress())["is_verified"]
+    summary["layout"][0]["folder"] = "another"
+    (out / "summary.json").write_text(json.dumps(summary))
+    assert not run_verification(out, progress=StageProgress())["is_verified"]
+    (out / "summary.json").write_text("[]")
+    with pytest.raises(InputError, match=r"got no layout\.json; expected one, or a recording's"):
+        run_verification(out, progress=StageProgress())

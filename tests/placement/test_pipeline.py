@@ -271,3 +271,21 @@ def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):
     assert str(caught.value) == (
         "--budget: got 2; expected at most 1, the units that the sites can carry"
     )
+
+
+def test_wishes_that_contradict_each_other_are_named_with_ways_out(setting, candidates):
+    with pytest.raises(InputError) as caught:
+        place(setting, candidates, wishes=Wishes(budget_units=1, target=1.0, survive=1))
+    assert str(caught.value) == (
+        "--target 1 and --budget 1: got demands that no layout meets together; "
+        "expected one of them to give way: --target 0 or --budget 3"
+    )
+    wishes = Wishes(budget_units=1, forced_sites=("corner-ne", "mast-w"))
+    told: list[str] = []
+    with pytest.raises(InputError) as caught:
+        place(setting, candidates, wishes=wishes, on_progress=lambda *stage: told.append(stage[0]))
+    assert str(caught.value) == (
+        "--budget 1 and --force-site corner-ne,mast-w: got demands that no layout meets together; "
+        "expected one of them to give way: --budget 2 or --force-site without corner-ne"
+    )
+    assert told[-1] == "what has to give way"

@@ -22,7 +22,7 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.front import FIRST_STAGES, one_failed_limit
-from placement.optimiser.pareto import pareto_front
+from placement.optimiser.pareto import front_below, pareto_front
 from placement.optimiser.presolve import presolve
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
@@ -222,3 +222,30 @@ def test_a_front_asks_for_nothing_but_the_best(
     problem = replace(avoiding_problem(["10", "01"]), **changes)
     with pytest.raises(InputError, match=message):
         pareto_front(problem, max_units=max_units)
+
+
+@given(problem=questions())
+@settings(deadline=None, max_examples=35)
+def test_a_front_below_a_solution_is_the_front_up_to_it(problem: PlacementProblem) -> None:
+    problem = with_units(replace(problem, goal="best", survive=0), 3)
+    try:
+        solution = solve_placement(problem)
+    except InputError:
+        return
+    below = front_below(problem, solution.pose_index, solution.certificate)
+    assert below.points[-1].pose_index == solution.pose_index
+    whole = pareto_front(problem, max_units=3, stages="all")
+    assert [point.units for point in below.points] == [point.units for point in whole.points]
+    for ours, theirs in zip(below.points, whole.points, strict=True):
+        assert ours.value == pytest.approx(theirs.value, abs=1e-8)
+
+
+@given(problem=ANY_PROBLEM)
+@settings(deadline=None, max_examples=10)
+def test_nothing_is_below_one_unit_or_all_that_is_kept(problem: PlacementProblem) -> None:
+    problem = with_units(problem, 2)
+    solution = solve_placement(problem)
+    front = front_below(problem, solution.pose_index, solution.certificate, min_units=2)
+    assert [point.pose_index for point in front.points] == [solution.pose_index]
+    with pytest.raises(InputError, match="--target"):
+        front_below(replace(problem, goal="fewest"), (0,), solution.certificate)
