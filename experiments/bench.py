@@ -16,30 +16,24 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
-from scipy.optimize import Bounds, LinearConstraint, milp
 
-from geometry.arrays import BoolArray
 from geometry.raycast import caster_name
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
-from placement.detection_table import DetectionTable
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout
-from placement.optimiser import PlacementProblem, run_margins_s, solve_placement
-from placement.setting import Setting
 from placement.visibility.build import build_detection_table
-from placement.wishes import Wishes, build_problem
 
+from .bench_optimiser import measure_covering, measure_large, measure_optimiser
 from .bench_perception import measure_perception
 from .bench_rays import N_MOUNTS, measure_casting
 from .driving import build_setting
 from .question import Question
 from .study import load_carlancap_layout
-from .timing import REPEATS, in_turn, ratio
+from .timing import REPEATS
 
 _WORKERS = os.cpu_count() or 1
-_OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays and optimiser are measured on their 104 runs
+_OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 runs
 
 
 @click.command()
@@ -47,93 +41,27 @@ _OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays and optimiser are measured
 @click.option("--out", type=click.Path(path_type=Path), help="JSON file for the figures.")
 def main(budget: int, out: Path | None) -> None:
     """Measure rays, optimiser, growth with the runs, perception, and the whole command."""
-    setting = build_setting(Question(cases=_OWN_CASES), load_study_scene())
+    scene = load_study_scene()
+    setting = build_setting(Question(cases=_OWN_CASES), scene)
     candidates = build_candidates(
         setting.scene, load_candidate_grid(), extra=load_carlancap_layout().units
     )
     figures = {
         "processors": os.cpu_count(),
         "rays by": caster_name(),
+        **_measure_command(budget),  # before anything large: children count the parent's memory
         **measure_casting(setting, candidates),
-        **_measure_optimiser(setting, candidates, budget),
+        **measure_optimiser(build_setting(Question(), scene), candidates, budget),
+        **measure_covering(),
         **_measure_growth(candidates),
         **measure_perception(setting),
-        **_measure_command(budget),
+        **measure_large(),
     }
     for name, value in figures.items():
         shown = f"{value:.3g}" if isinstance(value, float) else value
         click.echo(f"{name:<64} {shown}")
     if out is not None:
         out.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-
-
-# ---------------------------------------------------------------- optimiser
-
-
-def _measure_optimiser(
-    setting: Setting, candidates: tuple[CandidatePose, ...], budget: int
-) -> dict[str, Any]:
-    """All stages of the optimiser; and the maximal covering problem against HiGHS alone."""
-    table = build_detection_table(
-        setting.scene,
-        candidates,
-        setting.runs,
-        setting.axis,
-        detector=setting.planner,
-        workers=_WORKERS,
-    )
-    problem = build_problem(
-        setting, candidates, table, wishes=Wishes(budget_units=budget), fusion="any"
-    )
-    began_s = time.perf_counter()
-    solution = solve_placement(problem)
-    all_stages_s = time.perf_counter() - began_s
-    single = build_problem(
-        setting, candidates, table, wishes=Wishes(budget_units=budget), fusion="single"
-    )
-    covers = _covers(single, table)
-    best: dict[str, float] = {}
-
-    def ours() -> None:
-        best["ours"] = solve_placement(single).certificate.stages[0].objective
-
-    def direct() -> None:
-        best["HiGHS"] = _solve_mclp(covers, single)
-
-    ours_s, direct_s = in_turn(ours, direct)
-    if not np.isclose(best["ours"], best["HiGHS"], atol=1e-6):
-        raise RuntimeError(f"optima differ: {best}")
-    return {
-        "optimiser: poses": table.n_poses,
-        "optimiser: presolve": str(solution.presolve),
-        "optimiser: seconds, all stages, any": all_stages_s,
-        "optimiser: proven": solution.certificate.is_proven,
-        "optimiser: all stages, single / bare HiGHS, APR only": ratio(ours_s, direct_s),
-    }
-
-
-def _covers(problem: PlacementProblem, table: DetectionTable) -> BoolArray:
-    """A[c, r]: whether pose c avoids run r by itself."""
-    return np.stack([np.isfinite(run_margins_s(problem, [pose])) for pose in range(table.n_poses)])
-
-
-def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
-    """Maximal covering by SciPy's HiGHS without any presolve of ours; returns the APR."""
-    n_poses, n_runs = covers.shape
-    weight = problem.table.axis.weight
-    chosen = np.concatenate([np.ones(n_poses), np.zeros(n_runs)])
-    cover = np.hstack([-covers.T.astype(float), np.eye(n_runs)])
-    result = milp(
-        -np.concatenate([np.zeros(n_poses), weight]),
-        integrality=chosen,
-        bounds=Bounds(0.0, 1.0),
-        constraints=[
-            LinearConstraint(chosen, ub=float(problem.limits.max_units)),
-            LinearConstraint(cover, ub=0.0),
-        ],
-    )
-    solution: Any = result.x
-    return float(solution[n_poses:] @ weight)
 
 
 # ---------------------------------------------------------------- more cases

@@ -20,9 +20,24 @@ COMPASS = (
     "south",
     "south-east",
 )
+_COMPASS_16 = tuple(
+    name
+    for point, between in zip(
+        COMPASS,
+        (
+            *("east-north-east", "north-north-east", "north-north-west", "west-north-west"),
+            *("west-south-west", "south-south-west", "south-south-east", "east-south-east"),
+        ),
+        strict=True,
+    )
+    for name in (point, between)
+)
 _AT_OUTLINE_M = 1.5  # lanes end at the junction's outline but for the rounding of the map
 _SAME_POINT_M = 0.5  # between one piece of a lane and the next
-_ARM_SPREAD_DEG = 40.0  # lanes of one arm agree within this
+_ARM_SPREAD_DEG = 40.0  # a crosswalk leads across the arm within this
+_SAME_ARM_DEG = 25.0  # between a lane and the next one of the same arm
+_SAME_ARM_GAP_M = 12.0  # between their edges: a median, or tracks
+_SAME_ARM_AHEAD_M = 15.0  # between their mouths, along the arm
 _CROSSWALK_INSIDE_MOUTH_M = 2.0
 # Euro NCAP's junction: arms begin 11.5 m from the centre, pedestrians cross 9.5 m from it.
 
@@ -89,7 +104,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arm:
-    """A road that ends at a junction. Traffic keeps right.
+    """A road that ends at a junction.
 
     Attributes
     ----------
@@ -127,11 +142,14 @@ class Junction:
     name : str
         Of the scene.
     arms : mapping of str to Arm
-        By name.
+        By name, counter-clockwise from the east.
+    keeps_left : bool
+        Traffic keeps left.
     """
 
     name: str
     arms: dict[str, Arm]
+    keeps_left: bool = False
 
     def __repr__(self) -> str:
         return f"Junction({self.name!r}, arms {', '.join(self.arms)})"
@@ -149,7 +167,9 @@ def build_junction(scene: Scene) -> Junction:
     Returns
     -------
     junction : Junction
-        Named after the compass: four points, or eight where two arms share one of the four.
+        Lanes belong to one arm that lie side by side and lead the same way. It is named after one
+        of four points of the compass, or of eight or sixteen where two arms would share a name; if
+        even these do, numbers tell them apart.
 
     Raises
     ------
@@ -166,13 +186,43 @@ def build_junction(scene: Scene) -> Junction:
         raise InputError(
             f"{scene.name}: lanes", len(scene.lanes), "lanes that begin or end at the outline"
         )
-    bearings = np.array([_outward_bearing_deg(lane, is_in=is_in) for is_in, lane in ends])
-    names = _arm_names(bearings)
+    groups = _group_by_arm(ends)
+    bearings = [
+        _mean_bearing_deg([_outward_bearing_deg(lane, is_in=is_in) for is_in, lane in group])
+        for group in groups
+    ]
+    order = np.argsort(np.round(np.mod(bearings, 360.0), 6) % 360.0, kind="stable")
+    names = _arm_names([bearings[index] for index in order])
+    arms = {
+        name: _build_arm(name, groups[index], scene)
+        for name, index in zip(names, order, strict=True)
+    }
+    return Junction(name=scene.name, arms=arms, keeps_left=scene.keeps_left)
+
+
+def mirrored(junction: Junction) -> Junction:
+    """A junction as seen in a mirror that swaps north and south: traffic keeps the other side.
+
+    Names of arms and lanes stay.
+    """
+
+    def turn_over(lane: Lane) -> Lane:
+        return replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0])
+
     arms = {}
-    for name in sorted(set(names), key=COMPASS.index):
-        members = [end for end, other in zip(ends, names, strict=True) if other == name]
-        arms[name] = _build_arm(name, members, scene)
-    return Junction(name=scene.name, arms=arms)
+    for name, arm in junction.arms.items():
+        line = arm.crosswalk
+        # From the kerb where the VUT drives to the other one, in the mirror too.
+        crosswalk = Line(
+            point_m=line.point_m * [1.0, -1.0], direction=line.direction * [-1.0, 1.0]
+        )
+        arms[name] = Arm(
+            name=name,
+            lanes_in=tuple(turn_over(lane) for lane in arm.lanes_in),
+            lanes_out=tuple(turn_over(lane) for lane in arm.lanes_out),
+            crosswalk=crosswalk,
+        )
+    return replace(junction, arms=arms, keeps_left=not junction.keeps_left)
 
 
 def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]:
@@ -217,8 +267,10 @@ def _build_arm(name: str, members: Sequence[tuple[bool, Lane]], scene: Scene) ->
             _whole(lane, scene.lanes, is_in=wanted) for is_in, lane in members if is_in == wanted
         ]
         lines = [lane_line(lane, is_in=wanted, length_m=10.0)[0] for lane in lanes]
-        # The kerb is on the right: smaller to the left of the first lane means nearer to it.
-        order = np.argsort([lines[0].coordinates(line.point_m)[1] for line in lines])
+        # The kerb is on the right, or where traffic keeps left on the left: smaller to the other
+        # side of the first lane means nearer to it.
+        inwards = -1.0 if scene.keeps_left else 1.0
+        order = np.argsort([inwards * lines[0].coordinates(line.point_m)[1] for line in lines])
         sides[wanted] = tuple(lanes[index] for index in order)
     return Arm(
         name=name,
@@ -274,19 +326,56 @@ def _outward_bearing_deg(lane: Lane, *, is_in: bool) -> float:
     return line.yaw_deg + (180.0 if is_in else 0.0)
 
 
-def _arm_names(bearings_deg: FloatArray) -> list[str]:
-    for step in (2, 1):  # four points of the compass, then eight
-        spacing_deg = 45.0 * step
-        index = np.round(bearings_deg / spacing_deg).astype(int) % (8 // step) * step
-        spreads = [_spread_deg(bearings_deg[index == one]) for one in np.unique(index)]
-        if step == 1 or max(spreads) <= _ARM_SPREAD_DEG:
-            break
-    return [COMPASS[one] for one in index]
+def _group_by_arm(ends: Sequence[tuple[bool, Lane]]) -> list[list[tuple[bool, Lane]]]:
+    """Lane ends that lie side by side and lead the same way, chained from one to the next."""
+    mouths = [
+        Line(
+            point_m=lane.centreline_m[-1 if is_in else 0],
+            direction=_unit_vector(_outward_bearing_deg(lane, is_in=is_in)),
+        )
+        for is_in, lane in ends
+    ]
+    group = list(range(len(ends)))
+    for one, mouth in enumerate(mouths):
+        for other in range(one):
+            reach_m = 0.5 * (ends[one][1].width_m + ends[other][1].width_m) + _SAME_ARM_GAP_M
+            if group[one] != group[other] and _is_beside(mouth, mouths[other], reach_m):
+                old, new = group[one], group[other]
+                group = [new if number == old else number for number in group]
+    return [
+        [end for end, number in zip(ends, group, strict=True) if number == wanted]
+        for wanted in dict.fromkeys(group)
+    ]
 
 
-def _spread_deg(bearings_deg: FloatArray) -> float:
-    apart = (bearings_deg - bearings_deg[0] + 180.0) % 360.0 - 180.0
-    return float(np.ptp(apart))
+def _is_beside(one: Line, other: Line, reach_m: float) -> bool:
+    if one.direction @ other.direction < np.cos(np.radians(_SAME_ARM_DEG)):
+        return False
+    between = replace(one, direction=one.direction + other.direction)
+    ahead_m, left_m = np.abs(between.coordinates(other.point_m))
+    return bool(ahead_m <= _SAME_ARM_AHEAD_M and left_m <= reach_m)
+
+
+def _unit_vector(bearing_deg: float) -> FloatArray:
+    angle = np.radians(bearing_deg)
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+def _mean_bearing_deg(bearings_deg: Sequence[float]) -> float:
+    east, north = np.mean([_unit_vector(bearing) for bearing in bearings_deg], axis=0)
+    return float(np.degrees(np.arctan2(north, east)))
+
+
+def _arm_names(bearings_deg: Sequence[float]) -> list[str]:
+    for n_points in (4, 8, 16):
+        index = np.round(np.array(bearings_deg) * n_points / 360.0).astype(int) % n_points
+        names = [_COMPASS_16[one * (16 // n_points)] for one in index]
+        if len(set(names)) == len(names):
+            return names
+    return [
+        f"{name}-{names[: index + 1].count(name)}" if names.count(name) > 1 else name
+        for index, name in enumerate(names)
+    ]
 
 
 def _distance_to_outline(point_m: FloatArray, outline_m: FloatArray) -> float:

@@ -124,6 +124,8 @@ class Scene:
         Lines on which pedestrians cross an arm, from end to end. World frame. [m]
     road_network : str
         OpenDRIVE file that has the same roads in the same frame; empty: none.
+    keeps_left : bool
+        Traffic keeps left.
     """
 
     name: str
@@ -137,6 +139,7 @@ class Scene:
     crs: str
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
     road_network: str = ""
+    keeps_left: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(

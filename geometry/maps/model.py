@@ -1,0 +1,219 @@
+"""What a map file says, whatever its format: lanes, junctions, crosswalks, things, poles."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, float_array, freeze
+from ..errors import InputError
+
+LANE_KINDS = ("driving", "parking", "cycling", "walking")
+POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
+Heights = Literal["above ground", "absolute"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MapLane:
+    """One lane between two junctions, or from one to where it ends.
+
+    Attributes
+    ----------
+    id : str
+        In the source; unique in the map.
+    kind : str
+        One of ``LANE_KINDS``.
+    width_m : float
+        Mean full width. [m]
+    centreline_m : (n, 3) float
+        At least two points in driving direction; of lanes without one (walking, parking) in that
+        of the driving lane beside them. [m]
+    from_junction, to_junction : str
+        Ids of the junctions where it begins and ends: there it stops at the outline. Empty: none.
+    """
+
+    id: str
+    kind: str
+    width_m: float
+    centreline_m: FloatArray
+    from_junction: str = ""
+    to_junction: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"lane {self.id}"
+        if self.kind not in LANE_KINDS:
+            raise InputError(f"{where}.kind", self.kind, "one of " + ", ".join(LANE_KINDS))
+        if not (np.isfinite(self.width_m) and self.width_m > 0.0):
+            raise InputError(f"{where}.width_m", self.width_m, "metres, > 0")
+        points = float_array(self.centreline_m, (-1, 3), f"{where}.centreline_m")
+        if len(points) < 2:
+            raise InputError(f"{where}.centreline_m", len(points), "at least two points")
+        object.__setattr__(self, "centreline_m", points)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MapJunction:
+    """Where roads meet.
+
+    Attributes
+    ----------
+    id : str
+        In the source; unique in the map.
+    name : str
+        For people, such as the streets that meet; may be empty.
+    outline_m : (n, 2) float
+        Outline of its road surface, where the lanes of its arms begin and end. [m]
+    height_m : float
+        Of the road in its middle, as the map's ``heights`` count. [m]
+    """
+
+    id: str
+    name: str
+    outline_m: FloatArray
+    height_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        where = f"junction {self.id}.outline_m"
+        outline = float_array(self.outline_m, (-1, 2), where)
+        if len(outline) < 3:
+            raise InputError(where, len(outline), "at least three points")
+        object.__setattr__(self, "outline_m", outline)
+
+    @property
+    def position_m(self) -> FloatArray:
+        """Its middle: that of the box around the outline, (2,)."""
+        middle: FloatArray = 0.5 * (self.outline_m.min(axis=0) + self.outline_m.max(axis=0))
+        return middle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Thing:
+    """Something solid.
+
+    Attributes
+    ----------
+    id : str
+        In the source; unique in the map.
+    class_name : str
+        One of :data:`geometry.scene.CLASS_NAMES`.
+    vertices_m : (n, 3) float
+        As the map's ``heights`` count upwards. [m]
+    triangles : (m, 3) int32
+        Vertex indices; seen from outside they run counter-clockwise.
+    is_height_assumed : bool
+        The source does not say how high it is.
+    """
+
+    id: str
+    class_name: str
+    vertices_m: FloatArray
+    triangles: NDArray[np.int32]
+    is_height_assumed: bool = False
+
+    def __post_init__(self) -> None:
+        where = f"{self.class_name} {self.id}"
+        vertices = float_array(self.vertices_m, (-1, 3), f"{where}.vertices_m")
+        object.__setattr__(self, "vertices_m", vertices)
+        triangles = freeze(np.array(self.triangles, dtype=np.int32).reshape(-1, 3))
+        if len(triangles) and not (0 <= triangles.min() and triangles.max() < len(vertices)):
+            raise InputError(
+                f"{where}.triangles", int(triangles.max()), f"indices below {len(vertices)}"
+            )
+        object.__setattr__(self, "triangles", triangles)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pole:
+    """Something that stands and could carry sensors.
+
+    Attributes
+    ----------
+    id : str
+        In the source; unique in the map.
+    kind : str
+        One of ``POLE_KINDS``.
+    position_m : (3,) float
+        Of its foot. [m]
+    height_m : float, optional
+        Of its top above its foot, where the source says so. [m]
+    """
+
+    id: str
+    kind: str
+    position_m: FloatArray
+    height_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in POLE_KINDS:
+            raise InputError(f"pole {self.id}.kind", self.kind, "one of " + ", ".join(POLE_KINDS))
+        object.__setattr__(
+            self, "position_m", float_array(self.position_m, (3,), f"pole {self.id}.position_m")
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Skipped:
+    """Something of a source that was not taken.
+
+    Attributes
+    ----------
+    what : str
+        Kind and id, as the source has them: "way 4711", "road 5 object 12".
+    why : str
+        The reason, in words.
+    """
+
+    what: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SourceMap:
+    """What one file says.
+
+    Attributes
+    ----------
+    name : str
+        Of the file.
+    crs : str
+        Projected coordinate reference system, in metres, of all coordinates here, for pyproj;
+        empty: the file does not say where on earth it lies.
+    source_crs : str
+        The one that the file itself uses, such as "EPSG:4326".
+    heights : {"above ground", "absolute"}
+        What z counts from.
+    lanes, junctions, things, poles : tuple
+        What there is.
+    crosswalks_m : (n, 2, 2) float
+        Lines on which pedestrians cross, from end to end. [m]
+    keeps_left : bool
+        Traffic keeps left.
+    skipped : tuple of Skipped
+        What was not taken, and why.
+    """
+
+    name: str
+    crs: str
+    source_crs: str = ""
+    heights: Heights = "above ground"
+    lanes: tuple[MapLane, ...] = ()
+    junctions: tuple[MapJunction, ...] = ()
+    things: tuple[Thing, ...] = ()
+    poles: tuple[Pole, ...] = ()
+    crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    keeps_left: bool = False
+    skipped: tuple[Skipped, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self,
+            "crosswalks_m",
+            float_array(self.crosswalks_m, (-1, 2, 2), f"{self.name}: crosswalks_m"),
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"SourceMap({self.name!r}, {len(self.lanes)} lanes, {len(self.junctions)} junctions, "
+            f"{len(self.things)} things, {len(self.poles)} poles)"
+        )
