@@ -169,11 +169,11 @@ def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePos
     usable = site_index[~is_forbidden_site[site_index] | is_kept]
     most = int(np.minimum(np.bincount(usable, minlength=len(order)), capacity).sum())
     if wishes.budget_units is not None and wishes.budget_units + is_kept.sum() > most:
-        raise InputError(
-            "--budget",
-            wishes.budget_units,
-            f"at most {most - int(is_kept.sum())}, the units that the sites can carry",
-        )
+        n_free = most - int(is_kept.sum())
+        expected = f"at most {n_free}, the units that the sites can carry"
+        if n_free <= 0:
+            expected = "candidates beside the units kept, at sites with room for them"
+        raise InputError("--budget", wishes.budget_units, expected)
     price = np.array([candidate.sensor.price_eur for candidate in candidates])
     return Limits(
         site_index=site_index,

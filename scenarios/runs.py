@@ -8,7 +8,7 @@ import numpy as np
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.junction import Junction, build_junction
+from geometry.junction import Junction, build_junction, mirrored
 from geometry.scene import Scene
 from geometry.weather import load_weathers
 
@@ -16,6 +16,7 @@ from .aeb import AebRule, confirmation_time_s, last_brake_time_s
 from .cases import Case
 from .clearance import check_clearance
 from .encounters import Encounter
+from .mirror import mirror_staging
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
 from .staging import CannotCarryError, Staging
@@ -340,7 +341,14 @@ def _stage(
     placement = find_placement(scene.name, case, approach)
     if placement is not None:
         return stage_published(placement, vut_speed_kmh=speed_kmh, vut=vut)
-    staging = stage_by_protocol(case, junction, approach, vut_speed_kmh=speed_kmh, vut=vut)
+    if junction.keeps_left:
+        staging = mirror_staging(
+            stage_by_protocol(
+                case, mirrored(junction), approach, vut_speed_kmh=speed_kmh, vut=vut
+            )
+        )
+    else:
+        staging = stage_by_protocol(case, junction, approach, vut_speed_kmh=speed_kmh, vut=vut)
     check_clearance(staging, scene)
     return staging
 

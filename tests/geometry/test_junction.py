@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from junctions import ARMS, LANE_M, MOUTH_M, SQUARE_M, build_scene, lanes_of, protocol_scene, turned
@@ -97,3 +99,59 @@ def test_lines_cross_where_both_are():
     assert a.coordinates([4.0, 3.0]) == pytest.approx([4.0, 2.0])
     assert a.turned(90.0).direction == pytest.approx([0.0, 1.0])
     assert a.at(2.0, 1.0) == pytest.approx([2.0, 2.0])
+
+
+@pytest.mark.parametrize("angles_deg", [(0, 72, 144, 216, 288), (5, 40, 80, 180, 260, 300)])
+def test_any_number_of_arms_at_any_angle_have_names_of_their_own(angles_deg):
+    outline = 25.0 * np.array(
+        [[np.cos(angle), np.sin(angle)] for angle in np.linspace(0, 2 * np.pi, 72, endpoint=False)]
+    )
+    lanes = []
+    for angle in angles_deg:
+        for is_in, side_m in ((True, 1.75), (False, -1.75)):
+            reach_m = np.sqrt(25.0**2 - side_m**2)
+            way = [[reach_m + 80.0, side_m], [reach_m, side_m]][:: 1 if is_in else -1]
+            lanes.append(
+                Lane(
+                    id=f"{angle}-{is_in}",
+                    kind="driving",
+                    width_m=3.5,
+                    centreline_m=turned(way, float(angle)),
+                )
+            )
+    junction = build_junction(build_scene(lanes, outline_m=outline))
+    assert len(junction.arms) == len(angles_deg)
+    for arm, angle in zip(junction.arms.values(), sorted(angles_deg), strict=True):
+        assert [lane.id for lane in arm.lanes_in] == [f"{angle}-True"]
+        assert [lane.id for lane in arm.lanes_out] == [f"{angle}-False"]
+
+
+def test_a_median_does_not_split_an_arm_but_a_block_does():
+    for median_m, n_arms in ((8.0, 1), (30.0, 2)):
+        lanes = [
+            Lane(
+                id=name,
+                kind="driving",
+                width_m=3.5,
+                centreline_m=np.array([[61.5, y], [11.5, y]])[::step],
+            )
+            for name, y, step in (
+                ("in", 0.5 * median_m + 1.75, 1),
+                ("out", -0.5 * median_m - 1.75, -1),
+            )
+        ]
+        outline = np.array([[11.5, -40.0], [11.5, 40.0], [-11.5, 40.0], [-11.5, -40.0]])
+        assert len(build_junction(build_scene(lanes, outline_m=outline)).arms) == n_arms
+
+
+def test_where_traffic_keeps_left_the_kerb_is_on_the_left():
+    scene = protocol_scene()
+    lanes = tuple(
+        replace(lane, centreline_m=lane.centreline_m[::-1])
+        for arm, bearing in ARMS.items()
+        for lane in lanes_of(arm, bearing, n_lanes=2)
+    )
+    junction = build_junction(replace(scene, lanes=lanes, keeps_left=True))
+    for name, arm in junction.arms.items():
+        assert [lane.id for lane in arm.entry_lanes] == [f"{name}-out-0", f"{name}-out-1"]
+        assert [lane.id for lane in arm.exit_lanes] == [f"{name}-in-0", f"{name}-in-1"]

@@ -1,0 +1,71 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from junctions import build_scene, lanes_of, protocol_scene
+
+from geometry.actors import pick_actor
+from geometry.junction import build_junction, mirrored
+from scenarios.aeb import load_aeb_rule
+from scenarios.runs import build_runs
+from scenarios.selection import select_cases
+
+OTHER_SIDE = {"east": "east", "north": "south", "west": "west", "south": "north"}
+
+
+def left_handed(scene):
+    """The same junction in a mirror that swaps north and south."""
+    flip = np.array([1.0, -1.0])
+    return replace(
+        scene,
+        vertices_m=scene.vertices_m * [1.0, -1.0, 1.0],
+        triangles=scene.triangles[:, ::-1],
+        outline_m=scene.outline_m * flip,
+        lanes=tuple(replace(one, centreline_m=one.centreline_m * flip) for one in scene.lanes),
+        crosswalks_m=scene.crosswalks_m * flip,
+        keeps_left=True,
+    )
+
+
+def drive(scene):
+    cases = select_cases("all", speeds="30,50", force=True).cases
+    return build_runs(scene, cases, vut=pick_actor("vut", "vut"), rule=load_aeb_rule())
+
+
+def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_where_it_keeps_right():
+    corner = ("corner", 18.0, 18.0, 6.0, 6.0, 3.0)
+    scene = protocol_scene(boxes=[corner], crosswalks_m=[[[14.0, -6.0], [14.0, 6.0]]])
+    right, refused = drive(scene)
+    left, refused_left = drive(left_handed(scene))
+    assert len(right) > 100
+    assert {run.case.kind for run in right} == {"crossing", "longitudinal", "turning"}
+    assert len(refused) == len(refused_left)
+    ours = {run.id: run for run in left}
+    for run in right:
+        name = f"{run.case.name}/{OTHER_SIDE[run.approach]}/{run.vut_speed_kmh:g}"
+        twin = ours.pop(name)
+        assert twin.last_brake_time_s == pytest.approx(run.last_brake_time_s, abs=1e-6)
+        for who in ("vut", "vru"):
+            position = getattr(run, f"{who}_position_m") * [1.0, -1.0]
+            assert getattr(twin, f"{who}_position_m") == pytest.approx(position, abs=1e-6)
+            turn = getattr(twin, f"{who}_yaw_deg") + getattr(run, f"{who}_yaw_deg")
+            assert np.cos(np.radians(turn)) == pytest.approx(1.0)
+        for one, other in zip(run.obstruction, twin.obstruction, strict=True):
+            assert other.actor is one.actor
+            assert other.pose.position_m == pytest.approx(
+                one.pose.position_m * [1.0, -1.0, 1.0], abs=1e-6
+            )
+    assert not ours
+
+
+def test_a_junction_in_two_mirrors_is_itself_again():
+    junction = build_junction(build_scene(lanes_of("a", 10.0, n_lanes=2)))
+    twice = mirrored(mirrored(junction))
+    assert mirrored(junction).keeps_left
+    assert not twice.keeps_left
+    for name, arm in twice.arms.items():
+        was = junction.arms[name]
+        assert arm.crosswalk.point_m == pytest.approx(was.crosswalk.point_m)
+        assert arm.crosswalk.direction == pytest.approx(was.crosswalk.direction)
+        for one, other in zip(arm.lanes_in, was.lanes_in, strict=True):
+            assert one.centreline_m == pytest.approx(other.centreline_m)
