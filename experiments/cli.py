@@ -18,6 +18,7 @@ from .cli_options import (
     option_name,
     question_options,
     quiet_option,
+    scene_option,
     seed_option,
     workers_option,
 )
@@ -271,13 +272,16 @@ Examples:
     type=OneOf(EXPORT_FORMATS),
     help="csv; geojson (WGS 84); carla: spawn transforms in CARLA's frame.",
 )
+@scene_option
 @click.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
-def export(*, layout_names: tuple[str, ...], format_name: str, out: Path | None) -> None:
+def export(
+    *, layout_names: tuple[str, ...], format_name: str, scene: str, out: Path | None
+) -> None:
     """Write a layout in a format that other programs read."""
     (layout,) = _load_layouts(layout_names, 1)
     from . import jobs
 
-    text = jobs.export_layout(layout, format_name)
+    text = jobs.export_layout(layout, format_name, scene_path=scene)
     if out is None:
         click.echo(text, nl=False)
         return

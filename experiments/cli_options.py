@@ -169,6 +169,12 @@ _DRIVE_OPTIONS = (
     ),
     click.option("--force", is_flag=True, help="Drive speeds that the protocol does not."),
 )
+scene_option = click.option(
+    "--scene",
+    default="",
+    metavar="PATH",
+    help="Folder or .zip file of `place-rsus scene import`; default: the study's junction.",
+)
 _BRAKING_OPTIONS = (
     click.option(
         "--deceleration",
@@ -257,7 +263,12 @@ def question_options(
     """
     judging = [_WEIGHT_OPTION, *_PERCEPTION_OPTIONS] if has_weights else []
     return _into_question(
-        _cases_option(cases), *_SELECTION_OPTIONS, *_DRIVE_OPTIONS, *judging, *_BRAKING_OPTIONS
+        scene_option,
+        _cases_option(cases),
+        *_SELECTION_OPTIONS,
+        *_DRIVE_OPTIONS,
+        *judging,
+        *_BRAKING_OPTIONS,
     )
 
 
@@ -276,6 +287,7 @@ def one_run_options() -> Callable[[Callable[..., Any]], Callable[..., Any]]:
             callback=lambda _context, _param, value: f"{value:g}",
             help="Of the VUT.",
         ),
+        scene_option,
         *_DRIVE_OPTIONS,
         *_BRAKING_OPTIONS,
     )

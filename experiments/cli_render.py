@@ -12,6 +12,7 @@ from .cli_options import (
     layout_option,
     option_name,
     quiet_option,
+    scene_option,
     workers_option,
 )
 from .progress import StageProgress
@@ -85,6 +86,7 @@ Examples:
     show_default=True,
     help="Of sensor noise and rain.",
 )
+@scene_option
 @quiet_option
 @workers_option
 @click.pass_obj
@@ -98,6 +100,7 @@ def render(
     weather: str | None,
     out: Path | None,
     seed: int,
+    scene: str,
     quiet: bool,
     workers: int,
 ) -> None:
@@ -107,22 +110,22 @@ def render(
         raise click.UsageError(f"--layout: got {got}; expected it once")
     progress.start(quiet=quiet)
     progress("lay the run", 0, 0)
-    from geometry.scene_files import load_study_scene
+    from placement.layout import check_layout
 
     from . import rendering
+    from .study import find_layout, find_scene
 
-    scene = load_study_scene()
-    from .study import find_layout
-
+    around = find_scene(scene)
     layout = find_layout(layout_names[0], "--layout")
-    run = rendering.find_run(run_id, scene, weather=weather)
+    check_layout(layout, around)
+    run = rendering.find_run(run_id, around, weather=weather)
     frame_index = rendering.find_frame(run, frame)
     viewpoint = rendering.find_viewpoint(layout, unit_id, run, frame_index)
     suffix = rendering.suffixes_of(viewpoint.sensor)[0]
     path = out or _default_path(run, unit_id, frame_index, suffix)
     rendering.check_path(path, viewpoint.sensor)
     progress("render", 0, 0)
-    seen = rendering.render(scene, run, frame_index, viewpoint, seed=seed, workers=workers)
+    seen = rendering.render(around, run, frame_index, viewpoint, seed=seed, workers=workers)
     try:
         if out is None:
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -43,15 +43,14 @@ def list_scenarios(
     1.2 seconds before it. With --json a list, one entry per case and approach, with one last
     moment per speed; null where braking cannot help.
     """
-    from geometry.scene_files import load_study_scene
-
     from .driving import drive
     from .exports import to_json_text
     from .scenario_list import list_rows, scenario_table
+    from .study import find_scene
 
     progress.start(quiet=quiet)
     progress("lay the cases", 0, 0)
-    rows = list_rows(drive(question, load_study_scene()))
+    rows = list_rows(drive(question, find_scene(question.scene)))
     progress.stop()
     click.echo(to_json_text(rows).rstrip() if as_json else scenario_table(rows))
 
@@ -72,12 +71,11 @@ Examples:
 @click.pass_obj
 def show(progress: StageProgress, *, question: Question, out: Path | None, quiet: bool) -> None:
     """Draw a run from above: bodies, paths, obstruction, what the VUT has in sight."""
-    from geometry.scene_files import load_study_scene
-
     from .driving import drive_one
     from .film import save_film
+    from .study import find_scene
 
-    scene = load_study_scene()
+    scene = find_scene(question.scene)
     run = drive_one(question, scene)
     path = out or Path("results", "scenarios", run.id.replace("/", "_") + ".png")
     progress.start(quiet=quiet)
@@ -106,12 +104,12 @@ Example:
 def export(*, question: Question, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""
     from geometry.atomic_files import write_atomically
-    from geometry.scene_files import load_study_scene
 
     from .driving import drive_one
     from .openscenario import to_openscenario
+    from .study import find_scene
 
-    scene = load_study_scene()
+    scene = find_scene(question.scene)
     text = to_openscenario(drive_one(question, scene), road_network=scene.road_network)
     if out is None:
         click.echo(text, nl=False)

@@ -140,13 +140,17 @@ def build_setting(question: Question, scene: Scene) -> Setting:
     Raises
     ------
     InputError
-        As :func:`drive`; no approach carries one of the cases; the weights do not fit the runs.
+        As :func:`drive`; no approach carries any of the cases, or one that was named; the weights
+        do not fit the runs.
     """
     drives = drive(question, scene)
     runs = drives.runs
     driven = {run.case.name for run in runs}
+    asked = {word.strip() for word in question.cases.split(",")}
     for refusal in drives.refused:
-        if refusal.case.name not in driven:
+        # Of a set of cases, what a junction does not carry is told; a case by name is wanted.
+        is_asked = refusal.case.name in asked or not driven
+        if is_asked and refusal.case.name not in driven:
             raise InputError(
                 "--cases",
                 Unquoted(f"{refusal.case.name}, which no approach carries"),

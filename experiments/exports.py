@@ -10,7 +10,7 @@ import pandas as pd
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import Sensor
-from geometry.errors import InputError
+from geometry.errors import InputError, Unquoted
 from geometry.frames import to_carla_points, to_carla_yaw, to_geographic
 from geometry.lidar import LidarModel
 from placement.candidates import CandidatePose
@@ -29,7 +29,13 @@ def to_csv(layout: Layout) -> str:
 
 def to_json(layout: Layout) -> str:
     """Layout as the JSON file that :func:`placement.layout.load_layout` reads."""
-    return to_json_text({"schema": SCHEMA, "name": layout.name, "layout": layout_records(layout)})
+    document = {
+        "schema": SCHEMA,
+        "name": layout.name,
+        "scene": layout.scene_name,
+        "layout": layout_records(layout),
+    }
+    return to_json_text(document)
 
 
 def to_geojson(layout: Layout, crs: str) -> str:
@@ -57,6 +63,10 @@ def to_geojson(layout: Layout, crs: str) -> str:
     ----------
     .. [1] RFC 7946, "The GeoJSON Format", sections 3.1.1 (positions) and 4 (WGS 84).
     """
+    if not crs:
+        raise InputError(
+            "geojson", Unquoted("a scene without crs"), "one that says where on earth it lies"
+        )
     positions = np.array([unit.pose.position_m for unit in layout.units])
     features = [
         {

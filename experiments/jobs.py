@@ -8,7 +8,6 @@ from typing import Any, cast
 
 from matplotlib.figure import Figure
 
-from geometry.scene_files import load_study_scene
 from placement.certificates import build_certificate, save_certificate
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
@@ -31,7 +30,7 @@ from .question import Planning, Question
 from .refinement_summary import summarise_refinement
 from .report import GREEDY, pick_heatmap_runs, write_report
 from .result_folder import MARKER, check_result_folder, new_result_folder
-from .study import load_carlancap_layout
+from .study import find_baseline, find_scene
 from .summary import (
     summarise_comparison,
     summarise_drives,
@@ -69,11 +68,12 @@ def run_placement(
         A wish cannot be met, or `out` cannot be written.
     """
     check_result_folder(out)
-    plan = build_plan(planning, load_study_scene())
+    scene = find_scene(question.scene)
+    plan = build_plan(planning, scene)
     progress.kept = _left_as_it_was(out)
     progress("setting", 0, 0)
-    setting = build_setting(question, load_study_scene())
-    study = load_carlancap_layout()
+    setting = build_setting(question, scene)
+    study = find_baseline(scene)
     uncertainty = load_uncertainty(planning.uncertainty, where="--uncertainty")
     if question.packet_loss:
         uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
@@ -118,9 +118,9 @@ def run_placement(
         seed=seed,
     )
     bought = _what_units_buy(placement, plan, progress)
-    found, greedy, baseline = _evaluate(
-        [placement.layout, placement.greedy, study], setting, seed, workers, progress
-    )
+    layouts = [placement.layout, placement.greedy, *([] if study is None else [study])]
+    found, greedy, *others = _evaluate(layouts, setting, seed, workers, progress)
+    baseline = others[0] if others else None
     summary = summarise_placement(placement, setting, found=found, greedy=greedy, baseline=baseline)
     summary |= summarise_drives(setting)
     summary |= {"bought": bought, "explained": explained}
@@ -130,7 +130,7 @@ def run_placement(
     if planning.samples:
         judged = out_of_sample_layouts(
             setting,
-            [placement.layout, placement.greedy, study],
+            layouts,
             uncertainty,
             n_samples=max(planning.samples, MIN_FRESH_WORLDS),
             seed=seed,
@@ -144,18 +144,19 @@ def run_placement(
             tail=plan.wishes.tail,
             seed=seed,
             planned_apr={
-                item.layout.name: apr(item.rsu_all, item.axis) for item in (found, greedy, baseline)
+                item.layout.name: apr(item.rsu_all, item.axis) for item in (found, greedy, *others)
             },
             chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
         )
         figures["sampled_apr"] = plot_sampled_apr(judged)
-    evaluations = {found.layout.name: found, GREEDY: greedy, baseline.layout.name: baseline}
+    evaluations = {found.layout.name: found, GREEDY: greedy}
+    evaluations |= {other.layout.name: other for other in others}
     _write_results(
         out,
         summary,
         setting,
         evaluations,
-        others=[baseline.layout],
+        others=[other.layout for other in others],
         command=command,
         progress=progress,
         placement=placement,
@@ -248,9 +249,9 @@ def run_comparison(
     )
 
 
-def export_layout(layout: Layout, format_name: str) -> str:
+def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> str:
     """A layout as text in another program's format, see :data:`experiments.exports.FORMATS`."""
-    scene = load_study_scene()
+    scene = find_scene(scene_path)
     check_layout(layout, scene)
     return exports.FORMATS[format_name](layout, scene.crs)
 
@@ -270,7 +271,7 @@ def _judge(
         check_result_folder(out)
         progress.kept = _left_as_it_was(out)
     progress("setting", 0, 0)
-    setting = build_setting(question, load_study_scene())
+    setting = build_setting(question, find_scene(question.scene))
     layouts = _with_distinct_names(layouts)
     for layout in layouts:
         check_layout(layout, setting.scene)
@@ -343,9 +344,12 @@ def _write_results(
     known = {key: value for key, value in summary.items() if value is not None}
     heatmap_runs = pick_heatmap_runs(setting, subject)
     with new_result_folder(folder) as new:
-        _write_text(new / "layout.json", exports.to_json(subject.layout))
+        layout = replace(subject.layout, scene_name=setting.scene.name)
+        _write_text(new / "layout.json", exports.to_json(layout))
         _write_text(new / "layout.csv", exports.to_csv(subject.layout))
-        _write_text(new / "layout.geojson", exports.to_geojson(subject.layout, setting.scene.crs))
+        if setting.scene.crs:  # else nobody knows where on earth it lies
+            geojson = exports.to_geojson(subject.layout, setting.scene.crs)
+            _write_text(new / "layout.geojson", geojson)
         if placement is not None:
             document = build_certificate(
                 placement.problem,

@@ -10,7 +10,6 @@ import pandas as pd
 
 from geometry.atomic_files import write_atomically
 from geometry.errors import InputError, Unquoted
-from geometry.scene_files import load_study_scene
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout
 from placement.latency import MAX_LATENCY_S, LatencyBudget, fixed_latency, load_latency_budget
@@ -22,6 +21,7 @@ from .figures import to_png
 from .latency_figures import plot_latency
 from .progress import WRITING, StageProgress
 from .question import Question
+from .study import find_scene
 from .summary import summarise_drives, versions
 
 TABLE_S = (0.0, 0.025, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
@@ -86,7 +86,7 @@ def run_latency(
         _check_folder(out)
         progress.kept = f"nothing was written to {out}"
     progress("setting", 0, 0)
-    setting = build_setting(question, load_study_scene())
+    setting = build_setting(question, find_scene(question.scene))
     check_layout(layout, setting.scene)
     progress("evaluate", 0, 0)
     evaluation = evaluate_layout(

@@ -7,7 +7,6 @@ from typing import Any, cast
 
 import pandas as pd
 
-from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose
 from placement.layout import layout_records
 from placement.optimiser import Fusion, PlacementProblem
@@ -25,6 +24,7 @@ from .pareto_figures import plot_front
 from .planning import Plan, build_plan
 from .progress import WRITING, StageProgress
 from .question import Planning, Question
+from .study import find_scene
 from .summary import summarise_drives, versions
 from .unit_sentences import describe_money, describe_units
 
@@ -81,7 +81,7 @@ def run_pareto(
     InputError
         A wish cannot be met, or `out` cannot be written.
     """
-    scene = load_study_scene()
+    scene = find_scene(question.scene)
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"

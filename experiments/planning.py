@@ -22,7 +22,7 @@ from placement.optimiser.milp import DEFAULT_SOLVER, check_solver
 from placement.wishes import Wishes, check_wishes
 
 from .question import Planning
-from .study import find_layout, load_carlancap_layout
+from .study import find_baseline, find_layout
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,13 +74,13 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
             )
     if planning.pool_tolerance and not planning.pool:
         raise InputError("--pool-tolerance", planning.pool_tolerance, "--pool beside it")
-    study = load_carlancap_layout()
+    study = find_baseline(scene) if planning.study_poses else None
     kept = _layout(planning.keep, "--keep", scene)
     within = _layout(planning.within, "--within", scene)
     if within is not None:
         candidates = tuple(_distinct([within, kept]))
     else:
-        extra = _distinct([study if planning.study_poses else None, kept])
+        extra = _distinct([study, kept])
         candidates = build_candidates(scene, grid_of(planning.sensors), extra=extra)
     wishes = Wishes(
         budget_units=planning.budget,

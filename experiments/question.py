@@ -11,6 +11,8 @@ class Question:
 
     Attributes
     ----------
+    scene : str
+        Folder or .zip file of a scene; empty: the study's junction.
     cases, speeds : str
         See :func:`scenarios.selection.select_cases`; no speeds: those of the cases.
     approaches : str
@@ -33,6 +35,7 @@ class Question:
         See :class:`placement.links.Links`.
     """
 
+    scene: str = ""
     cases: str = DEFAULT_CASES
     speeds: str = ""
     approaches: str = ""

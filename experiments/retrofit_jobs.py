@@ -6,7 +6,6 @@ from typing import Any, cast
 
 import pandas as pd
 
-from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose
 from placement.labour import Labour, load_labour
 from placement.layout import Layout, check_layout, layout_records
@@ -23,6 +22,7 @@ from .planning import build_plan, grid_of
 from .progress import WRITING, StageProgress
 from .question import Planning, Question
 from .retrofit_sentences import describe_retrofit
+from .study import find_scene
 from .summary import summarise_drives, versions
 
 CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"
@@ -72,7 +72,7 @@ def run_retrofit(
     InputError
         A unit hangs inside something, a word is unknown, or `out` cannot be written.
     """
-    scene = load_study_scene()
+    scene = find_scene(question.scene)
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"

@@ -9,7 +9,9 @@ from geometry.arrays import float_array
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError
 from geometry.frames import from_carla_pose
+from geometry.scene import Scene
 from geometry.scene_files import load_study_scene
+from geometry.scene_folders import load_scene_folder
 from geometry.toml_files import load_toml, take_list, take_number, take_text
 from placement.candidates import CandidatePose
 from placement.layout import Layout, load_layout
@@ -49,7 +51,28 @@ def load_carlancap_layout() -> Layout:
                 sensor=camera,
             )
         )
-    return Layout(name=take_text(table, "name", where), units=tuple(units))
+    return Layout(
+        name=take_text(table, "name", where),
+        units=tuple(units),
+        scene_name=load_study_scene().name,
+    )
+
+
+def find_scene(path: str) -> Scene:
+    """A scene from where ``scene import`` has written it; no path: the study's junction.
+
+    Raises
+    ------
+    InputError
+        There is no scene.
+    """
+    return load_scene_folder(Path(path)) if path else load_study_scene()
+
+
+def find_baseline(scene: Scene) -> Layout | None:
+    """What layouts of a scene are compared with: the study's, or at another junction nothing."""
+    study = load_carlancap_layout()
+    return study if scene.name == study.scene_name else None
 
 
 def find_layout(name: str, option: str) -> Layout:

@@ -58,7 +58,7 @@ def summarise_placement(
     *,
     found: Evaluation,
     greedy: Evaluation,
-    baseline: Evaluation,
+    baseline: Evaluation | None,
 ) -> dict[str, Any]:
     """The main job's result.
 
@@ -68,8 +68,10 @@ def summarise_placement(
         What the optimiser found.
     setting : Setting
         What it was found in.
-    found, greedy, baseline : Evaluation
-        Of the layout found, the greedy one and the study's.
+    found, greedy : Evaluation
+        Of the layout found and the greedy one.
+    baseline : Evaluation or None
+        Of the study's, where it is at its junction.
 
     Returns
     -------
@@ -104,8 +106,8 @@ def summarise_placement(
             for stage in certificate.stages
         ],
         "solver": certificate.solver,
-        "baseline_name": baseline.layout.name,
-        "baseline": summarise_evaluation(baseline, rule),
+        "baseline_name": None if baseline is None else baseline.layout.name,
+        "baseline": None if baseline is None else summarise_evaluation(baseline, rule),
         "greedy": {
             "layout": layout_records(greedy.layout),
             **summarise_evaluation(greedy, rule),

@@ -145,7 +145,7 @@ def placement_table(summary: dict[str, Any], out: Path) -> str:
                 "with the VUT": evaluation["vut_and_rsus"],
                 "VUT alone": evaluation["vut"],
                 "greedy, fused": summary["greedy"]["rsu_all"],
-                f"{summary['baseline_name']} fused": baseline["rsu_all"],
+                **({f"{summary['baseline_name']} fused": baseline["rsu_all"]} if baseline else {}),
                 **_announced(evaluation),
             }
         ),

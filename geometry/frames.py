@@ -56,6 +56,18 @@ def from_carla_pose(*, position_m: ArrayLike, yaw_deg: float, pitch_deg: float) 
     )
 
 
+def to_gltf_points(points_m: ArrayLike) -> FloatArray:
+    """Points from the world (ENU) to glTF's frame: x east, y up, z south; (..., 3), metres."""
+    points = np.asarray(points_m, dtype=np.float64)
+    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+
+
+def from_gltf_points(points_m: ArrayLike) -> FloatArray:
+    """Points from glTF's frame (x east, y up, z south) to the world (ENU); (..., 3), metres."""
+    points = np.asarray(points_m, dtype=np.float64)
+    return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
+
+
 def to_geographic(points_m: ArrayLike, crs: str) -> FloatArray:
     """Points of the world frame as longitude and latitude (WGS 84).
 

@@ -180,7 +180,7 @@ def build_junction(scene: Scene) -> Junction:
         (is_in, lane)
         for lane in scene.lanes
         for is_in, tip in ((True, lane.centreline_m[-1]), (False, lane.centreline_m[0]))
-        if _distance_to_outline(tip, scene.outline_m) <= _AT_OUTLINE_M
+        if distance_to_outline_m(tip, scene.outline_m) <= _AT_OUTLINE_M
     ]
     if not ends:
         raise InputError(
@@ -213,9 +213,7 @@ def mirrored(junction: Junction) -> Junction:
     for name, arm in junction.arms.items():
         line = arm.crosswalk
         # From the kerb where the VUT drives to the other one, in the mirror too.
-        crosswalk = Line(
-            point_m=line.point_m * [1.0, -1.0], direction=line.direction * [-1.0, 1.0]
-        )
+        crosswalk = Line(point_m=line.point_m * [1.0, -1.0], direction=line.direction * [-1.0, 1.0])
         arms[name] = Arm(
             name=name,
             lanes_in=tuple(turn_over(lane) for lane in arm.lanes_in),
@@ -378,7 +376,7 @@ def _arm_names(bearings_deg: Sequence[float]) -> list[str]:
     ]
 
 
-def _distance_to_outline(point_m: FloatArray, outline_m: FloatArray) -> float:
+def distance_to_outline_m(point_m: FloatArray, outline_m: FloatArray) -> float:
     """Distance of a point to the nearest side of a closed polygon, in metres."""
     starts, sides = outline_m, np.roll(outline_m, -1, axis=0) - outline_m
     share = np.einsum("ij,ij->i", point_m - starts, sides) / np.maximum(

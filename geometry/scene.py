@@ -119,13 +119,19 @@ class Scene:
     lanes : tuple of Lane
         Lanes of the junction's arms.
     crs : str
-        Coordinate reference system in which the world frame lies, for pyproj.
+        Coordinate reference system in which the world frame lies, for pyproj; empty: unknown.
     crosswalks_m : (n, 2, 2) float
         Lines on which pedestrians cross an arm, from end to end. World frame. [m]
     road_network : str
         OpenDRIVE file that has the same roads in the same frame; empty: none.
     keeps_left : bool
         Traffic keeps left.
+    source_crs : str
+        Coordinate reference system of the map that the scene was made from, in which results are
+        wanted back; empty: `crs`.
+    source_origin_m : (2,) float
+        Where the world frame's origin lies in that map's own coordinates, of a map that does not
+        say where on earth it lies. [m]
     """
 
     name: str
@@ -140,6 +146,8 @@ class Scene:
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
     road_network: str = ""
     keeps_left: bool = False
+    source_crs: str = ""
+    source_origin_m: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -150,6 +158,8 @@ class Scene:
         )
         crosswalks = float_array(self.crosswalks_m, (-1, 2, 2), f"{self.name}: crosswalks_m")
         object.__setattr__(self, "crosswalks_m", crosswalks)
+        origin = float_array(self.source_origin_m, (2,), f"{self.name}: source_origin_m")
+        object.__setattr__(self, "source_origin_m", origin)
         for name in ("triangles", "triangle_instance"):
             array = np.array(getattr(self, name), dtype=np.int32)
             object.__setattr__(self, name, freeze(array))

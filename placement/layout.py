@@ -4,7 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +36,13 @@ class Layout:
         Name.
     units : tuple of CandidatePose
         The units; ids are unique.
+    scene_name : str
+        Where it was made for; empty: unknown.
     """
 
     name: str
     units: tuple[CandidatePose, ...]
+    scene_name: str = ""
 
     def __post_init__(self) -> None:
         if not self.units:
@@ -241,11 +244,14 @@ def load_layout(path: Path) -> Layout:
         raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
         raise InputError(str(path), Unquoted("no list 'layout'"), 'an object {"layout": [units]}')
-    return layout_from_records(str(document.get("name", path.stem)), document["layout"], str(path))
+    layout = layout_from_records(
+        str(document.get("name", path.stem)), document["layout"], str(path)
+    )
+    return replace(layout, scene_name=str(document.get("scene", "")))
 
 
 def check_layout(layout: Layout, scene: Scene) -> None:
-    """Check that every unit hangs in the open air above the road, at a site that exists.
+    """Check that a layout is of a scene: every unit in the open air, at a site that exists.
 
     Parameters
     ----------
@@ -257,8 +263,15 @@ def check_layout(layout: Layout, scene: Scene) -> None:
     Raises
     ------
     InputError
-        A unit is underground or inside something, or names an unknown site.
+        The layout was made for another scene; a unit is underground or inside something, or names
+        an unknown site.
     """
+    if layout.scene_name not in ("", scene.name):
+        raise InputError(
+            f"layout {layout.name}",
+            Unquoted(f"one made for {layout.scene_name}"),
+            f"one of {scene.name}, the scene that is looked at",
+        )
     sites = {site.id for site in scene.sites}
     middle_m = np.append(scene.outline_m.mean(axis=0), 0.0)
     for unit in layout.units:

@@ -1,0 +1,338 @@
+"""One junction cut out of maps: lanes, crosswalks, things and poles around it, as a scene."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import InputError, Unquoted
+from ..junction import distance_to_outline_m
+from ..scene import Instance, Lane, Scene, Site
+from .local_frame import LocalFrame, frame_at
+from .model import MapJunction, MapLane, Pole, Skipped, SourceMap, Thing
+from .pole_bodies import build_pole_body
+
+_LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
+_SAME_LEVEL_M = 3.0
+_AT_OUTLINE_M = 2.0  # what ends here without belonging to the junction would look like an arm
+_CROSSWALK_WITHIN_M = 25.0
+_LOWEST_M = 0.2  # what is lower hides nobody
+_DRIVEN = ("driving", "parking")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surroundings:
+    """What lies around a junction, in its own frame, before anybody says where sensors may hang.
+
+    Attributes
+    ----------
+    frame : LocalFrame
+        World frame: the middle of the junction is near its origin.
+    lanes : tuple of Lane
+        Driving and parking lanes.
+    outline_m : (n, 2) float
+        Of the junction's road surface. [m]
+    crosswalks_m : (n, 2, 2) float
+        Of its arms. [m]
+    things : tuple of Thing
+        Solid; z counts from the road. Ids are unique. [m]
+    poles : tuple of Pole
+        Their feet stand on the road plane, z = 0. Ids are unique. [m]
+    keeps_left : bool
+        Traffic keeps left.
+    skipped : tuple of Skipped
+        What of the maps is not there, and why.
+    """
+
+    frame: LocalFrame
+    lanes: tuple[Lane, ...]
+    outline_m: FloatArray
+    crosswalks_m: FloatArray
+    things: tuple[Thing, ...]
+    poles: tuple[Pole, ...]
+    keeps_left: bool
+    skipped: tuple[Skipped, ...]
+
+
+def cut_out(
+    maps: Sequence[SourceMap],
+    junction: MapJunction,
+    *,
+    radius_m: float,
+    ground_m: float | None = None,
+) -> Surroundings:
+    """What maps say about the surroundings of a junction.
+
+    Parameters
+    ----------
+    maps : sequence of SourceMap
+        The first one has the junction; the others have buildings and more.
+    junction : MapJunction
+        One of the first map's.
+    radius_m : float
+        How far around its middle; lanes are followed 70 m farther. [m]
+    ground_m : float, optional
+        Height of the ground in the other maps, where these count absolute heights; by default
+        that of each one's lowest thing within the radius. [m]
+
+    Returns
+    -------
+    surroundings : Surroundings
+        The road is a plane: what the map says about its heights only tells levels apart.
+
+    Raises
+    ------
+    InputError
+        Coordinates of the maps do not fit together.
+    """
+    roads, frame = maps[0], frame_at(maps[0], junction.position_m)
+    outline = frame.take(junction.outline_m, roads)
+    skipped = [skip for source in maps for skip in source.skipped]
+    things: list[Thing] = []
+    poles: list[Pole] = []
+    taken: set[str] = set()
+    for source in maps:
+        near, far = _near_things(source, frame, radius_m)
+        skipped += far
+        height_m = junction.height_m if source is roads else ground_m
+        ground = _ground_m(source, near, height_m)
+        low: Counter[str] = Counter()
+        for thing in near:
+            vertices = thing.vertices_m - [0.0, 0.0, ground]
+            if vertices[:, 2].max() < _LOWEST_M:
+                low[thing.class_name] += 1
+                continue
+            things.append(
+                Thing(
+                    id=_unique(thing.id, source, taken),
+                    class_name=thing.class_name,
+                    vertices_m=vertices,
+                    triangles=thing.triangles,
+                    is_height_assumed=thing.is_height_assumed,
+                )
+            )
+        skipped += [
+            Skipped(what=f"{count} x {name} in {source.name}", why="not above the road")
+            for name, count in low.items()
+        ]
+        for pole in source.poles:
+            foot = frame.take(pole.position_m, source)
+            if np.hypot(*foot[:2]) <= radius_m:
+                poles.append(
+                    Pole(
+                        id=_unique(pole.id, source, taken),
+                        kind=pole.kind,
+                        position_m=np.append(foot[:2], 0.0),
+                        height_m=pole.height_m,
+                    )
+                )
+    return Surroundings(
+        frame=frame,
+        lanes=tuple(_lanes(roads, junction, frame, outline, radius_m + _LANES_BEYOND_M)),
+        outline_m=outline,
+        crosswalks_m=_crosswalks(maps, frame, outline),
+        things=tuple(things),
+        poles=tuple(poles),
+        keeps_left=roads.keeps_left,
+        skipped=tuple(skipped),
+    )
+
+
+def build_scene(
+    surroundings: Surroundings,
+    *,
+    name: str,
+    source_crs: str,
+    sites: Sequence[Site],
+    radius_m: float,
+) -> Scene:
+    """A scene: what lies around a junction, with a ground, bodies of poles, and sites.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        By :func:`cut_out`.
+    name : str
+        Of the scene.
+    source_crs : str
+        In which results are wanted back; empty: unknown.
+    sites : sequence of Site
+        Where sensors can be mounted.
+    radius_m : float
+        Of the ground. [m]
+    """
+    half = radius_m + _LANES_BEYOND_M
+    corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    bodies: list[tuple[Instance, FloatArray, np.ndarray]] = [
+        (
+            Instance(id="ground", class_name="ground"),
+            np.column_stack([corners, np.zeros(4)]),
+            np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
+        )
+    ]
+    bodies += [
+        (Instance(id=thing.id, class_name=thing.class_name), thing.vertices_m, thing.triangles)
+        for thing in surroundings.things
+    ]
+    for pole in surroundings.poles:
+        class_name, vertices, triangles = build_pole_body(pole)
+        bodies.append((Instance(id=pole.id, class_name=class_name), vertices, triangles))
+    first = np.cumsum([0, *(len(vertices) for _, vertices, _ in bodies)])
+    return Scene(
+        name=name,
+        vertices_m=np.concatenate([vertices for _, vertices, _ in bodies]),
+        triangles=np.concatenate(
+            [faces + start for (_, _, faces), start in zip(bodies, first[:-1], strict=True)]
+        ),
+        triangle_instance=np.repeat(np.arange(len(bodies)), [len(faces) for _, _, faces in bodies]),
+        instances=tuple(instance for instance, _, _ in bodies),
+        sites=tuple(sites),
+        outline_m=surroundings.outline_m,
+        lanes=surroundings.lanes,
+        crs=surroundings.frame.crs,
+        crosswalks_m=surroundings.crosswalks_m,
+        keeps_left=surroundings.keeps_left,
+        source_crs=source_crs,
+        source_origin_m=surroundings.frame.origin_m,
+    )
+
+
+# ---------------------------------------------------------------- lanes and crosswalks
+
+
+def _lanes(
+    roads: SourceMap,
+    junction: MapJunction,
+    frame: LocalFrame,
+    outline_m: FloatArray,
+    reach_m: float,
+) -> Iterator[Lane]:
+    for lane in roads.lanes:
+        if lane.kind not in _DRIVEN:
+            continue
+        height = lane.centreline_m[:, 2]
+        points = frame.take(lane.centreline_m[:, :2], roads)
+        ends_here, begins_here = (
+            junction.id == name for name in (lane.to_junction, lane.from_junction)
+        )
+        if ends_here or begins_here:
+            points = _reaching(points, reach_m, from_end=ends_here)
+        else:
+            if _is_elsewhere(points, height - junction.height_m, outline_m, reach_m):
+                continue
+            points = _longest_within(points, reach_m)
+        points = points[np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1.0e-6)]
+        if len(points) >= 2:
+            yield Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points)
+
+
+def _is_elsewhere(
+    points_m: FloatArray, height_m: FloatArray, outline_m: FloatArray, reach_m: float
+) -> bool:
+    """Whether a lane that does not belong to the junction is far, on a bridge, or at its mouths."""
+    distance = np.hypot(*points_m.T)
+    if distance.min() > reach_m or abs(height_m[np.argmin(distance)]) > _SAME_LEVEL_M:
+        return True
+    tips = (points_m[0], points_m[-1])
+    return any(distance_to_outline_m(tip, outline_m) <= _AT_OUTLINE_M for tip in tips)
+
+
+def _reaching(points_m: FloatArray, reach_m: float, *, from_end: bool) -> FloatArray:
+    """The part of a line from one of its ends to where it first leaves the circle."""
+    points = points_m[::-1] if from_end else points_m
+    outside = np.flatnonzero(np.hypot(*points.T) > reach_m)
+    if len(outside):
+        last = max(int(outside[0]), 1)
+        points = np.vstack([points[:last], _on_circle(points[last - 1], points[last], reach_m)])
+    return points[::-1] if from_end else points
+
+
+def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
+    """The longest stretch of a line's own points within the circle."""
+    inside = np.hypot(*points_m.T) <= reach_m
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
+    if not len(edges):
+        return points_m[:0]
+    begin, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda pair: pair[1] - pair[0])
+    return points_m[begin:end]
+
+
+def _on_circle(inside_m: FloatArray, outside_m: FloatArray, reach_m: float) -> FloatArray:
+    """Where a segment leaves the circle around the origin."""
+    way = outside_m - inside_m
+    a, b, c = way @ way, inside_m @ way, inside_m @ inside_m - reach_m**2
+    if a == 0.0 or b * b - a * c < 0.0:
+        return inside_m
+    share = float(np.clip((-b + np.sqrt(b * b - a * c)) / a, 0.0, 1.0))
+    on_circle: FloatArray = inside_m + share * way
+    return on_circle
+
+
+def _crosswalks(maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatArray) -> FloatArray:
+    lines = np.concatenate([frame.take(source.crosswalks_m, source) for source in maps])
+    near = [
+        line
+        for line in lines
+        if distance_to_outline_m(line.mean(axis=0), outline_m) <= _CROSSWALK_WITHIN_M
+        and np.hypot(*(line[1] - line[0])) > 0.0
+    ]
+    return np.array(near).reshape(-1, 2, 2)
+
+
+# ---------------------------------------------------------------- things
+
+
+def _near_things(
+    source: SourceMap, frame: LocalFrame, radius_m: float
+) -> tuple[list[Thing], list[Skipped]]:
+    """Things within a radius, in the scene's frame but for their heights; and how many are not."""
+    near: list[Thing] = []
+    n_far = 0
+    if not source.things:
+        return [], []
+    counts = [len(thing.vertices_m) for thing in source.things]
+    every = frame.take(np.concatenate([thing.vertices_m for thing in source.things]), source)
+    for thing, vertices in zip(source.things, np.split(every, np.cumsum(counts)[:-1]), strict=True):
+        if not len(vertices) or not len(thing.triangles):
+            continue
+        low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+        nearest = np.clip(0.0, low, high)  # of the box around it
+        if np.hypot(*nearest) > radius_m:
+            n_far += 1
+            continue
+        near.append(
+            Thing(
+                id=thing.id,
+                class_name=thing.class_name,
+                vertices_m=vertices,
+                triangles=thing.triangles,
+                is_height_assumed=thing.is_height_assumed,
+            )
+        )
+    if not n_far:
+        return near, []
+    why = f"farther than {radius_m:g} m from the junction"
+    return near, [Skipped(what=f"{n_far} things in {source.name}", why=why)]
+
+
+def _ground_m(source: SourceMap, things: Sequence[Thing], given_m: float | None) -> float:
+    """Height from which a scene's z counts, as a map counts."""
+    if source.heights == "above ground":
+        return 0.0
+    if given_m is not None:
+        return given_m
+    return min((float(thing.vertices_m[:, 2].min()) for thing in things), default=0.0)
+
+
+def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
+    """An id that no other thing has, without what separates ids on a command line."""
+    clean = "-".join(name.replace(",", " ").replace("/", " ").split()) or "thing"
+    candidates = [clean, f"{source.name}-{clean}"]
+    candidates += [f"{clean}-{number}" for number in range(2, len(taken) + 3)]
+    for candidate in candidates:
+        if candidate not in taken and candidate != "ground":
+            taken.add(candidate)
+            return candidate
+    raise InputError(source.name, Unquoted(f"{name} too often"), "ids that differ")
