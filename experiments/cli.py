@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from . import tables
+from .cli_export import export
 from .cli_latency import latency, latency_budget_options
 from .cli_options import (
-    OneOf,
     json_option,
     layout_option,
     option_name,
     question_options,
     quiet_option,
-    scene_option,
     seed_option,
     workers_option,
 )
@@ -28,6 +27,7 @@ from .cli_recording import check_recording_options, is_given, recording_options
 from .cli_render import render
 from .cli_retrofit import retrofit
 from .cli_scenarios import scenarios
+from .cli_scene import scene
 from .cli_solve import solve
 from .cli_verify import verify
 from .progress import Interrupted, StageProgress, ending_on_signals
@@ -37,7 +37,6 @@ from .recording_tables import recorded_placement_table, recording_table
 if TYPE_CHECKING:
     from placement.layout import Layout
 
-EXPORT_FORMATS = ("csv", "geojson", "carla")
 DEFAULT_OUT = Path("results/latest")
 _EXIT_BAD_INPUT = 2
 
@@ -60,12 +59,14 @@ Examples:
   place-rsus evaluate --layout carlancap-12        the study's 12 cameras
   place-rsus --budget 3 --recording ncap_data      the best recorded units
   place-rsus compare --layout results/latest/layout.json --layout carlancap-12
+  place-rsus scene import city.osm -o scene        your own junction ..
+  place-rsus --scene scene --budget 3              .. and the best three there
   place-rsus pareto --max 8                        what each further unit buys
   place-rsus retrofit --layout carlancap-12        remove, re-aim or add
   place-rsus verify results/latest                 check a certificate
   place-rsus export --layout results/latest/layout.json --format carla
 
-Exit codes: 0 done, 1 a check of `verify` has failed, 2 the input is wrong or
+Exit codes: 0 done, 1 a check of `verify` or `scene check` has failed, 2 the input is wrong or
 cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 )
 @click.version_option(package_name="place-rsus")
@@ -258,48 +259,13 @@ def compare(
     _print(summary, progress, as_json, lambda: tables.comparison_table(summary, out))
 
 
-@cli.command(
-    epilog="""\b
-Examples:
-  place-rsus export --layout carlancap-12 --format carla
-  place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson"""
-)
-@layout_option
-@click.option(
-    "--format",
-    "format_name",
-    required=True,
-    type=OneOf(EXPORT_FORMATS),
-    help="csv; geojson (WGS 84); carla: spawn transforms in CARLA's frame.",
-)
-@scene_option
-@click.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
-def export(
-    *, layout_names: tuple[str, ...], format_name: str, scene: str, out: Path | None
-) -> None:
-    """Write a layout in a format that other programs read."""
-    (layout,) = _load_layouts(layout_names, 1)
-    from . import jobs
-
-    text = jobs.export_layout(layout, format_name, scene_path=scene)
-    if out is None:
-        click.echo(text, nl=False)
-        return
-    from geometry.atomic_files import write_atomically
-
-    try:
-        write_atomically(out, lambda file: file.write(text.encode()))
-    except OSError as error:
-        raise click.UsageError(
-            f"--out: got {out}: {error.strerror}; expected a file that can be written"
-        ) from None
-
-
+cli.add_command(export)
 cli.add_command(latency)
 cli.add_command(pareto)
 cli.add_command(render)
 cli.add_command(retrofit)
 cli.add_command(scenarios)
+cli.add_command(scene)
 cli.add_command(solve)
 cli.add_command(verify)
 

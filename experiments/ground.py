@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Polygon
-from scipy.spatial import ConvexHull
+from matplotlib.patches import PathPatch, Polygon
+from matplotlib.path import Path
 
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
 from geometry.footprints import footprint_corners
 from geometry.scene import Lane, Scene
+from geometry.scene_footprints import thing_footprint
 
 CLASS_STYLES: dict[str, dict[str, Any]] = {
     "building": {"facecolor": "#c9c4bb", "edgecolor": "#8d887f", "linewidth": 0.8},
@@ -52,10 +53,8 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
     axes.add_patch(Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1))
     for index, instance in enumerate(scene.instances):
         if instance.class_name in CLASS_STYLES:
-            triangles = scene.triangles[scene.triangle_instance == index]
-            points = scene.vertices_m[np.unique(triangles), :2]
-            hull = points[ConvexHull(points).vertices]
-            axes.add_patch(Polygon(hull, zorder=6.5, **CLASS_STYLES[instance.class_name]))
+            path = _footprint_path(scene, index)
+            axes.add_patch(PathPatch(path, zorder=6.5, **CLASS_STYLES[instance.class_name]))
     sites = np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
     axes.plot(*sites.T, linestyle="none", zorder=5, **SITE_STYLE)
 
@@ -70,6 +69,18 @@ def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
             width_m=body.actor.width_m,
         )
         axes.add_patch(Polygon(corners, zorder=2.2, **PARKED_STYLE))
+
+
+def _footprint_path(scene: Scene, index: int) -> Path:
+    """What a thing covers, courtyards left out."""
+    shape = thing_footprint(scene, index)
+    rings = [
+        np.asarray(ring.coords)
+        for part in getattr(shape, "geoms", [shape])
+        if part.geom_type == "Polygon"
+        for ring in (part.exterior, *part.interiors)
+    ]
+    return Path.make_compound_path(*(Path(ring, closed=True) for ring in rings if len(ring)))
 
 
 def _lane_polygon(lane: Lane) -> FloatArray:

@@ -66,3 +66,29 @@ def check_size(path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:
 def local_name(element: Element) -> str:
     """Name of an element without its namespace."""
     return str(element.tag).rpartition("}")[2]
+
+
+def read_xml_root(path: Path) -> Element:
+    """The first element of an XML document, without what it holds.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_xml`, as far as the file is read.
+    """
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import iterparse
+
+    try:
+        for _, element in iterparse(path, events=("start",), forbid_dtd=False):
+            first: Element = element
+            return first
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+    except DefusedXmlException as error:
+        raise InputError(
+            str(path), Unquoted(f"{type(error).__name__}"), "XML without entities"
+        ) from None
+    except (ParseError, ValueError, LookupError) as error:
+        raise InputError(str(path), Unquoted(error), "well-formed XML") from None
+    raise InputError(str(path), Unquoted("no element"), "well-formed XML")
