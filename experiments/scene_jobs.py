@@ -228,7 +228,7 @@ def summarise_scene(scene: Scene, *, skipped: Sequence[tuple[str, str]] = ()) ->
     position = middle + scene.source_origin_m
     if scene.crs:
         position = transform(middle, scene.crs, scene.source_crs or scene.crs)
-    arms = [
+    arms: list[dict[str, Any]] = [
         {
             "name": arm.name,
             "lanes_in": len(arm.entry_lanes),

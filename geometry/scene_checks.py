@@ -1,0 +1,175 @@
+"""What may be wrong with a scene: holes, things that float or overlap, sites inside walls."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from .errors import InputError
+from .junction import build_junction
+from .scene import Scene, containing_instance
+from .scene_footprints import thing_footprint
+
+_FLOATING_M = 0.5
+_SUNK_M = 3.0
+_FLOOR_M = 0.1
+_OVERLAP_M2 = 1.0
+_ON_ROAD_M2 = 2.0
+_STANDING = ("building", "wall", "vegetation")
+_MAX_NAMES = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """Something that may be wrong.
+
+    Attributes
+    ----------
+    level : {"error", "warning"}
+        An error makes results wrong; a warning may be as it is.
+    what : str
+        Which thing or things.
+    why : str
+        What is the matter.
+    """
+
+    level: Literal["error", "warning"]
+    what: str
+    why: str
+
+
+def check_scene(scene: Scene, *, assumed_heights: frozenset[str] = frozenset()) -> list[Finding]:
+    """Look for what may be wrong with a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        To look at.
+    assumed_heights : frozenset of str
+        Ids of things whose heights nobody has said.
+
+    Returns
+    -------
+    findings : list of Finding
+        Errors first.
+    """
+    findings = [
+        *_check_roads(scene),
+        *_check_sites(scene),
+        *_check_meshes(scene),
+        *_check_footprints(scene),
+    ]
+    if assumed_heights:
+        why = "the sources do not say how high it is: a usual height was taken"
+        findings.append(Finding(level="warning", what=_names(sorted(assumed_heights)), why=why))
+    return sorted(findings, key=lambda finding: finding.level)
+
+
+def _check_roads(scene: Scene) -> Iterator[Finding]:
+    try:
+        junction = build_junction(scene)
+    except InputError:
+        why = "no lane ends at the junction's outline"
+        yield Finding(level="error", what="lanes", why=why)
+        return
+    if not any(arm.entry_lanes for arm in junction.arms.values()):
+        yield Finding(level="error", what="lanes", why="none leads into the junction")
+    if len(junction.arms) < 3:
+        why = f"only {len(junction.arms)}: cars that turn need three"
+        yield Finding(level="warning", what="arms", why=why)
+    if not len(scene.crosswalks_m):
+        why = "none: pedestrians cross 2 m inside each arm's mouth"
+        yield Finding(level="warning", what="crosswalks", why=why)
+
+
+def _check_sites(scene: Scene) -> Iterator[Finding]:
+    if not scene.sites:
+        yield Finding(level="error", what="sites", why="none: nothing can be mounted")
+    for site in scene.sites:
+        for height_m in site.height_range_m:
+            around = containing_instance(scene, site.position_m + [0.0, 0.0, height_m])
+            if around is not None:
+                why = f"its mount at {height_m:g} m is inside {around.class_name} {around.id}"
+                yield Finding(level="error", what=f"site {site.id}", why=why)
+                break
+
+
+def _check_meshes(scene: Scene) -> Iterator[Finding]:
+    import trimesh
+
+    holes, floating, sunk, inverted = [], [], [], []
+    for index, thing in enumerate(scene.instances):
+        faces = scene.triangles[scene.triangle_instance == index]
+        if thing.class_name not in _STANDING or not len(faces):
+            continue
+        used, local = np.unique(faces, return_inverse=True)
+        mesh = trimesh.Trimesh(scene.vertices_m[used], local.reshape(-1, 3), process=False)
+        mesh.merge_vertices()
+        low, high = mesh.bounds[:, 2]
+        if low > _FLOATING_M and thing.class_name != "vegetation":
+            floating.append(thing.id)
+        if high < 0.0 or low < -_SUNK_M:
+            sunk.append(thing.id)
+        # A hole in the floor, which stands on the ground, lets nothing be seen through.
+        if _has_open_edges_above(mesh, low):
+            holes.append(thing.id)
+        elif mesh.is_watertight and mesh.volume < 0.0:
+            inverted.append(thing.id)
+    for ids, why in (
+        (holes, "its surface has holes above the floor"),
+        (floating, f"it begins more than {_FLOATING_M:g} m above the road"),
+        (sunk, "it is below the road, or begins far below it"),
+        (inverted, "its triangles face inwards"),
+    ):
+        if ids:
+            yield Finding(level="warning", what=_names(ids), why=why)
+
+
+def _has_open_edges_above(mesh: Any, floor_m: float) -> bool:
+    """Whether some edge above the floor has a triangle on one side only."""
+    edges = np.sort(mesh.edges, axis=1)
+    _, first, count = np.unique(edges, axis=0, return_index=True, return_counts=True)
+    tops = mesh.vertices[edges[first[count == 1]]][..., 2].max(axis=1)
+    return bool((tops > floor_m + _FLOOR_M).any())
+
+
+def _check_footprints(scene: Scene) -> Iterator[Finding]:
+    import shapely
+
+    shapes = {
+        thing.id: thing_footprint(scene, index)
+        for index, thing in enumerate(scene.instances)
+        if thing.class_name in ("building", "wall")
+    }
+    shapes = {name: shape for name, shape in shapes.items() if shape.area > 0.0}
+    names, areas = list(shapes), np.array(list(shapes.values()), dtype=object)
+    if not names:
+        return
+    tree = shapely.STRtree(areas)
+    one, other = tree.query(areas, predicate="intersects")
+    pairs = [(a, b) for a, b in zip(one.tolist(), other.tolist(), strict=True) if a < b]
+    for a, b in pairs:
+        if shapely.area(shapely.intersection(areas[a], areas[b])) > _OVERLAP_M2:
+            why = "they overlap on the ground"
+            yield Finding(level="warning", what=f"{names[a]} and {names[b]}", why=why)
+    road = shapely.make_valid(shapely.Polygon(scene.outline_m))
+    lanes = [
+        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
+        for lane in scene.lanes
+        if len(lane.centreline_m) > 1
+    ]
+    road = shapely.union_all([road, *lanes])
+    on_road = [
+        names[index]
+        for index in tree.query(road, predicate="intersects").tolist()
+        if shapely.area(shapely.intersection(areas[index], road)) > _ON_ROAD_M2
+    ]
+    if on_road:
+        why = "it stands on a lane or in the junction: cases that it is in the way of are refused"
+        yield Finding(level="warning", what=_names(on_road), why=why)
+
+
+def _names(ids: list[str]) -> str:
+    left = len(ids) - _MAX_NAMES
+    return ", ".join(ids[:_MAX_NAMES]) + (f" and {left} more" if left > 0 else "")

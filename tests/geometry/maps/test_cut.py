@@ -1,0 +1,154 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geometry.errors import InputError
+from geometry.junction import build_junction
+from geometry.maps.cut import build_scene, cut_out
+from geometry.maps.extrusion import extrude
+from geometry.maps.local_frame import frame_at, transform
+from geometry.maps.model import MapJunction, MapLane, Pole, SourceMap, Thing
+
+SQUARE_M = 8.0 * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
+UTM = "EPSG:25832"
+AT_M = np.array([691_000.0, 5_334_000.0])  # Munich, more or less
+
+
+def lane(name, begin, end, *, kind="driving", to="", start="", height_m=0.0, n_points=2):
+    share = np.linspace(0.0, 1.0, n_points)[:, None]
+    points = np.array(begin) + share * (np.array(end, dtype=float) - begin)
+    return MapLane(
+        id=name,
+        kind=kind,
+        width_m=3.0,
+        centreline_m=np.column_stack([points + AT_M, np.full(n_points, height_m)]),
+        to_junction=to,
+        from_junction=start,
+    )
+
+
+def thing(name, middle, *, class_name="building", bottom_m=0.0, top_m=6.0):
+    corners = np.array(middle) + 2.0 * SQUARE_M / 8.0 + AT_M
+    vertices, triangles = extrude(corners, bottom_m=bottom_m, top_m=top_m)
+    return Thing(id=name, class_name=class_name, vertices_m=vertices, triangles=triangles)
+
+
+JUNCTION = MapJunction(id="j", name="A / B", outline_m=SQUARE_M + AT_M, height_m=5.0)
+LANES = (
+    lane("in", (300.0, 1.5), (8.0, 1.5), to="j", height_m=5.0, n_points=30),
+    lane("out", (8.0, -1.5), (60.0, -1.5), start="j", height_m=5.0),
+    lane("further", (60.0, -1.5), (120.0, -1.5), height_m=5.0, n_points=7),
+    lane("bridge", (-50.0, 8.0), (50.0, 8.5), height_m=12.0),
+    lane("stranger", (-8.5, 3.0), (-40.0, 3.0), height_m=5.0),
+    lane("walk", (60.0, 5.0), (8.0, 5.0), kind="walking", to="j", height_m=5.0),
+)
+ROADS = SourceMap(
+    name="roads.xodr",
+    crs=UTM,
+    source_crs=UTM,
+    heights="absolute",
+    lanes=LANES,
+    junctions=(JUNCTION,),
+    things=(
+        thing("near", (20.0, 20.0), bottom_m=5.0, top_m=11.0),
+        thing("far", (200.0, 20.0), bottom_m=5.0, top_m=11.0),
+        thing("cellar", (20.0, -20.0), bottom_m=0.0, top_m=5.1),
+    ),
+    poles=(
+        Pole(
+            id="lamp, 1", kind="lamp post", position_m=[*(AT_M + [10.0, 10.0]), 5.0], height_m=6.0
+        ),
+        Pole(id="off", kind="sign", position_m=[*(AT_M + [500.0, 0.0]), 5.0]),
+    ),
+    crosswalks_m=np.array([[[12.0, -4.0], [12.0, 4.0]], [[90.0, -4.0], [90.0, 4.0]]]) + AT_M,
+)
+
+
+def test_what_lies_around_the_junction_is_taken_and_nothing_else():
+    found = cut_out([ROADS], JUNCTION, radius_m=50.0)
+    lanes = {one.id: one for one in found.lanes}
+    assert sorted(lanes) == ["further", "in", "out"]
+    assert np.hypot(*lanes["in"].centreline_m[0]) == pytest.approx(120.0, abs=1e-6)
+    assert np.hypot(*lanes["in"].centreline_m[-1]) < 9.0
+    assert found.outline_m == pytest.approx(SQUARE_M, abs=0.5)
+    assert [one.id for one in found.things] == ["near"]
+    heights = found.things[0].vertices_m[:, 2]
+    assert (heights.min(), heights.max()) == pytest.approx((0.0, 6.0))
+    (pole,) = found.poles
+    assert (pole.id, pole.position_m[2]) == ("lamp-1", 0.0)
+    assert len(found.crosswalks_m) == 1
+    told = {skip.what: skip.why for skip in found.skipped}
+    assert told["1 things in roads.xodr"] == "farther than 50 m from the junction"
+    assert told["1 x building in roads.xodr"] == "not above the road"
+
+
+def test_a_scene_has_ground_things_and_bodies_of_poles_and_a_junction():
+    found = cut_out([ROADS], JUNCTION, radius_m=50.0)
+    scene = build_scene(found, name="a", source_crs=UTM, sites=(), radius_m=50.0)
+    assert [(one.id, one.class_name) for one in scene.instances] == [
+        ("ground", "ground"),
+        ("near", "building"),
+        ("lamp-1", "lamp post"),
+    ]
+    post = scene.vertices_m[np.unique(scene.triangles[scene.triangle_instance == 2])]
+    assert (post[:, 2].min(), post[:, 2].max()) == pytest.approx((0.0, 6.0))
+    (arm,) = build_junction(scene).arms.values()
+    assert [one.id for one in arm.entry_lanes] == ["in"]
+    assert [one.id for one in arm.exit_lanes] == ["out"]
+    # The lane goes on behind the place where its first piece ends.
+    assert arm.lanes_out[0].centreline_m[-1, 0] == pytest.approx(120.0, abs=0.6)
+
+
+@given(
+    east_m=st.floats(-400.0, 400.0),
+    north_m=st.floats(-400.0, 400.0),
+)
+def test_distances_are_metres_on_the_ground_and_places_stay(east_m, north_m):
+    frame = frame_at(ROADS, AT_M)
+    point = AT_M + [east_m, north_m]
+    here = frame.take(point, ROADS)
+    lon_lat = transform(here, frame.crs, "EPSG:4326")
+    assert transform(lon_lat, "EPSG:4326", UTM) == pytest.approx(point, abs=1e-4)
+    # UTM shrinks by up to 0.04 % there and is turned by the convergence of its meridians.
+    assert np.hypot(*here) == pytest.approx(np.hypot(east_m, north_m), rel=5e-4, abs=0.01)
+
+
+def test_a_map_of_no_known_place_is_moved_to_the_junction():
+    roads = replace(ROADS, crs="", source_crs="")
+    found = cut_out([roads], JUNCTION, radius_m=50.0)
+    assert found.frame.crs == ""
+    assert found.frame.origin_m == pytest.approx(AT_M)
+    assert found.outline_m == pytest.approx(SQUARE_M)
+    scene = build_scene(found, name="a", source_crs="", sites=(), radius_m=50.0)
+    assert scene.source_origin_m == pytest.approx(AT_M)
+
+
+def test_other_files_lie_where_they_say_or_where_the_roads_are():
+    lon_lat = transform(AT_M + [30.0, -30.0], UTM, "EPSG:4326")
+    other_crs = "EPSG:3857"
+    there = transform(lon_lat, "EPSG:4326", other_crs)
+    vertices, triangles = extrude(there + SQUARE_M, bottom_m=500.0, top_m=510.0)
+    house = Thing(id="near", class_name="building", vertices_m=vertices, triangles=triangles)
+    city = SourceMap(name="c.gml", crs=other_crs, heights="absolute", things=(house,))
+    found = cut_out([ROADS, city], JUNCTION, radius_m=50.0)
+    assert [one.id for one in found.things] == ["near", "c.gml-near"]
+    corners = found.things[1].vertices_m
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    assert middle[:2] == pytest.approx(found.frame.take(AT_M + [30.0, -30.0], ROADS), abs=0.05)
+    assert found.things[1].vertices_m[:, 2].min() == pytest.approx(0.0)  # its own lowest point
+    given_m = cut_out([ROADS, city], JUNCTION, radius_m=50.0, ground_m=499.0)
+    assert given_m.things[1].vertices_m[:, 2].min() == pytest.approx(1.0)
+    silent = replace(city, crs="", things=(thing("x", (0.0, 30.0)),), heights="above ground")
+    found = cut_out([ROADS, silent], JUNCTION, radius_m=50.0)
+    assert found.things[1].vertices_m[:, :2].mean(axis=0) == pytest.approx([0.0, 30.0], abs=1.0)
+    with pytest.raises(InputError, match=r"c\.gml: got coordinates in EPSG:3857; expected a file"):
+        cut_out([replace(ROADS, crs=""), city], JUNCTION, radius_m=50.0)
+
+
+def test_coordinates_that_cannot_be_are_refused():
+    wild = replace(JUNCTION, outline_m=SQUARE_M + 1.0e12)
+    with pytest.raises(InputError, match=r"roads\.xodr: got"):
+        cut_out([ROADS], wild, radius_m=50.0)

@@ -1,0 +1,197 @@
+"""Junctions: outlines, what ends there, names."""
+
+import numpy as np
+import pytest
+import shapely
+
+from geometry.junction import build_junction
+from geometry.maps.model import MapJunction, SourceMap
+from geometry.scene import Lane, Scene
+from opendrive_text import (
+    crossing,
+    document,
+    geometry,
+    lane,
+    read_text,
+    road,
+    section,
+    to_junction,
+    to_road,
+)
+
+
+def arms_of(source: SourceMap, junction: MapJunction) -> dict[str, tuple[int, int]]:
+    """Lanes in and out by arm, as the scene's junction finds them."""
+    scene = Scene(
+        name="made",
+        vertices_m=np.zeros((0, 3)),
+        triangles=np.zeros((0, 3)),
+        triangle_instance=np.zeros(0),
+        instances=(),
+        sites=(),
+        outline_m=junction.outline_m,
+        lanes=tuple(
+            Lane(
+                id=one.id,
+                kind=one.kind,
+                width_m=one.width_m,
+                centreline_m=one.centreline_m[:, :2],
+            )
+            for one in source.lanes
+            if one.kind in ("driving", "parking")
+        ),
+        crs="",
+        keeps_left=source.keeps_left,
+    )
+    arms = build_junction(scene).arms
+    return {name: (len(arm.entry_lanes), len(arm.exit_lanes)) for name, arm in arms.items()}
+
+
+def _off_outline_m(source: SourceMap) -> float:
+    rings = {one.id: shapely.Polygon(one.outline_m).exterior for one in source.junctions}
+    return max(
+        rings[junction].distance(shapely.Point(tip))
+        for one in source.lanes
+        if one.kind == "driving"
+        for junction, tip in (
+            (one.from_junction, one.centreline_m[0, :2]),
+            (one.to_junction, one.centreline_m[-1, :2]),
+        )
+        if junction
+    )
+
+
+@pytest.mark.parametrize("rule", ["RHT", "LHT"])
+def test_two_streets_that_cross_make_four_arms(tmp_path, rule):
+    source = read_text(tmp_path, document(crossing(rule=rule)))
+    (junction,) = source.junctions
+    assert junction.name == "East Street / North Street"
+    # A cross of two strips 7 m wide and 20 m long.
+    assert shapely.Polygon(junction.outline_m).area == pytest.approx(2 * 140 - 49, rel=1e-2)
+    assert arms_of(source, junction) == dict.fromkeys(("east", "north", "west", "south"), (1, 1))
+    assert {one.id for one in source.lanes} == {f"{n}/{k}" for n in "1234" for k in ("1", "-1")}
+    into = "1" if rule == "RHT" else "-1"  # roads lead away from the junction
+    for one in source.lanes:
+        is_into = one.id.endswith(f"/{into}")
+        assert (one.to_junction, one.from_junction) == (("9", "") if is_into else ("", "9"))
+
+
+def test_the_outline_is_where_the_lanes_of_the_arms_end(tmp_path):
+    assert _off_outline_m(read_text(tmp_path, document(crossing()))) < 0.1
+
+
+def test_holes_are_filled_and_the_largest_part_counts(tmp_path):
+    plan = [(20, 0, 0), (60, 0, 90), (60, 40, 180), (20, 40, 270), (500, 0, 0)]
+    ring = "".join(
+        road(
+            str(n),
+            plan=geometry(x=x, y=y, hdg=np.radians(angle), length=40.0),
+            length=40.0,
+            junction="9",
+        )
+        for n, (x, y, angle) in enumerate(plan)
+    )
+    (junction,) = read_text(tmp_path, document(ring, '<junction id="9" name="ring"/>')).junctions
+    assert junction.outline_m[:, 0].max() < 100.0
+    shape = shapely.Polygon(junction.outline_m)
+    assert shape.contains(shapely.Point(40.0, 20.0))
+    assert junction.name == "ring"
+
+
+def test_the_height_is_that_of_the_middle(tmp_path):
+    text = document(crossing()).replace(
+        "<elevationProfile></elevationProfile>",
+        '<elevationProfile><elevation s="0" a="7" b="0" c="0" d="0"/></elevationProfile>',
+    )
+    assert read_text(tmp_path, text).junctions[0].height_m == pytest.approx(7.0)
+
+
+def test_an_arm_that_ends_too_early_is_reached(tmp_path):
+    text = document(crossing()).replace('x="10.0" y="0.0"', 'x="16.0" y="0.0"')
+    source = read_text(tmp_path, text)
+    assert arms_of(source, source.junctions[0])["east"] == (1, 1)
+    assert _off_outline_m(source) <= 1.5
+
+
+def test_an_arm_that_ends_inside_is_cut_out(tmp_path):
+    text = document(crossing()).replace('x="10.0" y="0.0"', 'x="6.0" y="0.0"')
+    source = read_text(tmp_path, text)
+    assert arms_of(source, source.junctions[0])["east"] == (1, 1)
+    assert _off_outline_m(source) <= 1.5
+
+
+def test_an_arm_far_away_does_not_end_there(tmp_path):
+    text = document(crossing()).replace('x="10.0" y="0.0"', 'x="300.0" y="0.0"')
+    source = read_text(tmp_path, text)
+    assert not any(
+        one.to_junction or one.from_junction for one in source.lanes if one.id.startswith("1/")
+    )
+    assert [note.what for note in source.skipped] == [
+        "2 lanes that end far from their junction, such as "
+        "lane 1/1 at junction 9 and lane 1/-1 at junction 9"
+    ]
+
+
+@pytest.mark.parametrize("kind", ["direct", "virtual"])
+def test_junctions_without_a_surface_are_noted(tmp_path, kind):
+    source = read_text(tmp_path, document(crossing(kind=kind)))
+    assert not source.junctions
+    assert not any(one.from_junction or one.to_junction for one in source.lanes)
+    assert source.skipped[0].what == f"junction 9 ({kind})"
+
+
+def test_a_junction_without_connecting_roads_is_noted(tmp_path):
+    text = document(road(link=to_junction("successor", "9")), '<junction id="9"/>')
+    source = read_text(tmp_path, text)
+    assert not source.junctions
+    assert not any(one.from_junction or one.to_junction for one in source.lanes)
+    assert source.skipped[0].why == "it has no connecting road with a driving lane"
+
+
+def test_links_to_what_there_is_not_are_noted(tmp_path):
+    link = to_junction("predecessor", "77") + to_road("successor", "78", "start")
+    source = read_text(tmp_path, document(road(link=link)))
+    assert [note.what for note in source.skipped] == [
+        "2 links to what there is not, such as road 1, link to junction 77 "
+        "and road 1, link to road 78"
+    ]
+    assert len(source.lanes) == 2
+
+
+def test_a_road_without_link_ends_where_a_connecting_road_says(tmp_path):
+    text = document(crossing()).replace(to_junction("predecessor", "9"), "", 1)
+    source = read_text(tmp_path, text)
+    assert {one.from_junction + one.to_junction for one in source.lanes} == {"9"}
+
+
+def test_a_junction_that_only_joins_two_roads_is_one(tmp_path):
+    parts = [
+        road("1", length=50.0, link=to_junction("successor", "9")),
+        road("2", plan=geometry(x=60.0, length=50.0), length=50.0, link=to_junction("predecessor", "9")),
+        road("3", plan=geometry(x=50.0, length=10.0), length=10.0, junction="9"),
+        '<junction id="9"/>',
+    ]  # fmt: skip
+    source = read_text(tmp_path, document(*parts))
+    assert arms_of(source, source.junctions[0]) == {"east": (1, 1), "west": (1, 1)}
+
+
+def test_sidewalks_are_no_part_of_the_surface(tmp_path):
+    sides = section(left=[lane(1), lane(2, "sidewalk", width=9.0)], right=[lane(-1)])
+    parts = [road("3", length=20.0, junction="9", sections=sides), '<junction id="9"/>']
+    (junction,) = read_text(tmp_path, document(*parts)).junctions
+    assert np.abs(junction.outline_m[:, 1]).max() == pytest.approx(3.5, abs=0.1)
+
+
+def test_paths_across_a_junction_are_crosswalks(tmp_path):
+    walk = road(
+        "30",
+        plan=geometry(x=12.0, y=-4.0, hdg=np.pi / 2, length=8.0),
+        length=8.0,
+        junction="9",
+        sections=section(right=[lane(-1, "walking")]),
+    )
+    text = document(crossing(), walk).replace(
+        "</junction>", '<crossPath crossingRoad="30" id="0"/></junction>'
+    )
+    source = read_text(tmp_path, text)
+    np.testing.assert_allclose(source.crosswalks_m, [[[12.0, -4.0], [12.0, 4.0]]], atol=1e-9)

@@ -1,0 +1,488 @@
+"""Lanes, junctions and what lies beside roads, from small hand-made files."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from osm_text import OsmText, as_drawn, crossing
+
+from geometry.junction import Junction, build_junction, distance_to_outline_m
+from geometry.maps.model import MapJunction, MapLane, SourceMap
+from geometry.maps.openstreetmap import read_openstreetmap
+from geometry.scene import Lane, Scene
+
+EAST, NORTH, WEST, SOUTH = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)
+FOUR = (EAST, NORTH, WEST, SOUTH)
+
+
+def read(osm: OsmText, folder: Path, **options: bool) -> SourceMap:
+    return as_drawn(read_openstreetmap(osm.write(folder), **options))
+
+
+def arms_of(source: SourceMap, junction: MapJunction) -> Junction:
+    """Arms as the study's code finds them, from the junction's own lanes alone."""
+    own = [lane for lane in source.lanes if junction.id in (lane.from_junction, lane.to_junction)]
+    scene = Scene(
+        name=junction.id,
+        vertices_m=np.empty((0, 3)),
+        triangles=np.empty((0, 3), dtype=np.int32),
+        triangle_instance=np.empty(0, dtype=np.int32),
+        instances=(),
+        sites=(),
+        outline_m=junction.outline_m,
+        lanes=tuple(
+            Lane(
+                id=lane.id,
+                kind=lane.kind,
+                width_m=lane.width_m,
+                centreline_m=lane.centreline_m[:, :2],
+            )
+            for lane in own
+            if lane.kind in ("driving", "parking")
+        ),
+        crs=source.crs,
+        crosswalks_m=source.crosswalks_m,
+        keeps_left=source.keeps_left,
+    )
+    return build_junction(scene)
+
+
+def lane_counts(source: SourceMap) -> dict[str, tuple[int, int]]:
+    (junction,) = source.junctions
+    return {
+        name: (len(arm.entry_lanes), len(arm.exit_lanes))
+        for name, arm in arms_of(source, junction).arms.items()
+    }
+
+
+def check_ends(source: SourceMap) -> None:
+    """Lanes of junctions end where these begin."""
+    outlines = {junction.id: junction.outline_m for junction in source.junctions}
+    for lane in source.lanes:
+        if lane.kind == "driving":
+            for tip, name in ((0, lane.from_junction), (-1, lane.to_junction)):
+                if name:
+                    distance = distance_to_outline_m(lane.centreline_m[tip, :2], outlines[name])
+                    assert distance <= 1.0, lane.id
+
+
+def one_road(tags: dict[str, str], folder: Path, **options: bool) -> list[tuple[str, float, float]]:
+    """Kind, width and place to the left of a road that leads east; those that run west: minus."""
+    osm = OsmText()
+    osm.way([(-50.0, 0.0), (50.0, 0.0)], {"highway": "residential"} | tags)
+    source = read(osm, folder, **({"keeps_left": False} | options))
+    strips = []
+    for lane in source.lanes:
+        middle = lane.centreline_m[:, 1].mean()
+        sign = np.sign(lane.centreline_m[-1, 0] - lane.centreline_m[0, 0])
+        strips.append((lane.kind, round(float(sign * lane.width_m), 3), round(float(middle), 2)))
+    return sorted(strips, key=lambda strip: -strip[2])
+
+
+# ---------------------------------------------------------------- cross-sections
+
+
+@pytest.mark.parametrize(
+    ("tags", "expected"),
+    [
+        ({}, [("driving", -2.75, 1.4), ("driving", 2.75, -1.4)]),
+        ({"width": "7"}, [("driving", -3.5, 1.8), ("driving", 3.5, -1.8)]),
+        ({"width": "7,0 m"}, [("driving", -3.5, 1.8), ("driving", 3.5, -1.8)]),
+        ({"width": "6-8"}, [("driving", -3.5, 1.8), ("driving", 3.5, -1.8)]),
+        ({"width": "20 ft"}, [("driving", -3.048, 1.5), ("driving", 3.048, -1.5)]),
+        ({"est_width": "6"}, [("driving", -3.0, 1.5), ("driving", 3.0, -1.5)]),
+        ({"oneway": "yes"}, [("driving", 2.75, 0.0)]),
+        ({"oneway": "-1"}, [("driving", -2.75, 0.0)]),
+        ({"oneway": "yes", "lanes": "2"}, [("driving", 2.75, 1.4), ("driving", 2.75, -1.4)]),
+        (
+            {"lanes": "3", "lanes:forward": "1", "width": "9"},
+            [("driving", -3.0, 3.0), ("driving", -3.0, 0.0), ("driving", 3.0, -3.0)],
+        ),
+        (
+            {"turn:lanes:forward": "left|through", "lanes": "3", "width": "9"},
+            [("driving", -3.0, 3.0), ("driving", 3.0, 0.0), ("driving", 3.0, -3.0)],
+        ),
+        (
+            {"lanes": "3", "lanes:both_ways": "1", "width": "9"},
+            [("driving", -3.0, 3.0), ("driving", 3.0, -3.0)],
+        ),
+        (  # from left to right in driving direction: the widest is the innermost
+            {"oneway": "yes", "lanes": "2", "width:lanes": "3.5|2.5"},
+            [("driving", 3.5, 1.2), ("driving", 2.5, -1.8)],
+        ),
+        (
+            {"width:lanes:forward": "3", "width:lanes:backward": "2.5|3.5", "lanes": "3",
+             "lanes:backward": "2"},
+            [("driving", -3.5, 2.8), ("driving", -2.5, -0.2), ("driving", 3.0, -3.0)],
+        ),
+        ({"width": "3.6"}, [("driving", -3.0, 0.3), ("driving", 3.0, -0.3)]),  # one for both
+        ({"lanes": "1", "width": "4"}, [("driving", -3.4, 0.3), ("driving", 3.4, -0.3)]),
+        ({"highway": "service"}, [("driving", -2.9, 0.3), ("driving", 2.9, -0.3)]),
+        (
+            {"width": "10", "parking:right": "lane", "parking:right:width": "2"},
+            [("driving", -4.0, 3.0), ("driving", 4.0, -1.0), ("parking", 2.0, -4.0)],
+        ),
+        (
+            {"width": "6", "parking:left": "street_side",
+             "parking:left:orientation": "perpendicular"},
+            [("parking", -5.0, 5.5), ("driving", -3.0, 1.5), ("driving", 3.0, -1.5)],
+        ),
+        (
+            {"width": "10", "parking:lane:left": "parallel", "parking:lane:right": "no_parking"},
+            [("parking", -2.0, 4.0), ("driving", -4.0, 1.0), ("driving", 4.0, -3.0)],
+        ),
+        (
+            {"width": "6", "parking:both": "lane", "parking:both:restriction": "no_stopping"},
+            [("driving", -3.0, 1.5), ("driving", 3.0, -1.5)],
+        ),
+        (
+            {"width": "9", "cycleway": "lane"},
+            [("cycling", -1.5, 3.8), ("driving", -3.0, 1.5), ("driving", 3.0, -1.5),
+             ("cycling", 1.5, -3.8)],
+        ),
+        (
+            {"width": "6", "cycleway:right": "track", "sidewalk": "right"},
+            [("driving", -3.0, 1.5), ("driving", 3.0, -1.5), ("cycling", 2.0, -4.0),
+             ("walking", 2.5, -6.2)],
+        ),
+        (
+            {"width": "6", "oneway": "yes", "cycleway": "opposite_lane", "cycleway:left:width": "1"},
+            [("cycling", -1.0, 2.5), ("driving", 5.0, -0.5)],
+        ),
+        (
+            {"width": "6", "oneway": "-1", "sidewalk": "left"},  # left as the way is mapped
+            [("walking", -2.5, 4.2), ("driving", -6.0, 0.0)],
+        ),
+        ({"width": "6", "sidewalk:both": "separate"}, [("driving", -3.0, 1.5), ("driving", 3.0, -1.5)]),
+    ],
+)  # fmt: skip
+def test_tags_say_what_lies_side_by_side(
+    tags: dict[str, str], expected: list[tuple[str, float, float]], tmp_path: Path
+) -> None:
+    found = one_road(tags, tmp_path)
+    assert [strip[:2] for strip in found] == [strip[:2] for strip in expected]
+    places = [strip[2] for strip in found]
+    np.testing.assert_allclose(places, [strip[2] for strip in expected], atol=0.11)
+
+
+@pytest.mark.parametrize("tags", [{"lanes": "3", "lanes:forward": "2"}, {"width": "8"}])
+def test_where_traffic_keeps_left_lanes_lie_as_in_a_mirror(
+    tags: dict[str, str], tmp_path: Path
+) -> None:
+    right = one_road(tags, tmp_path)
+    left = one_road(tags, tmp_path, keeps_left=True)
+    assert [strip[:2] for strip in left] == [strip[:2] for strip in right[::-1]]
+    places = [-strip[2] for strip in right[::-1]]
+    np.testing.assert_allclose([strip[2] for strip in left], places, atol=0.03)
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [
+        {"width": "wide"},
+        {"width": "-3"},
+        {"width": "900"},
+        {"lanes": "2;3"},
+        {"lanes": "99"},
+        {"lanes": "1.5"},
+        {"est_width": "ten"},
+        {"lanes:forward": "many"},
+    ],
+)
+def test_what_makes_no_sense_is_told_and_usual_sizes_stand_in(
+    tags: dict[str, str], tmp_path: Path
+) -> None:
+    osm = OsmText()
+    way = osm.way([(-50.0, 0.0), (50.0, 0.0)], {"highway": "residential"} | tags)
+    source = read(osm, tmp_path, keeps_left=False)
+    assert [lane.width_m for lane in source.lanes] == [2.75, 2.75]
+    (skipped,) = source.skipped
+    assert skipped.what == f"way {way}"
+    assert "makes no sense" in skipped.why
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [
+        {"highway": "footway"},
+        {"highway": "track"},
+        {"highway": "construction"},
+        {"highway": "residential", "area": "yes"},
+        {"highway": "service", "service": "driveway"},
+        {"highway": "service", "service": "parking_aisle"},
+        {"highway": "cycleway"},
+        {"railway": "tram"},
+    ],
+)
+def test_what_is_no_road_for_cars_has_no_lanes(tags: dict[str, str], tmp_path: Path) -> None:
+    osm = OsmText()
+    osm.road([(-50.0, 0.0), (50.0, 0.0)])
+    osm.way([(-50.0, 30.0), (50.0, 30.0)], tags)
+    assert len(read(osm, tmp_path).lanes) == 2
+
+
+# ---------------------------------------------------------------- junctions
+
+
+def test_four_roads_of_two_lanes_meet(tmp_path: Path) -> None:
+    osm = OsmText()
+    middle = crossing(osm, bearings=FOUR, width="6")
+    source = read(osm, tmp_path)
+    (junction,) = source.junctions
+    assert junction.id == f"n{middle}"
+    assert junction.name == "Street 0 / Street 1 / Street 2 / Street 3"
+    assert lane_counts(source) == dict.fromkeys(("east", "north", "west", "south"), (1, 1))
+    assert all(lane.width_m == pytest.approx(3.0) for lane in source.lanes)
+    check_ends(source)
+    # Half the crossing road and a corner of 5 m from the middle; lanes 1.5 m beside the axis.
+    for lane in source.lanes:
+        tip = lane.centreline_m[0 if lane.from_junction else -1, :2]
+        assert np.abs(tip).max() == pytest.approx(8.0, abs=0.55)
+        np.testing.assert_allclose(np.abs(lane.centreline_m[:, :2]).min(axis=1), 1.5, atol=0.03)
+    # Traffic keeps right: what leads east lies south of the axis.
+    east = next(
+        lane for lane in source.lanes if lane.from_junction and lane.centreline_m[-1, 0] > 50.0
+    )
+    assert east.centreline_m[:, 1].max() < 0.0
+    assert east.from_junction == junction.id
+    assert not east.to_junction
+
+
+def test_where_traffic_keeps_left_a_crossing_is_its_mirror_image(tmp_path: Path) -> None:
+    osm = OsmText()
+    crossing(osm, bearings=FOUR)
+    left, right = (read(osm, tmp_path, keeps_left=side) for side in (True, False))
+    assert left.keeps_left
+    assert not right.keeps_left
+    assert {
+        (lane.from_junction, *lane.centreline_m[:, :2].round(6).ravel()) for lane in left.lanes
+    } == {
+        (lane.to_junction, *lane.centreline_m[::-1, :2].round(6).ravel()) for lane in right.lanes
+    }
+
+
+@pytest.mark.parametrize(
+    ("bearings", "names"),
+    [
+        ((EAST, WEST, SOUTH), {"east", "west", "south"}),
+        (
+            [(math.cos(angle), math.sin(angle)) for angle in np.radians([0, 72, 144, 216, 288])],
+            {"east", "north", "north-west", "south-west", "south"},
+        ),
+        (  # skewed by 40 degrees
+            (EAST, WEST, (math.cos(0.7), math.sin(0.7)), (-math.cos(0.7), -math.sin(0.7))),
+            {"east", "west", "north-east", "south-west"},
+        ),
+    ],
+)
+def test_roads_meet_under_any_angle(
+    bearings: Sequence[tuple[float, float]], names: set[str], tmp_path: Path
+) -> None:
+    osm = OsmText()
+    crossing(osm, bearings=bearings)
+    source = read(osm, tmp_path)
+    assert lane_counts(source) == dict.fromkeys(names, (1, 1))
+    check_ends(source)
+    outline = source.junctions[0].outline_m
+    assert np.hypot(*outline.T).max() <= 31.0
+
+
+def test_one_way_arms_have_lanes_in_one_direction(tmp_path: Path) -> None:
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0)
+    osm.road([(-80.0, 0.0), middle, (80.0, 0.0)], oneway="yes", lanes="2")
+    osm.road([(0.0, -80.0), middle, (0.0, 80.0)])
+    source = read(osm, tmp_path)
+    assert lane_counts(source) == {"east": (0, 2), "north": (1, 1), "west": (2, 0), "south": (1, 1)}
+
+
+def test_dual_carriageways_cross_in_one_junction(tmp_path: Path) -> None:
+    osm = OsmText()
+    at = {(x, y): osm.node(x, y) for x in (-8.0, 8.0) for y in (-8.0, 8.0)}
+    tags = {"highway": "primary", "oneway": "yes", "lanes": "2"}
+    for y in (-8.0, 8.0):  # eastwards in the south, as traffic that keeps right does
+        line = [(-120.0, y), at[-8.0, y], at[8.0, y], (120.0, y)]
+        osm.way(line[:: 1 if y < 0 else -1], tags | {"name": "Long Avenue"})
+    for x in (-8.0, 8.0):
+        line = [(x, -120.0), at[x, -8.0], at[x, 8.0], (x, 120.0)]
+        osm.way(line[:: 1 if x > 0 else -1], tags | {"name": "Wide Street"})
+    source = read(osm, tmp_path)
+    assert not source.keeps_left
+    assert not any("side" in skipped.what for skipped in source.skipped)  # the carriageways show it
+    (junction,) = source.junctions
+    assert junction.id == f"n{min(at.values())}"
+    assert junction.name == "Long Avenue / Wide Street"
+    assert lane_counts(source) == dict.fromkeys(("east", "north", "west", "south"), (2, 2))
+    check_ends(source)
+
+
+def test_offset_side_streets_are_one_junction_and_distant_ones_two(tmp_path: Path) -> None:
+    counts = []
+    for offset in (15.0, 60.0):
+        osm = OsmText()
+        one, other = osm.node(0.0, 0.0), osm.node(offset, 0.0)
+        osm.road([(-90.0, 0.0), one, other, (150.0, 0.0)], name="Main Street")
+        osm.road([one, (0.0, 90.0)])
+        osm.road([other, (offset, -90.0)])
+        source = read(osm, tmp_path)
+        check_ends(source)
+        counts.append([len(arms_of(source, junction).arms) for junction in source.junctions])
+    assert counts == [[4], [3, 3]]
+
+
+def test_a_roundabout_is_one_junction_and_shows_the_side(tmp_path: Path) -> None:
+    for turn in (1, -1):
+        osm = OsmText()
+        ring = [
+            osm.node(20.0 * math.cos(angle), turn * 20.0 * math.sin(angle))
+            for angle in np.radians(np.arange(0, 360, 30))
+        ]
+        osm.road([*ring, ring[0]], junction="roundabout")
+        for index, (east, north) in zip(
+            (0, 3, 6, 9), (EAST, NORTH, WEST, SOUTH), strict=True
+        ):
+            osm.road([ring[index], (100.0 * east, turn * 100.0 * north)])
+        source = read(osm, tmp_path)
+        assert source.keeps_left == (turn < 0)
+        assert lane_counts(source) == dict.fromkeys(("east", "north", "west", "south"), (1, 1))
+        assert not any("side" in skipped.what for skipped in source.skipped)
+        check_ends(source)
+
+
+def test_driving_side_tag_goes_before_everything(tmp_path: Path) -> None:
+    osm = OsmText()
+    osm.road([(-50.0, 0.0), (50.0, 0.0)], driving_side="left")
+    assert read(osm, tmp_path).keeps_left
+    assert not read(osm, tmp_path, keeps_left=False).keeps_left
+
+
+def test_an_assumed_driving_side_is_told(tmp_path: Path) -> None:
+    osm = OsmText()
+    osm.road([(-50.0, 0.0), (50.0, 0.0)])
+    (skipped,) = read(osm, tmp_path).skipped
+    assert (skipped.what, "keep right" in skipped.why) == ("side of the road", True)
+    assert not read(osm, tmp_path, keeps_left=False).skipped
+
+
+def test_yards_make_no_junction_unless_signals_stand_there(tmp_path: Path) -> None:
+    for tags, n_junctions in (({}, 0), ({"highway": "traffic_signals"}, 1)):
+        osm = OsmText()
+        middle = osm.node(0.0, 0.0, **tags)
+        osm.road([(-80.0, 0.0), middle, (80.0, 0.0)])
+        osm.road([middle, (0.0, 80.0)], highway="service")
+        source = read(osm, tmp_path)
+        assert len(source.junctions) == n_junctions
+        if not n_junctions:  # the road goes on as if nothing were there
+            lengths = sorted(np.ptp(lane.centreline_m[:, 0]) for lane in source.lanes)
+            assert lengths[-2:] == pytest.approx([160.0, 160.0], abs=0.1)
+
+
+def test_roads_that_only_cross_do_not_meet(tmp_path: Path) -> None:
+    osm = OsmText()
+    osm.road([(-80.0, 0.0), (80.0, 0.0)])
+    osm.road([(0.0, -80.0), (0.0, 80.0)], bridge="yes", layer="1")
+    source = read(osm, tmp_path)
+    assert not source.junctions
+    heights = sorted({float(lane.centreline_m[:, 2].max()) for lane in source.lanes})
+    assert heights == [0.0, 5.0]
+
+
+def test_roads_that_meet_on_a_bridge_are_no_junction_on_the_ground(tmp_path: Path) -> None:
+    osm = OsmText()
+    crossing(osm, bearings=FOUR, bridge="yes", layer="1")
+    assert not read(osm, tmp_path).junctions
+
+
+def test_a_street_is_followed_over_nodes_where_only_tags_change(tmp_path: Path) -> None:
+    osm = OsmText()
+    middle, bend = osm.node(0.0, 0.0), osm.node(60.0, 0.0)
+    osm.road([middle, bend], width="6", parking__right="street_side")
+    osm.road([(140.0, 0.0), bend], width="8")  # mapped the other way round
+    osm.road([(-80.0, 0.0), middle, (0.0, 80.0)])
+    source = read(osm, tmp_path)
+    east = [lane for lane in source.lanes if lane.centreline_m[:, 0].max() > 130.0]
+    assert sorted(lane.kind for lane in east) == ["driving", "driving"]
+    for lane in east:
+        assert 3.0 < lane.width_m < 4.0
+        along = np.abs(np.interp([30.0, 120.0], *_rising(lane)))
+        np.testing.assert_allclose(along, [1.5, 2.0], atol=0.03)
+
+
+def _rising(lane: MapLane) -> tuple[np.ndarray, np.ndarray]:
+    order = np.argsort(lane.centreline_m[:, 0])
+    return lane.centreline_m[order, 0], lane.centreline_m[order, 1]
+
+
+def test_turning_lanes_begin_where_the_lane_before_them_ends(tmp_path: Path) -> None:
+    osm = OsmText()
+    middle, widens = osm.node(0.0, 0.0), osm.node(-50.0, 0.0)
+    osm.road([(-150.0, 0.0), widens], width="6")
+    osm.road([widens, middle], turn__lanes__forward="left|through", lanes="3", width="9")
+    osm.road([middle, (100.0, 0.0)])
+    osm.road([(0.0, 100.0), middle, (0.0, -100.0)])
+    source = read(osm, tmp_path)
+    (junction,) = source.junctions
+    west = arms_of(replace(source, lanes=tuple(_with_rest(source))), junction).arms["west"]
+    assert [len(west.entry_lanes), len(west.exit_lanes)] == [2, 1]
+    for lane in west.entry_lanes:
+        assert lane.centreline_m[0, 0] == pytest.approx(-150.0, abs=0.1)
+
+
+def _with_rest(source: SourceMap) -> list[MapLane]:
+    (junction,) = source.junctions
+    return [
+        lane if lane.from_junction or lane.to_junction else replace(lane, to_junction=junction.id)
+        for lane in source.lanes
+    ]
+
+
+def test_carriageways_lead_on_into_the_road_they_become(tmp_path: Path) -> None:
+    osm = OsmText()
+    middle, fork = osm.node(0.0, 0.0), osm.node(60.0, 0.0)
+    osm.road([middle, fork], name="A", width="7")
+    osm.road([fork, (80.0, -6.0), (160.0, -6.0)], name="A", oneway="yes")
+    osm.road([(160.0, 6.0), (80.0, 6.0), fork], name="A", oneway="yes")
+    osm.road([(-80.0, 0.0), middle, (0.0, 80.0)])
+    source = read(osm, tmp_path)
+    assert len(source.junctions) == 1  # a fork is none
+    driving = [lane.centreline_m[:, :2] for lane in source.lanes]
+    west_bound = next(line for line in driving if line[0, 0] > 150.0)
+    gaps = [np.hypot(*(line[0] - west_bound[-1])) for line in driving]
+    assert min(gaps) < 0.01
+
+
+def test_two_meetings_too_near_to_be_two_but_too_far_to_be_one_share_the_road(
+    tmp_path: Path,
+) -> None:
+    osm = OsmText()
+    nodes = [osm.node(26.0 * index, 0.0) for index in range(4)]
+    osm.road([(-90.0, 0.0), *nodes, (180.0, 0.0)], width="14", lanes="4")
+    for index, node in enumerate(nodes):
+        osm.road([node, (26.0 * index, 90.0)], width="14", lanes="4")
+    source = read(osm, tmp_path)
+    assert len(source.junctions) == 4
+    check_ends(source)
+    for junction in source.junctions:
+        assert len(arms_of(source, junction).arms) == 3
+
+
+def test_a_road_that_only_bends_back_is_no_junction(tmp_path: Path) -> None:
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0)
+    osm.road([(-80.0, 0.0), middle])
+    osm.road([middle, (80.0, 3.0)])
+    osm.road([middle, (80.0, -3.0)])
+    source = read(osm, tmp_path)
+    assert not source.junctions
+    assert any("fewer than three arms" in skipped.why for skipped in source.skipped)
+
+
+def test_nodes_that_the_file_does_not_have_cut_roads_short(tmp_path: Path) -> None:
+    osm = OsmText()
+    osm.road([osm.node(0.0, 0.0), osm.node(50.0, 0.0), 999, osm.node(90.0, 0.0)])
+    source = read(osm, tmp_path)
+    assert np.ptp(source.lanes[0].centreline_m[:, 0]) == pytest.approx(50.0, abs=0.05)
+    assert any("nodes are missing" in skipped.why for skipped in source.skipped)

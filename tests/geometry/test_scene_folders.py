@@ -1,0 +1,131 @@
+import zipfile
+
+import numpy as np
+import pytest
+import trimesh
+
+from geometry.errors import InputError
+from geometry.frames import from_gltf_points, to_gltf_points
+from geometry.scene_files import load_study_scene
+from geometry.scene_folders import (
+    SCENE_FILE,
+    THINGS_FILE,
+    load_notes,
+    load_scene_folder,
+    pack_scene,
+    save_scene,
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene")
+    save_scene(
+        path,
+        load_study_scene(),
+        sources=["a.osm"],
+        skipped=[("way 1", 'too "short"')],
+        assumed_heights=["wall-ne-1"],
+    )
+    return path
+
+
+def changed(folder, tmp_path, old, new):
+    """A copy of a scene with some words of its TOML changed."""
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    text = (folder / SCENE_FILE).read_text()
+    assert old in text
+    (copy / SCENE_FILE).write_text(text.replace(old, new, 1))
+    (copy / THINGS_FILE).write_bytes((folder / THINGS_FILE).read_bytes())
+    return copy
+
+
+def test_a_scene_comes_back_as_it_was(folder, tmp_path):
+    scene = load_study_scene()
+    archive = tmp_path / "scene.zip"
+    pack_scene(folder, archive)
+    for again in (load_scene_folder(folder), load_scene_folder(archive)):
+        assert (again.name, again.crs) == (scene.name, scene.crs)
+        assert again.instances == scene.instances
+        ours, theirs = (one.vertices_m[one.triangles] for one in (again, scene))
+        assert ours == pytest.approx(theirs, abs=2e-5)
+        assert np.array_equal(again.triangle_instance, scene.triangle_instance)
+        for one, other in zip(again.lanes, scene.lanes, strict=True):
+            assert (one.id, one.kind, one.width_m) == (other.id, other.kind, other.width_m)
+            assert one.centreline_m == pytest.approx(other.centreline_m, abs=5e-4)
+        for one, other in zip(again.sites, scene.sites, strict=True):
+            assert (one.id, one.kind, one.use) == (other.id, other.kind, other.use)
+            assert one.position_m == pytest.approx(other.position_m, abs=5e-4)
+        assert again.crosswalks_m == pytest.approx(scene.crosswalks_m, abs=5e-4)
+        assert again.keeps_left is scene.keeps_left
+
+
+def test_notes_come_back(folder):
+    assert load_notes(folder) == ([("way 1", 'too "short"')], {"wall-ne-1"})
+
+
+def test_other_programs_see_things_upright(folder):
+    meshes = trimesh.load_scene(folder / THINGS_FILE)
+    low, high = meshes.bounds
+    assert high[1] - low[1] < 30.0  # y is up: the highest building, not the street's length
+    assert min(high[0] - low[0], high[2] - low[2]) > 100.0
+
+
+def test_gltfs_frame_and_back():
+    points = np.array([[1.0, 2.0, 3.0]])
+    assert to_gltf_points(points).tolist() == [[1.0, 3.0, -2.0]]
+    assert from_gltf_points(to_gltf_points(points)).tolist() == points.tolist()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('format = "place-rsus scene"', 'format = "x"', "format: got 'x'; expected 'place-rsus"),
+        ("version = 1", "version = 2", "version: got 2; expected 1; import the scene again"),
+        ("keeps_left = false", "keeps_left = 1", "keeps_left: got 1; expected true or false"),
+        ("+proj=tmerc", "+proj=nothing", "crs: got "),
+        ('kind = "driving"', "kind = 3", r"lanes\[0\].kind: got 3"),
+        ("width_m = 3.5", "width_m = nan", r"lanes\[0\].width_m: got nan"),
+        ('class = "ground"', 'class = "sea"', "class_name: got 'sea'; expected one of ground"),
+        ('id = "ground"', 'id = "gone"', r"things\[0\]: got 'gone'; expected the name of a mesh"),
+        ("[[lanes]]", "[[lanes", "expected valid TOML"),
+    ],
+)
+def test_a_wrong_field_is_named(folder, tmp_path, old, new, message):
+    with pytest.raises(InputError, match=message):
+        load_scene_folder(changed(folder, tmp_path, old, new))
+
+
+def test_what_is_no_scene_is_refused(folder, tmp_path):
+    with pytest.raises(InputError, match="got nothing there; expected a scene"):
+        load_scene_folder(tmp_path / "gone")
+    with pytest.raises(InputError, match=r"got no scene\.toml; expected a folder of"):
+        load_scene_folder(tmp_path)
+    file = tmp_path / "a.zip"
+    file.write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(InputError, match=r"expected a scene: a folder or \.zip file"):
+        load_scene_folder(file)
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("../scene.toml", "x")
+    with pytest.raises(InputError, match=r"There is no item named 'scene\.toml'"):
+        load_scene_folder(file)
+    broken = changed(folder, tmp_path, "version = 1", "version = 1")
+    data = (broken / THINGS_FILE).read_bytes()
+    for content in (b"", b"glTF", data[: len(data) // 2], b"\x00" * 100):
+        (broken / THINGS_FILE).write_bytes(content)
+        with pytest.raises(InputError, match=r"expected glTF 2\.0"):
+            load_scene_folder(broken)
+    (broken / THINGS_FILE).unlink()
+    with pytest.raises(InputError, match="expected the meshes of the scene"):
+        load_scene_folder(broken)
+
+
+def test_a_bomb_in_an_archive_is_not_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr("geometry.scene_folders._MAX_BYTES", {SCENE_FILE: 1000, THINGS_FILE: 1000})
+    file = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(SCENE_FILE, "#" * 2_000_000)
+        archive.writestr(THINGS_FILE, "")
+    with pytest.raises(InputError, match="more than 1,000 bytes"):
+        load_scene_folder(file)
