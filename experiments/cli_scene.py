@@ -73,6 +73,13 @@ def _reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
                 metavar="CRS",
                 help="Of files that do not say where they lie: EPSG:25832.",
             ),
+            click.option(
+                "--offset",
+                "offset_m",
+                type=Point(),
+                help="Metres by which buildings, meshes and clouds are moved, into the coordinates "
+                "of the map with the roads.",
+            ),
         )
     ):
         command = option(command)
@@ -154,6 +161,7 @@ def import_(
     class_name: str,
     traffic: str | None,
     crs: str,
+    offset_m: tuple[float, float] | None,
     out: Path,
     as_json: bool,
     quiet: bool,
@@ -187,6 +195,7 @@ def import_(
                 class_name=class_name,
                 keeps_left=None if traffic is None else traffic == "left",
                 crs=crs,
+                offset_m=offset_m,
             ),
         ),
         bbox=bbox,
@@ -221,6 +230,7 @@ def show(
     class_name: str,
     traffic: str | None,
     crs: str,
+    offset_m: tuple[float, float] | None,
     out: Path | None,
     as_json: bool,
     quiet: bool,
@@ -240,6 +250,7 @@ def show(
             class_name=class_name,
             keeps_left=None if traffic is None else traffic == "left",
             crs=crs,
+            offset_m=offset_m,
         ),
         out=out,
         progress=progress,

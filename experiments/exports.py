@@ -13,6 +13,8 @@ from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
 from geometry.frames import to_carla_points, to_carla_yaw, to_geographic
 from geometry.lidar import LidarModel
+from geometry.maps.local_frame import transform
+from geometry.scene import Scene
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import SCHEMA, Layout, layout_records
@@ -21,10 +23,42 @@ from scenarios.runs import FrameAxis
 ALL = "all"
 
 
-def to_csv(layout: Layout) -> str:
-    """Layout as CSV: one row per unit, in full precision."""
-    text: str = pd.DataFrame(layout_records(layout)).to_csv(index=False, lineterminator="\n")
+def to_csv(layout: Layout, scene: Scene | None = None) -> str:
+    """Layout as CSV: one row per unit, in full precision; see :func:`placed_records`."""
+    records = placed_records(layout, scene)
+    text: str = pd.DataFrame(records).to_csv(index=False, lineterminator="\n")
     return text
+
+
+def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
+    """Units as records, with their place in the map that a scene was made from.
+
+    Parameters
+    ----------
+    layout : Layout
+        The units.
+    scene : Scene or None
+        Where they hang; None, or one that was not made from a map: nothing is added.
+
+    Returns
+    -------
+    records : list of dict
+        As :func:`placement.layout.layout_records`; beside these map_x, map_y (longitude and
+        latitude where the map has degrees) and map_crs, which is empty if the map does not say
+        where on earth it lies.
+    """
+    records = layout_records(layout)
+    if scene is None or not (scene.source_crs or scene.source_origin_m.any()):
+        return records
+    position = np.array([unit.pose.position_m[:2] for unit in layout.units])
+    if scene.crs:
+        position = transform(position, scene.crs, scene.source_crs)
+    else:
+        position = position + scene.source_origin_m
+    return [
+        record | {"map_x": float(x), "map_y": float(y), "map_crs": scene.source_crs}
+        for record, (x, y) in zip(records, position, strict=True)
+    ]
 
 
 def to_json(layout: Layout) -> str:
@@ -38,7 +72,7 @@ def to_json(layout: Layout) -> str:
     return to_json_text(document)
 
 
-def to_geojson(layout: Layout, crs: str) -> str:
+def to_geojson(layout: Layout, crs: str, scene: Scene | None = None) -> str:
     """Layout as GeoJSON: points in WGS 84, with the fields of the layout as properties.
 
     Parameters
@@ -47,6 +81,8 @@ def to_geojson(layout: Layout, crs: str) -> str:
         What to write.
     crs : str
         Coordinate reference system of the world frame, for pyproj.
+    scene : Scene, optional
+        See :func:`placed_records`.
 
     Returns
     -------
@@ -79,7 +115,7 @@ def to_geojson(layout: Layout, crs: str) -> str:
             "properties": record,
         }
         for record, (longitude, latitude) in zip(
-            layout_records(layout), _longitude_latitude(positions, crs), strict=True
+            placed_records(layout, scene), _longitude_latitude(positions, crs), strict=True
         )
     ]
     return to_json_text({"type": "FeatureCollection", "name": layout.name, "features": features})
@@ -114,12 +150,12 @@ def to_json_text(document: object) -> str:
     return text + "\n"
 
 
-FORMATS: Mapping[str, Callable[[Layout, str], str]] = {
-    "csv": lambda layout, crs: to_csv(layout),
-    "geojson": to_geojson,
-    "carla": lambda layout, crs: to_carla(layout),
+FORMATS: Mapping[str, Callable[[Layout, Scene], str]] = {
+    "csv": to_csv,
+    "geojson": lambda layout, scene: to_geojson(layout, scene.crs, scene),
+    "carla": lambda layout, scene: to_carla(layout),
 }
-"""By name: layout and the scene's CRS to text."""
+"""By name: layout and its scene to text."""
 
 
 def parties(evaluation: Evaluation) -> dict[str, Verdict]:

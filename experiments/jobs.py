@@ -253,7 +253,7 @@ def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> 
     """A layout as text in another program's format, see :data:`experiments.exports.FORMATS`."""
     scene = find_scene(scene_path)
     check_layout(layout, scene)
-    return exports.FORMATS[format_name](layout, scene.crs)
+    return exports.FORMATS[format_name](layout, scene)
 
 
 def _judge(
@@ -346,9 +346,9 @@ def _write_results(
     with new_result_folder(folder) as new:
         layout = replace(subject.layout, scene_name=setting.scene.name)
         _write_text(new / "layout.json", exports.to_json(layout))
-        _write_text(new / "layout.csv", exports.to_csv(subject.layout))
+        _write_text(new / "layout.csv", exports.to_csv(layout, setting.scene))
         if setting.scene.crs:  # else nobody knows where on earth it lies
-            geojson = exports.to_geojson(subject.layout, setting.scene.crs)
+            geojson = exports.to_geojson(layout, setting.scene.crs, setting.scene)
             _write_text(new / "layout.geojson", geojson)
         if placement is not None:
             document = build_certificate(

@@ -26,7 +26,7 @@ _ROAD = (0.70, 0.70, 0.71)
 _SKY = (0.97, 0.98, 1.0)
 _SUN = np.array([0.45, -0.55, 0.70]) / np.linalg.norm([0.45, -0.55, 0.70])
 _WIDTH_PX, _HEIGHT_PX = 1200, 800
-_VIEW_DEG, _PITCH_DEG, _YAW_DEG = 42.0, -38.0, 60.0
+_VIEW_DEG, _PITCH_DEG, _YAW_DEG = 42.0, -50.0, 60.0
 _MAX_SITE_NAMES = 40
 
 

@@ -250,13 +250,18 @@ def _reaching(points_m: FloatArray, reach_m: float, *, from_end: bool) -> FloatA
 
 
 def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
-    """The longest stretch of a line's own points within the circle."""
+    """The stretch of a line within the circle that has the most of its points."""
     inside = np.hypot(*points_m.T) <= reach_m
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
     if not len(edges):
         return points_m[:0]
     begin, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda pair: pair[1] - pair[0])
-    return points_m[begin:end]
+    stretch = [points_m[begin:end]]
+    if begin > 0:
+        stretch.insert(0, _on_circle(points_m[begin], points_m[begin - 1], reach_m)[None])
+    if end < len(points_m):
+        stretch.append(_on_circle(points_m[end - 1], points_m[end], reach_m)[None])
+    return np.concatenate(stretch)
 
 
 def _on_circle(inside_m: FloatArray, outside_m: FloatArray, reach_m: float) -> FloatArray:

@@ -6,6 +6,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from .archives import unpacked
 from .model import SourceMap
@@ -35,6 +38,9 @@ class ReadingOptions:
         On which side traffic keeps; by default what the map says.
     crs : str
         Of files that do not say where they lie; empty: none.
+    offset_m : (2,) float, optional
+        Moves what has no roads: buildings, meshes, point clouds. These then lie in the coordinates
+        of the map that has the junction, whatever they say. [m]
     """
 
     unit: str | None = None
@@ -42,6 +48,7 @@ class ReadingOptions:
     class_name: str = "building"
     keeps_left: bool | None = None
     crs: str = ""
+    offset_m: tuple[float, float] | None = None
 
 
 def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
@@ -74,6 +81,8 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
         if path.suffix.lower() == ".zip":
             inside = stack.enter_context(unpacked(path, SUFFIXES[:-1]))
         source = _reader(inside, options)(inside)
+    if options.offset_m is not None and not source.lanes:
+        return _moved(source, np.array([*options.offset_m, 0.0]))
     if options.crs and not source.crs:
         source = replace(source, crs=_projected(options.crs), source_crs=options.crs)
     return source
@@ -118,6 +127,19 @@ def _reader(path: Path, options: ReadingOptions) -> Callable[[Path], SourceMap]:
 
         return lambda file: read_point_cloud(file, class_name=options.class_name)
     raise InputError(str(path), Unquoted("another kind of file"), ", ".join(SUFFIXES))
+
+
+def _moved(source: SourceMap, offset_m: FloatArray) -> SourceMap:
+    return replace(
+        source,
+        crs="",
+        source_crs="",
+        things=tuple(
+            replace(thing, vertices_m=thing.vertices_m + offset_m) for thing in source.things
+        ),
+        poles=tuple(replace(pole, position_m=pole.position_m + offset_m) for pole in source.poles),
+        crosswalks_m=source.crosswalks_m + offset_m[:2],
+    )
 
 
 def _is_city_json(path: Path) -> bool:

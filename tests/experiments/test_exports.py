@@ -200,7 +200,7 @@ def test_carla_has_no_minus_zero(layout):
 def test_every_format_is_text_of_the_whole_layout(layout):
     assert set(FORMATS) == {"csv", "geojson", "carla"}
     for export in FORMATS.values():
-        text = export(layout, CRS)
+        text = export(layout, load_study_scene())
         assert all(unit.id in text for unit in layout.units)
         assert text.endswith("\n")
 

@@ -1,0 +1,328 @@
+"""City models in JSON: CityJSON 1.0 to 2.0, and text sequences of it."""
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from itertools import chain
+from pathlib import Path
+from typing import Any, TypeGuard
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import InputError, Unquoted
+from .city_objects import CLASS_OF_TYPE, CityObject, city_map, counted
+from .model import SourceMap
+from .surfaces import Polygon3D
+from .xml_files import check_size
+
+_VERSIONS = ("1.0", "1.1", "2.0")
+_MAX_BYTES = 300_000_000
+_MAX_RING = 100_000
+_SURFACES_AT = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2}
+_SURFACES_AT |= {"CompositeSolid": 2}
+_HEIGHTS = ("measuredHeight", "height", "Height", "Hoehe")
+_WORDS = ("name", "class", "function", "usage", "type")
+
+_Table = Mapping[str, Any]
+
+
+def read_cityjson(path: Path) -> SourceMap:
+    """Read a CityJSON file, or a CityJSONSeq (a first line with the transform, then features).
+
+    Of every object the surfaces of its highest level of detail below 3 are taken, else those of
+    level 3; if there is only level 0, its footprint is raised by the measured height. Buildings and
+    their parts become buildings, plants vegetation, constructions that are no buildings walls, and
+    furniture too, unless its name says lamp or tree. Bridges are left out with tunnels and ground:
+    the scene's road is one plane, and a deck would lie on it.
+
+    Parameters
+    ----------
+    path : Path
+        ``.json``, ``.city.json``, ``.jsonl`` or ``.city.jsonl``.
+
+    Returns
+    -------
+    source : SourceMap
+        Only things; heights are absolute.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no CityJSON, or has nothing solid.
+    """
+    where = str(path)
+    text = read_text(path, "CityJSON")
+    documents = list(_documents(text, where))
+    head = documents[0]
+    if head.get("type") != "CityJSON":
+        raise InputError(f"{where}: type", head.get("type"), "CityJSON")
+    if head.get("version") not in _VERSIONS:
+        raise InputError(f"{where}: version", head.get("version"), "one of " + ", ".join(_VERSIONS))
+    metadata = head.get("metadata")
+    crs = metadata.get("referenceSystem") if isinstance(metadata, Mapping) else ""
+    objects: list[CityObject] = []
+    left_out: Counter[str] = Counter()
+    empty: Counter[str] = Counter()
+    transform = _transform(head.get("transform"), where)
+    for document in documents:
+        vertices = _vertices(document.get("vertices", []), transform, f"{where}: vertices")
+        templates = _Templates(head.get("geometry-templates"), where)
+        objects += _objects(document, vertices, templates, where, left_out, empty)
+    skipped = counted(left_out, "no building, plant, wall or furniture")
+    skipped += counted(empty, "without a surface of level of detail 0 to 3")
+    return city_map(
+        objects,
+        name=path.name,
+        where=where,
+        declared_crs=crs if isinstance(crs, str) else "",
+        follows_authority=False,  # CityJSON has easting first, whatever the reference system says
+        skipped=skipped,
+    )
+
+
+def read_text(path: Path, expected: str) -> str:
+    """Text of a file in UTF-8.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, is too large, or is no UTF-8.
+    """
+    try:
+        check_size(path, _MAX_BYTES)
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), Unquoted(error), f"{expected} in UTF-8") from None
+
+
+def parse_json(text: str, where: str, expected: str) -> _Table:
+    """A JSON object.
+
+    Raises
+    ------
+    InputError
+        It is none, or is nested too deeply.
+    """
+    try:
+        document = json.loads(text)
+    except RecursionError:
+        raise InputError(where, Unquoted("JSON nested too deeply"), expected) from None
+    except ValueError as error:
+        raise InputError(where, Unquoted(error), f"{expected}: valid JSON") from None
+    if not isinstance(document, dict):
+        raise InputError(where, Unquoted(type(document).__name__), f"{expected}: an object")
+    return document
+
+
+def _documents(text: str, where: str) -> Iterator[_Table]:
+    """The whole file, or the lines of a sequence."""
+    first = text.lstrip()[:_MAX_RING].split("\n", 1)[0]
+    lines = text.splitlines() if _is_document(first) else [text]
+    for number, line in enumerate(lines, start=1):
+        if line.strip():
+            here = f"{where}: line {number}" if len(lines) > 1 else where
+            yield parse_json(line, here, "CityJSON")
+    if not text.strip():
+        raise InputError(where, Unquoted("an empty file"), "CityJSON")
+
+
+def _is_document(line: str) -> bool:
+    try:
+        return isinstance(json.loads(line), dict)
+    except (ValueError, RecursionError):
+        return False
+
+
+def _transform(table: Any, where: str) -> tuple[FloatArray, FloatArray]:
+    """Scale and translation of vertices, (3,) each; 1 and 0 where the file has none."""
+    if table is None:
+        return np.ones(3), np.zeros(3)
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: transform", table, "scale and translate")
+    scale = _vectors([table.get("scale")], f"{where}: transform.scale")[0]
+    return scale, _vectors([table.get("translate")], f"{where}: transform.translate")[0]
+
+
+def _vectors(values: Any, where: str) -> FloatArray:
+    """Numbers as (n, 3)."""
+    if not isinstance(values, list):
+        raise InputError(where, values, "a list of points")
+    try:
+        array: FloatArray = np.array(values, dtype=np.float64).reshape(len(values), 3)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(where, Unquoted("what is no list of points"), "x, y, z each") from None
+    if not np.isfinite(array).all():
+        raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
+    return array
+
+
+def _vertices(values: Any, transform: tuple[FloatArray, FloatArray], where: str) -> FloatArray:
+    scale, translate = transform
+    with np.errstate(over="ignore"):
+        vertices = _vectors(values, where) * scale + translate
+    return _vectors(vertices.tolist(), where) if not np.isfinite(vertices).all() else vertices
+
+
+class _Templates:
+    """Shapes that are used more than once: trees, lamps."""
+
+    def __init__(self, table: Any, where: str) -> None:
+        self.where = f"{where}: geometry-templates"
+        self.templates = table.get("templates", []) if isinstance(table, Mapping) else []
+        values = table.get("vertices-templates", []) if isinstance(table, Mapping) else []
+        self.vertices = _vectors(values, f"{self.where}.vertices-templates")
+
+    def place(self, geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
+        """Polygons of a template, moved to where it stands."""
+        index, anchor = geometry.get("template"), geometry.get("boundaries")
+        if not _is_index(index, len(self.templates)):
+            raise InputError(f"{where}.template", index, f"0 to {len(self.templates) - 1}")
+        if not (
+            isinstance(anchor, list) and len(anchor) == 1 and _is_index(anchor[0], len(vertices))
+        ):
+            raise InputError(f"{where}.boundaries", anchor, "the index of one vertex")
+        values = geometry.get("transformationMatrix", np.eye(4).reshape(-1).tolist())
+        if not isinstance(values, list) or len(values) != 16:
+            raise InputError(f"{where}.transformationMatrix", values, "16 numbers")
+        matrix = _vectors([[value, 0.0, 0.0] for value in values], where)[:, 0].reshape(4, 4)
+        template = self.templates[index]
+        if not isinstance(template, Mapping) or template.get("type") == "GeometryInstance":
+            raise InputError(f"{self.where}.templates[{index}]", Unquoted("no geometry"), "one")
+        here = f"{self.where}.templates[{index}]"
+        return [
+            [ring @ matrix[:3, :3].T + matrix[:3, 3] + vertices[anchor[0]] for ring in polygon]
+            for polygon in _polygons(template, self.vertices, here)
+        ]
+
+
+def _objects(
+    document: _Table,
+    vertices: FloatArray,
+    templates: _Templates,
+    where: str,
+    left_out: Counter[str],
+    empty: Counter[str],
+) -> Iterator[CityObject]:
+    """Objects that are solid, as far as they have surfaces."""
+    table = document.get("CityObjects", {})
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: CityObjects", type(table).__name__, "a table of objects")
+    for name, entry in table.items():
+        here = f"{where}: {name}"
+        if not isinstance(entry, Mapping):
+            raise InputError(here, entry, "an object")
+        type_name = str(entry.get("type"))
+        if type_name not in CLASS_OF_TYPE:
+            left_out[type_name[:_MAX_NAME]] += 1
+            continue
+        polygons, level = _best(entry.get("geometry", []), vertices, templates, here)
+        children = entry.get("children", [])
+        if level < 1.0 and _have_geometry(children, table):
+            continue
+        if not polygons:
+            if not children:
+                empty[type_name] += 1
+            continue
+        attributes = entry.get("attributes")
+        attributes = attributes if isinstance(attributes, Mapping) else {}
+        yield CityObject(
+            id=name,
+            type_name=type_name,
+            polygons=tuple(polygons),
+            words=" ".join(str(attributes[key])[:_MAX_NAME] for key in _WORDS if key in attributes),
+            is_footprint=level < 1.0,
+            height_m=next(
+                (_number(attributes[key]) for key in _HEIGHTS if key in attributes), None
+            ),
+        )
+
+
+_MAX_NAME = 80
+
+
+def _have_geometry(children: Any, table: _Table) -> bool:
+    if not isinstance(children, list):
+        return False
+    entries = (table.get(child) for child in children if isinstance(child, str))
+    return any(isinstance(entry, Mapping) and entry.get("geometry") for entry in entries)
+
+
+def _number(value: Any) -> float | None:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    try:
+        return float(value) if is_number else None
+    except OverflowError:
+        return None
+
+
+def _best(
+    geometries: Any, vertices: FloatArray, templates: _Templates, where: str
+) -> tuple[list[Polygon3D], float]:
+    """Surfaces of the level of detail that serves best, and that level."""
+    if not isinstance(geometries, list):
+        raise InputError(f"{where}.geometry", geometries, "a list")
+    best: list[Polygon3D] = []
+    best_level = -1.0
+    for index, geometry in enumerate(geometries):
+        here = f"{where}.geometry[{index}]"
+        if not isinstance(geometry, Mapping):
+            raise InputError(here, geometry, "a geometry")
+        kind = geometry.get("type")
+        if kind == "GeometryInstance":
+            polygons, level = templates.place(geometry, vertices, here), 1.0
+        elif kind in _SURFACES_AT:
+            try:
+                level = float(str(geometry.get("lod", "1")))
+            except ValueError:
+                raise InputError(f"{here}.lod", geometry.get("lod"), "0 to 3.3") from None
+            polygons = _polygons(geometry, vertices, here)
+        else:
+            continue  # points and lines
+        if polygons and _rank(level) > _rank(best_level):
+            best, best_level = polygons, level
+    return best, best_level
+
+
+def _rank(level: float) -> float:
+    """How well a level of detail serves: below 3 the higher the better, then 3, last 0."""
+    return level if level < 3.0 else 0.99
+
+
+def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
+    """Polygons of a geometry: of solids those of the outer shells."""
+    depth = _SURFACES_AT.get(str(geometry.get("type")))
+    if depth is None:
+        return []
+    surfaces = _list(geometry.get("boundaries"), where)
+    if depth == 1:
+        surfaces = _list(surfaces[0], where) if surfaces else []
+    elif depth == 2:
+        shells = [_list(solid, where) for solid in surfaces]
+        surfaces = list(chain.from_iterable(_list(shell[0], where) for shell in shells if shell))
+    return [
+        [_ring(ring, vertices, where) for ring in rings]
+        for rings in (_list(surface, where) for surface in surfaces)
+        if rings
+    ]
+
+
+def _list(value: Any, where: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise InputError(f"{where}.boundaries", value, "lists as deep as its type asks for")
+    return value
+
+
+def _ring(ring: Any, vertices: FloatArray, where: str) -> FloatArray:
+    indices = _list(ring, where)
+    for index in indices:
+        if not _is_index(index, len(vertices)):
+            raise InputError(f"{where}.boundaries", index, f"vertices 0 to {len(vertices) - 1}")
+    points: FloatArray = vertices[np.array(indices, dtype=np.int64)]
+    return points
+
+
+def _is_index(value: Any, n: int) -> TypeGuard[int]:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < n

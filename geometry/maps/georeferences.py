@@ -1,0 +1,337 @@
+"""Where a file's coordinates lie on earth, in metres that are metres."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arrays import FloatArray
+from ..errors import InputError, Unquoted
+from .local_frame import local_crs
+from .model import Skipped
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+WGS84 = "EPSG:4326"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Georeference:
+    """How to bring a file's coordinates into a projected coordinate reference system.
+
+    Attributes
+    ----------
+    crs : str
+        Projected, in metres, for pyproj; empty: nobody knows where on earth.
+    source_crs : str
+        The one that the file declares, its horizontal part; empty: none, or none that is right.
+    is_northing_first : bool
+        The file's first coordinate is the northing or the latitude.
+    is_projected : bool
+        Coordinates are projected from `source_crs` to `crs`; otherwise they stay.
+    z_m : float
+        Length of the file's unit of height. [m]
+    note : Skipped, optional
+        What was not taken as the file declares it.
+    """
+
+    crs: str
+    source_crs: str
+    is_northing_first: bool = False
+    is_projected: bool = False
+    z_m: float = 1.0
+    note: Skipped | None = None
+
+    def to_metres(self, points: ArrayLike, where: str) -> FloatArray:
+        """Points of the file in `crs`.
+
+        Parameters
+        ----------
+        points : (n, 2) or (n, 3) float
+            As the file has them.
+        where : str
+            For messages.
+
+        Returns
+        -------
+        points_m : (n, 2) or (n, 3) float
+            Easting, northing and height. [m]
+
+        Raises
+        ------
+        InputError
+            A point has no place in `crs`.
+        """
+        array: FloatArray = np.array(points, dtype=np.float64)
+        if self.is_northing_first:
+            array[:, :2] = array[:, 1::-1]
+        if self.is_projected:
+            array[:, :2] = _transform(array[:, :2], self.source_crs, self.crs)
+        if array.shape[1] > 2:
+            array[:, 2] *= self.z_m
+        if not np.isfinite(array).all():
+            raise InputError(
+                where,
+                Unquoted("coordinates that are no place on earth"),
+                f"coordinates in {self.source_crs or 'metres'}",
+            )
+        return array
+
+
+def georeference(
+    points: ArrayLike, declared: "str | CRS | None", *, where: str, follows_authority: bool = False
+) -> Georeference:
+    """Find out where a file's coordinates lie.
+
+    Geographic coordinates, feet, and projections that stretch (Web Mercator: by 1.6 in Germany)
+    go to a transverse Mercator around the middle of the data; projections in metres stay.
+
+    Parameters
+    ----------
+    points : (n, 2) float
+        All of the file's, or the corners of the box around them.
+    declared : str or CRS, optional
+        What the file says: a code, a URN, WKT; empty or None: nothing.
+    where : str
+        File, for messages.
+    follows_authority : bool
+        Coordinates come in the order of the reference system's definition (northing first in some:
+        GML); otherwise easting or longitude comes first. If only the other order lies where the
+        reference system is meant for, it is that.
+
+    Returns
+    -------
+    georeference : Georeference
+        A reference system that is not known, or that is not meant for where the coordinates lie,
+        is left out, with a note.
+
+    Raises
+    ------
+    InputError
+        Coordinates are not finite, or are degrees where metres are meant, or the other way round,
+        or latitude and longitude are swapped.
+    """
+    from pyproj.exceptions import ProjError
+
+    xy = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    if not len(xy):
+        return Georeference(crs="", source_crs="")
+    if not np.isfinite(xy).all():
+        raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
+    box = np.array([xy.min(axis=0), xy.max(axis=0)])
+    try:
+        crs = horizontal_crs(declared)
+    except ProjError:
+        crs = None
+    if crs is None:
+        _refuse_degrees(box, where)
+        return Georeference(crs="", source_crs="", note=_unknown(declared))
+    name = crs_name(crs)
+    z_m = _vertical_unit_m(declared)
+    is_swapped = follows_authority and crs.axis_info[0].direction in ("north", "south")
+    if crs.is_geographic:
+        box = _swap(box) if is_swapped else box
+        _refuse_no_degrees(box, where)
+        target = local_crs(box.mean(axis=0), WGS84, where=where)
+        return Georeference(
+            crs=target,
+            source_crs=name,
+            is_northing_first=is_swapped,
+            is_projected=True,
+            z_m=z_m,
+        )
+    _refuse_degrees(box, where)
+    for northing_first in (is_swapped, not is_swapped) if follows_authority else (False,):
+        middle = (_swap(box) if northing_first else box).mean(axis=0)
+        if _is_meant_for(crs, middle):
+            break
+    else:
+        area = crs.area_of_use.name if crs.area_of_use else "its area"
+        return Georeference(
+            crs="",
+            source_crs="",
+            z_m=z_m,
+            note=Skipped(
+                what=f"coordinate reference system {name}",
+                why=f"the coordinates lie outside {area}: taken as metres from nowhere",
+            ),
+        )
+    if _is_in_metres(crs, middle):
+        return Georeference(crs=name, source_crs=name, is_northing_first=northing_first, z_m=z_m)
+    lonlat = _transform(middle[None, :], name, WGS84)[0]
+    return Georeference(
+        crs=local_crs(lonlat, WGS84, where=where),
+        source_crs=name,
+        is_northing_first=northing_first,
+        is_projected=True,
+        z_m=z_m,
+    )
+
+
+def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
+    """What counts on the plane of a declared coordinate reference system.
+
+    Parameters
+    ----------
+    declared : str or CRS, optional
+        Anything that pyproj takes, or one of the spellings of CityGML files.
+
+    Returns
+    -------
+    crs : CRS or None
+        Geographic or projected, two-dimensional; None if the declared one is neither, or none is.
+
+    Raises
+    ------
+    pyproj.exceptions.ProjError
+        pyproj does not know it.
+    """
+    from pyproj import CRS
+
+    if declared is None or not str(declared).strip():
+        return None
+    crs = CRS.from_user_input(_spelling(declared) if isinstance(declared, str) else declared)
+    while crs.is_bound and crs.source_crs is not None:
+        crs = crs.source_crs
+    if crs.is_compound:
+        crs = crs.sub_crs_list[0]
+    while crs.is_bound and crs.source_crs is not None:
+        crs = crs.source_crs
+    crs = crs.to_2d()
+    return crs if crs.is_geographic or crs.is_projected else None
+
+
+def crs_name(crs: "CRS") -> str:
+    """Shortest text from which pyproj makes the same reference system: a code, or WKT."""
+    authority = crs.to_authority(min_confidence=100)
+    return ":".join(authority) if authority else crs.to_wkt()
+
+
+_SPELLINGS: tuple[tuple[str, Callable[[re.Match[str]], str]], ...] = (
+    (r"urn:adv:crs:ETRS89_UTM(\d\d)\b.*", lambda match: f"EPSG:258{match[1]}"),
+    (r"urn:adv:crs:DE_DHDN_3GK(\d)\b.*", lambda match: f"EPSG:{31464 + int(match[1])}"),
+    (r".*epsg\.xml#(\d+)", lambda match: f"EPSG:{match[1]}"),
+)
+_MAX_TEXT = 20_000
+_MAX_STRETCH = 0.005
+_EDGE_SHARE = 0.5  # of the width of an area of use: Bavaria uses UTM 32 two degrees east of it
+_ORIGIN_M = 1000.0
+_MIN_EXTENT_M = 1.0
+
+
+def _spelling(declared: str) -> str:
+    """A code that pyproj knows, for spellings that it does not."""
+    text = declared.strip()[:_MAX_TEXT]
+    for pattern, code in _SPELLINGS:
+        match = re.fullmatch(pattern, text)
+        if match:
+            return code(match)
+    return text
+
+
+def _unknown(declared: "str | CRS | None") -> Skipped | None:
+    if declared is None or not str(declared).strip():
+        return None
+    return Skipped(
+        what=f"coordinate reference system {str(declared).strip()[:80]}",
+        why="not known as one of the plane: taken as metres from nowhere",
+    )
+
+
+def _vertical_unit_m(declared: "str | CRS | None") -> float:
+    """Length in metres of the unit of heights: of the third axis, else that of the plane."""
+    from pyproj import CRS
+
+    crs = CRS.from_user_input(_spelling(declared) if isinstance(declared, str) else declared)
+    axes = crs.axis_info
+    if len(axes) > 2:
+        return float(axes[2].unit_conversion_factor)
+    if crs.is_geographic or not axes:
+        return 1.0
+    return float(axes[0].unit_conversion_factor)
+
+
+def _refuse_degrees(box: FloatArray, where: str) -> None:
+    """Refuse what fits between -180 and 180 and is smaller than a metre: no map is."""
+    if (np.abs(box) <= [180.0, 90.0]).all() and (box[1] - box[0] < _MIN_EXTENT_M).all():
+        size = " x ".join(f"{length:.6f}" for length in box[1] - box[0])
+        raise InputError(
+            where,
+            Unquoted(f"degrees where metres are meant: {size} around {_words(box)}"),
+            "coordinates in metres, or the coordinate reference system that they are in",
+        )
+
+
+def _refuse_no_degrees(box: FloatArray, where: str) -> None:
+    """Refuse what is no longitude and latitude."""
+    if (np.abs(box) <= [180.0, 90.0]).all():
+        return
+    if (np.abs(_swap(box)) <= [180.0, 90.0]).all():
+        raise InputError(
+            where,
+            Unquoted(f"latitude and longitude swapped: a latitude of {np.abs(box[:, 1]).max():g}"),
+            "longitude first, latitude second, in degrees",
+        )
+    raise InputError(
+        where,
+        Unquoted(
+            f"metres or another CRS where degrees are expected: coordinates around {_words(box)}"
+        ),
+        "longitude -180 to 180, latitude -90 to 90, or the coordinate reference system in the file",
+    )
+
+
+def _words(box: FloatArray) -> str:
+    return ", ".join(f"{middle:g}" for middle in box.mean(axis=0))
+
+
+def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
+    """A point lies in a reference system's area of use, or beside it but not at its origin."""
+    if crs.area_of_use is None:
+        return True
+    west, south, east, north = crs.area_of_use.bounds
+    lon, lat = _transform(point[None, :], crs_name(crs), WGS84)[0]
+    if not np.isfinite([lon, lat]).all():
+        return False
+    width = (east - west) % 360.0 if east < west else east - west
+    beside = (lon - west + 180.0) % 360.0 - 180.0  # east of the western edge
+    edge = 0.0 if (np.abs(point) < _ORIGIN_M).all() else _EDGE_SHARE
+    return bool(
+        -edge * width <= beside
+        and (width >= 180.0 or beside <= (1.0 + edge) * width)
+        and south - edge * (north - south) <= lat <= north + edge * (north - south)
+    )
+
+
+def _is_in_metres(crs: "CRS", point: FloatArray) -> bool:
+    """A step of 1 in a projection is a metre on the ground, east and north of here."""
+    from pyproj import Proj
+    from pyproj.exceptions import ProjError
+
+    axes = crs.axis_info
+    if any(abs(axis.unit_conversion_factor - 1.0) > 1e-9 for axis in axes):
+        return False
+    if {axis.direction for axis in axes} != {"east", "north"}:
+        return False
+    lon, lat = _transform(point[None, :], crs_name(crs), WGS84)[0]
+    try:
+        factors = Proj(crs.to_wkt()).get_factors(lon, lat)
+    except ProjError:
+        return True
+    scales = np.array([factors.meridional_scale, factors.parallel_scale])
+    return bool(not np.isfinite(scales).all() or (np.abs(scales - 1.0) < _MAX_STRETCH).all())
+
+
+def _swap(box: FloatArray) -> FloatArray:
+    return box[:, ::-1]
+
+
+def _transform(points: FloatArray, source: str, target: str) -> FloatArray:
+    from pyproj import Transformer
+
+    transformer = Transformer.from_crs(source, target, always_xy=True)
+    return np.stack(transformer.transform(points[:, 0], points[:, 1]), axis=-1)

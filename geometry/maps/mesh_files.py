@@ -1,0 +1,266 @@
+"""Things from triangle meshes: glTF, OBJ, PLY, STL, OFF through trimesh."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from ..errors import InputError, Unquoted
+from ..scene import CLASS_NAMES
+from .city_objects import MAX_TRIANGLES, counted, unique_id
+from .gltf_checks import check_gltf
+from .model import SourceMap, Thing
+from .surfaces import is_closed, volume_m3
+from .thing_kinds import kind_from_name
+from .xml_files import check_size
+
+SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
+UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254}
+# Rows: east, north and up of the world frame in the file's axes; glTF's -z is north.
+UP_AXES = {
+    "x": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+    "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+    "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+}
+_MIN_SIZE_M, _MAX_SIZE_M = 0.1, 20_000.0
+_SLANTED = (0.1, 0.98)  # upward part of a unit normal: of roofs, not of walls, floors, flat roofs
+_MIN_SLANTED_SHARE = 0.02  # of all area: less is no roof to judge by
+_SURE_SHARE = 0.9
+
+
+def read_mesh(
+    path: Path, *, unit: str | None = None, up: str | None = None, class_name: str = "building"
+) -> SourceMap:
+    """Read a mesh; every named part of it becomes a thing.
+
+    Parameters
+    ----------
+    path : Path
+        ``.glb``, ``.gltf``, ``.obj``, ``.off``, ``.ply`` or ``.stl``.
+    unit : str, optional
+        Of coordinates: m, cm, mm, km, ft or in. Only glTF has one of its own, the metre.
+    up : str, optional
+        Axis that points up: x, y, z, -x, -y or -z. Only glTF has one of its own, y, with -z as
+        north.
+    class_name : str
+        Of parts whose names do not say wall, tree, lamp or the like.
+
+    Returns
+    -------
+    source : SourceMap
+        Only things, where the file has them: z counts from the mesh's own zero.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read; unit or axis are needed; there are no triangles, more than five
+        million, vertices that are not finite, or a size that no junction has; or every roof looks
+        down.
+    """
+    where = str(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(where, suffix, "one of " + ", ".join(SUFFIXES))
+    if class_name not in CLASS_NAMES:
+        raise InputError("class_name", class_name, "one of " + ", ".join(CLASS_NAMES))
+    is_gltf = suffix in (".glb", ".gltf")
+    if not is_gltf and (not unit or not up):
+        raise InputError(
+            where,
+            Unquoted(f"a mesh format ({suffix}) that does not say its unit and its up axis"),
+            "--unit and --up, such as --unit m --up z",
+        )
+    unit, up = unit or "m", up or "y"
+    if unit not in UNITS_M:
+        raise InputError("--unit", unit, "one of " + ", ".join(UNITS_M))
+    if up not in UP_AXES:
+        raise InputError("--up", up, "one of " + ", ".join(UP_AXES))
+    parts, left_out = _parts(path, is_gltf)
+    axes = UNITS_M[unit] * np.array(UP_AXES[up], dtype=np.float64)
+    things: list[Thing] = []
+    ids: Counter[str] = Counter()
+    for name, vertices, triangles in parts:
+        kind = kind_from_name(name)
+        things.append(
+            Thing(
+                id=unique_id(name, ids),
+                class_name=kind.class_name if kind else class_name,
+                vertices_m=vertices @ axes.T,
+                triangles=_outwards(vertices, triangles),
+            )
+        )
+    _check_size(things, where, unit)
+    _check_roofs(things, where, up)
+    return SourceMap(
+        name=path.name, crs="", things=tuple(things), skipped=tuple(counted(left_out, "no mesh"))
+    )
+
+
+_Part = tuple[str, FloatArray, NDArray[np.int32]]
+
+
+def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
+    """Name, vertices and triangles of every part, where it stands in the file's frame."""
+    import trimesh
+
+    where = str(path)
+    try:
+        check_size(path)
+        if is_gltf:
+            check_gltf(path)
+        with path.open("rb") as file:
+            scene = trimesh.load_scene(
+                file,
+                file_type=path.suffix.lower()[1:],
+                resolver=_folder_resolver(path),
+                skip_materials=True,
+                process=False,
+                **({"split_objects": True} if path.suffix.lower() == ".obj" else {}),
+            )
+        n_triangles = 0
+        parts: list[_Part] = []
+        left_out: Counter[str] = Counter()
+        for node in scene.graph.nodes_geometry:  # sorted below: trimesh keeps them in sets
+            matrix, geometry_name = scene.graph[node]
+            geometry = scene.geometry[geometry_name]
+            if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
+                left_out[type(geometry).__name__.lower()] += 1
+                continue
+            n_triangles += len(geometry.faces)
+            if n_triangles > MAX_TRIANGLES:
+                raise InputError(
+                    where, Unquoted(f"more than {MAX_TRIANGLES:,} triangles"), "a simpler mesh"
+                )
+            if geometry.metadata.get("from_gltf_primitive"):
+                node = scene.graph.transforms.parents.get(node, node)  # itself named at random
+            name = _name(str(node), str(geometry_name), path.stem)
+            parts.append((name, *_placed(geometry, np.asarray(matrix), f"{where}: {name}")))
+    except InputError:
+        raise
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(where, Unquoted(reason), "a readable file") from None
+    except Exception as error:  # trimesh's parsers raise whatever a broken file makes them
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())[:150]}"
+        raise InputError(where, Unquoted(reason), f"a {path.suffix} mesh") from None
+    if not parts:
+        raise InputError(where, Unquoted("no triangles"), "a mesh of triangles")
+    return sorted(parts, key=lambda part: (part[0], part[1][0].tolist())), left_out
+
+
+def _folder_resolver(path: Path) -> Any:
+    """Opens files that a mesh refers to, in its own folder only, and never through a network."""
+    from trimesh.resolvers import Resolver
+
+    folder = path.resolve().parent
+
+    class FolderResolver(Resolver):  # type: ignore[misc]
+        def __init__(self) -> None:
+            pass
+
+        def get(self, name: str) -> bytes:
+            target = (folder / name.strip()).resolve()
+            if "://" in name or not target.is_relative_to(folder):
+                raise InputError(
+                    str(path), Unquoted(f"a reference to {name[:100]!r}"), "files in its own folder"
+                )
+            check_size(target)
+            return target.read_bytes()
+
+        def keys(self) -> list[str]:
+            return []
+
+        def namespaced(self, namespace: str) -> "FolderResolver":
+            raise InputError(str(path), Unquoted(f"a folder {namespace[:100]!r}"), "plain files")
+
+        def write(self, name: str, data: Any) -> None:
+            raise InputError(str(path), Unquoted("a reader that writes"), "only reading")
+
+    return FolderResolver()
+
+
+def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, NDArray[np.int32]]:
+    """Vertices that are used, and triangles, of a part."""
+    vertices: FloatArray = np.asarray(geometry.vertices, dtype=np.float64)
+    faces = np.asarray(geometry.faces, dtype=np.int64)
+    outside = faces[(faces < 0) | (faces >= len(vertices))]
+    if len(outside):
+        raise InputError(
+            where, Unquoted(f"a triangle with vertex {outside[0]}"), f"0 to {len(vertices) - 1}"
+        )
+    used, triangles = np.unique(faces, return_inverse=True)
+    with np.errstate(all="ignore"):
+        placed: FloatArray = vertices[used] @ matrix[:3, :3].T + matrix[:3, 3]
+    if not np.isfinite(placed).all():
+        raise InputError(
+            where, Unquoted("a vertex that is not finite (NaN or infinite)"), "finite numbers"
+        )
+    if np.linalg.det(matrix[:3, :3]) < 0.0:
+        return placed, triangles.reshape(-1, 3)[:, ::-1].astype(np.int32)
+    return placed, triangles.reshape(-1, 3).astype(np.int32)
+
+
+def _outwards(vertices: FloatArray, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Triangles of a closed part turned to look outwards; others as they are."""
+    _, same = np.unique(vertices, axis=0, return_inverse=True)
+    if is_closed(same.reshape(-1)[triangles].astype(np.int32)):
+        return triangles if volume_m3(vertices, triangles) >= 0.0 else triangles[:, ::-1]
+    return triangles
+
+
+def _name(node: str, geometry: str, stem: str) -> str:
+    """What a part is called: its node, or its geometry where nodes only have numbers."""
+    for name in (node, geometry):
+        if any(letter.isalpha() for letter in name) and name not in ("world", "geometry_0"):
+            return stem if name.lower().startswith(("geometry_", f"{stem.lower()}.")) else name
+    return stem
+
+
+def _check_size(things: list[Thing], where: str, unit: str) -> None:
+    """Refuse what only a wrong unit makes."""
+    low = np.min([thing.vertices_m.min(axis=0) for thing in things], axis=0)
+    high = np.max([thing.vertices_m.max(axis=0) for thing in things], axis=0)
+    size_m = float((high - low).max())
+    if not _MIN_SIZE_M <= size_m <= _MAX_SIZE_M:
+        raise InputError(
+            where,
+            Unquoted(f"a mesh {size_m:.3g} m across, taken in {unit}"),
+            f"{_MIN_SIZE_M} m to {_MAX_SIZE_M / 1000:.0f} km; another --unit "
+            f"({', '.join(UNITS_M)})",
+        )
+
+
+def _check_roofs(things: list[Thing], where: str, up: str) -> None:
+    """Refuse closed solids whose slanted faces look down: roofs that stand on their heads.
+
+    Boxes with flat roofs look the same both ways, and are not judged; nor are plants.
+    """
+    up_m2 = down_m2 = all_m2 = 0.0
+    for thing in things:
+        if thing.class_name != "building":
+            continue
+        _, same = np.unique(thing.vertices_m, axis=0, return_inverse=True)
+        if not is_closed(same.reshape(-1)[thing.triangles].astype(np.int32)):
+            continue
+        a, b, c = np.swapaxes(thing.vertices_m[thing.triangles], 0, 1)
+        normals = 0.5 * np.cross(b - a, c - a)
+        areas = np.linalg.norm(normals, axis=1)
+        rise = normals[:, 2] / np.where(areas > 0.0, areas, 1.0)
+        is_slanted = (np.abs(rise) > _SLANTED[0]) & (np.abs(rise) < _SLANTED[1])
+        all_m2 += float(areas.sum())
+        up_m2 += float(areas[is_slanted & (rise > 0.0)].sum())
+        down_m2 += float(areas[is_slanted & (rise < 0.0)].sum())
+    slanted_m2 = up_m2 + down_m2
+    if slanted_m2 > _MIN_SLANTED_SHARE * all_m2 and down_m2 > _SURE_SHARE * slanted_m2:
+        other = up[1:] if up.startswith("-") else f"-{up}"
+        raise InputError(
+            where,
+            Unquoted(f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down"),
+            f"an upright mesh; is up the other way: --up={other}?",
+        )

@@ -1,0 +1,293 @@
+"""Occluders from point clouds: closed solids of voxels, standing on the ground."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, IntArray
+from ..errors import InputError, Unquoted
+from ..scene import CLASS_NAMES
+from . import voxels
+from .city_objects import MAX_TRIANGLES, counted
+from .georeferences import Georeference, georeference
+from .ground_filter import CELL_M, LowestPoints, fill_gaps, filter_ground
+from .model import Skipped, SourceMap, Thing
+from .point_files import open_points
+
+VOXEL_M = 0.25
+_MAX_VOXEL_M = 2.0
+_MAX_VOXELS = 30_000_000
+_MAX_THINGS = 20_000
+_MIDDLE = 1 << 19  # cell of the origin, on every axis
+_GROUND_M = 0.3  # what is lower above the ground is ground: grass, kerbs, noise
+_MIN_HEIGHT_M = 0.5  # what ends lower hides nobody
+_MIN_VOXELS = 4
+_MIN_NEIGHBOURS = 6.0  # of 8 in a surface: with fewer, one hole in a hundred is not bridged
+_MIN_ROOF_M2, _MIN_FLAT_SHARE = 10.0, 0.8
+
+# Classes of LAS 1.4: what a point lies on. What is not here is of the class that the caller names.
+_GROUND = (2,)
+_VEGETATION = (3, 4, 5)
+_BUILDING = (6,)
+_LEFT_OUT = {
+    7: "noise", 9: "water", 10: "rail", 11: "road surface", 13: "wire", 14: "wire", 15: "pylon",
+    16: "wire", 17: "bridge deck", 18: "noise",
+}  # fmt: skip
+
+
+def read_point_cloud(
+    path: Path, *, class_name: str = "building", voxel_m: float = VOXEL_M
+) -> SourceMap:
+    """Read a point cloud as things that hide what is behind them.
+
+    Ground is removed: class 2 where a LAS file has it, else by a progressive morphological filter.
+    The rest becomes voxels, those that touch become one thing, and its outer faces are its surface.
+
+    Why voxels, and no Poisson, ball-pivoting or alpha surface: a surface fitted through points
+    closes gateways and passages where no point lies, or stays open where a scan is thin, and both
+    would be found by rays of a sensor. A voxel hides exactly where there is a point, to half its
+    edge; gaps of one voxel are bridged; voids that are closed all around are filled, so that
+    nothing is hollow. Roofs seen only from the air (class 6, or even patches of 10 m2 with nothing
+    under them) get the walls that must carry them: they are filled to the ground.
+
+    Parameters
+    ----------
+    path : Path
+        ``.las``, ``.laz`` or ``.pcd``. PCD counts as metres with z up.
+    class_name : str
+        Of points without a class of their own (LAS: 3 to 5 vegetation, 6 building).
+    voxel_m : float
+        Edge length. Thinner scans take it doubled until voxels touch, up to 2 m. [m]
+
+    Returns
+    -------
+    source : SourceMap
+        Only things; heights are above ground.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or claims too much; points are not finite, or spread over more than
+        16 km2; only ground is left; more than five million triangles.
+    """
+    where = str(path)
+    if class_name not in CLASS_NAMES:
+        raise InputError("class_name", class_name, "one of " + ", ".join(CLASS_NAMES))
+    if not (np.isfinite(voxel_m) and 0.01 <= voxel_m <= _MAX_VOXEL_M):
+        raise InputError("voxel_m", voxel_m, f"0.01 to {_MAX_VOXEL_M} m")
+    scan = _Scan(where=where, voxel_m=voxel_m)
+    with open_points(path) as cloud:
+        for points, classes in cloud.chunks:
+            if not np.isfinite(points).all():
+                raise InputError(where, Unquoted("a coordinate that is not finite"), "numbers")
+            if not len(points):
+                continue
+            if scan.place is None:
+                corners = np.array([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
+                scan.place = georeference(corners, cloud.crs, where=where)
+            scan.add(scan.place.to_metres(points, where), classes, class_name)
+    if scan.place is None:
+        raise InputError(where, Unquoted("no points"), "points")
+    heights, voxel_m, notes = _above_ground(scan)
+    things, small = _things(heights, voxel_m, scan, class_name)
+    if not things:
+        raise InputError(where, Unquoted("only ground"), "points on something that stands on it")
+    if scan.place.note is not None:
+        notes.insert(0, scan.place.note)
+    notes += counted(scan.left_out, "points of a class that hides nothing here")
+    if small:
+        notes.append(
+            Skipped(
+                what=f"{small} clusters of points",
+                why=f"less than {_MIN_VOXELS} voxels, or below {_MIN_HEIGHT_M} m",
+            )
+        )
+    return SourceMap(
+        name=path.name,
+        crs=scan.place.crs,
+        source_crs=scan.place.source_crs,
+        things=tuple(things),
+        skipped=tuple(notes),
+    )
+
+
+@dataclass(slots=True, kw_only=True)
+class _Scan:
+    """What is kept of the points that have been read."""
+
+    where: str
+    voxel_m: float
+    place: Georeference | None = None
+    origin_m: FloatArray | None = None
+    keys: dict[str, IntArray] = field(default_factory=dict)
+    lowest: LowestPoints = field(default_factory=LowestPoints)
+    lowest_ground: LowestPoints = field(default_factory=LowestPoints)
+    left_out: Counter[str] = field(default_factory=Counter)
+
+    def add(self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str) -> None:
+        """Take a piece of the points."""
+        for number, name in _LEFT_OUT.items():
+            n = int((classes == number).sum())
+            if n:
+                self.left_out[name] += n
+        is_taken = ~np.isin(classes, list(_LEFT_OUT))
+        points_m, classes = points_m[is_taken], classes[is_taken]
+        if not len(points_m):
+            return
+        if self.origin_m is None:
+            self.origin_m = np.floor(points_m.min(axis=0))
+        local = points_m - self.origin_m
+        reach = voxels.MAX_VOXELS_PER_AXIS // 2 * self.voxel_m
+        if (np.abs(local) > reach).any():
+            raise InputError(
+                self.where, Unquoted(f"points {np.abs(local).max():.3g} m apart"), "one place"
+            )
+        self.lowest.add(local)
+        self.lowest_ground.add(local[np.isin(classes, _GROUND)])
+        keys = voxels.to_keys(np.floor(local / self.voxel_m).astype(np.int64) + _MIDDLE)
+        kinds = {
+            "vegetation": np.isin(classes, _VEGETATION),
+            "roofs": np.isin(classes, _BUILDING),
+            class_name: ~np.isin(classes, (*_VEGETATION, *_BUILDING, *_GROUND)),
+        }
+        for kind, is_kind in kinds.items():
+            before = self.keys.get(kind, np.empty(0, dtype=np.int64))
+            self.keys[kind] = np.unique(np.concatenate([before, keys[is_kind]]))
+        n_voxels = sum(len(known) for known in self.keys.values())
+        if n_voxels > _MAX_VOXELS:
+            raise InputError(
+                self.where,
+                Unquoted(f"more than {_MAX_VOXELS:,} voxels of {self.voxel_m} m"),
+                "a larger voxel, or fewer points",
+            )
+
+
+def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Skipped]]:
+    """Voxels by kind, with z from the ground up, as coarse as the points are apart."""
+    low, lowest_m = scan.lowest.grid(scan.where)
+    if len(scan.lowest_ground):
+        ground_m = np.full(lowest_m.shape, np.nan)
+        first, known = scan.lowest_ground.grid(scan.where)
+        at = first - low
+        ground_m[at[0] : at[0] + known.shape[0], at[1] : at[1] + known.shape[1]] = known
+        ground_m = fill_gaps(ground_m)
+    else:
+        ground_m = filter_ground(lowest_m)
+    heights: dict[str, IntArray] = {}
+    for kind, keys in scan.keys.items():
+        middles_m = (voxels.to_cells(keys) - _MIDDLE + 0.5) * scan.voxel_m
+        cells = np.floor(middles_m[:, :2] / CELL_M).astype(np.int64) - low
+        cells = np.clip(cells, 0, np.array(ground_m.shape) - 1)
+        above_m = middles_m[:, 2] - ground_m[cells[:, 0], cells[:, 1]]
+        kept = voxels.to_cells(keys)
+        kept[:, 2] = np.floor(above_m / scan.voxel_m).astype(np.int64) + _MIDDLE
+        heights[kind] = np.unique(voxels.to_keys(kept[above_m > _GROUND_M]))
+    voxel_m, notes = scan.voxel_m, []
+    solid = [keys for kind, keys in heights.items() if kind != "vegetation" and len(keys)]
+    everything = np.unique(np.concatenate(solid or list(heights.values())))
+    while (
+        len(everything)
+        and 2.0 * voxel_m <= _MAX_VOXEL_M
+        and voxels.mean_neighbours(everything) < _MIN_NEIGHBOURS
+    ):
+        voxel_m *= 2.0
+        heights = {kind: _coarser(keys) for kind, keys in heights.items()}
+        everything = _coarser(everything)
+    if voxel_m > scan.voxel_m:
+        notes.append(
+            Skipped(
+                what=f"detail below {voxel_m:g} m",
+                why=f"points too far apart for voxels of {scan.voxel_m:g} m",
+            )
+        )
+    return heights, voxel_m, notes
+
+
+def _coarser(keys: IntArray) -> IntArray:
+    """Voxels of twice the edge."""
+    cells = (voxels.to_cells(keys) - _MIDDLE) // 2 + _MIDDLE
+    return np.unique(voxels.to_keys(cells))
+
+
+def _things(
+    heights: dict[str, IntArray], voxel_m: float, scan: _Scan, class_name: str
+) -> tuple[list[Thing], int]:
+    """One thing per cluster, and how many clusters were too small for one."""
+    found: list[tuple[str, IntArray]] = []
+    small = 0
+    for kind, keys in heights.items():
+        if not len(keys):
+            continue
+        if kind != "vegetation":
+            keys = voxels.bridged(keys)
+        keys = _stood(keys, voxel_m)
+        labels = voxels.clusters(keys)
+        order = np.argsort(labels, kind="stable")
+        parts = np.split(keys[order], np.cumsum(np.bincount(labels))[:-1])
+        for part in parts:
+            top_m = (int((part & ((1 << 20) - 1)).max()) - _MIDDLE + 1) * voxel_m
+            if len(part) < _MIN_VOXELS or top_m < _MIN_HEIGHT_M:
+                small += 1
+                continue
+            found.append((kind, part))
+    if len(found) > _MAX_THINGS:
+        raise InputError(
+            scan.where, Unquoted(f"{len(found):,} things"), f"at most {_MAX_THINGS:,}; cut it out"
+        )
+    things: list[Thing] = []
+    names: Counter[str] = Counter()
+    n_left = MAX_TRIANGLES
+    for kind, part in found:
+        name = "building" if kind == "roofs" else kind
+        if kind == "roofs" or (name == class_name == "building" and _is_roof(part, voxel_m)):
+            part = voxels.columns_to(part, _MIDDLE)
+        if kind != "vegetation":
+            part = voxels.filled(part, _MIDDLE)
+        names[name] += 1
+        assert scan.origin_m is not None
+        origin_m = np.append(scan.origin_m[:2], 0.0) - _MIDDLE * voxel_m
+        vertices, triangles = voxels.faces(
+            part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=scan.where
+        )
+        n_left -= len(triangles)
+        things.append(
+            Thing(
+                id=f"{name} {names[name]}",
+                class_name=name,
+                vertices_m=vertices,
+                triangles=triangles,
+            )
+        )
+    return things, small
+
+
+def _stood(keys: IntArray, voxel_m: float) -> IntArray:
+    """Voxels with what was taken for ground below them: columns that begin just above it."""
+    cells = voxels.to_cells(keys)
+    columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
+    lowest = np.minimum.reduceat(cells[:, 2], start)
+    stands = (lowest - _MIDDLE) * voxel_m <= _GROUND_M + voxel_m
+    added = [
+        np.column_stack([columns[stands & (lowest > z)], np.full((stands & (lowest > z)).sum(), z)])
+        for z in range(_MIDDLE, _MIDDLE + int(_GROUND_M / voxel_m) + 2)
+    ]
+    return np.unique(np.concatenate([keys, voxels.to_keys(np.concatenate(added))]))
+
+
+def _is_roof(keys: IntArray, voxel_m: float) -> bool:
+    """An even patch with nothing under it: a roof seen from the air."""
+    cells = voxels.to_cells(keys)
+    columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
+    if len(columns) * voxel_m**2 < _MIN_ROOF_M2:
+        return False
+    top = np.maximum.reduceat(cells[:, 2], start) - _MIDDLE
+    lowest = np.minimum.reduceat(cells[:, 2], start) - _MIDDLE
+    hangs = lowest > 0.5 * top
+    is_next = (np.diff(columns[:, 0]) == 0) & (np.diff(columns[:, 1]) == 1)
+    is_even = np.abs(np.diff(top)[is_next]) <= 1
+    return bool(
+        hangs.mean() > _MIN_FLAT_SHARE and len(is_even) and is_even.mean() > _MIN_FLAT_SHARE
+    )

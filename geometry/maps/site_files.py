@@ -1,0 +1,327 @@
+"""Sites that a planner lists: CSV or GeoJSON, one per row."""
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..arrays import FloatArray, float_array
+from ..errors import InputError, Unquoted
+from .city_json import read_text
+from .feature_files import read_features
+from .georeferences import WGS84, horizontal_crs
+from .local_frame import transform
+
+SUFFIXES = (".csv", ".geojson", ".json")
+_MAX_SITES = 50_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SiteWish:
+    """A place where somebody would mount sensors; what is not said is None.
+
+    Attributes
+    ----------
+    id : str
+        Unique in its list.
+    kind : str
+        In the source's words, in lower case: "lamp post", "kerb"; empty: not said.
+    position_m : (2,) float
+        In the scene's coordinate reference system. [m]
+    z_m : float, optional
+        Of the foot, as the source counts heights. [m]
+    min_height_m, max_height_m : float, optional
+        Lowest and highest mount above the foot. [m]
+    cost_eur : float, optional
+        Of making it ready. [EUR]
+    capacity_units : int, optional
+        How many units it can carry.
+    has_power, has_fibre : bool, optional
+        Whether there is electricity, and a data line.
+    is_forbidden : bool
+        It may carry nothing.
+    """
+
+    id: str
+    position_m: FloatArray
+    kind: str = ""
+    z_m: float | None = None
+    min_height_m: float | None = None
+    max_height_m: float | None = None
+    cost_eur: float | None = None
+    capacity_units: int | None = None
+    has_power: bool | None = None
+    has_fibre: bool | None = None
+    is_forbidden: bool = False
+
+    def __post_init__(self) -> None:
+        position = float_array(self.position_m, (2,), f"site {self.id}.position_m")
+        object.__setattr__(self, "position_m", position)
+
+    @property
+    def n_said(self) -> int:
+        """How many things are said of it."""
+        said = (
+            *(self.z_m, self.min_height_m, self.max_height_m, self.cost_eur),
+            *(self.capacity_units, self.has_power, self.has_fibre, self.kind or None),
+            self.is_forbidden or None,
+        )
+        return sum(value is not None for value in said)
+
+
+# Field to the names it goes by, without units, in lower case with _ between words.
+_FIELDS = {
+    "id": ("id", "name", "site", "site_id", "pole_id"),
+    "x": ("x", "easting", "east"),
+    "y": ("y", "northing", "north"),
+    "z": ("z", "elevation", "altitude"),
+    "lat": ("lat", "latitude"),
+    "lon": ("lon", "lng", "long", "longitude"),
+    "min_height": ("min_height", "height_min", "min_mount_height"),
+    "max_height": ("max_height", "height_max", "max_mount_height"),
+    "kind": ("kind", "type", "class"),
+    "cost": ("cost", "price", "costs"),
+    "power": ("power", "has_power", "electricity"),
+    "fibre": ("fibre", "fiber", "has_fibre", "has_fiber"),
+    "capacity": ("capacity", "max_units"),
+    "forbidden": ("forbidden", "is_forbidden", "blocked"),
+}
+_FIELD_OF = {name: field for field, names in _FIELDS.items() for name in names}
+_UNITS = {"m", "eur", "units", "deg", "degrees", "metres", "meters", "euro", "euros"}
+_OTHER_UNITS = {"ft", "feet", "cm", "mm", "km", "usd", "gbp"}
+_YES_NO = {"yes": True, "y": True, "true": True, "1": True, "ja": True}
+_YES_NO |= {"no": False, "n": False, "false": False, "0": False, "nein": False}
+
+
+def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
+    """Read a list of sites.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv`` with a header (comma, semicolon or tab), or ``.geojson`` with points. Columns: id;
+        x and y in `crs`, or lat and lon (of GeoJSON: its points); z, min_height_m, max_height_m,
+        kind, cost_eur, power, fibre, capacity and forbidden (yes or no) as far as known. Case does
+        not matter, nor do units at the end of a name.
+    crs : str
+        Projected coordinate reference system of the scene, in metres; empty: it has none.
+
+    Returns
+    -------
+    sites : tuple of SiteWish
+        At least one, in the file's order.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a field of a row is missing or not of its kind.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        rows = list(_csv_rows(path))
+    elif suffix in SUFFIXES:
+        rows = list(_geojson_rows(path, crs))
+    else:
+        raise InputError(str(path), suffix, "one of " + ", ".join(SUFFIXES))
+    if not rows:
+        raise InputError(str(path), Unquoted("no sites"), "one per line")
+    sites = []
+    seen: set[str] = set()
+    for where, values in rows:
+        site = _site(values, where, crs)
+        if site.id in seen:
+            raise InputError(f"{where}: id", site.id, "every id once")
+        seen.add(site.id)
+        sites.append(site)
+    return tuple(sites)
+
+
+def _fields(names: list[str], where: str) -> dict[str, str]:
+    """Field of every column that is known."""
+    found: dict[str, str] = {}
+    for name in names:
+        words = [word for word in re.split(r"[^a-z]+", name.strip().lower()[:60]) if word]
+        while words and words[-1] in _UNITS and len(words) > 1:
+            words.pop()
+        if len(words) > 1 and words[-1] in _OTHER_UNITS and "_".join(words[:-1]) in _FIELD_OF:
+            raise InputError(f"{where}: column {name!r:.60}", words[-1], "metres and euros")
+        field = _FIELD_OF.get("_".join(words))
+        if field is None:
+            continue
+        if field in found.values():
+            raise InputError(f"{where}: column {name!r:.60}", Unquoted(f"a second {field}"), "one")
+        found[name] = field
+    return found
+
+
+_Row = tuple[str, dict[str, Any]]
+
+
+def _csv_rows(path: Path) -> Iterator[_Row]:
+    where = str(path)
+    text = read_text(path, "CSV")
+    head = text.partition("\n")[0]
+    separator = max(";\t,", key=head.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
+    try:
+        names = next(reader, [])
+        fields = _fields(names, where)
+        for cells in reader:
+            here = f"{where}: line {reader.line_num}"
+            if not any(cell.strip() for cell in cells):
+                continue
+            if len(cells) != len(names):
+                raise InputError(here, Unquoted(f"{len(cells)} fields"), f"{len(names)}")
+            if reader.line_num > _MAX_SITES:
+                raise InputError(where, Unquoted(f"more than {_MAX_SITES:,} lines"), "fewer")
+            row = zip(names, cells, strict=True)
+            yield here, {fields[name]: cell.strip() for name, cell in row if name in fields}
+    except csv.Error as error:
+        raise InputError(f"{where}: line {reader.line_num}", Unquoted(error), "CSV") from None
+
+
+def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
+    from pyproj.exceptions import ProjError
+
+    table = read_features(path)
+    try:
+        declared = horizontal_crs(table.crs)
+    except ProjError:
+        declared = None
+    if declared is None:
+        raise InputError(f"{path}: crs", table.crs[:80], "a code that pyproj knows")
+    if len(table.features) > _MAX_SITES:
+        raise InputError(str(path), Unquoted(f"{len(table.features):,} features"), "fewer")
+    for feature in table.features:
+        fields = _fields(list(feature.values), feature.where)
+        values = {fields[name]: value for name, value in feature.values.items() if name in fields}
+        if feature.geometry is not None and not feature.geometry.is_empty:
+            if feature.geometry.geom_type != "Point":
+                raise InputError(f"{feature.where}.geometry", feature.geometry.geom_type, "a Point")
+            for name in ("x", "y", "lat", "lon"):
+                values.pop(name, None)
+            x, y = feature.geometry.x, feature.geometry.y
+            if declared.is_geographic and declared.to_authority() in (None, ("EPSG", "4326")):
+                values |= {"lon": x, "lat": y}
+            else:
+                values |= _projected(x, y, table.crs, crs, feature.where)
+            if feature.geometry.has_z:
+                values.setdefault("z", feature.geometry.z)
+        yield feature.where, values
+
+
+def _projected(x: float, y: float, source: str, crs: str, where: str) -> dict[str, float]:
+    if not crs:
+        raise InputError(where, Unquoted(f"coordinates in {source[:80]}"), "x and y of the scene")
+    position = transform([x, y], source, crs)
+    return {"x": float(position[0]), "y": float(position[1])}
+
+
+def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
+    """One row, checked."""
+    site_id = str(values.get("id", "")).strip()
+    if not site_id:
+        raise InputError(f"{where}: id", Unquoted("nothing"), "a name")
+    low = _number(values, "min_height", where, least=0.0)
+    high = _number(values, "max_height", where, least=0.0)
+    if low is not None and high is not None and low > high:
+        raise InputError(f"{where}: max_height", high, f"at least min_height, {low}")
+    capacity = _number(values, "capacity", where, least=1.0)
+    if capacity is not None and capacity != int(capacity):
+        raise InputError(f"{where}: capacity", capacity, "a whole number, at least 1")
+    return SiteWish(
+        id=site_id[:120],
+        position_m=_position(values, where, crs),
+        kind=" ".join(str(values.get("kind", "")).lower().replace("_", " ").split())[:60],
+        z_m=_number(values, "z", where),
+        min_height_m=low,
+        max_height_m=high,
+        cost_eur=_number(values, "cost", where, least=0.0),
+        capacity_units=None if capacity is None else int(capacity),
+        has_power=_yes_no(values, "power", where),
+        has_fibre=_yes_no(values, "fibre", where),
+        is_forbidden=bool(_yes_no(values, "forbidden", where)),
+    )
+
+
+def _position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
+    """Position in the scene's reference system, (2,). [m]."""
+    x, y = _number(values, "x", where), _number(values, "y", where)
+    if x is not None and y is not None:
+        return np.array([x, y])
+    lat, lon = _number(values, "lat", where), _number(values, "lon", where)
+    if lat is None or lon is None:
+        missing = "lat and lon" if lat is lon is None else "lat" if lat is None else "lon"
+        if (x is None) != (y is None):
+            missing = "x" if x is None else "y"
+        raise InputError(f"{where}: {missing}", Unquoted("nothing"), "x and y, or lat and lon")
+    if not crs:
+        raise InputError(
+            f"{where}: lat", lat, "x and y in metres: the scene does not say where on earth it lies"
+        )
+    if abs(lat) > 90.0 >= abs(lon):
+        raise InputError(
+            f"{where}: lat", lat, "-90 to 90 degrees: are latitude and longitude swapped?"
+        )
+    for name, value, limit in (("lat", lat, 90.0), ("lon", lon, 180.0)):
+        if abs(value) > limit:
+            raise InputError(f"{where}: {name}", value, f"-{limit:g} to {limit:g} degrees")
+    position = transform([lon, lat], WGS84, crs)
+    swapped = transform([lat, lon], WGS84, crs) if abs(lon) <= 90.0 else np.full(2, np.inf)
+    if _is_here(swapped, crs, [lat, lon]) and not _is_here(position, crs, [lon, lat]):
+        raise InputError(
+            f"{where}: lat", lat, "a place near the scene: are latitude and longitude swapped?"
+        )
+    if not np.isfinite(position).all():
+        raise InputError(f"{where}: lat", lat, f"a place in {crs}")
+    return position
+
+
+_NEAR_M = 200_000.0  # a transverse Mercator around a junction has its origin there
+
+
+def _is_here(position_m: FloatArray, crs: str, lonlat_deg: list[float]) -> bool:
+    """A position lies where a reference system is used, or near its origin if nobody says where."""
+    from pyproj import CRS
+
+    if not np.isfinite(position_m).all():
+        return False
+    area = CRS.from_user_input(crs).area_of_use
+    if area is None:
+        return bool((np.abs(position_m) < _NEAR_M).all())
+    west, south, east, north = area.bounds
+    return west <= lonlat_deg[0] <= east and south <= lonlat_deg[1] <= north
+
+
+def _number(
+    values: Mapping[str, Any], field: str, where: str, *, least: float | None = None
+) -> float | None:
+    """A finite number, or None where nothing is said."""
+    value = values.get(field)
+    if value is None or value == "":
+        return None
+    expected = "a finite number" + ("" if least is None else f", at least {least:g}")
+    if isinstance(value, bool):
+        raise InputError(f"{where}: {field}", value, expected)
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{where}: {field}", value, expected) from None
+    if not np.isfinite(number) or (least is not None and number < least):
+        raise InputError(f"{where}: {field}", value, expected)
+    return number
+
+
+def _yes_no(values: Mapping[str, Any], field: str, where: str) -> bool | None:
+    value = values.get(field)
+    if value is None or value == "":
+        return None
+    word = str(value).strip().lower()
+    if word not in _YES_NO:
+        raise InputError(f"{where}: {field}", value, "yes or no")
+    return _YES_NO[word]

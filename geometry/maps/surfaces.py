@@ -1,0 +1,134 @@
+"""Triangles from polygons in space: the surfaces of city models."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+
+Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
+
+_SAME_M = 1e-3  # corners closer than this are one
+_MIN_AREA_M2 = 1e-6
+
+
+def triangulate(rings_m: Polygon3D) -> tuple[FloatArray, NDArray[np.int32]]:
+    """Triangles of a flat polygon in space.
+
+    The polygon is laid on the plane whose normal is that of Newell, cut by ear clipping there, and
+    its own corners are kept, so what is not quite flat still meets its neighbours.
+
+    Parameters
+    ----------
+    rings_m : sequence of (n, 3) float
+        Outer ring and holes, open or closed. The outer one runs counter-clockwise seen from where
+        the polygon looks to; holes in either direction. [m]
+
+    Returns
+    -------
+    vertices_m : (n_vertices, 3) float
+        [m]
+    triangles : (n_triangles, 3) int32
+        They look where the polygon looks. None if the polygon has no area.
+
+    References
+    ----------
+    .. [1] I. E. Sutherland, R. F. Sproull, R. A. Schumacker, "A characterization of ten
+       hidden-surface algorithms", 1974: Newell's normal, the sum of the cross products of
+       neighbouring corners.
+    """
+    import mapbox_earcut
+
+    rings = [ring for ring in (_without_repeats(ring) for ring in rings_m) if len(ring) >= 3]
+    if not rings or len(_without_repeats(rings_m[0])) < 3:
+        return _NOTHING
+    vertices: FloatArray = np.concatenate(rings)
+    middle = vertices.mean(axis=0)
+    outer = rings[0] - middle
+    normal = np.cross(outer, np.roll(outer, -1, axis=0)).sum(axis=0)
+    length = float(np.linalg.norm(normal))
+    if not length > 2.0 * _MIN_AREA_M2:
+        return _NOTHING
+    normal /= length
+    if len(vertices) == 3:
+        return vertices, np.array([[0, 1, 2]], dtype=np.int32)
+    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    across /= np.linalg.norm(across)
+    plane = np.stack([across, np.cross(normal, across)], axis=1)
+    flat = (vertices - middle) @ plane
+    ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
+    triangles = mapbox_earcut.triangulate_float64(flat, ends).reshape(-1, 3).astype(np.int32)
+    a, b, c = flat[triangles[:, 0]], flat[triangles[:, 1]], flat[triangles[:, 2]]
+    ab, ac = b - a, c - a
+    signed = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    triangles[signed < 0.0] = triangles[signed < 0.0, ::-1]
+    return vertices, triangles
+
+
+def surface_mesh(polygons: Sequence[Polygon3D]) -> tuple[FloatArray, NDArray[np.int32]]:
+    """One mesh of many polygons, with corners shared; a closed one looks outwards.
+
+    Parameters
+    ----------
+    polygons : sequence of polygons
+        As :func:`triangulate` takes them.
+
+    Returns
+    -------
+    vertices_m : (n_vertices, 3) float
+        No two closer than a millimetre along every axis, as far as rounding tells. [m]
+    triangles : (n_triangles, 3) int32
+        Empty if no polygon has an area.
+    """
+    pieces = [triangulate(rings) for rings in polygons]
+    pieces = [piece for piece in pieces if len(piece[1])]
+    if not pieces:
+        return _NOTHING
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
+    corners: FloatArray = np.concatenate([vertices for vertices, _ in pieces])
+    triangles = np.concatenate(
+        [triangles + offset for (_, triangles), offset in zip(pieces, first[:-1], strict=True)]
+    )
+    _, taken, merged = np.unique(
+        np.round(corners / _SAME_M).astype(np.int64), axis=0, return_index=True, return_inverse=True
+    )
+    vertices, triangles = corners[taken], merged.reshape(-1)[triangles].astype(np.int32)
+    has_area = (
+        (triangles[:, 0] != triangles[:, 1])
+        & (triangles[:, 1] != triangles[:, 2])
+        & (triangles[:, 2] != triangles[:, 0])
+    )
+    triangles = triangles[has_area]
+    if is_closed(triangles) and volume_m3(vertices, triangles) < 0.0:
+        triangles = triangles[:, ::-1]
+    return vertices, np.ascontiguousarray(triangles)
+
+
+def is_closed(triangles: NDArray[np.int32]) -> bool:
+    """Every edge is run through as often in one direction as in the other."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    n_vertices = int(triangles.max()) + 1 if len(triangles) else 0
+    forth = np.sort(edges[:, 0].astype(np.int64) * n_vertices + edges[:, 1])
+    back = np.sort(edges[:, 1].astype(np.int64) * n_vertices + edges[:, 0])
+    return bool(len(triangles)) and bool((forth == back).all())
+
+
+def volume_m3(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> float:
+    """Volume inside a closed mesh; negative if it looks inwards."""
+    if not len(triangles):
+        return 0.0
+    a, b, c = np.swapaxes(vertices_m[triangles] - vertices_m[triangles[0, 0]], 0, 1)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+_NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
+
+
+def _without_repeats(ring: FloatArray) -> FloatArray:
+    """A ring without the corners that repeat the one before, and open."""
+    points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
+    if not len(points):
+        return points
+    kept: FloatArray = points[(points != np.roll(points, 1, axis=0)).any(axis=1)]
+    return kept

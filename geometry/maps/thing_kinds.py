@@ -1,0 +1,117 @@
+"""What things are called, and how large they are where a file does not say: data/things.toml."""
+
+import re
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+from ..scene import CLASS_NAMES
+from ..toml_files import load_toml, pick, take_list, take_number, take_text
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThingKind:
+    """A kind of thing.
+
+    Attributes
+    ----------
+    kind : str
+        Name.
+    class_name : str
+        One of :data:`geometry.scene.CLASS_NAMES`.
+    words : tuple of str
+        In names of such things, in lower case.
+    height_m, thickness_m : float
+        Assumed where nothing is said. [m]
+    """
+
+    kind: str
+    class_name: str
+    words: tuple[str, ...]
+    height_m: float
+    thickness_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThingDefaults:
+    """What ``data/things.toml`` says.
+
+    Attributes
+    ----------
+    storey_height_m : float
+        [m]
+    max_height_m : float
+        What is higher is no height. [m]
+    max_storeys : int
+        More are no number of storeys.
+    kinds : tuple of ThingKind
+        In the order in which names are searched for them.
+    """
+
+    storey_height_m: float
+    max_height_m: float
+    max_storeys: int
+    kinds: tuple[ThingKind, ...]
+
+
+@cache
+def thing_defaults() -> ThingDefaults:
+    """Read ``data/things.toml``."""
+    name = "things.toml"
+    table = load_toml(files(__package__) / "data" / name)
+    kinds = []
+    for index, entry in enumerate(take_list(table, "kinds", name)):
+        where = f"{name}: kinds[{index}]"
+        kind = ThingKind(
+            kind=take_text(entry, "kind", where),
+            class_name=take_text(entry, "class_name", where),
+            words=tuple(take_list(entry, "words", where)),
+            height_m=take_number(entry, "height_m", where),
+            thickness_m=take_number(entry, "thickness_m", where),
+        )
+        pick(dict.fromkeys(CLASS_NAMES), kind.class_name, f"{where}.class_name")
+        kinds.append(kind)
+    return ThingDefaults(
+        storey_height_m=take_number(table, "storey_height_m", name),
+        max_height_m=take_number(table, "max_height_m", name),
+        max_storeys=int(take_number(table, "max_storeys", name)),
+        kinds=tuple(kinds),
+    )
+
+
+def kind_from_name(name: str) -> ThingKind | None:
+    """Kind of thing that a name speaks of.
+
+    Parameters
+    ----------
+    name : str
+        Such as "Wall_012", "streetLamp.003" or "oak trees".
+
+    Returns
+    -------
+    kind : ThingKind or None
+        The first one of ``data/things.toml`` that has one of its words; None if none has.
+
+    Examples
+    --------
+    >>> kind_from_name("StreetLamp.003").class_name
+    'lamp post'
+    >>> kind_from_name("Wallace") is None
+    True
+    """
+    apart = re.sub(r"(?<=[a-zäöü])(?=[A-ZÄÖÜ])", " ", name[:_MAX_NAME]).lower()
+    words = " ".join(re.findall(r"[a-zäöüß]+", apart))
+    for kind in thing_defaults().kinds:
+        if any(re.search(rf"\b{re.escape(word)}s?\b", words) for word in kind.words):
+            return kind
+    return None
+
+
+def kind_of_class(class_name: str) -> ThingKind:
+    """Kind with the defaults of a class: the last in ``data/things.toml`` that has the class."""
+    known = {kind.class_name: kind for kind in thing_defaults().kinds}
+    kind: ThingKind = pick(known, class_name, "class_name")
+    return kind
+
+
+_MAX_NAME = 200  # characters of a name that are looked at
