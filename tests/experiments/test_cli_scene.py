@@ -342,7 +342,7 @@ def test_a_case_by_name_that_no_arm_carries_is_refused_but_a_set_goes_on(command
     # Where a street ends in another one, nobody can cross it beyond the junction: some cases
     # remain, and those that do not are told.
     few = ["--approaches", "east", "--cases"]
-    summary = json.loads(command(*given, "--speeds", "20", *few, "study").out)
+    summary = json.loads(command(*given, *few, "study").out)
     refused = {entry["case"] for entry in summary["not_driven"]} - set(summary["cases"])
     assert summary["cases"]
     assert refused

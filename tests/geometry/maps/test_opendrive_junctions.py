@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 import shapely
-
-from geometry.junction import build_junction
-from geometry.maps.model import MapJunction, SourceMap
-from geometry.scene import Lane, Scene
 from opendrive_text import (
+    arms_of,
     crossing,
     document,
     geometry,
@@ -19,32 +16,7 @@ from opendrive_text import (
     to_road,
 )
 
-
-def arms_of(source: SourceMap, junction: MapJunction) -> dict[str, tuple[int, int]]:
-    """Lanes in and out by arm, as the scene's junction finds them."""
-    scene = Scene(
-        name="made",
-        vertices_m=np.zeros((0, 3)),
-        triangles=np.zeros((0, 3)),
-        triangle_instance=np.zeros(0),
-        instances=(),
-        sites=(),
-        outline_m=junction.outline_m,
-        lanes=tuple(
-            Lane(
-                id=one.id,
-                kind=one.kind,
-                width_m=one.width_m,
-                centreline_m=one.centreline_m[:, :2],
-            )
-            for one in source.lanes
-            if one.kind in ("driving", "parking")
-        ),
-        crs="",
-        keeps_left=source.keeps_left,
-    )
-    arms = build_junction(scene).arms
-    return {name: (len(arm.entry_lanes), len(arm.exit_lanes)) for name, arm in arms.items()}
+from geometry.maps.model import SourceMap
 
 
 def _off_outline_m(source: SourceMap) -> float:
@@ -167,10 +139,15 @@ def test_a_road_without_link_ends_where_a_connecting_road_says(tmp_path):
 def test_a_junction_that_only_joins_two_roads_is_one(tmp_path):
     parts = [
         road("1", length=50.0, link=to_junction("successor", "9")),
-        road("2", plan=geometry(x=60.0, length=50.0), length=50.0, link=to_junction("predecessor", "9")),
+        road(
+            "2",
+            plan=geometry(x=60.0, length=50.0),
+            length=50.0,
+            link=to_junction("predecessor", "9"),
+        ),
         road("3", plan=geometry(x=50.0, length=10.0), length=10.0, junction="9"),
         '<junction id="9"/>',
-    ]  # fmt: skip
+    ]
     source = read_text(tmp_path, document(*parts))
     assert arms_of(source, source.junctions[0]) == {"east": (1, 1), "west": (1, 1)}
 

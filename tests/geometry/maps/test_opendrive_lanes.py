@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from opendrive_text import (
     cubic,
     document,

@@ -5,10 +5,10 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from opendrive_text import cubic, document, geometry, read_text, road
 
 from geometry.maps.model import Thing
 from geometry.maps.opendrive.solids import build_band, build_prism
-from opendrive_text import cubic, document, geometry, read_text, road
 
 _SLOPE = cubic("elevation", 0.0, 5.0, 0.1)
 
@@ -66,7 +66,7 @@ def test_a_box_stands_on_the_road_plane_turned_with_it(tmp_path):
         elevation=_SLOPE,
     )
     assert (thing.class_name, thing.is_height_assumed) == ("building", False)
-    np.testing.assert_allclose(_mesh(thing).bounds, [[47, 0, 11], [53, 20, 15]])
+    np.testing.assert_allclose(_mesh(thing).bounds, [[47, 0, 11], [53, 20, 15]], atol=1e-9)
     assert _is_solid(thing)
 
 
@@ -150,7 +150,10 @@ def test_a_swept_wall_on_a_straight_road_is_a_box(tmp_path):
 
 
 def test_copies_stand_at_their_distance_and_change_on_the_way(tmp_path):
-    repeat = '<repeat s="10" length="40" distance="20" tStart="5" tEnd="9" heightStart="4" heightEnd="8"/>'
+    repeat = (
+        '<repeat s="10" length="40" distance="20" tStart="5" tEnd="9" heightStart="4"'
+        ' heightEnd="8"/>'
+    )
     things = _read(tmp_path, _object("tree", radius=1, inside=repeat)).things
     assert [thing.id for thing in things] == [f"road 1 object 7/{index}" for index in range(3)]
     tops = [thing.vertices_m[:, 2].max() for thing in things]

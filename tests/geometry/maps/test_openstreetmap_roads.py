@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from osm_text import OsmText, as_drawn, crossing
+from osm_text import OsmText, arm_lanes, arms_of, as_drawn, crossing
 
-from geometry.junction import Junction, build_junction, distance_to_outline_m
-from geometry.maps.model import MapJunction, MapLane, SourceMap
+from geometry.junction import distance_to_outline_m
+from geometry.maps.model import MapLane, SourceMap
 from geometry.maps.openstreetmap import read_openstreetmap
-from geometry.scene import Lane, Scene
 
 EAST, NORTH, WEST, SOUTH = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)
 FOUR = (EAST, NORTH, WEST, SOUTH)
@@ -22,40 +21,9 @@ def read(osm: OsmText, folder: Path, **options: bool) -> SourceMap:
     return as_drawn(read_openstreetmap(osm.write(folder), **options))
 
 
-def arms_of(source: SourceMap, junction: MapJunction) -> Junction:
-    """Arms as the study's code finds them, from the junction's own lanes alone."""
-    own = [lane for lane in source.lanes if junction.id in (lane.from_junction, lane.to_junction)]
-    scene = Scene(
-        name=junction.id,
-        vertices_m=np.empty((0, 3)),
-        triangles=np.empty((0, 3), dtype=np.int32),
-        triangle_instance=np.empty(0, dtype=np.int32),
-        instances=(),
-        sites=(),
-        outline_m=junction.outline_m,
-        lanes=tuple(
-            Lane(
-                id=lane.id,
-                kind=lane.kind,
-                width_m=lane.width_m,
-                centreline_m=lane.centreline_m[:, :2],
-            )
-            for lane in own
-            if lane.kind in ("driving", "parking")
-        ),
-        crs=source.crs,
-        crosswalks_m=source.crosswalks_m,
-        keeps_left=source.keeps_left,
-    )
-    return build_junction(scene)
-
-
 def lane_counts(source: SourceMap) -> dict[str, tuple[int, int]]:
     (junction,) = source.junctions
-    return {
-        name: (len(arm.entry_lanes), len(arm.exit_lanes))
-        for name, arm in arms_of(source, junction).arms.items()
-    }
+    return arm_lanes(source, junction)
 
 
 def check_ends(source: SourceMap) -> None:
@@ -149,14 +117,14 @@ def one_road(tags: dict[str, str], folder: Path, **options: bool) -> list[tuple[
              ("walking", 2.5, -6.2)],
         ),
         (
-            {"width": "6", "oneway": "yes", "cycleway": "opposite_lane", "cycleway:left:width": "1"},
+            {"width": "6", "oneway": "yes", "cycleway": "opposite_lane", "cycleway:width": "1"},
             [("cycling", -1.0, 2.5), ("driving", 5.0, -0.5)],
         ),
         (
             {"width": "6", "oneway": "-1", "sidewalk": "left"},  # left as the way is mapped
             [("walking", -2.5, 4.2), ("driving", -6.0, 0.0)],
         ),
-        ({"width": "6", "sidewalk:both": "separate"}, [("driving", -3.0, 1.5), ("driving", 3.0, -1.5)]),
+        ({"sidewalk:both": "separate"}, [("driving", -2.75, 1.4), ("driving", 2.75, -1.4)]),
     ],
 )  # fmt: skip
 def test_tags_say_what_lies_side_by_side(
@@ -214,6 +182,8 @@ def test_what_makes_no_sense_is_told_and_usual_sizes_stand_in(
         {"highway": "service", "service": "driveway"},
         {"highway": "service", "service": "parking_aisle"},
         {"highway": "cycleway"},
+        {"highway": "residential", "motor_vehicle": "no"},
+        {"highway": "service", "access": "no"},
         {"railway": "tram"},
     ],
 )
@@ -259,9 +229,7 @@ def test_where_traffic_keeps_left_a_crossing_is_its_mirror_image(tmp_path: Path)
     assert not right.keeps_left
     assert {
         (lane.from_junction, *lane.centreline_m[:, :2].round(6).ravel()) for lane in left.lanes
-    } == {
-        (lane.to_junction, *lane.centreline_m[::-1, :2].round(6).ravel()) for lane in right.lanes
-    }
+    } == {(lane.to_junction, *lane.centreline_m[::-1, :2].round(6).ravel()) for lane in right.lanes}
 
 
 @pytest.mark.parametrize(
@@ -304,7 +272,7 @@ def test_dual_carriageways_cross_in_one_junction(tmp_path: Path) -> None:
     at = {(x, y): osm.node(x, y) for x in (-8.0, 8.0) for y in (-8.0, 8.0)}
     tags = {"highway": "primary", "oneway": "yes", "lanes": "2"}
     for y in (-8.0, 8.0):  # eastwards in the south, as traffic that keeps right does
-        line = [(-120.0, y), at[-8.0, y], at[8.0, y], (120.0, y)]
+        line: list[int | tuple[float, float]] = [(-120.0, y), at[-8.0, y], at[8.0, y], (120.0, y)]
         osm.way(line[:: 1 if y < 0 else -1], tags | {"name": "Long Avenue"})
     for x in (-8.0, 8.0):
         line = [(x, -120.0), at[x, -8.0], at[x, 8.0], (x, 120.0)]
@@ -341,9 +309,7 @@ def test_a_roundabout_is_one_junction_and_shows_the_side(tmp_path: Path) -> None
             for angle in np.radians(np.arange(0, 360, 30))
         ]
         osm.road([*ring, ring[0]], junction="roundabout")
-        for index, (east, north) in zip(
-            (0, 3, 6, 9), (EAST, NORTH, WEST, SOUTH), strict=True
-        ):
+        for index, (east, north) in zip((0, 3, 6, 9), (EAST, NORTH, WEST, SOUTH), strict=True):
             osm.road([ring[index], (100.0 * east, turn * 100.0 * north)])
         source = read(osm, tmp_path)
         assert source.keeps_left == (turn < 0)

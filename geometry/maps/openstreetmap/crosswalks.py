@@ -1,0 +1,125 @@
+"""Where pedestrians cross roads."""
+
+from itertools import product
+
+import numpy as np
+import shapely
+
+from ...arrays import FloatArray
+from .defaults import DEFAULTS
+from .elements import Elements
+from .network import Network, known_runs
+from .notes import Notes
+
+_PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
+
+
+def find_crosswalks(network: Network, elements: Elements, notes: Notes) -> FloatArray:
+    """Lines on which pedestrians cross the carriageways of roads.
+
+    Parameters
+    ----------
+    network : Network
+        The roads.
+    elements : Elements
+        What the file has.
+    notes : Notes
+        Told of crossings without a road.
+
+    Returns
+    -------
+    crosswalks_m : (n, 2, 2) float
+        Mapped footways over a road as they are; else a line across the road at the mapped point.
+        [m]
+    """
+    limits = DEFAULTS["crosswalk"]
+    taken = _Lines(limits["same_m"])
+    covered: set[int] = set()  # nodes that lie on a mapped footway over a road
+    tree = shapely.STRtree([shapely.linestrings(edge.points_m) for edge in network.edges])
+    for way in elements.ways:
+        if way.tags.get("footway") != "crossing" or way.tags.get("highway") not in _FOOTWAYS:
+            continue
+        for rows in known_runs(way.rows, network.positions_m):
+            points = network.positions_m[rows]
+            line = points[[0, -1]]
+            length_m = float(np.hypot(*(line[1] - line[0])))
+            over_road = tree.query(shapely.linestrings(points), predicate="intersects")
+            if not len(over_road) or not 1.0 < length_m <= limits["max_length_m"]:
+                notes.add("crossings", f"way {way.id}", "no road for cars below it")
+                continue
+            covered.update(rows.tolist())
+            taken.add(line)
+    at_row = _edges_at(network)
+    for row, tags in elements.node_tags.items():
+        if tags.get("highway") != "crossing" or tags.get("crossing") == "no":
+            continue
+        if row in covered or row not in at_row:
+            continue
+        taken.add(_across(network, row, at_row[row], limits["beyond_kerb_m"]))
+    return np.array(taken.lines).reshape(-1, 2, 2)
+
+
+_FOOTWAYS = ("footway", "path", "pedestrian")
+
+
+def _edges_at(network: Network) -> dict[int, tuple[int, int]]:
+    """An edge through each node of the roads, and which of its points lies there."""
+    found: dict[int, tuple[int, int]] = {}
+    for index, edge in enumerate(network.edges):
+        for at, row in enumerate(edge.rows.tolist()):
+            if row not in found or network.edges[found[row][0]].is_service:
+                found[row] = (index, at)
+    return found
+
+
+def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float) -> FloatArray:
+    """From kerb to kerb and a little farther, square to the road at one of its nodes."""
+    index, at = place
+    edge = network.edges[index]
+    points = edge.points_m
+    before = points[max(at - 1, 0)]
+    after = points[min(at + 1, len(points) - 1)]
+    ends = network.ends.get(row, ())
+    if len(ends) == 2 and {one for one, _ in ends} != {index}:
+        # The way ends here and another goes on: the road bends between them.
+        other, is_start = next(end for end in ends if end[0] != index)
+        beyond = network.edges[other].points_m[1 if is_start else -2]
+        before, after = (beyond, after) if at == 0 else (before, beyond)
+    steps = [
+        step / np.hypot(*step)
+        for step in (points[at] - before, after - points[at])
+        if np.hypot(*step) > 1e-6
+    ]
+    along = np.sum(steps, axis=0)
+    if np.hypot(*along) < 1e-6:
+        along = steps[0]
+    along = along / np.hypot(*along)
+    half_m = 0.5 * edge.section.width_m + beyond_m
+    left = np.array([-along[1], along[0]])
+    line: FloatArray = points[at] + half_m * np.stack([-left, left])
+    return line
+
+
+class _Lines:
+    """Crosswalks so far, found again by where they lie."""
+
+    def __init__(self, same_m: float) -> None:
+        self.lines: list[FloatArray] = []
+        self._same_m = same_m
+        self._by_cell: dict[tuple[int, int], list[FloatArray]] = {}
+
+    def add(self, line_m: FloatArray) -> None:
+        """Take a line, but for one that is there already, mapped in another way."""
+        middle = line_m.mean(axis=0)
+        east, north = (int(one) for one in np.floor(middle / self._same_m))
+        for cell in product((east - 1, east, east + 1), (north - 1, north, north + 1)):
+            if any(self._is_same(line_m, other) for other in self._by_cell.get(cell, ())):
+                return
+        self.lines.append(line_m)
+        self._by_cell.setdefault((east, north), []).append(line_m)
+
+    def _is_same(self, one: FloatArray, other: FloatArray) -> bool:
+        apart_m = np.hypot(*(one.mean(axis=0) - other.mean(axis=0)))
+        step, other_step = one[1] - one[0], other[1] - other[0]
+        cosine = abs(step @ other_step) / (np.hypot(*step) * np.hypot(*other_step))
+        return bool(apart_m <= self._same_m and cosine > _PARALLEL)

@@ -1,0 +1,239 @@
+"""Nodes, ways and relations of a file, as they stand there."""
+
+import bz2
+import gzip
+import zlib
+from array import array
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ...errors import InputError, Unquoted
+from ..xml_files import check_size
+from .defaults import DEFAULTS
+from .pbf_checks import check_pbf
+
+Tags = dict[str, str]
+
+_EXPECTED = "OpenStreetMap data, XML or PBF"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Way:
+    """A line.
+
+    Attributes
+    ----------
+    id : int
+        In OpenStreetMap.
+    rows : (n,) int
+        Its nodes, as rows of :class:`Elements`; -1: not in the file.
+    tags : dict
+        What is known of it.
+    """
+
+    id: int
+    rows: IntArray
+    tags: Tags
+
+    @property
+    def is_closed(self) -> bool:
+        """It ends where it begins, and goes around something."""
+        return len(self.rows) >= 4 and self.rows[0] == self.rows[-1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Relation:
+    """Ways that belong together: ids and roles of its member ways, and its tags."""
+
+    id: int
+    members: tuple[tuple[int, str], ...]
+    tags: Tags
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Elements:
+    """What a file has.
+
+    Attributes
+    ----------
+    node_ids : (n,) int
+        Rising.
+    lon_lat_deg : (n, 2) float
+        WGS 84. [deg]
+    node_tags : dict of int to dict
+        By row; of nodes that have any.
+    ways : tuple of Way
+    relations : tuple of Relation
+    """
+
+    node_ids: IntArray
+    lon_lat_deg: FloatArray
+    node_tags: dict[int, Tags]
+    ways: tuple[Way, ...]
+    relations: tuple[Relation, ...]
+
+
+def read_elements(path: Path) -> Elements:
+    """Read a file of OpenStreetMap data.
+
+    Parameters
+    ----------
+    path : Path
+        XML or PBF; XML may be packed with gzip or bzip2. What it is shows in its first bytes.
+
+    Returns
+    -------
+    elements : Elements
+        Without what is deleted; of several versions the last.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, is something else, damaged, too large, or a node lies nowhere on earth.
+    """
+    try:
+        check_size(path)
+        file_format = _file_format(path)
+        return _collect(path, file_format)
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+
+
+def _file_format(path: Path) -> str:
+    with path.open("rb") as file:
+        begin = file.read(64)
+    if begin[:2] == b"\x1f\x8b":
+        _check_unpacked_size(path, gzip.open)
+        return "osm.gz"
+    if begin[:3] == b"BZh":
+        _check_unpacked_size(path, bz2.open)
+        return "osm.bz2"
+    if begin[4:15] == b"\x0a\x09OSMHeader":
+        limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
+        check_pbf(path, max_unpacked_bytes=limit, expected=_EXPECTED)
+        return "pbf"
+    if begin.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
+        return "osm"
+    raise InputError(str(path), Unquoted("something else"), _EXPECTED)
+
+
+def _check_unpacked_size(path: Path, unpack: Any) -> None:
+    """Refuse what would grow without end; a second reading, but without keeping anything."""
+    limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
+    n_bytes = 0
+    try:
+        with unpack(path, "rb") as file:
+            while chunk := file.read(1 << 20):
+                n_bytes += len(chunk)
+                if n_bytes > limit:
+                    raise InputError(
+                        str(path),
+                        Unquoted(f"more than {limit:,} bytes when unpacked"),
+                        "fewer; cut it out first",
+                    )
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(str(path), Unquoted(error), f"{_EXPECTED}: a whole archive") from None
+
+
+def _collect(path: Path, file_format: str) -> Elements:
+    import osmium
+
+    ids, places = array("q"), array("d")
+    tags_by_id: dict[int, Tags] = {}
+    ways: dict[int, tuple[list[int], Tags]] = {}
+    relations: dict[int, Relation] = {}
+    n_left = int(DEFAULTS["reading"]["max_nodes"])
+    source = osmium.io.File(str(path), file_format)
+    bits = osmium.osm.NODE | osmium.osm.WAY | osmium.osm.RELATION
+    try:
+        for item in osmium.FileProcessor(source, bits):
+            element: Any = item
+            if element.deleted:
+                continue
+            tags = {tag.k: tag.v for tag in element.tags} if len(element.tags) else {}
+            if element.is_node():
+                location = element.location
+                ids.append(element.id)
+                places.append(location.lon_without_check())
+                places.append(location.lat_without_check())
+                if not location.valid():
+                    raise InputError(
+                        f"{path}: node {element.id}",
+                        Unquoted(_place(location)),
+                        "latitude -90..90 and longitude -180..180",
+                    )
+                if tags:
+                    tags_by_id[element.id] = tags
+                n_left -= 1
+            elif element.is_way():
+                references = [node.ref for node in element.nodes]
+                ways[element.id] = (references, tags)
+                n_left -= 1 + len(references) // 10
+            else:
+                members = tuple(
+                    (member.ref, member.role) for member in element.members if member.type == "w"
+                )
+                relations[element.id] = Relation(id=element.id, members=members, tags=tags)
+                n_left -= 1 + len(members) // 10
+            if n_left < 0:
+                raise InputError(
+                    str(path),
+                    Unquoted(f"more than {DEFAULTS['reading']['max_nodes']:,} elements"),
+                    "fewer; cut it out first",
+                )
+    except InputError:
+        raise
+    except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
+        message = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(str(path), Unquoted(message), _EXPECTED) from None
+    return _assemble(ids, places, tags_by_id, ways, relations.values())
+
+
+def _place(location: Any) -> str:
+    lat_deg, lon_deg = location.lat_without_check(), location.lon_without_check()
+    if max(abs(lat_deg), abs(lon_deg)) > 214.0:  # what osmium keeps where there is nothing
+        return "no coordinates"
+    return f"latitude {lat_deg}, longitude {lon_deg}"
+
+
+def _assemble(
+    ids: Sequence[int],
+    places: Sequence[float],
+    tags_by_id: dict[int, Tags],
+    ways: dict[int, tuple[list[int], Tags]],
+    relations: Iterable[Relation],
+) -> Elements:
+    all_ids = np.array(ids, dtype=np.int64)
+    # Of a node that comes twice the last one counts.
+    node_ids, last = np.unique(all_ids[::-1], return_index=True)
+    lon_lat_deg = np.array(places, dtype=np.float64).reshape(-1, 2)[::-1][last]
+    references = np.fromiter((one for nodes, _ in ways.values() for one in nodes), dtype=np.int64)
+    rows = _rows(node_ids, references)
+    ends = np.cumsum([0, *(len(nodes) for nodes, _ in ways.values())])
+    tagged = np.fromiter(tags_by_id, dtype=np.int64)
+    return Elements(
+        node_ids=node_ids,
+        lon_lat_deg=lon_lat_deg,
+        node_tags=dict(zip(_rows(node_ids, tagged).tolist(), tags_by_id.values(), strict=True)),
+        ways=tuple(
+            Way(id=way_id, rows=rows[begin:end], tags=tags)
+            for (way_id, (_, tags)), begin, end in zip(
+                ways.items(), ends[:-1], ends[1:], strict=True
+            )
+        ),
+        relations=tuple(relations),
+    )
+
+
+def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
+    """Row of each id, -1 where there is none."""
+    if not len(node_ids):
+        return np.full(len(wanted), -1, dtype=np.int64)
+    found = np.minimum(np.searchsorted(node_ids, wanted), len(node_ids) - 1)
+    rows: IntArray = np.where(node_ids[found] == wanted, found, -1).astype(np.int64)
+    return rows

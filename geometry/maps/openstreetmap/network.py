@@ -1,0 +1,360 @@
+"""The roads of a map as a graph: edges between nodes where roads meet, and streets along them."""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from .cross_section import CrossSection, build_cross_section
+from .defaults import DEFAULTS
+from .elements import Elements, Tags, Way
+from .lane_counts import is_oneway, runs_backward
+from .notes import Notes
+from .tags import is_yes, turned_round
+
+_MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Edge:
+    """Part of a way for cars between two nodes where ways begin, end or meet.
+
+    Attributes
+    ----------
+    id : str
+        Way and part: "w5", "w5.1".
+    way_id : int
+        In OpenStreetMap.
+    rows : (n,) int
+        Nodes; if it is a one-way road, cars drive as they run.
+    points_m : (n, 2) float
+        Where they lie. [m]
+    tags : dict
+        Of the way, as its nodes run here.
+    section : CrossSection
+        What lies side by side along it.
+    """
+
+    id: str
+    way_id: int
+    rows: IntArray
+    points_m: FloatArray
+    tags: Tags
+    section: CrossSection
+
+    @property
+    def is_service(self) -> bool:
+        """A road to somebody's yard, not one of the network."""
+        return self.tags["highway"] == "service"
+
+    @property
+    def is_oneway(self) -> bool:
+        """Cars drive it one way only."""
+        return is_oneway(self.tags)
+
+    @property
+    def is_roundabout(self) -> bool:
+        """Part of a roundabout's ring."""
+        return self.tags.get("junction") in ("roundabout", "circular")
+
+    @property
+    def name(self) -> str:
+        """Of its street; empty: none."""
+        return self.tags.get("name") or self.tags.get("ref", "")
+
+    @property
+    def level(self) -> int:
+        """Layer that it lies in; 0: on the ground."""
+        return level(self.tags)
+
+
+def level(tags: Tags) -> int:
+    """Layer of a way; bridges and tunnels that name none lie one above and below the ground."""
+    try:
+        layer = int(tags.get("layer", "0"))
+    except ValueError:
+        layer = 0
+    if layer:
+        return int(np.clip(layer, -5, 5))
+    tunnel = tags.get("tunnel")
+    if is_yes(tunnel) and tunnel not in ("building_passage", "culvert"):
+        return -1
+    return 1 if is_yes(tags.get("bridge")) else 0
+
+
+End = tuple[int, bool]  # an edge and whether its first node is meant
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Network:
+    """Edges and what meets where.
+
+    Attributes
+    ----------
+    edges : tuple of Edge
+    ends : dict of int to tuple of End
+        By node row.
+    positions_m : (n, 2) float
+        Of all nodes of the file. [m]
+    """
+
+    edges: tuple[Edge, ...]
+    ends: Mapping[int, tuple[End, ...]]
+    positions_m: FloatArray
+
+    def bearing_deg(self, end: End) -> float:
+        """Direction in which an edge leaves its node, over its first ten metres."""
+        index, is_start = end
+        points = self.edges[index].points_m
+        points = points if is_start else points[::-1]
+        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+        ahead = [np.interp(10.0, along, points[:, axis]) for axis in (0, 1)]
+        east, north = ahead - points[0]
+        return float(np.degrees(np.arctan2(north, east)))
+
+    def row(self, end: End) -> int:
+        """Node at an edge's end."""
+        index, is_start = end
+        return int(self.edges[index].rows[0 if is_start else -1])
+
+
+_ACCESS = ("motorcar", "motor_vehicle", "vehicle", "access")  # what is more special goes first
+
+
+def is_for_cars(tags: Tags) -> bool:
+    """A way that cars drive on as part of the network of roads, or to somebody's yard."""
+    return (
+        tags.get("highway") in DEFAULTS["roads"]
+        and tags.get("area") != "yes"
+        and next((tags[key] for key in _ACCESS if key in tags), "yes") != "no"
+        and tags.get("service") not in ("parking_aisle", "driveway", "drive-through", "slipway")
+    )
+
+
+def build_network(
+    elements: Elements, positions_m: FloatArray, *, keeps_left: bool, notes: Notes
+) -> Network:
+    """The roads for cars of a file.
+
+    Parameters
+    ----------
+    elements : Elements
+        What the file has.
+    positions_m : (n, 2) float
+        Of its nodes. [m]
+    keeps_left : bool
+        Traffic keeps left.
+    notes : Notes
+        Told of ways whose nodes are missing and of tags that make no sense.
+    """
+    parts: list[tuple[Way, int, IntArray]] = []
+    for way in elements.ways:
+        if is_for_cars(way.tags):
+            found = list(known_runs(way.rows, positions_m))
+            if (way.rows < 0).any() or not found:
+                why = "nodes are missing in the file, as at the edge of a cut-out"
+                notes.add("roads", f"way {way.id}", f"partly left out: {why}")
+            parts += [(way, part, rows) for part, rows in enumerate(found)]
+    n_uses = np.zeros(len(positions_m), dtype=np.int64)
+    for _, _, rows in parts:
+        np.add.at(n_uses, rows[1:-1], 1)
+        np.add.at(n_uses, rows[[0, -1]], 2)  # edges end where ways do
+    edges: list[Edge] = []
+    sections: dict[int, tuple[Tags, CrossSection]] = {}
+    counts: dict[int, int] = defaultdict(int)
+    for way, _, rows in parts:
+        if way.id not in sections:
+            tags = turned_round(way.tags) if runs_backward(way.tags) else dict(way.tags)
+            if runs_backward(way.tags):
+                tags |= {"oneway": "yes", "oneway:turned": "yes"}
+            section = build_cross_section(
+                tags, element=f"way {way.id}", keeps_left=keeps_left, notes=notes
+            )
+            sections[way.id] = (tags, section)
+        tags, section = sections[way.id]
+        rows = rows[::-1] if runs_backward(way.tags) else rows
+        breaks = np.flatnonzero(n_uses[rows] > 1)
+        for begin, end in pairwise(breaks):
+            number = counts[way.id]
+            counts[way.id] += 1
+            edges.append(
+                Edge(
+                    id=f"w{way.id}.{number}" if number else f"w{way.id}",
+                    way_id=way.id,
+                    rows=rows[begin : end + 1],
+                    points_m=positions_m[rows[begin : end + 1]],
+                    tags=tags,
+                    section=section,
+                )
+            )
+    ends: dict[int, list[End]] = defaultdict(list)
+    for index, edge in enumerate(edges):
+        ends[int(edge.rows[0])].append((index, True))
+        ends[int(edge.rows[-1])].append((index, False))
+    return Network(
+        edges=tuple(edges),
+        ends={row: tuple(here) for row, here in ends.items()},
+        positions_m=positions_m,
+    )
+
+
+def known_runs(rows: IntArray, positions_m: FloatArray) -> Iterator[IntArray]:
+    """Parts of a way whose nodes the file has, without nodes that lie where the last one did."""
+    is_known = rows >= 0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_known, [False]]).astype(int)))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        part = rows[begin:end]
+        steps = np.hypot(*np.diff(positions_m[part], axis=0).T)
+        part = part[np.append(True, steps > 0.01)]
+        if len(part) >= 2:
+            yield part
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Street:
+    """Edges one after the other, between two nodes where they stop.
+
+    Attributes
+    ----------
+    parts : tuple of (Edge, bool)
+        Edges, and whether they are followed as their nodes run.
+    points_m : (n, 2) float
+        Of all of it. [m]
+    rows : (n,) int
+        Nodes there.
+    stations_m : (n,) float
+        Distance of each point along it. [m]
+    normals : (n - 1, 2) float
+        Unit vectors to the left of what lies between points.
+    breaks_m : (n_parts + 1,) float
+        Where parts begin and end. [m]
+    sections : tuple of CrossSection
+        Of each part, as the street runs.
+    """
+
+    parts: tuple[tuple[Edge, bool], ...]
+    points_m: FloatArray = field(init=False)
+    rows: IntArray = field(init=False)
+    stations_m: FloatArray = field(init=False)
+    normals: FloatArray = field(init=False)
+    breaks_m: FloatArray = field(init=False)
+    sections: tuple[CrossSection, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        points: list[FloatArray] = []
+        rows: list[IntArray] = []
+        for edge, is_along in self.parts:
+            step = 1 if is_along else -1
+            skip = 1 if points else 0
+            points.append(edge.points_m[::step][skip:])
+            rows.append(edge.rows[::step][skip:])
+        joined = np.concatenate(points)
+        steps = np.diff(joined, axis=0)
+        lengths = np.hypot(*steps.T)
+        stations = np.append(0.0, np.cumsum(lengths))
+        last = np.cumsum([len(part) for part in points]) - 1
+        sections = tuple(
+            edge.section if is_along else edge.section.turned_round()
+            for edge, is_along in self.parts
+        )
+        for name, value in (
+            ("points_m", joined),
+            ("rows", np.concatenate(rows)),
+            ("stations_m", stations),
+            ("normals", np.column_stack([-steps[:, 1], steps[:, 0]]) / lengths[:, None]),
+            ("breaks_m", np.append(0.0, stations[last])),
+            ("sections", sections),
+        ):
+            object.__setattr__(self, name, value)
+
+    @property
+    def length_m(self) -> float:
+        """From end to end."""
+        return float(self.stations_m[-1])
+
+    def turned_round(self) -> "Street":
+        """The same from its end to its begin."""
+        return replace(
+            self, parts=tuple((edge, not is_along) for edge, is_along in self.parts[::-1])
+        )
+
+    def part_at(self, station_m: float) -> int:
+        """Which part lies at a distance along it."""
+        if len(self.parts) == 1:
+            return 0
+        index = int(np.searchsorted(self.breaks_m, station_m, side="right")) - 1
+        return min(max(index, 0), len(self.parts) - 1)
+
+
+def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street]:
+    """Follow roads from node to node until they stop.
+
+    Parameters
+    ----------
+    network : Network
+        The roads.
+    stops : callable
+        Whether streets end at a node, given its row. Elsewhere a road goes straight on where it
+        can, and what joins it from the side ends there.
+
+    Returns
+    -------
+    streets : list of Street
+        Every edge is part of exactly one.
+    """
+    partner: dict[End, End] = {}
+    for row, ends in network.ends.items():
+        if not stops(row):
+            for one, other in pair_ends(network, ends):
+                partner[one], partner[other] = other, one
+    is_done = np.zeros(len(network.edges), dtype=bool)
+    streets = []
+    starts = [end for ends in network.ends.values() for end in ends if end not in partner]
+    rest = [(index, True) for index in range(len(network.edges))]  # rings without an end
+    for begin in starts + rest:
+        if is_done[begin[0]]:
+            continue
+        parts = []
+        end: End | None = begin
+        while end is not None and not is_done[end[0]]:
+            index, is_start = end
+            is_done[index] = True
+            parts.append((network.edges[index], is_start))
+            end = partner.get((index, not is_start))
+        streets.append(Street(parts=tuple(parts)))
+    return streets
+
+
+def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, End]]:
+    """Which roads go on into which at a node that is no junction: busy ones and straight ones."""
+    if len(ends) == 2:
+        yield ends[0], ends[1]
+        return
+    edges = network.edges
+    bearings = {end: network.bearing_deg(end) for end in ends}
+    choices = []
+    for index, one in enumerate(ends):
+        for other in ends[:index]:
+            turn = abs((bearings[one] - bearings[other]) % 360.0 - 180.0)
+            pair = [edges[one[0]], edges[other[0]]]
+            n_service = sum(edge.is_service for edge in pair)
+            n_links = sum(edge.tags["highway"].endswith("_link") for edge in pair)
+            n_full = sum(not edges[end[0]].is_service for end in ends)
+            is_allowed = turn <= _MAX_STRAIGHT_ON_DEG or (n_full == 2 and n_service == 0)
+            if is_allowed and n_service != 1 and _can_follow(edges, one, other):
+                choices.append((n_service, n_links, turn, one, other))
+    used: set[End] = set()
+    for *_, one, other in sorted(choices):
+        if one not in used and other not in used:
+            used |= {one, other}
+            yield one, other
+
+
+def _can_follow(edges: tuple[Edge, ...], one: End, other: End) -> bool:
+    """Not two one-way roads that both lead here, or both away."""
+    if not (edges[one[0]].is_oneway and edges[other[0]].is_oneway):
+        return True
+    return one[1] != other[1]

@@ -1,0 +1,292 @@
+import numpy as np
+import pytest
+from damage import damaged, read_or_refuse
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from geometry.errors import InputError
+from geometry.maps.city_gml import read_citygml
+from geometry.maps.city_json import read_cityjson
+from geometry.maps.surfaces import is_closed, volume_m3
+
+ORIGIN = np.array([390_000.0, 5_819_000.0, 30.0])
+BOX = np.array([[x, y, z] for x in (0, 6) for y in (0, 8) for z in (0, 5)], dtype=float)
+FACES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+KINDS = ["Wall", "Wall", "Wall", "Wall", "Ground", "Roof"]
+NAMESPACES = {
+    "1.0": ("http://www.opengis.net/citygml/1.0", "http://www.opengis.net/citygml/building/1.0"),
+    "2.0": ("http://www.opengis.net/citygml/2.0", "http://www.opengis.net/citygml/building/2.0"),
+    "3.0": ("http://www.opengis.net/citygml/3.0", "http://www.opengis.net/citygml/building/3.0"),
+}
+
+
+def numbers(points):
+    return " ".join(f"{value:.3f}" for value in np.asarray(points).reshape(-1))
+
+
+def pos_list(points):
+    return f"<gml:posList>{numbers(points)}</gml:posList>"
+
+
+def single_positions(points):
+    return "".join(f"<gml:pos>{numbers(point)}</gml:pos>" for point in points)
+
+
+def old_coordinates(points):
+    text = " ".join(",".join(f"{value:.3f}" for value in point) for point in points)
+    return f"<gml:coordinates>{text}</gml:coordinates>"
+
+
+def polygon(points, *, holes=(), write=pos_list, attributes=""):
+    rings = [("exterior", points), *(("interior", hole) for hole in holes)]
+    body = "".join(
+        f"<gml:{kind}><gml:LinearRing>{write([*ring, ring[0]])}</gml:LinearRing></gml:{kind}>"
+        for kind, ring in rings
+    )
+    return f"<gml:Polygon {attributes}>{body}</gml:Polygon>"
+
+
+def members(polygons):
+    return "".join(f"<gml:surfaceMember>{text}</gml:surfaceMember>" for text in polygons)
+
+
+def faces(**options):
+    return [polygon(BOX[face] + ORIGIN, **options) for face in FACES]
+
+
+def solid(level=2, polygons=None):
+    shell = members(faces() if polygons is None else polygons)
+    return (
+        f"<bldg:lod{level}Solid><gml:Solid><gml:exterior><gml:CompositeSurface>{shell}"
+        f"</gml:CompositeSurface></gml:exterior></gml:Solid></bldg:lod{level}Solid>"
+    )
+
+
+def multi_surface(polygons, level=2, name="MultiSurface"):
+    return (
+        f"<bldg:lod{level}{name}><gml:MultiSurface>{members(polygons)}"
+        f"</gml:MultiSurface></bldg:lod{level}{name}>"
+    )
+
+
+def city(body, *, version="2.0", srs="urn:ogc:def:crs:EPSG::25833", feature="bldg:Building"):
+    core, building = NAMESPACES[version]
+    envelope = (
+        f'<gml:boundedBy><gml:Envelope srsName="{srs}"><gml:lowerCorner>0 0 0</gml:lowerCorner>'
+        "</gml:Envelope></gml:boundedBy>"
+        if srs
+        else ""
+    )
+    return (
+        f'<CityModel xmlns="{core}" xmlns:bldg="{building}" '
+        'xmlns:gml="http://www.opengis.net/gml" xmlns:xlink="http://www.w3.org/1999/xlink">'
+        f'{envelope}<cityObjectMember><{feature} gml:id="house">{body}</{feature}>'
+        "</cityObjectMember></CityModel>"
+    )
+
+
+def read(tmp_path, text):
+    path = tmp_path / "city.gml"
+    path.write_text(text)
+    return read_citygml(path)
+
+
+def volume(thing):
+    return volume_m3(thing.vertices_m, thing.triangles)
+
+
+BOUNDED = "".join(
+    f"<bldg:boundedBy><bldg:{kind}Surface>{multi_surface([text])}</bldg:{kind}Surface></bldg:boundedBy>"
+    for kind, text in zip(KINDS, faces(), strict=True)
+)
+REFERRED = "".join(
+    f"<bldg:boundedBy><bldg:{kind}Surface>"
+    + multi_surface([polygon(BOX[face] + ORIGIN, attributes=f'gml:id="p{index}"')])
+    + f"</bldg:{kind}Surface></bldg:boundedBy>"
+    for index, (kind, face) in enumerate(zip(KINDS, FACES, strict=True))
+) + solid(polygons=[]).replace(
+    "<gml:CompositeSurface>",
+    "<gml:CompositeSurface>"
+    + "".join(f'<gml:surfaceMember xlink:href="#p{index}"/>' for index in range(6)),
+)
+TURNED = multi_surface(
+    f'<gml:OrientableSurface orientation="-"><gml:baseSurface>{polygon((BOX[face] + ORIGIN)[::-1])}'
+    "</gml:baseSurface></gml:OrientableSurface>"
+    for face in FACES
+)
+
+
+@pytest.mark.parametrize("version", list(NAMESPACES))
+@pytest.mark.parametrize(
+    "body",
+    [
+        solid(1),
+        solid(2),
+        solid(3),
+        BOUNDED,
+        BOUNDED.replace("boundedBy", "boundary"),
+        REFERRED,
+        TURNED,
+        multi_surface(faces()),
+        multi_surface(faces(write=single_positions)),
+        multi_surface(faces(write=old_coordinates)),
+        solid(1, faces()[:3]) + solid(2),
+        multi_surface(faces()[:2]) + solid(2),
+        multi_surface(faces()[:2], level=4) + solid(2),
+    ],
+)
+def test_a_house_is_the_same_however_it_is_written(tmp_path, version, body):
+    source = read(tmp_path, city(body, version=version))
+    (thing,) = source.things
+    assert (source.crs, source.heights, thing.id) == ("EPSG:25833", "absolute", "house")
+    assert np.allclose(thing.vertices_m.min(axis=0), ORIGIN)
+    assert np.allclose(thing.vertices_m.max(axis=0), ORIGIN + [6, 8, 5])
+    assert is_closed(thing.triangles)
+    assert volume(thing) == pytest.approx(240.0)
+
+
+def test_holes_are_left_out(tmp_path):
+    floor = BOX[FACES[4]] + ORIGIN
+    hole = ORIGIN + np.array([[2, 2, 0], [4, 2, 0], [4, 4, 0], [2, 4, 0]])
+    (thing,) = read(tmp_path, city(multi_surface([polygon(floor, holes=[hole])]))).things
+    a, b, c = np.swapaxes(thing.vertices_m[thing.triangles], 0, 1)
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(44.0)
+
+
+@pytest.mark.parametrize("name", ["FootPrint", "RoofEdge"])
+@pytest.mark.parametrize(
+    ("unit", "height_m"), [("m", 7.0), ("urn:ogc:def:uom:UCUM::m", 7.0), ("ft", 2.1336)]
+)
+def test_footprints_are_raised_by_their_measured_height(tmp_path, name, unit, height_m):
+    flat = multi_surface([polygon(BOX[[0, 4, 6, 2]] + ORIGIN)], level=0, name=name)
+    body = f'<bldg:measuredHeight uom="{unit}">7.0</bldg:measuredHeight>{flat}'
+    (thing,) = read(tmp_path, city(body)).things
+    assert volume(thing) == pytest.approx(48.0 * height_m)
+    assert not thing.is_height_assumed
+
+
+def test_footprints_in_two_dimensions_are_read_as_such(tmp_path):
+    square = (BOX[[0, 4, 6, 2]] + ORIGIN)[:, :2]
+    ring = [*square, square[0], square[0]]  # 12 numbers: also four points of three
+    text = f"<gml:posList>{numbers(ring)}</gml:posList>"
+    flat = (
+        '<bldg:lod0FootPrint><gml:MultiSurface srsDimension="2"><gml:surfaceMember><gml:Polygon>'
+        f"<gml:exterior><gml:LinearRing>{text}</gml:LinearRing></gml:exterior></gml:Polygon>"
+        "</gml:surfaceMember></gml:MultiSurface></bldg:lod0FootPrint>"
+    )
+    (thing,) = read(tmp_path, city(flat)).things
+    assert np.allclose(np.ptp(thing.vertices_m[:, :2], axis=0), [6, 8])
+    assert thing.is_height_assumed
+
+
+def test_parts_are_things_and_their_buildings_footprint_is_none(tmp_path):
+    part = (
+        '<bldg:consistsOfBuildingPart><bldg:BuildingPart gml:id="part">'
+        f"{solid()}</bldg:BuildingPart></bldg:consistsOfBuildingPart>"
+    )
+    flat = multi_surface([polygon(BOX[[0, 4, 6, 2]] + ORIGIN)], level=0, name="FootPrint")
+    source = read(tmp_path, city(flat + part))
+    assert [thing.id for thing in source.things] == ["part"]
+
+
+def test_northing_first_is_turned(tmp_path):
+    origin = np.array([4_590_000.0, 5_820_000.0, 30.0])
+    box = [polygon((BOX[face] + origin)[:, [1, 0, 2]]) for face in FACES]
+    source = read(tmp_path, city(multi_surface(box), srs="urn:ogc:def:crs:EPSG::31468"))
+    assert np.allclose(source.things[0].vertices_m.min(axis=0), origin)
+    assert volume(source.things[0]) == pytest.approx(240.0)
+
+
+def test_geographic_coordinates_become_metres(tmp_path):
+    lat_lon = np.array([[35.68, 139.76, 0.0], [35.68, 139.761, 0.0], [35.681, 139.761, 0.0]])
+    flat = multi_surface([polygon(lat_lon)], level=0, name="FootPrint")
+    source = read(tmp_path, city(flat, srs="http://www.opengis.net/def/crs/EPSG/0/6697"))
+    width, depth = np.ptp(source.things[0].vertices_m[:, :2], axis=0)
+    assert (width, depth) == (pytest.approx(90.5, rel=0.01), pytest.approx(111.0, rel=0.01))
+
+
+def test_bridges_and_rooms_are_left_out_and_counted(tmp_path):
+    room = f"<bldg:interiorRoom><bldg:Room>{solid()}</bldg:Room></bldg:interiorRoom>"
+    text = city(solid() + room).replace(
+        "</CityModel>",
+        f"<cityObjectMember><bldg:Bridge>{solid()}</bldg:Bridge></cityObjectMember></CityModel>",
+    )
+    source = read(tmp_path, text)
+    assert len(source.things) == 1
+    assert [skip.what for skip in source.skipped] == ["1 Bridge", "1 Room"]
+
+
+DOUBLING = "".join(
+    f'<gml:CompositeSurface gml:id="c{index}">'
+    + f'<gml:surfaceMember xlink:href="#c{index + 1}"/>' * 2
+    + "</gml:CompositeSurface>"
+    for index in range(60)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (city(""), "no building"),
+        (city("", feature="bldg:Bridge"), "1 Bridge"),
+        (city(solid()).replace("citygml", "nonsense"), "namespace"),
+        ("<root/>", "CityModel"),
+        ("<CityModel>", "well-formed"),
+        (city(solid()).replace("390006.000", "far"), "numbers"),
+        (city(solid()).replace("390006.000", "NaN"), "finite"),
+        (city(solid()).replace("390006.000", ""), "3 for every point"),
+        (city(solid() + '<a srsName="EPSG:25832"/>'), "several coordinate reference systems"),
+        (city(f"<bldg:lod2MultiSurface>{DOUBLING}</bldg:lod2MultiSurface>"), "nested too deeply"),
+        (
+            '<!DOCTYPE a [<!ENTITY b "bb"><!ENTITY c "&b;&b;">]>'
+            + city("<gml:name>&c;</gml:name>"),
+            "without entities",
+        ),
+        (
+            city(multi_surface([polygon(np.repeat(ORIGIN[None], 4, axis=0))])),
+            "no surface with an area",
+        ),
+    ],
+)
+def test_broken_files_are_refused_in_one_line(tmp_path, text, message):
+    with pytest.raises(InputError, match=message) as caught:
+        read(tmp_path, text)
+    assert "\n" not in str(caught.value)
+
+
+def test_references_in_a_circle_are_refused(tmp_path):
+    ring = (
+        '<bldg:lod2MultiSurface><gml:MultiSurface gml:id="m"><gml:surfaceMember xlink:href="#m"/>'
+        "</gml:MultiSurface></bldg:lod2MultiSurface>"
+    )
+    with pytest.raises(InputError, match="nested too deeply"):
+        read(tmp_path, city(ring))
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_damaged_files_are_read_or_refused(tmp_path, data):
+    wounded = data.draw(damaged(city(REFERRED).encode()))
+    source = read_or_refuse(tmp_path / "city.gml", wounded, read_citygml)
+    assert source is None or source.things
+
+
+def test_both_encodings_of_a_real_model_give_the_same_houses(real_input):
+    gml = read_citygml(real_input("buildings/lod2_buildings_v3.gml"))
+    in_json = {
+        thing.id: thing
+        for thing in read_cityjson(real_input("buildings/lod2_buildings_v2.city.json")).things
+    }
+    assert gml.crs == ""
+    assert "EPSG:3068" in gml.skipped[0].what
+    assert {thing.id for thing in gml.things} == set(in_json)
+    assert len(in_json) == 100
+    for thing in gml.things:
+        twin = in_json[thing.id]
+        assert is_closed(thing.triangles)
+        assert volume(thing) == pytest.approx(volume(twin), abs=1e-6)
+        for side in ("min", "max"):
+            ends = [getattr(item.vertices_m, side)(axis=0) for item in (thing, twin)]
+            assert np.allclose(*ends, atol=1e-3)

@@ -1,0 +1,96 @@
+"""Files that others have made."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+import shapely
+from opendrive_text import arms_of
+
+from geometry.maps.opendrive import read_opendrive
+from geometry.scene_files import load_study_scene
+
+
+@pytest.fixture(scope="module")
+def town05(real_input):
+    return read_opendrive(real_input("opendrive/Town05.xodr"))
+
+
+def test_town05_has_its_junctions(town05):
+    assert len(town05.junctions) == 21
+    assert [note.what.split()[0] for note in town05.skipped] == ["geoReference"]
+    assert Counter(one.kind for one in town05.lanes) == {
+        "driving": 218,
+        "walking": 117,
+        "parking": 18,
+    }
+
+
+def test_the_studys_junction_has_the_lanes_of_its_scene(town05):
+    study = load_study_scene()
+    middle = 0.5 * (study.outline_m.min(axis=0) + study.outline_m.max(axis=0))
+    junction = min(town05.junctions, key=lambda one: np.hypot(*(one.position_m - middle)))
+    np.testing.assert_allclose(junction.position_m, [-126.5, -1.0], atol=0.5)
+    arms = arms_of(town05, junction)
+    assert arms == dict.fromkeys(("east", "north", "west", "south"), (2, 2))
+    # The scene's lanes come from the same map through another reader; its junction is a little
+    # larger.
+    for kind in ("driving", "parking"):
+        lines = shapely.union_all(
+            [
+                shapely.LineString(one.centreline_m[:, :2])
+                for one in town05.lanes
+                if one.kind == kind
+            ]
+        )
+        for lane in study.lanes:
+            if lane.kind == kind:
+                gaps = [lines.distance(shapely.Point(point)) for point in lane.centreline_m]
+                assert max(gaps) < 0.1, lane.id
+
+
+@pytest.mark.parametrize(
+    ("name", "arms"),
+    [
+        ("X-Intersection_NCAP", [4]),
+        ("X-Intersection_NCAP_noRoadmarks", [4]),
+        ("StraightRoad_NCAP_noRoadmarks_Streetlights", []),
+        ("fabriksgatan_traffic_lights", [4]),
+        ("multi_intersections", [4, 3, 4, 3, 3]),
+        ("Junction_with_building0", [3]),
+        ("parking_demo", [3]),
+        ("soderleden", []),
+        ("Town01", 12 * [3]),
+    ],
+)
+def test_arms(real_input, name, arms):
+    source = read_opendrive(real_input(f"opendrive/{name}.xodr"))
+    assert [len(arms_of(source, one)) for one in source.junctions] == arms
+
+
+@pytest.mark.parametrize(
+    ("name", "poles", "n_things", "n_crosswalks"),
+    [
+        ("StraightRoad_NCAP_noRoadmarks_Streetlights", {"lamp post": 7}, 0, 0),
+        ("fabriksgatan_traffic_lights", {"traffic light": 2}, 0, 0),
+        ("multi_intersections", {"traffic light": 34, "sign": 2}, 0, 17),
+        ("Town01", {"traffic light": 36, "sign": 21}, 0, 0),
+        ("Junction_with_building0", {}, 1, 0),
+        ("parking_demo", {}, 10, 3),
+    ],
+)
+def test_what_stands_there(real_input, name, poles, n_things, n_crosswalks):
+    source = read_opendrive(real_input(f"opendrive/{name}.xodr"))
+    assert Counter(pole.kind for pole in source.poles) == poles
+    assert len(source.things) == n_things
+    assert len(source.crosswalks_m) == n_crosswalks
+
+
+def test_lanes_meet_their_continuation_at_the_roads_end(real_input):
+    source = read_opendrive(real_input("opendrive/Town01.xodr"))
+    inner = [one for one in source.lanes if one.kind == "driving"]
+    loose = [one for one in inner if not (one.from_junction and one.to_junction)]
+    starts = np.array([one.centreline_m[0] for one in inner])
+    for one in loose:
+        if not one.to_junction:
+            assert np.linalg.norm(starts - one.centreline_m[-1], axis=1).min() < 0.5, one.id
