@@ -217,8 +217,7 @@ class _Document:
             if name in ("posList", "pos"):
                 texts.append(element.text or "")
             elif name == "coordinates":
-                separator = element.attrib.get("cs", ",")
-                texts.append((element.text or "").replace(separator, " "))
+                texts.append((element.text or "").replace(element.attrib.get("cs") or ",", " "))
             n_dimensions = _n_dimensions(element) or n_dimensions
         words = " ".join(texts).split()
         try:
@@ -227,7 +226,7 @@ class _Document:
             raise InputError(
                 f"{self.where}: {self._name(ring)}", Unquoted(error), "numbers"
             ) from None
-        n_dimensions = n_dimensions or (3 if len(numbers) % 3 == 0 else 2)
+        n_dimensions = n_dimensions or 3
         if len(numbers) % n_dimensions:
             raise InputError(
                 f"{self.where}: {self._name(ring)}",

@@ -1,5 +1,6 @@
 """Features from GIS files: geometries and what their tables say of them."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,7 +124,9 @@ def _read_geojson(path: Path) -> Features:
                 *(OverflowError, RecursionError),
             ):
                 raise InputError(
-                    f"{here}.geometry", Unquoted(f"a broken {table['type']}"), "its coordinates"
+                    f"{here}.geometry",
+                    Unquoted(f"a broken {table['type']}"),
+                    "finite coordinates, rings of four or more, nested as its type asks for",
                 ) from None
         features.append(Feature(where=here, geometry=geometry, values=values))
     return Features(features=tuple(features), crs=_geojson_crs(document.get("crs"), where))
@@ -154,15 +157,16 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
         with path.open("rb") as file:
             if file.read(len(magic)) != magic:
                 raise InputError(where, Unquoted("something else"), name)
-        layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
-        if layer is None and len(layers) != 1:
-            raise InputError(where, Unquoted(f"{len(layers)} layers"), _one_of(layers))
-        if layer is not None and layer not in layers:
-            raise InputError(f"{where}: layer", layer, _one_of(layers))
-        info = pyogrio.read_info(path, layer=layer)
-        if info["geometry_type"] is None:
-            raise InputError(where, Unquoted("a table without geometries"), name)
-        table = pyogrio.read_dataframe(path, layer=layer, max_features=MAX_FEATURES + 1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # rings left open and the like, which GDAL mends
+            layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
+            if layer is None and len(layers) != 1:
+                raise InputError(where, Unquoted(f"{len(layers)} layers"), _one_of(layers))
+            if layer is not None and layer not in layers:
+                raise InputError(f"{where}: layer", layer, _one_of(layers))
+            if pyogrio.read_info(path, layer=layer)["geometry_type"] is None:
+                raise InputError(where, Unquoted("a table without geometries"), name)
+            table = pyogrio.read_dataframe(path, layer=layer, max_features=MAX_FEATURES + 1)
     except OSError as error:
         raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
     except (

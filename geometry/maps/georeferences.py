@@ -73,7 +73,7 @@ class Georeference:
             array[:, :2] = _transform(array[:, :2], self.source_crs, self.crs)
         if array.shape[1] > 2:
             array[:, 2] *= self.z_m
-        if not np.isfinite(array).all():
+        if not (np.abs(array) < _MAX_M).all():  # also of what is not finite
             raise InputError(
                 where,
                 Unquoted("coordinates that are no place on earth"),
@@ -123,6 +123,10 @@ def georeference(
     if not np.isfinite(xy).all():
         raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
     box = np.array([xy.min(axis=0), xy.max(axis=0)])
+    if np.abs(box).max() > _MAX_M:
+        raise InputError(
+            where, Unquoted(f"a coordinate of {np.abs(box).max():.3g}"), "places on earth"
+        )
     try:
         crs = horizontal_crs(declared)
     except ProjError:
@@ -217,6 +221,7 @@ _SPELLINGS: tuple[tuple[str, Callable[[re.Match[str]], str]], ...] = (
     (r".*epsg\.xml#(\d+)", lambda match: f"EPSG:{match[1]}"),
 )
 _MAX_TEXT = 20_000
+_MAX_M = 1e8  # twice around the earth
 _MAX_STRETCH = 0.005
 _EDGE_SHARE = 0.5  # of the width of an area of use: Bavaria uses UTM 32 two degrees east of it
 _ORIGIN_M = 1000.0

@@ -68,7 +68,8 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
     """Ground under the lowest points of cells.
 
     A surface is opened with growing windows; what an opening takes off by more than the ground
-    could rise there stands on it, and what lies under it is that of the nearest ground.
+    could rise within half the window stands on it, and under it lies the height of the nearest
+    ground. Of a house that ground behind it overtops, a part is taken for ground.
 
     Parameters
     ----------
@@ -97,7 +98,7 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
         if last >= max(surface.shape):
             break
         lower = grey_opening(opened, size=(window, window), mode="nearest")
-        is_ground &= opened - lower <= _STEP_M + _SLOPE * (window - last)
+        is_ground &= opened - lower <= _STEP_M + 0.5 * _SLOPE * (window - last) * CELL_M
         opened, last = lower, window
     if not is_ground.any():
         return opened

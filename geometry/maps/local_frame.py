@@ -84,7 +84,7 @@ def frame_at(source: SourceMap, point_m: ArrayLike) -> LocalFrame:
     InputError
         The point lies nowhere on earth, in the map's coordinate reference system.
     """
-    point = np.round(np.asarray(point_m, dtype=np.float64))
+    point: FloatArray = np.array(point_m, dtype=np.float64).round()
     crs = local_crs(point, source.crs, where=source.name) if source.crs else ""
     return LocalFrame(crs=crs, map_crs=source.crs, origin_m=point)
 

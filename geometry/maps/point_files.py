@@ -99,6 +99,8 @@ def _check_las_header(path: Path) -> None:
     if not header_bytes <= first_point <= n_bytes or header_bytes + 54 * n_records > first_point:
         raise InputError(where, Unquoted(f"{n_records:,} records in its header"), "as many as fit")
     is_packed = bool(point_format & 0xC0)
+    if is_packed:
+        _check_chunk_table(path, first_point, point_bytes)
     if not is_packed and first_point + n_points * point_bytes > n_bytes:
         raise InputError(
             where,
@@ -109,13 +111,34 @@ def _check_las_header(path: Path) -> None:
         raise InputError(where, Unquoted(f"{point_bytes} bytes for every point"), "fewer")
 
 
+def _check_chunk_table(path: Path, first_point: int, point_bytes: int) -> None:
+    """Refuse more chunks of packed points than fit: the first point of each is not packed."""
+    n_bytes = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(first_point)
+        head = file.read(8)
+        at = struct.unpack("<q", head)[0] if len(head) == 8 else 0
+        if at == -1:  # of a file that was written as a stream: in its last eight bytes
+            file.seek(-8, 2)
+            at = struct.unpack("<q", file.read(8))[0]
+        if not first_point < at <= n_bytes - 8:
+            raise InputError(str(path), Unquoted("a table of chunks outside the file"), "all of it")
+        file.seek(at)
+        _, n_chunks = struct.unpack("<2I", file.read(8))
+    if n_chunks * max(1, point_bytes) > n_bytes:
+        raise InputError(
+            str(path), Unquoted(f"{n_chunks:,} chunks in {n_bytes:,} bytes"), "as many as fit"
+        )
+
+
 def _open_las(path: Path) -> Iterator[PointFile]:
     """A LAS or LAZ file, opened."""
     import laspy
 
     where = str(path)
     try:
-        reader = laspy.open(path)
+        # One thread: the parallel one of lazrs aborts the process where a chunk table is damaged.
+        reader = laspy.open(path, laz_backend=laspy.LazBackend.Lazrs)
     except OSError:
         raise
     except Exception as error:  # laspy raises whatever a damaged header makes it
@@ -240,7 +263,9 @@ def _pcd_binary(
     for first in range(0, n_points, chunk):
         n = min(chunk, n_points - first)
         table = np.frombuffer(file.read(n * record.itemsize), dtype=record)
-        yield np.stack([table[str(column)][:, 0].astype(np.float64) for column in columns], axis=1)
+        with np.errstate(invalid="ignore"):  # NaNs of the signalling kind
+            xyz = [table[str(column)][:, 0].astype(np.float64) for column in columns]
+        yield np.stack(xyz, axis=1)
 
 
 def _pcd_ascii(
@@ -283,7 +308,8 @@ def _pcd_compressed(
         offset = sum(record[before].itemsize for before in range(column)) * n_points
         kind, shape = record[column].subdtype or (record[column], (1,))
         values = np.frombuffer(data, dtype=kind, count=n_points * shape[0], offset=offset)
-        xyz.append(values[:: shape[0]].astype(np.float64))
+        with np.errstate(invalid="ignore"):  # NaNs of the signalling kind
+            xyz.append(values[:: shape[0]].astype(np.float64))
     yield np.stack(xyz, axis=1)
 
 

@@ -1,5 +1,6 @@
 """Which sites a scene gets: the map's own poles, a planner's list, or points along the kerbs."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from .site_files import SUFFIXES, SiteWish, read_sites
 AUTO, MAP, KERB = "auto", "map", "kerb:"
 _AUTO_SPACING_M = 15.0
 _SPACINGS_M = (2.0, 100.0)
+_OCTANTS = ("e", "ne", "n", "nw", "w", "sw", "s", "se")
 
 
 def choose_sites(
@@ -106,7 +108,17 @@ def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tup
         for lane in surroundings.lanes
     ]
     wishes = kerb_sites(lanes, surroundings.outline_m, spacing_m)
-    return tuple(wish for wish in wishes if np.hypot(*wish.position_m) <= radius_m)
+    near = [wish for wish in wishes if np.hypot(*wish.position_m) <= radius_m]
+    near.sort(key=lambda wish: float(np.hypot(*wish.position_m)))
+    count: Counter[str] = Counter()
+    named = []
+    for wish in near:  # by where they lie, seen from the junction: kerb-ne-1 is the nearest there
+        east, north = wish.position_m
+        octant = round(np.degrees(np.arctan2(north, east)) / 45.0) % 8
+        count[_OCTANTS[octant]] += 1
+        name = f"kerb-{_OCTANTS[octant]}-{count[_OCTANTS[octant]]}"
+        named.append(replace(wish, id=name))
+    return tuple(named)
 
 
 def _listed(

@@ -119,6 +119,8 @@ def test_no_reference_system_needs_no_note(declared):
         ([[35.6, 139.7], [35.61, 139.71]], "EPSG:4326", "latitude and longitude swapped"),
         ([[np.nan, 1.0]], "EPSG:25833", "not finite"),
         ([[np.inf, 1.0]], "", "not finite"),
+        ([[1e15, 1.0], [0.0, 0.0]], "", "places on earth"),
+        ([[1e15, 1.0], [0.0, 0.0]], "EPSG:25833", "places on earth"),
     ],
 )
 def test_impossible_coordinates_are_refused(points, declared, message):

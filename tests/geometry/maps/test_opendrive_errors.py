@@ -236,10 +236,18 @@ def test_each_wrong_file_is_refused_in_one_line_that_names_the_element(tmp_path,
     assert _refused(tmp_path, text) == message
 
 
-@pytest.mark.parametrize("curvature", ["1e12", "-1e6"])
-def test_a_curve_that_nobody_can_follow_is_refused(tmp_path, curvature):
-    message = _refused(tmp_path, _plan(geometry(f'<arc curvature="{curvature}"/>')))
-    assert re.match(r"made.xodr: road 5 geometry\[0\]: got bends that take \S+ points", message)
+def test_a_curve_that_winds_up_is_refused(tmp_path):
+    assert _refused(tmp_path, _plan(geometry('<arc curvature="-1e6"/>'))) == (
+        "made.xodr: road 5 geometry[0]: got a curve that turns by 1e+08 rad; "
+        "expected at most 200 rad"
+    )
+
+
+def test_widths_that_nobody_can_follow_are_refused(tmp_path):
+    wild = cubic("width", 0.0, 1.0, 0.0, 1e8, -1e6)
+    text = document(road("5", sections=section(right=[lane(-1, width=wild)])))
+    message = _refused(tmp_path, text.replace('c="100000000.0"', 'c="-1e-12"'))
+    assert message.startswith("made.xodr: road 5: edge of a lane: got ")
 
 
 def test_too_many_points_altogether_are_refused(tmp_path, monkeypatch):

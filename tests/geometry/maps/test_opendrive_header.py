@@ -29,6 +29,13 @@ def test_a_projection_in_metres_is_taken(tmp_path, reference):
     assert not source.skipped
 
 
+def test_carla_writes_a_point_and_means_a_projection(tmp_path):
+    source = _read(tmp_path, "+lat_0=4.9e+1 +lon_0=8")
+    assert source.crs == source.source_crs
+    assert source.crs.startswith("+proj=tmerc +lat_0=4.9e+1 +lon_0=8 +k=1 ")
+    assert not source.skipped
+
+
 def test_what_a_projection_says_about_heights_is_left_out(tmp_path):
     reference = "+proj=utm +zone=32 +geoidgrids=egm96_15.gtx +vunits=m +ellps=GRS80"
     source = _read(tmp_path, reference)
@@ -42,7 +49,6 @@ def test_what_a_projection_says_about_heights_is_left_out(tmp_path):
         ("EPSG:4326", _DEGREES),
         ("+proj=longlat +datum=WGS84", _DEGREES),
         ("EPSG:2263", "not in metres"),
-        ("+lat_0=4.9e+1 +lon_0=8", "not a coordinate reference system that pyproj knows"),
         ("somewhere", "not a coordinate reference system that pyproj knows"),
         ("+proj=tmerc " * 5000, "longer than 20000 characters"),
     ],

@@ -152,6 +152,34 @@ def test_a_junction_that_only_joins_two_roads_is_one(tmp_path):
     assert arms_of(source, source.junctions[0]) == {"east": (1, 1), "west": (1, 1)}
 
 
+def test_a_stub_of_a_road_at_the_mouth_belongs_to_the_road_beyond(tmp_path):
+    text = document(crossing()).replace(
+        road_text := 'x="10.0" y="0.0" hdg="0.0" length="50.0"',
+        road_text.replace("10.0", "11.0", 1),
+    )
+    link = to_junction("predecessor", "9")
+    text = text.replace(link, to_road("predecessor", "5", "end"), 1)
+    stub = road(
+        "5",
+        plan=geometry(x=10.0, length=1.0),
+        length=1.0,
+        link=link + to_road("successor", "1", "start"),
+    )
+    text = text.replace("</OpenDRIVE>", f"{stub}</OpenDRIVE>")
+    text = text.replace(
+        'elementId="1" contactPoint="start"/></link><planView><geometry s="0.0" x="-',
+        'elementId="5" contactPoint="start"/></link><planView><geometry s="0.0" x="-',
+    )
+    source = read_text(tmp_path, text)
+    assert arms_of(source, source.junctions[0])["east"] == (1, 1)
+    lanes = {one.id: one for one in source.lanes}
+    assert not {"5/1", "5/-1"} & set(lanes)
+    np.testing.assert_allclose(lanes["1/1"].centreline_m[[0, -1], :2], [[61, 1.75], [10, 1.75]])
+    assert (lanes["1/1"].from_junction, lanes["1/1"].to_junction) == ("", "9")
+    np.testing.assert_allclose(lanes["1/-1"].centreline_m[[0, -1], 0], [10, 61])
+    assert (np.diff(lanes["1/-1"].centreline_m[:, 0]) > 0).all()
+
+
 def test_sidewalks_are_no_part_of_the_surface(tmp_path):
     sides = section(left=[lane(1), lane(2, "sidewalk", width=9.0)], right=[lane(-1)])
     parts = [road("3", length=20.0, junction="9", sections=sides), '<junction id="9"/>']

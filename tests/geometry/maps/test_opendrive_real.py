@@ -18,10 +18,11 @@ def town05(real_input):
 
 def test_town05_has_its_junctions(town05):
     assert len(town05.junctions) == 21
-    assert [note.what.split()[0] for note in town05.skipped] == ["geoReference"]
+    assert town05.skipped == ()
+    assert town05.crs.startswith("+proj=tmerc +lat_0=4.9")
     assert Counter(one.kind for one in town05.lanes) == {
-        "driving": 218,
-        "walking": 117,
+        "driving": 206,
+        "walking": 108,
         "parking": 18,
     }
 
@@ -47,6 +48,12 @@ def test_the_studys_junction_has_the_lanes_of_its_scene(town05):
             if lane.kind == kind:
                 gaps = [lines.distance(shapely.Point(point)) for point in lane.centreline_m]
                 assert max(gaps) < 0.1, lane.id
+
+
+def test_every_junction_of_town05_has_three_or_four_arms(town05):
+    n_arms = {one.id: len(arms_of(town05, one)) for one in town05.junctions}
+    three = {"224", "905", "924", "943", "1050", "1148", "1162", "1260"}
+    assert n_arms == {name: 3 if name in three else 4 for name in n_arms}
 
 
 @pytest.mark.parametrize(

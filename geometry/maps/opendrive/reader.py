@@ -1,0 +1,152 @@
+"""One OpenDRIVE file as a map.
+
+An own reader: the Python libraries for OpenDRIVE write files, or read them in part, for one
+simulator or one version, while lanes, outlines and objects are needed here of all versions.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from ...errors import InputError, Unquoted
+from ..model import SourceMap
+from ..xml_files import local_name, read_xml
+from .attributes import numbered
+from .crosswalks import cross_paths
+from .header import Offset, read_crs, read_offset
+from .junctions import find_road_ends, read_junction_records
+from .lanes import build_lanes
+from .objects import read_objects
+from .omissions import Omissions
+from .outlines import build_junctions
+from .parking import build_rows
+from .poles import merge_poles
+from .roads import NO_JUNCTION, Road, read_road
+from .sampling import MAX_POINTS, SampledSection, sample_road
+from .signals import read_signals
+from .stubs import join_stubs
+
+
+def read_opendrive(path: Path) -> SourceMap:
+    """Read an OpenDRIVE file.
+
+    Parameters
+    ----------
+    path : Path
+        A file in ASAM OpenDRIVE 1.4 to 1.8.
+
+    Returns
+    -------
+    source_map : SourceMap
+        Its roads outside junctions as lanes in driving direction; the surface that the connecting
+        roads of a junction cover as its outline; objects and signals as things, poles, crosswalks
+        and parking lanes. Heights are absolute. Roads are level across.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, is no OpenDRIVE, has no roads, lacks a number or has one that is out of
+        range, or takes more points than can be.
+
+    References
+    ----------
+    .. [1] ASAM OpenDRIVE 1.8.1, and 1.4 to 1.7 for what it has dropped.
+    """
+    where = path.name
+    root = read_xml(path, expected="OpenDRIVE")
+    for element in root.iter():
+        element.tag = local_name(element)
+    if root.tag != "OpenDRIVE":
+        raise InputError(where, Unquoted(f"a document <{root.tag[:40]}>"), "<OpenDRIVE>")
+    omissions = Omissions()
+    crs, source_crs = read_crs(root, omissions)
+    offset = read_offset(root, where)
+    roads = _read_roads(root, where, offset)
+    sampled = _sample(roads, where)
+    records = read_junction_records(root, where, omissions)
+    ends = find_road_ends(roads, records, omissions)
+    lanes = join_stubs(
+        [
+            lane
+            for road in roads.values()
+            if road.junction == NO_JUNCTION
+            for lane in build_lanes(road, sampled[road.id], ends[road.id])
+        ]
+    )
+    junctions, lanes = build_junctions(records, roads, sampled, lanes, omissions, where)
+    found = read_objects(roads, omissions)
+    lanes += [
+        lane for road, spaces in found.spaces.items() for lane in build_rows(roads[road], spaces)
+    ]
+    poles, painted = read_signals(roads, sampled, offset, omissions)
+    crosswalks = [*found.crosswalks_m, *painted, *cross_paths(records, roads)]
+    _note_what_is_not_followed(root, roads, omissions)
+    return SourceMap(
+        name=where,
+        crs=crs,
+        source_crs=source_crs,
+        heights="absolute",
+        lanes=tuple(lanes),
+        junctions=tuple(junctions),
+        things=tuple(found.things),
+        poles=tuple(merge_poles([*found.poles, *poles])),
+        crosswalks_m=np.array(crosswalks).reshape(-1, 2, 2),
+        keeps_left=_keeps_left(roads, omissions),
+        skipped=omissions.listed(),
+    )
+
+
+def _read_roads(root: Element, where: str, offset: Offset) -> dict[str, Road]:
+    roads: dict[str, Road] = {}
+    for element, _ in numbered(root, "road", where):
+        road = read_road(element, where, offset)
+        if road.id in roads:
+            raise InputError(f"{road.where}.id", road.id, "every id once")
+        roads[road.id] = road
+    if not roads:
+        raise InputError(where, Unquoted("no road"), "a document with roads")
+    return roads
+
+
+def _sample(roads: Mapping[str, Road], where: str) -> dict[str, tuple[SampledSection, ...]]:
+    sampled: dict[str, tuple[SampledSection, ...]] = {}
+    n_points = 0
+    for road in roads.values():
+        sampled[road.id] = sample_road(road)
+        n_points += sum(len(section.s_m) * (1 + len(section.lanes)) for section in sampled[road.id])
+        if n_points > MAX_POINTS:
+            raise InputError(
+                road.where,
+                Unquoted(f"more than {MAX_POINTS:,} points up to here"),
+                "a smaller file: cut it out first",
+            )
+    return sampled
+
+
+def _keeps_left(roads: Mapping[str, Road], omissions: Omissions) -> bool:
+    n_left = sum(road.keeps_left for road in roads.values())
+    if 0 < n_left < len(roads):
+        omissions.add(
+            "rules",
+            f"rule of {min(n_left, len(roads) - n_left)} of {len(roads)} roads",
+            "traffic in a map keeps one side: that of most roads",
+        )
+    return 2 * n_left > len(roads)
+
+
+def _note_what_is_not_followed(
+    root: Element, roads: Mapping[str, Road], omissions: Omissions
+) -> None:
+    for road in roads.values():
+        if road.is_banked:
+            omissions.add(
+                "banked roads",
+                f"road {road.id}, superelevation",
+                "roads are level across: heights are those of the reference line",
+            )
+    for element in root.iter("include"):
+        omissions.add(
+            "included files", f"include {element.get('file', '')[:80]}", "other files are not read"
+        )

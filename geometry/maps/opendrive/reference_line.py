@@ -1,0 +1,220 @@
+"""The reference line of a road: its planView, evaluated at arc lengths."""
+
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...arrays import FloatArray
+from ...errors import InputError, Unquoted
+from . import curves
+from .attributes import numbered, take_number
+from .header import Offset
+
+SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
+MAX_COORDINATE_M = 1.0e8
+_N_CURVATURES = 33  # samples of a polynomial's curvature
+_ROUNDED_M = 1.0e-6
+_MAX_GAP_M = 1.0  # by which lengths of a file may miss one another
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReferenceLine:
+    """Pieces one after the other.
+
+    Attributes
+    ----------
+    starts_m, lengths_m : (n,) float
+        Of the pieces along the road. [m]
+    origins_m : (n, 2) float
+        Where they begin. [m]
+    headings_rad : (n,) float
+        [rad]
+    shapes : (n,) int
+        Index into ``SHAPES``.
+    parameters : (n, 9) float
+        Curvature, or that of the start and its slope; or coefficients of u and v (a, b, c, d) and
+        what an arc length is multiplied by to get the parameter. A line is an arc of curvature 0.
+    wheres : tuple of str
+        For messages.
+    """
+
+    starts_m: FloatArray
+    lengths_m: FloatArray
+    origins_m: FloatArray
+    headings_rad: FloatArray
+    shapes: NDArray[np.int64]
+    parameters: FloatArray
+    wheres: tuple[str, ...]
+
+    def at(
+        self, s_m: FloatArray, inside_m: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Points (k, 2) and headings (k,) at arc lengths.
+
+        Parameters
+        ----------
+        s_m : (k,) float
+            Before the begin and beyond the end they are moved there. [m]
+        inside_m : (k,) float, optional
+            Points that say which piece is meant: where two meet, the one or the other. [m]
+        """
+        lookup = s_m if inside_m is None else inside_m
+        piece = np.maximum(np.searchsorted(self.starts_m, lookup, side="right") - 1, 0)
+        ds = np.clip(s_m - self.starts_m[piece], 0.0, self.lengths_m[piece])
+        points, turns = self._local(piece, ds)
+        heading = self.headings_rad[piece]
+        cos, sin = np.cos(heading), np.sin(heading)
+        x, y = points.T
+        turned = np.stack([x * cos - y * sin, x * sin + y * cos], axis=1)
+        return self.origins_m[piece] + turned, heading + turns
+
+    def _local(self, piece: NDArray[np.int64], ds: FloatArray) -> tuple[FloatArray, FloatArray]:
+        points, turns = np.empty((len(ds), 2)), np.empty(len(ds))
+        shape = self.shapes[piece]
+        for wanted in np.unique(shape):
+            mask = shape == wanted
+            s, which = ds[mask], piece[mask]
+            parameters = self.parameters[which]
+            name = SHAPES[wanted]
+            if name in ("line", "arc"):
+                points[mask], turns[mask] = curves.arc(s, parameters[:, 0])
+            elif name == "spiral":
+                points[mask], turns[mask] = curves.spiral(s, parameters[:, 0], parameters[:, 1])
+            else:
+                p = s * parameters[:, 8]
+                if name == "poly3":
+                    for one in np.unique(which):
+                        here = which == one
+                        p[here] = curves.graph_parameter(
+                            s[here], self.parameters[one, 4:8], float(self.lengths_m[one])
+                        )
+                points[mask], turns[mask] = curves.polynomial(
+                    p, parameters[:, :4], parameters[:, 4:8]
+                )
+        return points, turns
+
+    def bends(self) -> FloatArray:
+        """How fast each piece turns: (n, 3).
+
+        Returns
+        -------
+        bends : (n, 3) float
+            Largest curvature [1/m], largest change of it per metre [1/m^2], and largest distance
+            that the line takes per metre of s (1 but for parametric polynomials).
+        """
+        rows = np.zeros((len(self.starts_m), 3))
+        rows[:, 2] = 1.0
+        for index, shape in enumerate(self.shapes):
+            name, length_m, k = SHAPES[shape], self.lengths_m[index], self.parameters[index]
+            if name in ("line", "arc"):
+                rows[index, 0] = abs(k[0])
+            elif name == "spiral":
+                rows[index, :2] = max(abs(k[0]), abs(k[0] + k[1] * length_m)), abs(k[1])
+            else:
+                rows[index] = _polynomial_bends(k, float(length_m))
+        return rows
+
+
+def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, float]:
+    s = np.linspace(0.0, length_m, _N_CURVATURES)
+    p = s * k[8]
+    du, dv = (k[i + 1] + p * (2.0 * k[i + 2] + 3.0 * p * k[i + 3]) for i in (0, 4))
+    ddu, ddv = (2.0 * k[i + 2] + 6.0 * p * k[i + 3] for i in (0, 4))
+    speed = np.maximum(np.hypot(du, dv), 1.0e-6)
+    curvature = (du * ddv - dv * ddu) / speed**3
+    # A curve that stands still at its begin has no curvature there: it is taken next to it.
+    curvature[speed <= 1.0e-5] = 0.0
+    change = np.abs(np.diff(curvature)) / np.maximum(np.diff(s), 1.0e-9)
+    stride = 1.0 if k[8] == 0.0 else float(speed.max() * k[8])
+    return float(np.abs(curvature).max()), float(change.max()), stride
+
+
+def read_reference_line(
+    road: Element, where: str, *, length_m: float, offset: Offset
+) -> ReferenceLine:
+    """Read a road's planView.
+
+    Parameters
+    ----------
+    road : Element
+        Who has it.
+    where : str
+        For messages: "Town.xodr: road 5".
+    length_m : float
+        Of the road. [m]
+    offset : Offset
+        From the file's coordinates to the projection's.
+
+    Raises
+    ------
+    InputError
+        There is no piece of a length above 0, a number is missing or not finite, a piece begins
+        beyond the road's end or far from its begin, or has an unknown shape.
+    """
+    rows = []
+    for element, here in numbered(road.find("planView"), "geometry", where):
+        row = _read_piece(element, here)
+        if row[0] > length_m + _MAX_GAP_M or row[0] < -_MAX_GAP_M:
+            raise InputError(f"{here}.s", row[0], f"0 .. {length_m:g}, the road's length")
+        if row[4] > _ROUNDED_M:
+            rows.append((row, here))
+    if not rows:
+        raise InputError(f"{where} planView", Unquoted("no geometry"), "pieces of a length above 0")
+    rows.sort(key=lambda pair: pair[0][0])
+    table = np.array([row for row, _ in rows])
+    starts_m = table[:, 0].copy()
+    if starts_m[0] > _MAX_GAP_M:
+        raise InputError(f"{rows[0][1]}.s", float(starts_m[0]), "0: a road begins there")
+    starts_m[0] = 0.0
+    return ReferenceLine(
+        starts_m=starts_m,
+        lengths_m=table[:, 4],
+        origins_m=offset.apply(table[:, 1:3]),
+        headings_rad=table[:, 3] + offset.heading_rad,
+        shapes=table[:, 5].astype(np.int64),
+        parameters=table[:, 6:],
+        wheres=tuple(here for _, here in rows),
+    )
+
+
+def _read_piece(element: Element, where: str) -> tuple[float, ...]:
+    """s, x, y, hdg, length, index of the shape, nine parameters."""
+    s, x, y, heading, length_m = (
+        take_number(element, key, where) for key in ("s", "x", "y", "hdg", "length")
+    )
+    for key, value in (("x", x), ("y", y)):
+        if abs(value) > MAX_COORDINATE_M:
+            raise InputError(f"{where}.{key}", value, f"at most {MAX_COORDINATE_M:g} m")
+    if length_m < -_ROUNDED_M:
+        raise InputError(f"{where}.length", length_m, "metres, at least 0")
+    shape = next((child for child in element if child.tag in SHAPES), None)
+    if shape is None:
+        tags = [str(child.tag) for child in element]
+        raise InputError(
+            where, Unquoted(", ".join(tags)[:80] or "no shape"), "one of " + ", ".join(SHAPES)
+        )
+    return (
+        *(s, x, y, heading, length_m, SHAPES.index(str(shape.tag))),
+        *_read_shape(shape, f"{where} {shape.tag}", length_m),
+    )
+
+
+def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...]:
+    if shape.tag == "line" or length_m <= _ROUNDED_M:
+        return (0.0,) * 9
+    if shape.tag == "arc":
+        return (take_number(shape, "curvature", where), *(0.0,) * 8)
+    if shape.tag == "spiral":
+        start, end = (take_number(shape, key, where) for key in ("curvStart", "curvEnd"))
+        return (start, (end - start) / length_m, *(0.0,) * 7)
+    if shape.tag == "poly3":
+        v = tuple(take_number(shape, key, where) for key in "abcd")
+        return (0.0, 1.0, 0.0, 0.0, *v, 1.0)
+    keys = [f"{key}{axis}" for axis in "UV" for key in "abcd"]
+    p_range = shape.get("pRange", "normalized")  # OpenDRIVE 1.4: the default
+    if p_range not in ("normalized", "arcLength"):
+        raise InputError(f"{where}.pRange", p_range, "normalized or arcLength")
+    per_metre = 1.0 / length_m if p_range == "normalized" else 1.0
+    return (*(take_number(shape, key, where) for key in keys), per_metre)

@@ -1,0 +1,274 @@
+"""Roads as a file has them: reference line, elevation, lane sections, links."""
+
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...errors import InputError, Unquoted
+from .attributes import numbered, take_id, take_number
+from .cubics import PiecewiseCubic, read_cubics
+from .header import Offset
+from .reference_line import ReferenceLine, read_reference_line
+
+NO_JUNCTION = "-1"
+_MAX_LENGTH_M = 100_000.0
+_MAX_SECTION_GAP_M = 1.0e-3
+_MAX_LANES = 200  # on one side of a section
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoadLink:
+    """What a road begins or ends at.
+
+    Attributes
+    ----------
+    kind : str
+        "road", "junction"; empty: nothing.
+    id : str
+        Of that road or junction.
+    contact : str
+        Which of a road's ends: "start" or "end".
+    """
+
+    kind: str = ""
+    id: str = ""
+    contact: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaneRecord:
+    """A lane of one lane section.
+
+    Attributes
+    ----------
+    number : int
+        Its id: negative to the right of the reference line, counted outwards.
+    type : str
+        Of the standard: "driving", "sidewalk", ...
+    is_reversed : bool
+        Driven against what its side says (OpenDRIVE 1.7 and later).
+    predecessors, successors : tuple of int
+        Numbers in the sections before and after it.
+    width, border : PiecewiseCubic
+        Along the road. Border: where its outer edge is. No pieces: not given. [m]
+    """
+
+    number: int
+    type: str
+    is_reversed: bool
+    predecessors: tuple[int, ...]
+    successors: tuple[int, ...]
+    width: PiecewiseCubic
+    border: PiecewiseCubic
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaneSection:
+    """A stretch of a road with the same lanes.
+
+    Attributes
+    ----------
+    start_m, end_m : float
+        Along the road. [m]
+    left, right : tuple of LaneRecord
+        From the reference line outwards.
+    """
+
+    start_m: float
+    end_m: float
+    left: tuple[LaneRecord, ...]
+    right: tuple[LaneRecord, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Road:
+    """One road.
+
+    Attributes
+    ----------
+    id, name : str
+        Of the file.
+    where : str
+        For messages.
+    junction : str
+        Whose connecting road it is; ``NO_JUNCTION``: none.
+    length_m : float
+        [m]
+    keeps_left : bool
+        Traffic keeps left.
+    line : ReferenceLine
+        planView.
+    elevation : PiecewiseCubic
+        Of the reference line, without the header's offset. [m]
+    base_m : float
+        The header's offset in height. [m]
+    offset : PiecewiseCubic
+        Of the lanes to the left of the reference line. [m]
+    sections : tuple of LaneSection
+        One after the other.
+    before, after : RoadLink
+        What it begins and ends at.
+    is_banked : bool
+        It has a superelevation or a shape, which are not followed.
+    element : Element
+        For objects and signals.
+    """
+
+    id: str
+    name: str
+    where: str
+    junction: str
+    length_m: float
+    keeps_left: bool
+    line: ReferenceLine
+    elevation: PiecewiseCubic
+    base_m: float
+    offset: PiecewiseCubic
+    sections: tuple[LaneSection, ...]
+    before: RoadLink
+    after: RoadLink
+    is_banked: bool
+    element: Element
+
+    def height_at(self, s_m: FloatArray) -> FloatArray:
+        """Height of the reference line, (n,)."""
+        heights: FloatArray = self.elevation.at(np.clip(s_m, 0.0, self.length_m)) + self.base_m
+        return heights
+
+    def place(self, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points (n, 3) on the road's plane and headings (n,) of its reference line there."""
+        s_m = np.clip(s_m, 0.0, self.length_m)
+        points, heading = self.line.at(s_m)
+        left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
+        return np.column_stack([points + t_m[:, None] * left, self.height_at(s_m)]), heading
+
+
+def read_road(element: Element, where: str, offset: Offset) -> Road:
+    """Read a road element.
+
+    Parameters
+    ----------
+    element : Element
+        The road.
+    where : str
+        File, for messages.
+    offset : Offset
+        From the file's coordinates to the projection's.
+
+    Raises
+    ------
+    InputError
+        Something that it cannot be without is missing, or out of range.
+    """
+    road_id = take_id(element, f"{where}: road")
+    where = f"{where}: road {road_id}"
+    length_m = take_number(element, "length", where)
+    if not 0.0 < length_m <= _MAX_LENGTH_M:
+        raise InputError(f"{where}.length", length_m, f"metres, > 0, at most {_MAX_LENGTH_M:g}")
+    rule = element.get("rule", "RHT").upper()
+    if rule not in ("RHT", "LHT"):
+        raise InputError(f"{where}.rule", rule, "RHT or LHT")
+    lanes = element.find("lanes")
+    elevation = read_cubics(element.find("elevationProfile"), "elevation", where)
+    lateral = element.find("lateralProfile")
+    return Road(
+        id=road_id,
+        name=element.get("name", "").strip(),
+        where=where,
+        junction=element.get("junction", "").strip() or NO_JUNCTION,
+        length_m=length_m,
+        keeps_left=rule == "LHT",
+        line=read_reference_line(element, where, length_m=length_m, offset=offset),
+        elevation=elevation,
+        base_m=offset.z_m,
+        offset=read_cubics(lanes, "laneOffset", where),
+        sections=_read_sections(lanes, where, length_m),
+        before=_read_link(element, "predecessor"),
+        after=_read_link(element, "successor"),
+        is_banked=lateral is not None and _is_banked(lateral, where),
+        element=element,
+    )
+
+
+def _is_banked(lateral: Element, where: str) -> bool:
+    return any(
+        take_number(piece, key, here) != 0.0
+        for tag in ("superelevation", "shape")
+        for piece, here in numbered(lateral, tag, where)
+        for key in "abcd"
+    )
+
+
+def _read_link(road: Element, side: str) -> RoadLink:
+    element = road.find(f"link/{side}")
+    if element is None:
+        return RoadLink()
+    return RoadLink(
+        kind=element.get("elementType", ""),
+        id=element.get("elementId", "").strip(),
+        contact=element.get("contactPoint", ""),
+    )
+
+
+def _read_sections(lanes: Element | None, where: str, length_m: float) -> tuple[LaneSection, ...]:
+    found = []
+    for element, here in numbered(lanes, "laneSection", where):
+        start_m = take_number(element, "s", here)
+        if not -_MAX_SECTION_GAP_M <= start_m <= length_m + _MAX_SECTION_GAP_M:
+            raise InputError(f"{here}.s", start_m, f"0 .. {length_m:g}, the road's length")
+        if element.find("center/lane") is None:
+            raise InputError(f"{here} center", Unquoted("no lane"), "a lane section's lane 0")
+        found.append((start_m, element, here))
+    if not found:
+        raise InputError(f"{where} lanes", Unquoted("no laneSection"), "at least one")
+    found.sort(key=lambda item: item[0])
+    ends_m = [start_m for start_m, _, _ in found[1:]] + [length_m]
+    sections = tuple(
+        LaneSection(
+            start_m=min(max(start_m, 0.0), length_m),
+            end_m=end_m,
+            left=_read_side(element, "left", here, start_m),
+            right=_read_side(element, "right", here, start_m),
+        )
+        for (start_m, element, here), end_m in zip(found, ends_m, strict=True)
+    )
+    # A last section without length would hide that lanes reach the road's end.
+    is_empty = len(sections) > 1 and sections[-1].end_m - sections[-1].start_m < _MAX_SECTION_GAP_M
+    return sections[:-1] if is_empty else sections
+
+
+def _read_side(section: Element, side: str, where: str, start_m: float) -> tuple[LaneRecord, ...]:
+    sign = 1 if side == "left" else -1
+    records: dict[int, LaneRecord] = {}
+    for element, here in numbered(section.find(side), "lane", f"{where} {side}"):
+        number = _take_lane_number(element, here)
+        if number * sign <= 0 or number in records:
+            expected = f"{'positive' if sign > 0 else 'negative'} on the {side}, every one once"
+            raise InputError(f"{here}.id", number, expected)
+        records[number] = LaneRecord(
+            number=number,
+            type=element.get("type", "none").strip(),
+            is_reversed=element.get("direction", "standard") == "reversed",
+            predecessors=_linked_lanes(element, "predecessor"),
+            successors=_linked_lanes(element, "successor"),
+            width=read_cubics(element, "width", here, start_key="sOffset", first_m=start_m),
+            border=read_cubics(element, "border", here, start_key="sOffset", first_m=start_m),
+        )
+    if len(records) > _MAX_LANES:
+        raise InputError(f"{where} {side}", len(records), f"at most {_MAX_LANES} lanes")
+    return tuple(records[number] for number in sorted(records, key=abs))
+
+
+def _take_lane_number(element: Element, where: str) -> int:
+    value = take_number(element, "id", where)
+    if value != int(value):
+        raise InputError(f"{where}.id", value, "a whole number")
+    return int(value)
+
+
+def _linked_lanes(lane: Element, side: str) -> tuple[int, ...]:
+    """Numbers that a lane names as those it goes on in; what is no number is no link."""
+    ids = [link.get("id", "").strip() for link in lane.findall(f"link/{side}")]
+    return tuple(int(text) for text in ids if text.lstrip("+-").isdecimal() and len(text) < 10)

@@ -1,0 +1,183 @@
+"""Signals beside the roads: traffic lights and signs, and the poles that carry them."""
+
+from bisect import bisect_left
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ..model import Pole
+from .attributes import numbered, take_number, take_number_or, take_size
+from .copies import is_on
+from .crosswalks import signal_crosswalk
+from .header import Offset
+from .kinds import signal_kind
+from .lanes import lane_kind
+from .omissions import Omissions
+from .roads import Road
+from .sampling import SampledSection
+from .tables import load_facts
+
+_PAINT = "paint on the road, or nothing above it"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Signal:
+    element: Element
+    road: Road
+    name: str
+    where: str
+    s_m: float
+    t_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Position:
+    """Foot below a signal, its top above that, and where on a road that is (empty: unknown)."""
+
+    foot_m: FloatArray
+    top_m: float
+    road: str
+    s_m: float
+    t_m: float
+
+
+def read_signals(
+    roads: Mapping[str, Road],
+    sampled: Mapping[str, Sequence[SampledSection]],
+    offset: Offset,
+    omissions: Omissions,
+) -> tuple[list[Pole], list[FloatArray]]:
+    """Signals of all roads.
+
+    Parameters
+    ----------
+    roads : mapping of str to Road
+        By id.
+    sampled : mapping of str to sequence of SampledSection
+        Of these roads: what hangs over a driving lane stands on no pole there.
+    offset : Offset
+        From the file's coordinates to the projection's.
+    omissions : Omissions
+        Where to note what is left out.
+
+    Returns
+    -------
+    poles : list of Pole
+        One per signal.
+    crosswalks_m : list of (2, 2) float
+        Those that are written as signals. [m]
+
+    Raises
+    ------
+    InputError
+        A number is missing or not finite.
+    """
+    poles: list[Pole] = []
+    crosswalks: list[FloatArray] = []
+    for one in _listed_signals(roads):
+        kind = signal_kind(one.element)
+        if not is_on(one.road, one.s_m):
+            omissions.add("signals beyond their road's end", one.name, "beyond its road's end")
+        elif kind == "crosswalk":
+            across_m = take_size(one.element, "width", one.where)
+            length_m = across_m or _road_width_m(sampled[one.road.id], one.s_m)
+            if length_m:
+                crosswalks.append(
+                    signal_crosswalk(one.element, one.road, one.s_m, one.t_m, length_m, one.where)
+                )
+        elif kind is None:
+            omissions.add("painted signals", one.name, _PAINT)
+        else:
+            position = _find_position(one, roads, offset)
+            why = _why_no_pole(kind, position, sampled)
+            if why:
+                omissions.add(f"signals ({kind})", one.name, why)
+            else:
+                poles.append(_build_pole(one.name, kind, position))
+    return poles, crosswalks
+
+
+def _listed_signals(roads: Mapping[str, Road]) -> Iterator[_Signal]:
+    names: dict[str, int] = {}
+    for road in roads.values():
+        parent = road.element.find("signals")
+        for index, (element, _) in enumerate(numbered(parent, "signal", road.where)):
+            label = f"signal {element.get('id', f'[{index}]')[:60]}"
+            name, where = f"road {road.id} {label}", f"{road.where} {label}"
+            names[name] = names.get(name, 0) + 1  # ids need not be unique in what people write
+            yield _Signal(
+                element=element,
+                road=road,
+                name=name if names[name] == 1 else f"{name} #{names[name]}",
+                where=where,
+                s_m=take_number(element, "s", where),
+                t_m=take_number(element, "t", where),
+            )
+
+
+def _find_position(one: _Signal, roads: Mapping[str, Road], offset: Offset) -> _Position:
+    """Where a signal is; where it stands may be said apart from where it holds."""
+    height_m = take_size(one.element, "height", one.where) or 0.0
+    road, s_m, t_m = one.road, one.s_m, one.t_m
+    z_m = take_number_or(one.element, "zOffset", one.where, 0.0)
+    on_road = one.element.find("positionRoad")
+    if on_road is not None and on_road.get("roadId", "") in roads:
+        here = f"{one.where} positionRoad"
+        road = roads[on_road.get("roadId", "")]
+        s_m, t_m = (take_number(on_road, key, here) for key in "st")
+        z_m = take_number_or(on_road, "zOffset", here, z_m)
+    foot = road.place(np.array([s_m]), np.array([t_m]))[0][0]
+    inertial = one.element.find("positionInertial")
+    if inertial is None:
+        return _Position(foot_m=foot, top_m=z_m + height_m, road=road.id, s_m=s_m, t_m=t_m)
+    x, y, z = (take_number(inertial, key, f"{one.where} positionInertial") for key in "xyz")
+    foot[:2] = offset.apply(np.array([[x, y]]))[0]
+    top_m = z + offset.z_m - float(foot[2]) + height_m
+    return _Position(foot_m=foot, top_m=top_m, road="", s_m=0.0, t_m=0.0)
+
+
+def _why_no_pole(
+    kind: str, position: _Position, sampled: Mapping[str, Sequence[SampledSection]]
+) -> str:
+    """Why a signal has no pole below it; empty: it has."""
+    if kind != "traffic light" and position.top_m < load_facts()["signals"]["min_sign_top_m"]:
+        return _PAINT
+    if position.road and any(
+        right < position.t_m < left
+        for right, left in _driving_edges(sampled[position.road], position.s_m)
+    ):
+        return "it hangs over a lane: there is no pole below it"
+    return ""
+
+
+def _build_pole(name: str, kind: str, position: _Position) -> Pole:
+    is_light = kind == "traffic light"
+    least_m = load_facts()["signals"]["min_light_top_m" if is_light else "min_sign_top_m"]
+    return Pole(
+        id=name,
+        kind=kind,
+        position_m=position.foot_m,
+        height_m=position.top_m if position.top_m >= least_m else None,
+    )
+
+
+def _driving_edges(sections: Sequence[SampledSection], s_m: float) -> list[tuple[float, float]]:
+    """Edges (right, left) of the driving lanes at a station."""
+    index = bisect_left(sections, s_m, key=lambda one: float(one.s_m[-1]))
+    section = sections[min(index, len(sections) - 1)]
+    edges = []
+    for lane in section.lanes.values():
+        if lane_kind(lane.record.type) == "driving":
+            inner, outer = (
+                float(np.interp(s_m, section.s_m, edge)) for edge in (lane.inner_m, lane.outer_m)
+            )
+            edges.append((min(inner, outer), max(inner, outer)))
+    return edges
+
+
+def _road_width_m(sections: Sequence[SampledSection], s_m: float) -> float:
+    edges = _driving_edges(sections, s_m)
+    return max(left for _, left in edges) - min(right for right, _ in edges) if edges else 0.0

@@ -1,0 +1,175 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geometry.errors import InputError
+from geometry.maps.extrusion import extrude
+from geometry.maps.kerb_sites import SETBACK_M, kerb_sites, tidy_sites
+from geometry.maps.model import MapLane, Thing
+from geometry.maps.site_files import SiteWish
+
+SQUARE = np.array([[-8, -8], [8, -8], [8, 8], [-8, 8]], dtype=float)
+
+
+def lane(name, points, *, width_m=3.0, kind="driving", z=0.0):
+    line = np.array(points, dtype=float)
+    return MapLane(
+        id=name,
+        kind=kind,
+        width_m=width_m,
+        centreline_m=np.column_stack([line, np.full(len(line), z)]),
+    )
+
+
+def east(name, y, *, begin=8.0, end=100.0, **options):
+    return lane(name, [(begin, y), (end, y)], **options)
+
+
+def positions(sites):
+    return np.array([site.position_m for site in sites]).reshape(-1, 2)
+
+
+def test_sites_line_both_kerbs_from_the_corners_outwards():
+    sites = kerb_sites([east("in", 1.5), east("out", -1.5)], SQUARE, 15.0)
+    found = positions(sites)
+    x = [8.5, 23.5, 38.5, 53.5]  # half a metre off the outline, to 60 m from it
+    for side, name in ((1.0, "in"), (-1.0, "out")):
+        kerb = found[np.sign(found[:, 1]) == side]
+        assert kerb == pytest.approx(np.column_stack([x, np.full(4, side * (3.0 + SETBACK_M))]))
+        assert sum(site.id.startswith(f"kerb {name} ") for site in sites) == 4
+    assert {site.kind for site in sites} == {"kerb"}
+    assert len({site.id for site in sites}) == 8
+
+
+def test_the_direction_of_a_lane_does_not_matter():
+    there = kerb_sites([lane("a", [(8, 0), (100, 0)])], SQUARE, 10.0)
+    back = kerb_sites([lane("a", [(100, 0), (8, 0)])], SQUARE, 10.0)
+    assert sorted(positions(there).tolist()) == sorted(positions(back).tolist())
+
+
+def test_parked_cars_are_beside_the_kerb_and_paths_are_not():
+    lanes = [east("a", 0.0), east("p", 2.5, width_m=2.0, kind="parking")]
+    lanes += [east("w", 4.5, width_m=2.0, kind="walking"), east("c", -2.5, kind="cycling")]
+    found = positions(kerb_sites(lanes, SQUARE, 20.0))
+    assert sorted(set(found[:, 1])) == pytest.approx([-1.5 - SETBACK_M, 3.5 + SETBACK_M])
+
+
+@pytest.mark.parametrize("gap_m", [0.0, 0.5, 2.0, 5.0])
+def test_medians_get_no_sites(gap_m):
+    lanes = [east("a", 1.5 + 0.5 * gap_m), east("b", -1.5 - 0.5 * gap_m)]
+    found = positions(kerb_sites(lanes, SQUARE, 20.0))
+    assert np.abs(found[:, 1]).min() == pytest.approx(3.0 + 0.5 * gap_m + SETBACK_M)
+
+
+def test_lanes_in_pieces_are_followed_and_those_of_other_roads_are_not():
+    lanes = [
+        east("a", 0.0, end=30.0),
+        east("b", 0.0, begin=30.2, end=100.0),
+        east("far", 30.0, begin=20.0),
+    ]
+    found = positions(kerb_sites(lanes, SQUARE, 10.0))
+    assert found[:, 0].max() == pytest.approx(58.5, abs=0.5)
+    assert np.abs(found[:, 1]).max() == 1.5 + SETBACK_M
+
+
+def test_sites_have_the_height_of_the_road():
+    assert {site.z_m for site in kerb_sites([east("a", 0.0, z=31.5)], SQUARE, 20.0)} == {31.5}
+
+
+@pytest.mark.parametrize("spacing_m", [0.0, -1.0, np.nan, np.inf])
+def test_impossible_spacings_are_refused(spacing_m):
+    with pytest.raises(InputError, match="spacing_m"):
+        kerb_sites([east("a", 0.0)], SQUARE, spacing_m)
+    with pytest.raises(InputError, match="outline_m"):
+        kerb_sites([east("a", 0.0)], SQUARE[:2], 10.0)
+
+
+@given(
+    angles=st.lists(st.integers(0, 11), min_size=1, max_size=5, unique=True),
+    spacing_m=st.floats(5.0, 40.0),
+    widths=st.lists(st.floats(2.0, 5.0), min_size=5, max_size=5),
+)
+def test_no_site_stands_on_the_road_and_neighbours_on_a_kerb_keep_their_distance(
+    angles, spacing_m, widths
+):
+    lanes = []
+    for number, angle in zip(angles, widths, strict=False):
+        way = np.array([np.cos(number * np.pi / 6), np.sin(number * np.pi / 6)])
+        left = np.array([-way[1], way[0]])
+        for side in (-0.5, 0.5):
+            points = np.outer([12.0, 90.0], way) + side * angle * left
+            lanes.append(lane(f"{number}{side}", points, width_m=angle))
+    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    outline = 12.0 * np.column_stack([np.cos(turn), np.sin(turn)])
+    sites = kerb_sites(lanes, outline, spacing_m)
+    found = positions(sites)
+    assert len(sites) >= 2 * len(angles)
+    assert (np.hypot(*found.T) <= 12.0 + 60.0 + 0.1).all()
+    for road in lanes:
+        begin, end = road.centreline_m[:, :2]
+        way = (end - begin) / np.hypot(*(end - begin))
+        along, across = (found - begin) @ way, (found - begin) @ [-way[1], way[0]]
+        beside = (along > 0.0) & (along < 78.0)
+        assert (np.abs(across[beside]) >= 0.5 * road.width_m + SETBACK_M - 0.06).all()
+    for road in lanes:
+        for side in ("left", "right"):
+            kerb = positions([s for s in sites if s.id.startswith(f"kerb {road.id} {side} ")])
+            if len(kerb) > 1:
+                assert np.hypot(*np.diff(kerb, axis=0).T).min() >= spacing_m - 1e-2
+
+
+def wish(name, x, y, **said):
+    return SiteWish(id=name, position_m=np.array([x, y], dtype=float), **said)
+
+
+def house(name="h", *, class_name="building", holes=()):
+    vertices, triangles = extrude(
+        [(0, 0), (10, 0), (10, 10), (0, 10)], bottom_m=0.0, top_m=6.0, holes_m=holes
+    )
+    return Thing(id=name, class_name=class_name, vertices_m=vertices, triangles=triangles)
+
+
+def test_of_sites_at_one_place_the_one_with_more_said_stays():
+    sites = [wish("a", 0, 0), wish("b", 0.6, 0, cost_eur=5.0), wish("c", 3, 0), wish("d", 3, 0)]
+    kept, skipped = tidy_sites(sites)
+    assert [site.id for site in kept] == ["b", "c"]
+    assert [skip.what for skip in skipped] == ["site a", "site d"]
+    assert "beside b" in skipped[0].why
+
+
+def test_sites_in_buildings_are_dropped_with_the_building_named():
+    sites = [wish("in", 5, 5), wish("edge", 5, 5.5), wish("out", 12, 5), wish("on", 10, 5)]
+    kept, skipped = tidy_sites(sites, things=[house()], snap_m=0.0)
+    assert [site.id for site in kept] == ["out", "on"]
+    assert {skip.why for skip in skipped} == {"inside building h"}
+
+
+def test_courtyards_walls_and_trees_are_no_buildings():
+    yard = [[(3, 3), (7, 3), (7, 7), (3, 7)]]
+    assert len(tidy_sites([wish("a", 5, 5)], things=[house(holes=yard)])[0]) == 1
+    assert len(tidy_sites([wish("a", 5, 5)], things=[house(class_name="vegetation")])[0]) == 1
+
+
+@given(
+    st.lists(st.tuples(st.floats(0, 10), st.floats(0, 10), st.integers(0, 3)), max_size=25),
+    st.floats(0.1, 3.0),
+)
+def test_what_is_kept_is_apart_and_what_is_dropped_is_near_something_kept(rows, snap_m):
+    said = ({}, {"cost_eur": 1.0}, {"cost_eur": 1.0, "z_m": 0.0}, {"has_power": True})
+    sites = [wish(f"{i}", x, y, **said[n]) for i, (x, y, n) in enumerate(rows)]
+    kept, skipped = tidy_sites(sites, snap_m=snap_m)
+    assert len(kept) + len(skipped) == len(sites)
+    for index, site in enumerate(kept):
+        for other in kept[index + 1 :]:
+            assert np.hypot(*(site.position_m - other.position_m)) > snap_m
+    by_id = {site.id: site for site in sites}
+    for skip in skipped:
+        gone = by_id[skip.what.removeprefix("site ")]
+        better = [site for site in kept if site.n_said >= gone.n_said]
+        assert any(np.hypot(*(gone.position_m - s.position_m)) <= snap_m for s in better)
+
+
+def test_no_sites_give_no_sites():
+    assert tidy_sites([], things=[house()]) == ((), ())
+    assert kerb_sites([], SQUARE, 10.0) == ()

@@ -1,0 +1,288 @@
+import laspy
+import numpy as np
+import pyproj
+import pytest
+import trimesh
+from damage import damaged, read_or_refuse
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from geometry.errors import InputError
+from geometry.maps import point_clouds
+from geometry.maps.point_clouds import read_point_cloud
+from geometry.maps.point_files import open_points
+from geometry.maps.surfaces import volume_m3
+from geometry.raycast import build_caster
+
+ORIGIN = np.array([390_000.0, 5_819_000.0, 35.0])
+RNG_SEED = 7
+
+
+def house(n=40_000, size=(12.0, 8.0, 6.0)):
+    solid = trimesh.creation.box(size)
+    solid.apply_translation([0.0, 0.0, 0.5 * size[2]])
+    return solid.sample(n, seed=RNG_SEED)
+
+
+def crown(n=10_000):
+    ball = trimesh.creation.icosphere(radius=2.0)
+    ball.apply_translation([20.0, 0.0, 5.0])
+    return ball.sample(n, seed=RNG_SEED)
+
+
+def ground(n=40_000, *, beside_house=True):
+    rng = np.random.default_rng(RNG_SEED)
+    points = np.column_stack([rng.uniform(-40, 40, (n, 2)), rng.normal(0.0, 0.02, n)])
+    under = (np.abs(points[:, 0]) < 6.0) & (np.abs(points[:, 1]) < 4.0)
+    return points[~under] if beside_house else points
+
+
+def write_las(
+    tmp_path, parts, classes, *, name="a.las", crs="EPSG:25833", origin=ORIGIN, slope=0.0
+):
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [0.001] * 3, origin
+    if crs:
+        header.add_crs(pyproj.CRS(crs))
+    las = laspy.LasData(header)
+    points = np.concatenate(parts)
+    points[:, 2] += slope * points[:, 0]
+    las.x, las.y, las.z = (points + origin).T
+    las.classification = np.repeat(classes, [len(part) for part in parts]).astype(np.uint8)
+    las.write(tmp_path / name)
+    return tmp_path / name
+
+
+def write_pcd(tmp_path, points, encoding="binary", *, n_claimed=None, name="a.pcd"):
+    n = len(points) if n_claimed is None else n_claimed
+    head = (
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\n"
+        f"WIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA {encoding}\n"
+    )
+    if encoding == "ascii":
+        body = "".join(f"{x:.4f} {y:.4f} {z:.4f} 0\n" for x, y, z in points).encode()
+    else:
+        body = np.column_stack([points, np.zeros(len(points))]).astype("<f4").tobytes()
+    path = tmp_path / name
+    path.write_bytes(head.encode() + body)
+    return path
+
+
+def size(thing):
+    return np.ptp(thing.vertices_m, axis=0)
+
+
+@pytest.mark.parametrize("name", ["a.las", "a.laz"])
+@pytest.mark.parametrize("classes", [(6, 5, 2), (1, 1, 1), (0, 0, 2)])
+def test_a_house_and_a_tree_stand_on_the_ground_where_they_were(tmp_path, name, classes):
+    source = read_point_cloud(write_las(tmp_path, [house(), crown(), ground()], classes, name=name))
+    assert (source.crs, source.heights) == ("EPSG:25833", "above ground")
+    by_size = sorted(source.things, key=lambda thing: -size(thing).max())
+    solid, tree = by_size
+    assert solid.class_name == "building"
+    assert tree.class_name == ("vegetation" if classes[1] == 5 else "building")
+    low, high = solid.vertices_m.min(axis=0), solid.vertices_m.max(axis=0)
+    assert np.allclose(low, [ORIGIN[0] - 6, ORIGIN[1] - 4, 0.0], atol=0.51)
+    assert np.allclose(high, [ORIGIN[0] + 6, ORIGIN[1] + 4, 6.0], atol=0.51)
+    assert volume_m3(solid.vertices_m, solid.triangles) == pytest.approx(576.0, rel=0.15)
+    # Under the crown one can look through.
+    assert tree.vertices_m[:, 2].min() == pytest.approx(3.0, abs=0.5)
+    assert tree.vertices_m[:, 2].max() == pytest.approx(7.0, abs=0.5)
+
+
+def test_rays_find_no_hole_in_a_wall_and_nothing_beside_it(tmp_path):
+    wall = np.column_stack(
+        [
+            np.random.default_rng(1).uniform(-5.0, 5.0, 8000),
+            np.zeros(8000),
+            np.random.default_rng(2).uniform(0.0, 4.0, 8000),
+        ]
+    )
+    source = read_point_cloud(
+        write_pcd(tmp_path, np.concatenate([wall, ground(beside_house=False)]))
+    )
+    (thing,) = source.things
+    x, z = (a.ravel() for a in np.meshgrid(np.linspace(-8, 8, 161), np.linspace(0.1, 5.0, 50)))
+    origins = np.column_stack([x, np.full(len(x), -20.0), z])
+    caster = build_caster(thing.vertices_m, thing.triangles)
+    ahead = np.tile([0.0, 1.0, 0.0], (len(x), 1))
+    is_hit = np.isfinite(caster.first_hit(origins, ahead))
+    margin = 2.0 * point_clouds.VOXEL_M
+    inner = (np.abs(x) < 5.0 - margin) & (z < 4.0 - margin)
+    outer = (np.abs(x) > 5.0 + margin) | (z > 4.0 + margin)
+    assert is_hit[inner].mean() > 0.995
+    assert not is_hit[outer].any()
+
+
+@pytest.mark.parametrize("slope", [-0.06, 0.06])
+def test_ground_may_slope(tmp_path, slope):
+    path = write_las(tmp_path, [house(), ground()], (1, 1), slope=slope)
+    (thing,) = read_point_cloud(path).things
+    assert thing.vertices_m[:, 2].min() == 0.0
+    assert thing.vertices_m[:, 2].max() == pytest.approx(6.0, abs=0.8)
+
+
+@pytest.mark.parametrize("kind", [1, 6])
+def test_roofs_seen_from_the_air_get_walls(tmp_path, kind):
+    roof = house()
+    roof = roof[roof[:, 2] > 5.99]
+    (thing,) = read_point_cloud(write_las(tmp_path, [roof, ground()], (kind, 2))).things
+    assert volume_m3(thing.vertices_m, thing.triangles) == pytest.approx(576.0, rel=0.15)
+
+
+def test_thin_scans_get_larger_voxels_and_say_so(tmp_path):
+    source = read_point_cloud(write_las(tmp_path, [house(1500), ground()], (1, 2)))
+    assert len(source.things) == 1
+    assert source.skipped[0].what == "detail below 1 m"
+
+
+def test_classes_that_hide_nothing_are_left_out_and_counted(tmp_path):
+    path = write_las(tmp_path, [house(), crown(500), crown(20), ground()], (6, 14, 7, 2))
+    source = read_point_cloud(path)
+    assert len(source.things) == 1
+    assert {skip.what for skip in source.skipped} == {"500 wire", "20 noise"}
+
+
+def test_the_class_of_points_without_one_is_the_callers(tmp_path):
+    path = write_pcd(tmp_path, np.concatenate([house(), ground()]))
+    assert read_point_cloud(path, class_name="wall").things[0].class_name == "wall"
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_pcd_files_are_read(tmp_path, encoding):
+    points = np.concatenate([house(), ground(), [[np.nan] * 3]])
+    (thing,) = read_point_cloud(write_pcd(tmp_path, points, encoding)).things
+    assert size(thing) == pytest.approx([12.0, 8.0, 6.0], abs=0.51)
+
+
+def test_pcd_files_of_open3d_are_read(tmp_path):
+    o3d = pytest.importorskip("open3d")
+    points = np.concatenate([house(4000), ground(4000)])
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    for name, options in (
+        ("a.pcd", {}),
+        ("b.pcd", {"write_ascii": True}),
+        ("c.pcd", {"compressed": True}),
+    ):
+        o3d.io.write_point_cloud(str(tmp_path / name), cloud, **options)
+        with open_points(tmp_path / name) as file:
+            found = np.concatenate([xyz for xyz, _ in file.chunks])
+        assert np.allclose(found, points, atol=1e-4)
+
+
+def test_coordinates_in_degrees_become_metres(tmp_path):
+    parts = [house(), ground()]
+    lonlat = pyproj.Transformer.from_crs("EPSG:25833", "EPSG:4326", always_xy=True)
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [1e-8, 1e-8, 0.001], [13.0, 52.0, 0.0]
+    header.add_crs(pyproj.CRS("EPSG:4326"))
+    las = laspy.LasData(header)
+    x, y, z = (np.concatenate(parts) + ORIGIN).T
+    las.x, las.y = lonlat.transform(x, y)
+    las.z = z
+    las.write(tmp_path / "a.las")
+    (thing,) = read_point_cloud(tmp_path / "a.las").things
+    assert size(thing)[2] == pytest.approx(6.0, abs=0.51)
+    assert sorted(size(thing)[:2]) == pytest.approx([8.0, 12.0], abs=1.0)
+
+
+def patched(path, offset, data):
+    content = bytearray(path.read_bytes())
+    content[offset : offset + len(data)] = data
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("offset", "data", "message"),
+    [
+        (0, b"NOPE", "LAS file"),
+        (247, (10**10).to_bytes(8, "little"), "10,000,000,000 points"),
+        (247, (40_000_000).to_bytes(8, "little"), "cut off"),
+        (100, (4 * 10**9).to_bytes(4, "little"), "records in its header"),
+        (243, (4 * 10**9).to_bytes(4, "little"), "extended records"),
+        (131, np.array([np.nan]).tobytes(), "finite scales"),
+        (131, np.array([0.0]).tobytes(), "finite scales"),
+    ],
+)
+def test_headers_that_claim_what_cannot_be_are_refused(tmp_path, offset, data, message):
+    path = patched(write_las(tmp_path, [house(100)], (1,)), offset, data)
+    with pytest.raises(InputError, match=message):
+        read_point_cloud(path)
+
+
+@pytest.mark.parametrize(
+    ("n_claimed", "message"), [(10**10, "POINTS"), (5000, "cut off"), (0, "POINTS")]
+)
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_pcd_headers_that_claim_too_much_are_refused(tmp_path, n_claimed, message, encoding):
+    with pytest.raises(InputError, match=message):
+        read_point_cloud(write_pcd(tmp_path, house(100), encoding, n_claimed=n_claimed))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ((b"FIELDS x y z", b"FIELDS a b c"), "x, y and z"),
+        ((b"SIZE 4 4 4 4", b"SIZE 4 4 4"), "SIZE"),
+        ((b"SIZE 4 4 4 4", b"SIZE 4 4 4 3"), "rgb"),
+        ((b"TYPE F", b"TYPE Q"), "field x"),
+        ((b"COUNT 1 1 1 1", b"COUNT 1 1 1 999999"), "rgb"),
+        ((b"DATA binary", b"DATA nothing"), "DATA"),
+        ((b"DATA binary", b"DATA binary_compressed"), "unpacked"),
+        ((b"DATA", b"DAT"), "no header"),
+        ((b"# .PCD", b"\x00\x01"), "no header"),
+    ],
+)
+def test_broken_pcd_headers_are_refused(tmp_path, changes, message):
+    path = write_pcd(tmp_path, house(100))
+    path.write_bytes(path.read_bytes().replace(*changes))
+    with pytest.raises(InputError, match=message):
+        read_point_cloud(path)
+
+
+def test_clouds_of_nothing_but_ground_are_refused(tmp_path):
+    with pytest.raises(InputError, match="only ground"):
+        read_point_cloud(write_las(tmp_path, [ground()], (1,)))
+    with pytest.raises(InputError, match="no points"):
+        read_point_cloud(write_las(tmp_path, [ground(0)], ()))
+
+
+def test_degrees_and_infinite_points_are_refused(tmp_path):
+    small = house(500) * 1e-4 + [13.0, 52.0, 0.0]
+    with pytest.raises(InputError, match="degrees where metres"):
+        read_point_cloud(write_pcd(tmp_path, small))
+    with pytest.raises(InputError, match="finite"):
+        read_point_cloud(write_pcd(tmp_path, np.array([[np.inf, 0.0, 0.0]])))
+
+
+def test_unknown_options_and_endings_are_refused(tmp_path):
+    path = write_pcd(tmp_path, house(100))
+    for wrong in ({"class_name": "castle"}, {"voxel_m": 0.0}, {"voxel_m": np.nan}):
+        with pytest.raises(InputError):
+            read_point_cloud(path, **wrong)
+    with pytest.raises(InputError, match="one of"):
+        read_point_cloud(tmp_path / "a.e57")
+    with pytest.raises(InputError, match="readable"):
+        read_point_cloud(tmp_path / "b.las")
+
+
+def test_too_many_voxels_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(point_clouds, "_MAX_VOXELS", 100)
+    with pytest.raises(InputError, match="a larger voxel"):
+        read_point_cloud(write_pcd(tmp_path, house()))
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data(), name=st.sampled_from(["s.las", "s.laz", "a.pcd", "b.pcd"]))
+def test_damaged_files_are_read_or_refused(tmp_path, data, name):
+    path = tmp_path / name
+    if name.endswith(".pcd"):
+        write_pcd(tmp_path, house(60) * 0.3, "ascii" if name == "a.pcd" else "binary", name=name)
+    else:
+        write_las(tmp_path, [house(60) * 0.3], (1,), name=name)
+    wounded = data.draw(damaged(path.read_bytes()))
+    source = read_or_refuse(path, wounded, read_point_cloud)
+    assert source is None or source.things

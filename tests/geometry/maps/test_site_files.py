@@ -1,0 +1,153 @@
+import json
+
+import numpy as np
+import pytest
+from damage import damaged, read_or_refuse
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pyproj import Transformer
+
+from geometry.errors import InputError
+from geometry.maps.site_files import read_sites
+
+UTM = "EPSG:25833"
+AT_M = np.array([390_000.0, 5_819_000.0])
+LON, LAT = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(*AT_M)
+LOCAL = f"+proj=tmerc +lat_0={LAT} +lon_0={LON} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
+
+FULL = (
+    "ID;X_m;Y_m;Z;Min_Height_m;max_height;Kind;Cost_EUR;Power;fibre;Capacity;Forbidden;Remark\n"
+    "a;390000;5819000;35.5;4;8;Lamp_Post;2500;yes;no;2;no;the old one\n"
+    "b;390010.5;5819000;;;;;;;;;YES;\n"
+)
+
+
+def write(tmp_path, text, name="sites.csv"):
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def write_json(tmp_path, *features, **members):
+    table = {"type": "FeatureCollection", "features": features} | members
+    return write(tmp_path, json.dumps(table), "sites.geojson")
+
+
+def point(*position, **properties):
+    geometry = {"type": "Point", "coordinates": position}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+@pytest.mark.parametrize("separator", [";", ",", "\t"])
+def test_every_field_is_read_and_what_is_not_said_is_none(tmp_path, separator):
+    a, b = read_sites(write(tmp_path, FULL.replace(";", separator)), crs=UTM)
+    assert (a.id, a.kind, a.position_m.tolist(), a.z_m) == ("a", "lamp post", AT_M.tolist(), 35.5)
+    assert (a.min_height_m, a.max_height_m, a.cost_eur, a.capacity_units) == (4.0, 8.0, 2500.0, 2)
+    assert (a.has_power, a.has_fibre, a.is_forbidden) == (True, False, False)
+    assert (b.id, b.kind, b.position_m.tolist()) == ("b", "", [390_010.5, 5_819_000.0])
+    assert {b.z_m, b.min_height_m, b.max_height_m, b.cost_eur, b.capacity_units} == {None}
+    assert (b.has_power, b.has_fibre, b.is_forbidden) == (None, None, True)
+    assert a.n_said > b.n_said == 1
+
+
+@pytest.mark.parametrize("crs", [UTM, LOCAL])
+def test_degrees_are_projected(tmp_path, crs):
+    text = f"id,latitude_deg,Longitude\na,{LAT:.9f},{LON:.9f}\n"
+    (site,) = read_sites(write(tmp_path, text), crs=crs)
+    assert site.position_m == pytest.approx(AT_M if crs == UTM else [0.0, 0.0], abs=0.01)
+
+
+def test_geojson_points_are_read_with_their_heights_and_properties(tmp_path):
+    path = write_json(
+        tmp_path, point(LON, LAT, 35.0, id=7, power="no", cost_eur=10), point(LON, LAT, ID="b")
+    )
+    a, b = read_sites(path, crs=UTM)
+    assert (a.id, a.z_m, a.has_power, a.cost_eur, b.id) == ("7", 35.0, False, 10.0, "b")
+    assert a.position_m == pytest.approx(AT_M, abs=0.01)
+
+
+def test_geojson_in_another_reference_system_is_projected(tmp_path):
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::3857"}}
+    x, y = Transformer.from_crs(UTM, "EPSG:3857", always_xy=True).transform(*AT_M)
+    (site,) = read_sites(write_json(tmp_path, point(x, y, id="a"), crs=crs), crs=UTM)
+    assert site.position_m == pytest.approx(AT_M, abs=0.01)
+
+
+def test_sites_of_a_scene_from_nowhere_are_in_its_metres(tmp_path):
+    (site,) = read_sites(write(tmp_path, "id,x,y\na,3.5,-2\n"), crs="")
+    assert site.position_m.tolist() == [3.5, -2.0]
+    with pytest.raises(InputError, match="where on earth"):
+        read_sites(write(tmp_path, "id,lat,lon\na,52,13\n"), crs="")
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("", "no sites"),
+        ("id,x,y\n", "no sites"),
+        ("id,x,y\na,1\n", "line 2: got 2 fields"),
+        ("id,x,y\na,1,2\n,1,2\n", "line 3: id"),
+        ("id,x,y\na,1,2\na,1,2\n", "line 3: id"),
+        ("id,x,y\na,one,2\n", "line 2: x"),
+        ("id,x,y\na,nan,2\n", "line 2: x"),
+        ("id,x,y\na,1e999,2\n", "line 2: x"),
+        ("id,x\na,1\n", "line 2: y"),
+        ("id,lat\na,1\n", "line 2: lon"),
+        ("id\na\n", "line 2: lat and lon"),
+        ("id,x,y,cost_eur\na,1,2,-3\n", "line 2: cost"),
+        ("id,x,y,capacity\na,1,2,1.5\n", "line 2: capacity"),
+        ("id,x,y,capacity\na,1,2,0\n", "line 2: capacity"),
+        ("id,x,y,power\na,1,2,maybe\n", "line 2: power"),
+        ("id,x,y,min_height_m,max_height_m\na,1,2,8,4\n", "line 2: max_height"),
+        ("id,x,y,max_height_ft\na,1,2,8\n", "metres and euros"),
+        ("id,x,y,X_m\na,1,2,8\n", "a second x"),
+        ('id,x,y\n"a,1,2\n', "CSV"),
+        (f"id,lat,lon\na,{LON},{LAT}\n", "latitude and longitude swapped"),
+        ("id,lat,lon\na,139.7,35.6\n", "latitude and longitude swapped"),
+        ("id,lat,lon\na,390000,5819000\n", "line 2: lat"),
+        ("id,lat,lon\na,52,500\n", "line 2: lon"),
+    ],
+)
+@pytest.mark.parametrize("crs", [UTM, LOCAL])
+def test_every_mistake_names_line_and_field(tmp_path, text, where, crs):
+    with pytest.raises(InputError, match=where) as caught:
+        read_sites(write(tmp_path, text), crs=crs)
+    assert "\n" not in str(caught.value)
+    assert "sites.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("feature", "where"),
+    [
+        (point(LAT, LON, id="a"), "swapped"),
+        (point(390_000.0, 5_819_000.0, id="a"), r"features\[0\]: lat"),
+        (point(LON, LAT), r"features\[0\]: id"),
+        (point(LON, LAT, id="a", capacity="many"), r"features\[0\]: capacity"),
+        (point(LON, LAT, id="a", cost=[1]), r"features\[0\]: cost"),
+        ({"geometry": {"type": "LineString", "coordinates": [[1, 2], [3, 4]]}}, "a Point"),
+        ({"geometry": None, "properties": {"id": "a"}}, "lat and lon"),
+    ],
+)
+def test_every_mistake_in_geojson_names_feature_and_field(tmp_path, feature, where):
+    with pytest.raises(InputError, match=where):
+        read_sites(write_json(tmp_path, feature), crs=UTM)
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(InputError, match="one of"):
+        read_sites(tmp_path / "sites.xlsx", crs=UTM)
+    with pytest.raises(InputError, match="readable"):
+        read_sites(tmp_path / "sites.csv", crs=UTM)
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data(), name=st.sampled_from(["sites.csv", "sites.geojson"]))
+def test_damaged_files_are_read_or_refused(tmp_path, data, name):
+    path = write(tmp_path, FULL)
+    if name == "sites.geojson":
+        path = write_json(tmp_path, point(LON, LAT, id="a", power="no"))
+    wounded = data.draw(damaged(path.read_bytes()))
+    sites = read_or_refuse(path, wounded, lambda file: read_sites(file, crs=UTM))
+    assert sites is None or len({site.id for site in sites}) == len(sites) > 0

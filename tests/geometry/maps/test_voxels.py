@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from geometry.errors import InputError
+from geometry.maps import voxels
+from geometry.maps.surfaces import volume_m3
+
+SHAPE = (6, 5, 4)
+FIRST = 1000
+
+
+@st.composite
+def blocks(draw):
+    """A small dense grid, and the same as sorted keys."""
+    dense = np.array(draw(st.lists(st.booleans(), min_size=120, max_size=120)), dtype=bool).reshape(
+        SHAPE
+    )
+    dense[2, 2, 2] = True
+    return dense, np.sort(voxels.to_keys(np.argwhere(dense) + FIRST))
+
+
+def dense_of(keys):
+    grid = np.zeros(SHAPE, dtype=bool)
+    grid[tuple((voxels.to_cells(keys) - FIRST).T)] = True
+    return grid
+
+
+@given(st.lists(st.tuples(*[st.integers(1, voxels.MAX_VOXELS_PER_AXIS)] * 3), min_size=1))
+def test_keys_and_cells_are_inverse_and_equally_ordered(cells):
+    keys = voxels.to_keys(np.array(cells))
+    assert voxels.to_cells(keys).tolist() == [list(cell) for cell in cells]
+    assert (np.argsort(keys, kind="stable") == np.lexsort(np.array(cells).T[::-1])).all()
+
+
+@given(blocks())
+def test_clusters_are_those_of_dense_labelling(block):
+    dense, keys = block
+    labels = voxels.clusters(keys)
+    truth, n = ndimage.label(dense, structure=np.ones((3, 3, 3)))
+    pairs = {(int(a), int(b)) for a, b in zip(labels, truth[dense], strict=True)}
+    assert len(pairs) == n == labels.max() + 1
+    assert labels[0] == 0
+
+
+@given(blocks())
+def test_bridges_close_gaps_of_one_and_no_more(block):
+    dense, keys = block
+    between = dense.copy()
+    padded = np.pad(dense, 1)
+    for step in np.argwhere(np.ones((3, 3, 3))) - 1:
+        if step.any():
+            one, other = (
+                np.roll(padded, sign * step, axis=(0, 1, 2))[1:-1, 1:-1, 1:-1] for sign in (1, -1)
+            )
+            between |= one & other
+    assert (dense_of(voxels.bridged(keys)) == between).all()
+
+
+@given(blocks())
+def test_columns_reach_from_the_floor_to_the_top(block):
+    dense, keys = block
+    full = np.flip(np.maximum.accumulate(np.flip(dense, 2), axis=2), 2)
+    assert (dense_of(voxels.columns_to(keys, FIRST)) == full).all()
+
+
+@given(blocks())
+def test_faces_enclose_the_volume_of_the_voxels_and_no_other(block):
+    dense, keys = block
+    vertices, triangles = voxels.faces(
+        keys, origin_m=np.zeros(3), voxel_m=1.0, max_triangles=10_000, where="f"
+    )
+    assert volume_m3(vertices, triangles) == pytest.approx(dense.sum())
+    a, b, c = np.swapaxes(vertices[triangles], 0, 1)
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    padded = np.pad(dense, 1).astype(int)
+    exposed = sum(np.abs(np.diff(padded, axis=axis)).sum() for axis in range(3))
+    assert area == pytest.approx(exposed)
+
+
+@settings(max_examples=20, deadline=None)
+@given(blocks())
+def test_every_face_looks_into_the_open(block):
+    dense, keys = block
+    vertices, triangles = voxels.faces(
+        keys, origin_m=np.zeros(3), voxel_m=1.0, max_triangles=10_000, where="f"
+    )
+    a, b, c = np.swapaxes(vertices[triangles] - FIRST, 0, 1)
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    padded = np.pad(dense, 1)
+    near = a + 0.01 * (b - a) + 0.01 * (c - a)  # in the face, beside its corner
+    for side, expected in ((0.5, False), (-0.5, True)):
+        cells = np.floor(near + side * normal).astype(int) + 1
+        assert (padded[tuple(cells.T)] == expected).all()
+
+
+def test_a_large_box_has_twelve_triangles():
+    keys = np.sort(voxels.to_keys(np.argwhere(np.ones((20, 30, 40))) + FIRST))
+    _, triangles = voxels.faces(
+        keys, origin_m=np.zeros(3), voxel_m=0.25, max_triangles=12, where="f"
+    )
+    assert len(triangles) == 12
+    with pytest.raises(InputError, match="12 triangles"):
+        voxels.faces(keys, origin_m=np.zeros(3), voxel_m=0.25, max_triangles=11, where="f")
+
+
+def test_hollow_things_that_stand_are_filled_and_gateways_stay():
+    dense = np.ones((12, 12, 8), dtype=bool)
+    dense[1:-1, 1:-1, :-1] = False  # a shell without a floor
+    keys = np.sort(voxels.to_keys(np.argwhere(dense) + FIRST))
+    assert len(voxels.filled(keys, FIRST)) == 12 * 12 * 8
+    dense[0, 4:8, :4] = False  # and now with a gateway
+    keys = np.sort(voxels.to_keys(np.argwhere(dense) + FIRST))
+    assert np.array_equal(voxels.filled(keys, FIRST), keys)
+
+
+def test_neighbours_are_counted_as_they_are():
+    plate = np.argwhere(np.ones((30, 30, 1))) + FIRST
+    assert 7.0 < voxels.mean_neighbours(np.sort(voxels.to_keys(plate))) < 8.0
+    assert voxels.mean_neighbours(voxels.to_keys(plate[:1])) == 0.0
