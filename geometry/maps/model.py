@@ -116,7 +116,7 @@ class Thing:
         vertices = float_array(self.vertices_m, (-1, 3), f"{where}.vertices_m")
         object.__setattr__(self, "vertices_m", vertices)
         triangles = freeze(np.array(self.triangles, dtype=np.int32).reshape(-1, 3))
-        if len(triangles) and not (0 <= triangles.min() and triangles.max() < len(vertices)):
+        if len(triangles) and not (triangles.min() >= 0 and triangles.max() < len(vertices)):
             raise InputError(
                 f"{where}.triangles", int(triangles.max()), f"indices below {len(vertices)}"
             )
