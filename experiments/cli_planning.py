@@ -89,8 +89,8 @@ _SITES = (
         "--sensors",
         default="",
         metavar="NAMES",
-        help="Models to choose from, with commas between: carla-ncap-rgb,carla-ncap-lidar; "
-        "default: the study's camera.",
+        help="Models to choose from, with commas between: carla-ncap-rgb,carla-ncap-lidar, or "
+        "your own: FILE.toml, FILE.toml:NAME; default: the study's camera.",
     ),
     click.option(
         "--study-poses/--no-study-poses",

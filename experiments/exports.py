@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from geometry.arrays import BoolArray, FloatArray
-from geometry.catalogue import Sensor
+from geometry.catalogue import Sensor, own_sensor_record
 from geometry.errors import InputError, Unquoted
 from geometry.frames import to_carla_points, to_carla_yaw, to_geographic
 from geometry.lidar import LidarModel
@@ -69,7 +69,9 @@ def to_json(layout: Layout) -> str:
         "scene": layout.scene_name,
         "layout": layout_records(layout),
     }
-    return to_json_text(document)
+    own = {unit.sensor.name: own_sensor_record(unit.sensor) for unit in layout.units}
+    sensors = {name: record for name, record in own.items() if record is not None}
+    return to_json_text(document | ({"sensors": sensors} if sensors else {}))
 
 
 def to_geojson(layout: Layout, crs: str, scene: Scene | None = None) -> str:

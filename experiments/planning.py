@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
 
-from geometry.catalogue import pick_sensor
+from geometry.catalogue import Sensor, load_catalogue, pick_sensor
 from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
+from geometry.toml_files import pick
 from placement.candidates import (
     CandidateGrid,
     CandidatePose,
@@ -130,13 +132,22 @@ def effort_of(planning: Planning) -> Effort:
 
 
 def grid_of(sensors: str) -> CandidateGrid:
-    """The default grid, with sensors by name, commas between; none: the default one's."""
+    """The default grid, with sensors by name or from files, commas between; none: its own."""
     names = _words(sensors)
     if not names:
         return load_candidate_grid()
-    return replace(
-        load_candidate_grid(), sensors=tuple(pick_sensor(name, "--sensors") for name in names)
-    )
+    models = {model.name: model for name in names for model in _sensors(name)}
+    return replace(load_candidate_grid(), sensors=tuple(models.values()))
+
+
+def _sensors(word: str) -> Sequence[Sensor]:
+    """The model of a name; all of a catalogue FILE.toml, or FILE.toml:NAME."""
+    path, _, name = word.rpartition(":")
+    if word.endswith(".toml"):
+        return list(load_catalogue(Path(word)).values())
+    if path.endswith(".toml"):
+        return [pick(load_catalogue(Path(path)), name, f"--sensors {path}")]
+    return [pick_sensor(word, "--sensors")]
 
 
 def _layout(name: str, option: str, scene: Scene) -> Layout | None:

@@ -1,10 +1,14 @@
 """Named sensor models, read from ``data/sensors.toml`` and ``data/lidars.toml``."""
 
+from collections.abc import Mapping
+from dataclasses import asdict
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
+from typing import Any
 
-from .errors import InputError
-from .lidar import LidarModel, load_lidars
+from .errors import InputError, Unquoted
+from .lidar import LidarModel, load_lidars, read_lidar
 from .sensors import CameraModel
 from .toml_files import Table, load_toml, pick, take, take_list, take_number
 
@@ -58,6 +62,53 @@ def _read_fov_range_deg(entry: Table, where: str) -> tuple[float, float] | None:
         raise InputError(f"{where}.{key}", numbers, "[low, high] in degrees")
     low, high = (take_number({key: number}, key, where) for number in numbers)
     return low, high
+
+
+def load_catalogue(path: Path) -> dict[str, Sensor]:
+    """Somebody's own sensor models, by name.
+
+    Parameters
+    ----------
+    path : Path
+        TOML with tables ``[cameras.NAME]`` and ``[lidars.NAME]``, whose fields are those of
+        ``data/sensors.toml`` and ``data/lidars.toml``.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has no model, or a field is missing or not of its kind.
+    """
+    table = load_toml(path)
+    models: dict[str, Sensor] = {}
+    expected = "[cameras.NAME] or [lidars.NAME]"
+    for group, entries in table.items():
+        if group not in ("cameras", "lidars") or not isinstance(entries, Mapping):
+            raise InputError(f"{path}: {group}", Unquoted("it"), expected)
+    for kind, group in (("camera", "cameras"), ("lidar", "lidars")):
+        for name, entry in table.get(group, {}).items():
+            models[name] = read_sensor(name, entry, kind, str(path))
+    if not models:
+        raise InputError(str(path), Unquoted("no model"), expected)
+    return models
+
+
+def read_sensor(name: str, entry: Any, kind: str, source: str) -> Sensor:
+    """Sensor model of a kind from its fields; see :func:`read_camera`."""
+    if not isinstance(entry, Mapping):
+        raise InputError(f"{source}: {name}", entry, "a table of fields")
+    if kind == "lidar":
+        return read_lidar(name, entry, source)
+    return read_camera(name, entry, source)
+
+
+def own_sensor_record(sensor: Sensor) -> dict[str, Any] | None:
+    """Fields of a model for a file, with its kind; None of one in the catalogue."""
+    kind = sensor_kind(sensor)
+    known: Mapping[str, Sensor] = load_lidars() if kind == "lidar" else load_cameras()
+    if sensor.name in known:
+        return None
+    fields = {key: value for key, value in asdict(sensor).items() if value is not None}
+    return {"kind": kind} | {key: value for key, value in fields.items() if key != "name"}
 
 
 def sensor_kind(sensor: Sensor) -> str:

@@ -276,9 +276,8 @@ def noisy_ranges(lidar: LidarModel, distance_m: ArrayLike, rng: np.random.Genera
 @cache
 def load_lidars() -> dict[str, LidarModel]:
     """All LiDAR models of the catalogue, by name, from ``data/lidars.toml``."""
-    return {
-        name: _read_lidar(name, entry) for name, entry in take(_data(), "lidars", _FILE).items()
-    }
+    entries = take(_data(), "lidars", _FILE)
+    return {name: read_lidar(name, entry, _FILE) for name, entry in entries.items()}
 
 
 @cache
@@ -302,8 +301,24 @@ def _data() -> Table:
     return load_toml(files(__package__) / "data" / _FILE)
 
 
-def _read_lidar(name: str, entry: Table) -> LidarModel:
-    where = f"{_FILE}: {name}"
+def read_lidar(name: str, entry: Table, source: str) -> LidarModel:
+    """LiDAR model from the fields of a TOML table.
+
+    Parameters
+    ----------
+    name : str
+        Name in the catalogue.
+    entry : mapping
+        Fields of :class:`LidarModel`.
+    source : str
+        What is being read, for error messages.
+
+    Raises
+    ------
+    InputError
+        A field is missing or not of its kind.
+    """
+    where = f"{source}: {name}"
     numbers = [field.name for field in fields(LidarModel) if field.type is float]
     return LidarModel(
         name=name,

@@ -10,7 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from geometry.catalogue import SENSOR_KINDS, Sensor, load_cameras, pick_sensor, sensor_kind
+from geometry.catalogue import (
+    SENSOR_KINDS,
+    Sensor,
+    load_cameras,
+    pick_sensor,
+    read_sensor,
+    sensor_kind,
+)
 from geometry.errors import InputError, Unquoted
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
@@ -157,7 +164,13 @@ def _lens_record(sensor: Sensor) -> dict[str, float]:
     return {"fov_deg": sensor.horizontal_fov_deg}
 
 
-def layout_from_records(name: str, records: Sequence[Any], where: str) -> Layout:
+def layout_from_records(
+    name: str,
+    records: Sequence[Any],
+    where: str,
+    *,
+    sensors: Mapping[str, Sensor] | None = None,
+) -> Layout:
     """Layout from plain records, checked field by field.
 
     Parameters
@@ -168,6 +181,8 @@ def layout_from_records(name: str, records: Sequence[Any], where: str) -> Layout
         As :func:`layout_records` writes them; "site" may be missing.
     where : str
         What is being read, for error messages.
+    sensors : mapping of str to CameraModel or LidarModel, optional
+        Models beside those of the catalogue.
 
     Raises
     ------
@@ -205,7 +220,10 @@ def layout_from_records(name: str, records: Sequence[Any], where: str) -> Layout
         site = record.get("site", "")
         if not isinstance(site, str):
             raise InputError(f"{here}.site", site, "text")
-        sensor = pick_sensor(record[kind], f"{here}.{kind}", kind=kind)
+        own = (sensors or {}).get(record[kind])
+        sensor = own or pick_sensor(record[kind], f"{here}.{kind}", kind=kind)
+        if sensor_kind(sensor) != kind:
+            raise InputError(f"{here}.{kind}", record[kind], f"a {kind}")
         if fov_deg is not None:
             if not isinstance(sensor, CameraModel):
                 raise InputError(f"{here}.fov_deg", fov_deg, "nothing: only cameras have lenses")
@@ -245,9 +263,24 @@ def load_layout(path: Path) -> Layout:
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
         raise InputError(str(path), Unquoted("no list 'layout'"), 'an object {"layout": [units]}')
     layout = layout_from_records(
-        str(document.get("name", path.stem)), document["layout"], str(path)
+        str(document.get("name", path.stem)),
+        document["layout"],
+        str(path),
+        sensors=_read_own_sensors(document.get("sensors", {}), f"{path}: sensors"),
     )
     return replace(layout, scene_name=str(document.get("scene", "")))
+
+
+def _read_own_sensors(records: Any, where: str) -> dict[str, Sensor]:
+    """Models that a layout brings along."""
+    if not isinstance(records, Mapping):
+        raise InputError(where, records, "an object with a model under each name")
+    models = {}
+    for name, record in records.items():
+        if not isinstance(record, Mapping) or record.get("kind") not in SENSOR_KINDS:
+            raise InputError(f"{where}.{name}", record, 'fields, "kind" camera or lidar')
+        models[name] = read_sensor(name, record, record["kind"], where)
+    return models
 
 
 def check_layout(layout: Layout, scene: Scene) -> None:

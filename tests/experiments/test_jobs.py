@@ -115,6 +115,30 @@ def test_every_sensor_asked_for_is_tried_at_every_pose(small_study, tmp_path, mo
         place(tmp_path / "out", sensors="radar")
 
 
+def test_a_layout_brings_its_own_sensors_along(small_study, tmp_path):
+    catalogue = tmp_path / "mine.toml"
+    catalogue.write_text(
+        """
+        [cameras.wide]
+        width_px = 1920
+        height_px = 1080
+        horizontal_fov_deg = 120.0
+        frame_rate_hz = 10.0
+        near_m = 0.5
+        price_eur = 100.0
+        """
+    )
+    summary = place(tmp_path / "out", sensors=f"{catalogue}:wide", study_poses=False)
+    assert summary["layout"][0]["camera"] == "wide"
+    catalogue.unlink()
+    layout = load_layout(tmp_path / "out/layout.json")
+    assert layout.units[0].sensor.horizontal_fov_deg == 120.0
+    assert evaluate(layout)["cost_eur"] == 100.0
+    catalogue.write_text("[cameras]")
+    with pytest.raises(InputError, match="got no model"):
+        place(tmp_path / "out", sensors=str(catalogue))
+
+
 def test_a_budget_that_is_too_large_is_refused_before_anything_else(tmp_path, monkeypatch):
     monkeypatch.setattr(jobs, "build_setting", pytest.fail)
     with pytest.raises(InputError, match="--budget: got 10000; expected a whole number"):

@@ -1,6 +1,14 @@
+import numpy as np
 import pytest
 
-from geometry.catalogue import load_cameras, pick_camera, read_camera
+from geometry.catalogue import (
+    load_cameras,
+    load_catalogue,
+    own_sensor_record,
+    pick_camera,
+    read_camera,
+    read_sensor,
+)
 from geometry.errors import InputError
 
 
@@ -56,3 +64,55 @@ def test_a_range_that_cannot_be_is_refused(value, message):
     with pytest.raises(InputError) as caught:
         read_camera("a", {**ENTRY, "fov_range_deg": value}, "f.toml")
     assert str(caught.value).startswith(message)
+
+
+OWN = """
+[cameras.mine]
+source = "my data sheet"
+width_px = 1280
+height_px = 720
+horizontal_fov_deg = 60.0
+frame_rate_hz = 10.0
+near_m = 0.5
+price_eur = 700.0
+"""
+
+
+def test_somebodys_own_models_are_read_and_told_apart_from_the_catalogue(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(OWN)
+    (camera,) = load_catalogue(path).values()
+    assert (camera.name, camera.width_px, camera.price_eur) == ("mine", 1280, 700.0)
+    record = own_sensor_record(camera)
+    assert read_sensor("mine", record, record["kind"], "a layout") == camera
+    assert all(own_sensor_record(model) is None for model in load_cameras().values())
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "got no model; expected"),
+        ("[radars.x]", "radars: got it; expected"),
+        ("cameras = 3", "cameras: got it; expected"),
+        ("[cameras]\nx = 3", "x: got 3; expected a table of fields"),
+        (OWN.replace("1280", "0"), "width_px: got 0"),
+        (OWN.replace("price_eur = 700.0", ""), "price_eur: got nothing"),
+        ("[", "valid TOML"),
+    ],
+)
+def test_catalogues_that_cannot_be_are_refused(tmp_path, text, message):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_catalogue(path)
+
+
+def test_real_cameras_have_the_angles_of_their_calibration():
+    # fx of the calibrations in tum-traffic-dataset-dev-kit; half the width in pixels over it.
+    for name, focal_px in (
+        ("basler-aca1920-50gc-8mm", 1400.31),
+        ("basler-aca1920-50gc-16mm", 2788.86),
+    ):
+        camera = load_cameras()[name]
+        angle_deg = 2.0 * np.degrees(np.arctan(0.5 * camera.width_px / focal_px))
+        assert camera.horizontal_fov_deg == pytest.approx(angle_deg, abs=0.05)
