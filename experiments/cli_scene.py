@@ -73,6 +73,7 @@ def _reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
                 metavar="CRS",
                 help="Of files that do not say where they lie: EPSG:25832.",
             ),
+            click.option("--layer", default="", metavar="NAME", help="Of a GeoPackage."),
             click.option(
                 "--offset",
                 "offset_m",
@@ -130,7 +131,9 @@ Examples:
     help="map: its lamps, signals and poles; kerb:15: every 15 m along the kerbs; a CSV or GeoJSON "
     "file; auto: map, and where it has none kerb:15.",
 )
-@click.option("--ground", "ground_m", type=float, help="Height of the ground, of city models.")
+@click.option(
+    "--ground", "ground_m", type=float, help="Height of the road in city models and meshes."
+)
 @click.option("--name", default="", metavar="NAME", help="Of the scene.")
 @click.option(
     "--bbox",
@@ -161,6 +164,7 @@ def import_(
     class_name: str,
     traffic: str | None,
     crs: str,
+    layer: str,
     offset_m: tuple[float, float] | None,
     out: Path,
     as_json: bool,
@@ -195,6 +199,7 @@ def import_(
                 class_name=class_name,
                 keeps_left=None if traffic is None else traffic == "left",
                 crs=crs,
+                layer=layer,
                 offset_m=offset_m,
             ),
         ),
@@ -230,6 +235,7 @@ def show(
     class_name: str,
     traffic: str | None,
     crs: str,
+    layer: str,
     offset_m: tuple[float, float] | None,
     out: Path | None,
     as_json: bool,
@@ -250,6 +256,7 @@ def show(
             class_name=class_name,
             keeps_left=None if traffic is None else traffic == "left",
             crs=crs,
+            layer=layer,
             offset_m=offset_m,
         ),
         out=out,

@@ -98,10 +98,11 @@ def _tasks(folder: Path, beside: str) -> Iterator[_Task]:
 
 
 def _beside(source: SourceMap, roads: Path) -> tuple[float, float]:
-    """What moves the south-west corner of all things to the north-east of a junction."""
+    """What moves the most south-western thing to the north-east of a junction."""
     maps, junctions = read_maps([roads], ReadingOptions())
     middle = choose_junction(maps[0], junctions).junction.position_m
-    corner = np.min([thing.vertices_m.min(axis=0) for thing in source.things], axis=0)
+    corners = np.array([thing.vertices_m.min(axis=0) for thing in source.things])
+    corner = corners[np.argmin(corners[:, :2].sum(axis=1))]
     east, north = (middle + _BESIDE_M - corner[:2]).tolist()
     return east, north
 

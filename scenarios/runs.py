@@ -343,9 +343,7 @@ def _stage(
         return stage_published(placement, vut_speed_kmh=speed_kmh, vut=vut)
     if junction.keeps_left:
         staging = mirror_staging(
-            stage_by_protocol(
-                case, mirrored(junction), approach, vut_speed_kmh=speed_kmh, vut=vut
-            )
+            stage_by_protocol(case, mirrored(junction), approach, vut_speed_kmh=speed_kmh, vut=vut)
         )
     else:
         staging = stage_by_protocol(case, junction, approach, vut_speed_kmh=speed_kmh, vut=vut)

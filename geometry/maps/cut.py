@@ -74,7 +74,7 @@ def cut_out(
     radius_m : float
         How far around its middle; lanes are followed 70 m farther. [m]
     ground_m : float, optional
-        Height of the ground in the other maps, where these count absolute heights; by default
+        Height of the road in the other maps; by default 0 where these count above the ground, else
         that of each one's lowest thing within the radius. [m]
 
     Returns
@@ -96,10 +96,15 @@ def cut_out(
     for source in maps:
         near, far = _near_things(source, frame, radius_m)
         skipped += far
-        height_m = junction.height_m if source is roads else ground_m
+        height_m = ground_m
+        if source is roads:
+            height_m = junction.height_m if source.heights == "absolute" else None
         ground = _ground_m(source, near, height_m)
         low: Counter[str] = Counter()
         for thing in near:
+            if thing.class_name == "ground":
+                skipped.append(Skipped(what=f"ground {thing.id}", why="the road is a plane here"))
+                continue
             vertices = thing.vertices_m - [0.0, 0.0, ground]
             if vertices[:, 2].max() < _LOWEST_M:
                 low[thing.class_name] += 1
@@ -324,10 +329,10 @@ def _near_things(
 
 def _ground_m(source: SourceMap, things: Sequence[Thing], given_m: float | None) -> float:
     """Height from which a scene's z counts, as a map counts."""
-    if source.heights == "above ground":
-        return 0.0
     if given_m is not None:
         return given_m
+    if source.heights == "above ground":
+        return 0.0
     return min((float(thing.vertices_m[:, 2].min()) for thing in things), default=0.0)
 
 

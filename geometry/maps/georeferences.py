@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
-from .local_frame import local_crs
+from .local_frame import local_crs, transform
 from .model import Skipped
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Georeference:
         if self.is_northing_first:
             array[:, :2] = array[:, 1::-1]
         if self.is_projected:
-            array[:, :2] = _transform(array[:, :2], self.source_crs, self.crs)
+            array[:, :2] = transform(array[:, :2], self.source_crs, self.crs)
         if array.shape[1] > 2:
             array[:, 2] *= self.z_m
         if not (np.abs(array) < _MAX_M).all():  # also of what is not finite
@@ -166,7 +166,7 @@ def georeference(
         )
     if _is_in_metres(crs, middle):
         return Georeference(crs=name, source_crs=name, is_northing_first=northing_first, z_m=z_m)
-    lonlat = _transform(middle[None, :], name, WGS84)[0]
+    lonlat = transform(middle[None, :], name, WGS84)[0]
     return Georeference(
         crs=local_crs(lonlat, WGS84, where=where),
         source_crs=name,
@@ -299,7 +299,7 @@ def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
     if crs.area_of_use is None:
         return True
     west, south, east, north = crs.area_of_use.bounds
-    lon, lat = _transform(point[None, :], crs_name(crs), WGS84)[0]
+    lon, lat = transform(point[None, :], crs_name(crs), WGS84)[0]
     if not np.isfinite([lon, lat]).all():
         return False
     width = (east - west) % 360.0 if east < west else east - west
@@ -322,7 +322,7 @@ def _is_in_metres(crs: "CRS", point: FloatArray) -> bool:
         return False
     if {axis.direction for axis in axes} != {"east", "north"}:
         return False
-    lon, lat = _transform(point[None, :], crs_name(crs), WGS84)[0]
+    lon, lat = transform(point[None, :], crs_name(crs), WGS84)[0]
     try:
         factors = Proj(crs.to_wkt()).get_factors(lon, lat)
     except ProjError:
@@ -333,10 +333,3 @@ def _is_in_metres(crs: "CRS", point: FloatArray) -> bool:
 
 def _swap(box: FloatArray) -> FloatArray:
     return box[:, ::-1]
-
-
-def _transform(points: FloatArray, source: str, target: str) -> FloatArray:
-    from pyproj import Transformer
-
-    transformer = Transformer.from_crs(source, target, always_xy=True)
-    return np.stack(transformer.transform(points[:, 0], points[:, 1]), axis=-1)

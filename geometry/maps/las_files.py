@@ -20,6 +20,8 @@ CHUNK_POINTS = 1_000_000
 _MAX_UNPACKED_BYTES = 4_000_000_000
 # LASzip's types of items in a point: their bytes; 0: as many as there are.
 _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14: 0}
+# Of the types that are packed in layers: how many; 0: one for every byte.
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
 
 Points = tuple[FloatArray, NDArray[np.uint8]]  # (n, 3) coordinates and (n,) classes of LAS
 
@@ -96,8 +98,8 @@ def check_las(path: Path) -> None:
         raise InputError(where, Unquoted(f"{n_records:,} records in its header"), "as many as fit")
     is_packed = bool(point_format & 0xC0)
     if is_packed:
-        _check_items(path, header_bytes, n_records, point_bytes)
-        _check_chunk_table(path, first_point, point_bytes)
+        n_layers = _n_layers(path, header_bytes, n_records, point_bytes)
+        _check_chunks(path, first_point, point_bytes, n_layers)
     if not is_packed and first_point + n_points * point_bytes > n_bytes:
         raise InputError(
             where,
@@ -108,8 +110,14 @@ def check_las(path: Path) -> None:
         raise InputError(where, Unquoted(f"{point_bytes} bytes for every point"), "fewer")
 
 
-def _check_items(path: Path, header_bytes: int, n_records: int, point_bytes: int) -> None:
-    """Refuse packed points whose parts are not those of a point."""
+def _n_layers(path: Path, header_bytes: int, n_records: int, point_bytes: int) -> int:
+    """In how many layers every chunk of points is packed; 0: in none.
+
+    Raises
+    ------
+    InputError
+        The parts of a packed point are not those of a point.
+    """
     where = str(path)
     with path.open("rb") as file:
         file.seek(header_bytes)
@@ -126,12 +134,14 @@ def _check_items(path: Path, header_bytes: int, n_records: int, point_bytes: int
             sizes = [size for kind, size, _ in items if _ITEM_BYTES.get(kind, -1) in (0, size)]
             if not 0 < n_items == len(items) == len(sizes) or sum(sizes) != point_bytes:
                 raise InputError(where, Unquoted("packed points of no known kind"), "LASzip")
-            return
+            if items[0][0] not in _LAYERS:
+                return 0
+            return sum(_LAYERS.get(kind, 0) or size for kind, size, _ in items)
     raise InputError(where, Unquoted("packed points without a LASzip record"), "a LAZ file")
 
 
-def _check_chunk_table(path: Path, first_point: int, point_bytes: int) -> None:
-    """Refuse more chunks of packed points than fit: the first point of each is not packed."""
+def _check_chunks(path: Path, first_point: int, point_bytes: int, n_layers: int) -> None:
+    """Refuse chunks of packed points that claim more bytes than there are before their table."""
     n_bytes = path.stat().st_size
     with path.open("rb") as file:
         file.seek(first_point)
@@ -144,9 +154,18 @@ def _check_chunk_table(path: Path, first_point: int, point_bytes: int) -> None:
             raise InputError(str(path), Unquoted("a table of chunks outside the file"), "all of it")
         file.seek(at)
         _, n_chunks = struct.unpack("<2I", file.read(8))
-    if n_chunks * max(1, point_bytes) > n_bytes:
+        claimed = n_chunks * point_bytes  # the first point of a chunk is not packed
+        begin = first_point + 8
+        while n_layers and begin < at:
+            begin += point_bytes + 4
+            file.seek(begin)
+            sizes = file.read(4 * n_layers)
+            begin += len(sizes) + sum(
+                struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3])
+            )
+    if claimed > n_bytes or begin > at:
         raise InputError(
-            str(path), Unquoted(f"{n_chunks:,} chunks in {n_bytes:,} bytes"), "as many as fit"
+            str(path), Unquoted(f"{n_chunks:,} chunks of points that claim more bytes"), f"{at:,}"
         )
 
 

@@ -19,7 +19,7 @@ _CLOUDS = (".las", ".laz", ".pcd")
 _FOOTPRINTS = (".geojson", ".gpkg", ".shp")
 _STREETS = (".osm", ".pbf", ".osm.gz", ".osm.bz2")
 SUFFIXES = (
-    *(".xodr", *_STREETS, *_FOOTPRINTS, ".json", ".gml", ".xml"),
+    *(".xodr", *_STREETS, *_FOOTPRINTS, ".json", ".jsonl", ".gml", ".citygml", ".xml"),
     *(*_MESHES, *_CLOUDS, ".zip"),
 )
 
@@ -38,6 +38,8 @@ class ReadingOptions:
         On which side traffic keeps; by default what the map says.
     crs : str
         Of files that do not say where they lie; empty: none.
+    layer : str
+        Of a GeoPackage that has several; empty: the only one.
     offset_m : (2,) float, optional
         Moves what has no roads: buildings, meshes, point clouds. These then lie in the coordinates
         of the map that has the junction, whatever they say. [m]
@@ -48,6 +50,7 @@ class ReadingOptions:
     class_name: str = "building"
     keeps_left: bool | None = None
     crs: str = ""
+    layer: str = ""
     offset_m: tuple[float, float] | None = None
 
 
@@ -72,6 +75,7 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
         There is no such file, it is of no kind that is known, or it is damaged.
     """
     options = options or ReadingOptions()
+    crs = _projected(options.crs) if options.crs else ""
     if not path.exists():
         raise InputError(str(path), Unquoted("no such file"), "a map file")
     if path.is_dir():
@@ -83,8 +87,8 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
         source = _reader(inside, options)(inside)
     if options.offset_m is not None and not source.lanes:
         return _moved(source, np.array([*options.offset_m, 0.0]))
-    if options.crs and not source.crs:
-        source = replace(source, crs=_projected(options.crs), source_crs=options.crs)
+    if crs and not source.crs:
+        source = replace(source, crs=crs, source_crs=crs)
     return source
 
 
@@ -94,7 +98,9 @@ def _reader(path: Path, options: ReadingOptions) -> Callable[[Path], SourceMap]:
     kind = next((suffix for suffix in SUFFIXES if name.endswith(suffix)), "")
     if kind == ".json":
         kind = ".city.json" if _is_city_json(path) else ".geojson"
-    if kind in (".xml", ".gml"):
+    if kind == ".jsonl":
+        kind = ".city.json"
+    if kind in (".xml", ".gml", ".citygml"):
         kind = _kind_of_xml(path)
     if kind == ".xodr":
         from .opendrive import read_opendrive
@@ -107,7 +113,9 @@ def _reader(path: Path, options: ReadingOptions) -> Callable[[Path], SourceMap]:
     if kind in _FOOTPRINTS:
         from .footprint_files import read_footprints
 
-        return lambda file: read_footprints(file, class_name=options.class_name)
+        return lambda file: read_footprints(
+            file, class_name=options.class_name, layer=options.layer or None
+        )
     if kind == ".city.json":
         from .city_json import read_cityjson
 

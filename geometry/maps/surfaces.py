@@ -46,17 +46,21 @@ def triangulate(rings_m: Polygon3D) -> tuple[FloatArray, NDArray[np.int32]]:
     vertices: FloatArray = np.concatenate(rings)
     middle = vertices.mean(axis=0)
     outer = rings[0] - middle
-    normal = np.cross(outer, np.roll(outer, -1, axis=0)).sum(axis=0)
-    length = float(np.linalg.norm(normal))
+    products = outer.T @ outer[[*range(1, len(outer)), 0]]
+    normal = np.array([products[at] - products[at[::-1]] for at in ((1, 2), (2, 0), (0, 1))])
+    length = float(np.sqrt(normal @ normal))
     if not length > 2.0 * _MIN_AREA_M2:
         return _NOTHING
     normal /= length
     if len(vertices) == 3:
         return vertices, np.array([[0, 1, 2]], dtype=np.int32)
-    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    across /= np.linalg.norm(across)
-    plane = np.stack([across, np.cross(normal, across)], axis=1)
-    flat = (vertices - middle) @ plane
+    across = np.zeros(3)  # to the normal: the axis least like it, less what lies along the normal
+    across[np.argmin(np.abs(normal))] = 1.0
+    across -= (across @ normal) * normal
+    across /= np.sqrt(across @ across)
+    (a_x, a_y, a_z), (n_x, n_y, n_z) = across, normal
+    onwards = (n_y * a_z - n_z * a_y, n_z * a_x - n_x * a_z, n_x * a_y - n_y * a_x)
+    flat = (vertices - middle) @ np.array([across, onwards]).T
     ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
     triangles = mapbox_earcut.triangulate_float64(flat, ends).reshape(-1, 3).astype(np.int32)
     a, b, c = flat[triangles[:, 0]], flat[triangles[:, 1]], flat[triangles[:, 2]]
@@ -130,5 +134,5 @@ def _without_repeats(ring: FloatArray) -> FloatArray:
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return points
-    kept: FloatArray = points[(points != np.roll(points, 1, axis=0)).any(axis=1)]
+    kept: FloatArray = points[(points != points[[-1, *range(len(points) - 1)]]).any(axis=1)]
     return kept

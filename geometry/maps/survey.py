@@ -112,6 +112,12 @@ def choose_junction(
     distance = [float(np.hypot(*(one.junction.position_m - point))) for one in surveyed]
     nearest = int(np.argmin(distance))
     if not distance[nearest] <= _NEAR_M:
+        exchanged = _point_or_far(source, (at[1], at[0]))
+        if min(np.hypot(*(one.junction.position_m - exchanged)) for one in surveyed) <= _NEAR_M:
+            order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
+            raise InputError(
+                "--at", Unquoted(f"{at[0]:.8g},{at[1]:.8g}"), f"{order}: it is the other way round"
+            )
         where = ", ".join(f"{value:.8g}" for value in surveyed[nearest].position)
         raise InputError(
             "--at",
@@ -143,6 +149,14 @@ def _listed(surveyed: Sequence[Surveyed]) -> str:
     ]
     left = len(surveyed) - len(words)
     return ", ".join(words) + (f" and {left} more: place-rsus scene show FILE" if left else "")
+
+
+def _point_or_far(source: SourceMap, at: tuple[float, float]) -> FloatArray:
+    """A point in the map's coordinates; infinitely far if it is nowhere on earth."""
+    try:
+        return _point_of_map(source, at)
+    except InputError:
+        return np.full(2, np.inf)
 
 
 def _point_of_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:

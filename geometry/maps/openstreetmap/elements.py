@@ -19,6 +19,7 @@ from .pbf_checks import check_pbf
 
 Tags = dict[str, str]
 
+_BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out
 _EXPECTED = "OpenStreetMap data, XML or PBF"
 
 
@@ -151,7 +152,9 @@ def _collect(path: Path, file_format: str) -> Elements:
     source = osmium.io.File(str(path), file_format)
     bits = osmium.osm.NODE | osmium.osm.WAY | osmium.osm.RELATION
     try:
-        for item in osmium.FileProcessor(source, bits):
+        processor = osmium.FileProcessor(source, bits)
+        box = processor.header.box()
+        for item in processor:
             element: Any = item
             if element.deleted:
                 continue
@@ -191,7 +194,27 @@ def _collect(path: Path, file_format: str) -> Elements:
     except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
         message = " ".join(str(error).split()) or type(error).__name__
         raise InputError(str(path), Unquoted(message), _EXPECTED) from None
+    if box.valid():
+        corners = [[corner.lon, corner.lat] for corner in (box.bottom_left, box.top_right)]
+        _check_order(path, np.array(places).reshape(-1, 2), np.array(corners))
     return _assemble(ids, places, tags_by_id, ways, relations.values())
+
+
+def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> None:
+    """Refuse coordinates that lie in the file's own bounds only when they are exchanged."""
+    if not len(lon_lat_deg):
+        return
+    middle = np.median(lon_lat_deg, axis=0)
+    low, high = box_deg[0] - _BOX_MARGIN_DEG, box_deg[1] + _BOX_MARGIN_DEG
+    is_inside, is_inside_exchanged = (
+        bool(((point >= low) & (point <= high)).all()) for point in (middle, middle[::-1])
+    )
+    if is_inside_exchanged and not is_inside:
+        raise InputError(
+            str(path),
+            Unquoted(f"nodes around latitude {middle[1]:g}, longitude {middle[0]:g}"),
+            "nodes within the file's bounds: latitude and longitude are exchanged",
+        )
 
 
 def _place(location: Any) -> str:

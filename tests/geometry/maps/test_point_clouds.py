@@ -212,6 +212,33 @@ def test_headers_that_claim_what_cannot_be_are_refused(tmp_path, offset, data, m
 
 
 @pytest.mark.parametrize(
+    ("place", "data", "message"),
+    [
+        ("items", b"\0\0", "no known kind"),
+        ("items", b"\x01\0\x0a\0\xff\xff", "no known kind"),
+        ("record", b"another owner", "without a LASzip record"),
+        ("table", (2**32 - 1).to_bytes(4, "little"), "claim more bytes"),
+        ("layers", (2**32 - 1).to_bytes(4, "little"), "claim more bytes"),
+        ("table offset", (10**15).to_bytes(8, "little"), "outside the file"),
+    ],
+)
+def test_packed_points_that_claim_what_cannot_be_are_refused(tmp_path, place, data, message):
+    path = write_las(tmp_path, [house(300)], (1,), name="a.laz")
+    content = path.read_bytes()
+    first = int.from_bytes(content[96:100], "little")
+    record = content.index(b"laszip encoded")
+    offset = {
+        "items": record + 52 + 32,
+        "record": record,
+        "table": int.from_bytes(content[first : first + 8], "little") + 4,
+        "layers": first + 8 + 30 + 4,
+        "table offset": first,
+    }[place]
+    with pytest.raises(InputError, match=message):
+        read_point_cloud(patched(path, offset, data))
+
+
+@pytest.mark.parametrize(
     ("n_claimed", "message"), [(10**10, "POINTS"), (5000, "cut off"), (0, "POINTS")]
 )
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
