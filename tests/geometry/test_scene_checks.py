@@ -1,0 +1,108 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from junctions import protocol_scene
+
+from geometry.scene import Instance, Site
+from geometry.scene_checks import check_scene
+from geometry.scene_files import load_study_scene
+from geometry.scene_footprints import thing_footprint
+
+
+def with_things(*things, sites=True):
+    """Euro NCAP's junction with meshes (id, class, mesh) and a site in the open."""
+    scene = protocol_scene(crosswalks_m=[[[14.0, -6.0], [14.0, 6.0]]])
+    vertices, triangles = [scene.vertices_m], [scene.triangles]
+    index, instances = [scene.triangle_instance], list(scene.instances)
+    for name, class_name, mesh in things:
+        triangles.append(np.asarray(mesh.faces) + sum(map(len, vertices)))
+        vertices.append(np.asarray(mesh.vertices))
+        index.append(np.full(len(mesh.faces), len(instances)))
+        instances.append(Instance(id=name, class_name=class_name))
+    site = Site(
+        id="pole",
+        position_m=[9.0, 9.0, 0.0],
+        kind="lamp post",
+        height_range_m=[4.0, 8.0],
+        capacity_units=1,
+    )
+    return replace(
+        scene,
+        vertices_m=np.concatenate(vertices),
+        triangles=np.concatenate(triangles),
+        triangle_instance=np.concatenate(index),
+        instances=tuple(instances),
+        sites=(site,) if sites else (),
+    )
+
+
+def box(x, y, *, bottom_m=0.0, size_m=6.0):
+    mesh = trimesh.creation.box([size_m, size_m, 5.0])
+    mesh.apply_translation([x, y, bottom_m + 2.5])
+    return mesh
+
+
+def without_roof(mesh):
+    keep = ~(mesh.face_normals[:, 2] > 0.9)
+    return trimesh.Trimesh(mesh.vertices, mesh.faces[keep], process=False)
+
+
+def without_floor(mesh):
+    keep = ~(mesh.face_normals[:, 2] < -0.9)
+    return trimesh.Trimesh(mesh.vertices, mesh.faces[keep], process=False)
+
+
+@pytest.mark.parametrize(
+    ("things", "expected"),
+    [
+        ([("a", "building", box(30, 30))], []),
+        ([("a", "building", without_floor(box(30, 30)))], []),
+        ([("a", "building", without_roof(box(30, 30)))], ["a: its surface has holes"]),
+        ([("a", "building", box(30, 30, bottom_m=2.0))], ["a: it begins more than 0.5 m above"]),
+        ([("a", "building", box(30, 30, bottom_m=-4.0))], ["a: it is below the road, or begins"]),
+        ([("a", "building", box(30, 2.0))], ["a: it stands on a lane or in the junction"]),
+        ([("a", "building", box(30, 30)), ("b", "building", box(33, 30))], ["a and b: they over"]),
+        ([("a", "building", box(30, 30)), ("b", "building", box(36, 30))], []),
+        ([("a", "vegetation", box(30, 2.0, bottom_m=3.0))], []),
+        ([("a", "building", box(9, 9))], ["site pole: its mount at 4 m is inside building a"]),
+    ],
+)
+def test_what_may_be_wrong_is_found_and_nothing_else(things, expected):
+    findings = [f"{found.what}: {found.why}" for found in check_scene(with_things(*things))]
+    if things[0][2].bounds[0][0] == 6.0:  # the box at the site reaches into the junction, too
+        findings = [line for line in findings if "lane" not in line]
+    assert len(findings) == len(expected)
+    for line, begin in zip(findings, expected, strict=True):
+        assert line.startswith(begin)
+
+
+def test_triangles_that_face_inwards_are_told():
+    mesh = box(30, 30)
+    mesh.invert()
+    (finding,) = check_scene(with_things(("a", "building", mesh)))
+    assert finding.why == "its triangles face inwards"
+
+
+def test_no_sites_and_no_way_in_are_errors():
+    (finding,) = check_scene(with_things(sites=False))
+    assert (finding.level, finding.what) == ("error", "sites")
+    scene = with_things()
+    (finding,) = check_scene(replace(scene, outline_m=scene.outline_m + 100.0))
+    assert (finding.level, finding.why) == ("error", "no lane ends at the junction's outline")
+
+
+def test_assumed_heights_are_told_with_few_names():
+    names = frozenset(f"h{number}" for number in range(9))
+    (finding,) = check_scene(load_study_scene(), assumed_heights=names)
+    assert finding.what == "h0, h1, h2, h3, h4, h5 and 3 more"
+
+
+def test_a_footprint_is_what_a_thing_covers_from_above():
+    ring = trimesh.creation.annulus(r_min=2.0, r_max=5.0, height=3.0, sections=64)
+    ring.apply_translation([30.0, 30.0, 1.5])
+    scene = with_things(("a", "building", ring))
+    footprint = thing_footprint(scene, len(scene.instances) - 1)
+    assert footprint.area == pytest.approx(np.pi * 21.0, rel=0.01)
+    assert len(footprint.interiors) == 1
