@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from . import tables
+from .cli_doctor import doctor
 from .cli_export import export
 from .cli_latency import latency, latency_budget_options
 from .cli_options import (
@@ -64,9 +65,10 @@ Examples:
   place-rsus pareto --max 8                        what each further unit buys
   place-rsus retrofit --layout carlancap-12        remove, re-aim or add
   place-rsus verify results/latest                 check a certificate
+  place-rsus doctor                                what is installed here
   place-rsus export --layout results/latest/layout.json --format carla
 
-Exit codes: 0 done, 1 a check of `verify` or `scene check` has failed, 2 the input is wrong or
+Exit codes: 0 done, 1 `verify`, `scene check` or `doctor` found a fault, 2 the input is wrong or
 cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 )
 @click.version_option(package_name="place-rsus")
@@ -259,6 +261,7 @@ def compare(
     _print(summary, progress, as_json, lambda: tables.comparison_table(summary, out))
 
 
+cli.add_command(doctor)
 cli.add_command(export)
 cli.add_command(latency)
 cli.add_command(pareto)

@@ -63,12 +63,18 @@ def check_solver(name: str) -> str:
     InputError
         It is not installed, or cannot be stopped by time.
     """
-    import cvxpy as cp
-
-    solvers = [solver for solver in _TIME_LIMITS if solver in cp.installed_solvers()]
+    solvers = installed_solvers()
     if name.upper() not in solvers:
         raise InputError("--milp-solver", name, "one that is installed: " + ", ".join(solvers))
     return name.upper()
+
+
+def installed_solvers() -> list[str]:
+    """Mixed-integer solvers that cvxpy finds here and that can be stopped by time."""
+    import cvxpy as cp
+
+    installed = cp.installed_solvers()
+    return [solver for solver in _TIME_LIMITS if solver in installed]
 
 
 def solver_text(name: str) -> str:
