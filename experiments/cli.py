@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from . import tables
+from .cli_compare import compare
 from .cli_doctor import doctor
 from .cli_export import export
 from .cli_latency import latency, latency_budget_options
@@ -59,7 +60,7 @@ Examples:
   place-rsus scenarios list                        what can be driven here
   place-rsus evaluate --layout carlancap-12        the study's 12 cameras
   place-rsus --budget 3 --recording ncap_data      the best recorded units
-  place-rsus compare --layout results/latest/layout.json --layout carlancap-12
+  place-rsus compare results/latest/layout.json carlancap-12
   place-rsus scene import city.osm -o scene        your own junction ..
   place-rsus --scene scene --budget 3              .. and the best three there
   place-rsus pareto --max 8                        what each further unit buys
@@ -204,7 +205,7 @@ def evaluate(
         )
         _print(summary, progress, as_json, lambda: recording_table(summary, out))
         return
-    (layout,) = _load_layouts(layout_names, 1)
+    layout = _load_layout(layout_names)
     jobs = _start(progress, quiet=quiet)
     summary = jobs.run_evaluation(
         question,
@@ -218,49 +219,7 @@ def evaluate(
     _print(summary, progress, as_json, lambda: tables.evaluation_table(summary, out))
 
 
-@cli.command(
-    epilog="""\b
-Example:
-  place-rsus compare --layout results/latest/layout.json --layout carlancap-12"""
-)
-@click.option(
-    "--layout", "layout_names", multiple=True, help="carlancap-12, or a layout file; give two."
-)
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for a report; else none.")
-@question_options()
-@latency_budget_options()
-@json_option
-@quiet_option
-@seed_option
-@workers_option
-@click.pass_obj
-def compare(
-    progress: StageProgress,
-    *,
-    layout_names: tuple[str, ...],
-    out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    seed: int,
-    workers: int,
-) -> None:
-    """Compare two layouts on the same runs; the second is the baseline."""
-    subject, baseline = _load_layouts(layout_names, 2)
-    jobs = _start(progress, quiet=quiet)
-    summary = jobs.run_comparison(
-        question,
-        subject=subject,
-        baseline=baseline,
-        out=out,
-        seed=seed,
-        workers=workers,
-        command=_command_line(),
-        progress=progress,
-    )
-    _print(summary, progress, as_json, lambda: tables.comparison_table(summary, out))
-
-
+cli.add_command(compare)
 cli.add_command(doctor)
 cli.add_command(export)
 cli.add_command(latency)
@@ -334,15 +293,13 @@ def _command_line() -> str:
     return shlex.join(["place-rsus", *arguments])
 
 
-def _load_layouts(names: Sequence[str], number: int) -> list["Layout"]:
-    if len(names) != number:
+def _load_layout(names: Sequence[str]) -> "Layout":
+    if len(names) != 1:
         given = f"{len(names)} layouts" if names else "nothing"
-        raise click.UsageError(
-            f"--layout: got {given}; expected {'it once' if number == 1 else 'it twice'}"
-        )
+        raise click.UsageError(f"--layout: got {given}; expected it once")
     from .study import find_layout
 
-    return [find_layout(name, "--layout") for name in names]
+    return find_layout(names[0], "--layout")
 
 
 def _placement_text(summary: dict[str, Any], out: Path) -> str:

@@ -37,7 +37,7 @@ from .summary import (
     summarise_layout,
     summarise_placement,
 )
-from .uncertainty_summary import plot_sampled_apr, summarise_uncertainty
+from .uncertainty_summary import MAX_STAIRCASES, plot_sampled_apr, summarise_uncertainty
 from .unit_sentences import describe_units
 
 MIN_FRESH_WORLDS = 60
@@ -218,15 +218,19 @@ def run_evaluation(
 def run_comparison(
     question: Question,
     *,
-    subject: Layout,
-    baseline: Layout,
+    layouts: Sequence[Layout],
+    samples: int = 0,
+    uncertainty: str = "default",
     out: Path | None,
     seed: int,
     workers: int,
     command: str,
     progress: StageProgress,
 ) -> dict[str, Any]:
-    """Compare two layouts on the same runs, and write a report if asked to.
+    """Compare layouts on the same runs, and write a report if asked to.
+
+    With samples, they are compared in so many sampled worlds, too: the same ones for all, so that
+    differences have an interval.
 
     Returns
     -------
@@ -240,7 +244,9 @@ def run_comparison(
     """
     return _judge(
         question,
-        [subject, baseline],
+        layouts,
+        samples=samples,
+        uncertainty=uncertainty,
         out=out,
         seed=seed,
         workers=workers,
@@ -260,13 +266,16 @@ def _judge(
     question: Question,
     layouts: Sequence[Layout],
     *,
+    samples: int = 0,
+    uncertainty: str = "default",
     out: Path | None,
     seed: int,
     workers: int,
     command: str,
     progress: StageProgress,
 ) -> dict[str, Any]:
-    """Evaluate one layout, or compare two."""
+    """Evaluate one layout, or compare several."""
+    drawn = load_uncertainty(uncertainty, where="--uncertainty")
     if out is not None:
         check_result_folder(out)
         progress.kept = _left_as_it_was(out)
@@ -279,8 +288,25 @@ def _judge(
     if len(verdicts) == 1:
         summary = summarise_layout(verdicts[0], setting.rule)
     else:
-        summary = summarise_comparison(verdicts[0], verdicts[1], setting.rule)
+        summary = summarise_comparison(verdicts[0], verdicts[1:], setting.rule)
     summary |= summarise_drives(setting)
+    figures = {}
+    if samples:
+        judged = out_of_sample_layouts(
+            setting,
+            layouts,
+            drawn,
+            n_samples=samples,
+            seed=seed,
+            workers=workers,
+            on_progress=progress,
+        )
+        planned = {item.layout.name: apr(item.rsu_all, item.axis) for item in verdicts}
+        summary["sampled"] = summarise_uncertainty(
+            judged, drawn, tail=1.0, seed=seed, planned_apr=planned
+        )
+        if len(judged) <= MAX_STAIRCASES:
+            figures["sampled_apr"] = plot_sampled_apr(judged)
     if out is None:
         summary["seconds"] = progress.finish()
         return summary
@@ -292,6 +318,7 @@ def _judge(
         others=layouts[1:],
         command=command,
         progress=progress,
+        more_figures=figures,
     )
     return summary
 

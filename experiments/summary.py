@@ -1,6 +1,7 @@
 """The numbers of a result as one plain object: what ``--json`` prints and the report shows."""
 
 import platform
+from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
@@ -160,26 +161,47 @@ def summarise_layout(evaluation: Evaluation, rule: AebRule) -> dict[str, Any]:
 
 
 def summarise_comparison(
-    subject: Evaluation, baseline: Evaluation, rule: AebRule
+    subject: Evaluation, others: Sequence[Evaluation], rule: AebRule
 ) -> dict[str, Any]:
-    """Two layouts on the same runs: the second is the baseline.
+    """Layouts on the same runs: the first against each of the others.
 
     Parameters
     ----------
-    subject, baseline : Evaluation
-        On the same runs.
+    subject : Evaluation
+        The first one.
+    others : sequence of Evaluation
+        On the same runs, at least one; the first of them is the baseline.
     rule : AebRule
         Confirmation and latency.
+
+    Returns
+    -------
+    summary : dict
+        The keys of :func:`summarise_layout`; "compared" has for each other one its name, layout,
+        evaluation, and the runs that the subject gains and loses against it, those of the baseline
+        once more under "baseline_name", "baseline_layout", "baseline", "runs_gained", "runs_lost".
     """
-    ours, theirs = subject.rsu_all.is_avoided, baseline.rsu_all.is_avoided
-    runs = np.array(subject.axis.run_ids)
+    runs, ours = np.array(subject.axis.run_ids), subject.rsu_all.is_avoided
+    compared = [
+        {
+            "name": other.layout.name,
+            "layout": layout_records(other.layout),
+            "cost_eur": sum(unit.sensor.price_eur for unit in other.layout.units),
+            "evaluation": summarise_evaluation(other, rule),
+            "runs_gained": runs[ours & ~other.rsu_all.is_avoided].tolist(),
+            "runs_lost": runs[other.rsu_all.is_avoided & ~ours].tolist(),
+        }
+        for other in others
+    ]
+    first = compared[0]
     return {
         **summarise_layout(subject, rule),
-        "baseline_name": baseline.layout.name,
-        "baseline_layout": layout_records(baseline.layout),
-        "baseline": summarise_evaluation(baseline, rule),
-        "runs_gained": runs[ours & ~theirs].tolist(),
-        "runs_lost": runs[theirs & ~ours].tolist(),
+        "compared": compared,
+        "baseline_name": first["name"],
+        "baseline_layout": first["layout"],
+        "baseline": first["evaluation"],
+        "runs_gained": first["runs_gained"],
+        "runs_lost": first["runs_lost"],
     }
 
 

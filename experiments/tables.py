@@ -219,26 +219,27 @@ def _runs_text(words: str, runs: Sequence[str]) -> list[str]:
 
 
 def comparison_table(summary: dict[str, Any], out: Path | None) -> str:
-    """Two layouts' results side by side, and the runs in which they differ."""
-    evaluation, baseline = summary["evaluation"], summary["baseline"]
+    """Layouts' results side by side, and the runs in which the first differs from each other."""
+    evaluation, others = summary["evaluation"], summary["compared"]
+    parties = {
+        summary["name"]: evaluation["rsu_all"],
+        f"{summary['name']} and VUT": evaluation["vut_and_rsus"],
+    }
+    for other in others:
+        parties[other["name"]] = other["evaluation"]["rsu_all"]
+        parties[f"{other['name']} and VUT"] = other["evaluation"]["vut_and_rsus"]
+    names = ", ".join(other["name"] for other in others)
     lines = [
-        *textwrap.wrap(
-            f"{summary['name']} against {summary['baseline_name']} on {summary['runs']} runs:",
-            _WIDTH,
-        ),
-        *_apr_text(
-            {
-                summary["name"]: evaluation["rsu_all"],
-                f"{summary['name']} and VUT": evaluation["vut_and_rsus"],
-                summary["baseline_name"]: baseline["rsu_all"],
-                f"{summary['baseline_name']} and VUT": baseline["vut_and_rsus"],
-                "VUT alone": evaluation["vut"],
-            }
-        ),
+        *textwrap.wrap(f"{summary['name']} against {names} on {summary['runs']} runs:", _WIDTH),
+        *_apr_text(parties | {"VUT alone": evaluation["vut"]}),
         *_explained("each layout's units are " + _TOGETHER),
-        *_runs_text("runs gained:", summary["runs_gained"]),
-        *_runs_text("runs lost:  ", summary["runs_lost"]),
     ]
+    for other in others:
+        over = f" over {other['name']}" if len(others) > 1 else ""
+        lines += [
+            *_runs_text(f"runs gained{over}:", other["runs_gained"]),
+            *_runs_text(f"runs lost{over}:".ljust(len(f"runs gained{over}:")), other["runs_lost"]),
+        ]
     if out is not None:
         lines += ["", f"Written to {out}: report.html and more."]
     return "\n".join(lines)

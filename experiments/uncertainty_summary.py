@@ -198,6 +198,9 @@ def uncertainty_text(summary: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+MAX_STAIRCASES = len(_STYLES)
+
+
 def plot_sampled_apr(judged: Sequence[SampledApr]) -> Figure:
     """In what share of the worlds a layout avoids at most how much: one staircase per layout.
 

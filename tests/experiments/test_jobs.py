@@ -162,8 +162,7 @@ def test_an_evaluation_of_one_unit_is_that_of_all(small_study):
 def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     summary = jobs.run_comparison(
         Question(),
-        subject=named("twin", 2),
-        baseline=named("twin", 1),
+        layouts=[named("twin", 2), named("twin", 1), named("other", 3)],
         out=tmp_path / "out",
         seed=0,
         workers=2,
@@ -173,7 +172,28 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     assert (summary["name"], summary["baseline_name"]) == ("twin", "twin (2)")
     assert summary["runs_lost"] == []
     names = re.findall(r"^([^,]*),vut,all,all,", (tmp_path / "out/apr.csv").read_text(), re.M)
-    assert names == ["twin", "twin (2)"]
+    assert names == ["twin", "twin (2)", "other"]
+    assert [other["name"] for other in summary["compared"]] == ["twin (2)", "other"]
+    assert summary["baseline"] == summary["compared"][0]["evaluation"]
+    page = (tmp_path / "out/report.html").read_text()
+    assert all(name in page for name in names)
+
+
+def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(small_study, tmp_path):
+    summary = jobs.run_comparison(
+        Question(),
+        layouts=[named("two", 2), named("one", 1)],
+        samples=3,
+        out=tmp_path / "out",
+        seed=0,
+        workers=2,
+        command="place-rsus",
+        progress=StageProgress(),
+    )
+    (gain,) = summary["sampled"]["gains"]
+    assert gain["over"] == "one"
+    assert gain["low"] <= gain["mean"] <= gain["high"]
+    assert (tmp_path / "out/sampled_apr.png").exists()
 
 
 def test_a_layout_may_be_called_greedy(small_study):

@@ -99,7 +99,7 @@ def test_ratios_are_shares_of_the_runs(evaluation_of):
 
 def test_evaluation_and_comparison_have_the_keys_of_a_placement(evaluation_of):
     single = summarise_layout(evaluation_of(3), RULE)
-    both = summarise_comparison(evaluation_of(3), evaluation_of(5, "other"), RULE)
+    both = summarise_comparison(evaluation_of(3), [evaluation_of(5, "other")], RULE)
     assert set(single) < set(both)
     assert {key for key, value in single.items() if value is None} == {
         "budget",
@@ -113,7 +113,7 @@ def test_evaluation_and_comparison_have_the_keys_of_a_placement(evaluation_of):
 def test_comparison_lists_the_runs_that_differ(evaluation_of):
     more, less = evaluation_of(5, "more"), evaluation_of(3, "less")
     differing = ["B/north/3", "A/north/4"]
-    better, worse = summarise_comparison(more, less, RULE), summarise_comparison(less, more, RULE)
+    better, worse = summarise_comparison(more, [less], RULE), summarise_comparison(less, [more], RULE)
     assert (better["runs_gained"], better["runs_lost"]) == (differing, [])
     assert (worse["runs_gained"], worse["runs_lost"]) == ([], differing)
     assert better["baseline"] == summarise_evaluation(less, RULE)
@@ -121,7 +121,7 @@ def test_comparison_lists_the_runs_that_differ(evaluation_of):
 
 
 def test_a_summary_is_plain_json(evaluation_of):
-    text = to_json_text(summarise_comparison(evaluation_of(5), evaluation_of(3), RULE))
+    text = to_json_text(summarise_comparison(evaluation_of(5), [evaluation_of(3)], RULE))
     assert "NaN" not in text
     assert "Infinity" not in text
 
@@ -163,7 +163,7 @@ def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
 
 def test_drives_take_no_name_that_a_summary_has(evaluation_of, axis):
     drives = summarise_drives(setting_of(axis))
-    summary = summarise_comparison(evaluation_of(3), evaluation_of(5, "other"), RULE)
+    summary = summarise_comparison(evaluation_of(3), [evaluation_of(5, "other")], RULE)
     assert not set(drives) & set(summary)
     assert drives["not_driven"] == []
 

@@ -48,11 +48,12 @@ def evaluation_summary(n_cases, ids, name="mine"):
 
 
 def comparison_summary(n_cases, name="mine", other="carlancap-12", gained=(), lost=()):
+    baseline = {"rsu_all": ratios(n_cases, 0.4), "vut_and_rsus": ratios(n_cases, 0.6)}
+    runs = {"runs_gained": list(gained), "runs_lost": list(lost)}
     return evaluation_summary(n_cases, ["U1"], name) | {
         "baseline_name": other,
-        "baseline": {"rsu_all": ratios(n_cases, 0.4), "vut_and_rsus": ratios(n_cases, 0.6)},
-        "runs_gained": list(gained),
-        "runs_lost": list(lost),
+        "baseline": baseline,
+        "compared": [{"name": other, "evaluation": baseline, **runs}],
     }
 
 
