@@ -113,7 +113,10 @@ def test_evaluation_and_comparison_have_the_keys_of_a_placement(evaluation_of):
 def test_comparison_lists_the_runs_that_differ(evaluation_of):
     more, less = evaluation_of(5, "more"), evaluation_of(3, "less")
     differing = ["B/north/3", "A/north/4"]
-    better, worse = summarise_comparison(more, [less], RULE), summarise_comparison(less, [more], RULE)
+    better, worse = (
+        summarise_comparison(more, [less], RULE),
+        summarise_comparison(less, [more], RULE),
+    )
     assert (better["runs_gained"], better["runs_lost"]) == (differing, [])
     assert (worse["runs_gained"], worse["runs_lost"]) == ([], differing)
     assert better["baseline"] == summarise_evaluation(less, RULE)
