@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from .explanation_tables import explanation_text
+from .no_look import private_sentences
 from .refinement_summary import refinement_sentences
 from .uncertainty_summary import uncertainty_sentences, uncertainty_text
 
@@ -14,6 +15,8 @@ _WIDTH = 80
 def added_sentences(summary: Mapping[str, Any]) -> list[str]:
     """For the report's answer."""
     sentences: list[str] = []
+    if "private_ground" in summary:
+        sentences += private_sentences(summary["private_ground"])
     if "refinement" in summary:
         sentences += refinement_sentences(summary["refinement"])
     if "sampled" in summary:
@@ -28,6 +31,8 @@ def added_text(summary: Mapping[str, Any]) -> str:
         parts.append(["What each unit buys:", *_wrapped(summary["bought"], indent="  ")])
     if "explained" in summary:
         parts.append([explanation_text(summary["explained"])])
+    if "private_ground" in summary:
+        parts.append(_wrapped(private_sentences(summary["private_ground"])))
     if "refinement" in summary:
         parts.append(_wrapped(refinement_sentences(summary["refinement"])))
     if "sampled" in summary:

@@ -93,6 +93,19 @@ _SITES = (
         "your own: FILE.toml, FILE.toml:NAME; default: the study's camera.",
     ),
     click.option(
+        "--no-look",
+        default="",
+        metavar="FILE",
+        help="Areas that no camera may have in its picture: polygons in GeoJSON, GeoPackage or "
+        "Shapefile.",
+    ),
+    click.option(
+        "--no-look-share",
+        type=Share("a share of an area"),
+        default=0.0,
+        help="Share of such an area that may be in the picture all the same.",
+    ),
+    click.option(
         "--study-poses/--no-study-poses",
         default=True,
         show_default=True,

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -41,50 +42,61 @@ class Point(click.ParamType[tuple[float, float]]):
         return numbers[0], numbers[1]
 
 
+_READING_OPTIONS = (
+    click.option(
+        "--unit",
+        type=OneOf(("m", "km", "cm", "mm", "ft", "in")),
+        help="Of meshes whose format does not say (OBJ, PLY, STL).",
+    ),
+    click.option(
+        "--up",
+        type=OneOf(("x", "y", "z", "-x", "-y", "-z")),
+        help="Axis of meshes that points up, where the format does not say.",
+    ),
+    click.option(
+        "--class",
+        "class_name",
+        type=OneOf(("building", "wall", "vegetation")),
+        default="building",
+        show_default=True,
+        help="Of meshes, point clouds and footprints that do not say.",
+    ),
+    click.option(
+        "--traffic",
+        type=OneOf(("left", "right")),
+        help="Side on which it keeps; default: what the map says or shows.",
+    ),
+    click.option(
+        "--crs",
+        default="",
+        metavar="CRS",
+        help="Of files that do not say where they lie: EPSG:25832.",
+    ),
+    click.option("--layer", default="", metavar="NAME", help="Of a GeoPackage."),
+    click.option(
+        "--offset",
+        "offset_m",
+        type=Point(),
+        help="Metres by which buildings, meshes and clouds are moved, into the coordinates "
+        "of the map with the roads.",
+    ),
+)
+
+
 def _reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    for option in reversed(
-        (
-            click.option(
-                "--unit",
-                type=OneOf(("m", "km", "cm", "mm", "ft", "in")),
-                help="Of meshes whose format does not say (OBJ, PLY, STL).",
-            ),
-            click.option(
-                "--up",
-                type=OneOf(("x", "y", "z", "-x", "-y", "-z")),
-                help="Axis of meshes that points up, where the format does not say.",
-            ),
-            click.option(
-                "--class",
-                "class_name",
-                type=OneOf(("building", "wall", "vegetation")),
-                default="building",
-                show_default=True,
-                help="Of meshes, point clouds and footprints that do not say.",
-            ),
-            click.option(
-                "--traffic",
-                type=OneOf(("left", "right")),
-                help="Side on which it keeps; default: what the map says or shows.",
-            ),
-            click.option(
-                "--crs",
-                default="",
-                metavar="CRS",
-                help="Of files that do not say where they lie: EPSG:25832.",
-            ),
-            click.option("--layer", default="", metavar="NAME", help="Of a GeoPackage."),
-            click.option(
-                "--offset",
-                "offset_m",
-                type=Point(),
-                help="Metres by which buildings, meshes and clouds are moved, into the coordinates "
-                "of the map with the roads.",
-            ),
-        )
-    ):
-        command = option(command)
-    return command
+    """Options that say what files do not; the command gets them as one `reading`."""
+
+    @wraps(command)
+    def with_reading(*args: Any, **values: Any) -> Any:
+        traffic = values.pop("traffic")
+        names = ("unit", "up", "class_name", "crs", "layer", "offset_m")
+        reading = {name: values.pop(name) for name in names}
+        reading["keeps_left"] = None if traffic is None else traffic == "left"
+        return command(*args, reading=reading, **values)
+
+    for option in reversed(_READING_OPTIONS):
+        with_reading = option(with_reading)
+    return with_reading
 
 
 @click.group()
@@ -159,13 +171,7 @@ def import_(
     ground_m: float | None,
     name: str,
     bbox: str,
-    unit: str | None,
-    up: str | None,
-    class_name: str,
-    traffic: str | None,
-    crs: str,
-    layer: str,
-    offset_m: tuple[float, float] | None,
+    reading: dict[str, Any],
     out: Path,
     as_json: bool,
     quiet: bool,
@@ -193,15 +199,7 @@ def import_(
             sites=sites,
             ground_m=ground_m,
             name=name,
-            reading=ReadingOptions(
-                unit=unit,
-                up=up,
-                class_name=class_name,
-                keeps_left=None if traffic is None else traffic == "left",
-                crs=crs,
-                layer=layer,
-                offset_m=offset_m,
-            ),
+            reading=ReadingOptions(**reading),
         ),
         bbox=bbox,
         out=out,
@@ -230,13 +228,7 @@ def show(
     progress: StageProgress,
     *,
     paths: tuple[str, ...],
-    unit: str | None,
-    up: str | None,
-    class_name: str,
-    traffic: str | None,
-    crs: str,
-    layer: str,
-    offset_m: tuple[float, float] | None,
+    reading: dict[str, Any],
     out: Path | None,
     as_json: bool,
     quiet: bool,
@@ -250,15 +242,7 @@ def show(
 
     summary = scene_jobs.run_show(
         paths,
-        ReadingOptions(
-            unit=unit,
-            up=up,
-            class_name=class_name,
-            keeps_left=None if traffic is None else traffic == "left",
-            crs=crs,
-            layer=layer,
-            offset_m=offset_m,
-        ),
+        ReadingOptions(**reading),
         out=out,
         progress=progress,
     )

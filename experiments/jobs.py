@@ -23,6 +23,7 @@ from . import exports
 from .driving import build_setting
 from .explanations import summarise_explanations
 from .figures import plot_apr_by_case, plot_heatmap, to_png
+from .no_look import summarise_private_ground
 from .plan import plot_plan
 from .planning import Plan, build_plan
 from .progress import WRITING, StageProgress
@@ -124,6 +125,9 @@ def run_placement(
     summary = summarise_placement(placement, setting, found=found, greedy=greedy, baseline=baseline)
     summary |= summarise_drives(setting)
     summary |= {"bought": bought, "explained": explained}
+    if plan.private is not None:
+        units = placement.layout.units
+        summary["private_ground"] = summarise_private_ground(units, scene, plan.private)
     if refinement is not None:
         summary["refinement"] = summarise_refinement(refinement)
     figures = {}

@@ -21,8 +21,10 @@ from placement.layout import Layout, check_layout
 from placement.optimiser import Effort, PlacementValue
 from placement.optimiser.effort import SolverName
 from placement.optimiser.milp import DEFAULT_SOLVER, check_solver
+from placement.privacy import PrivateGround
 from placement.wishes import Wishes, check_wishes
 
+from .no_look import keep_decent, load_private_ground
 from .question import Planning
 from .study import find_baseline, find_layout
 
@@ -41,12 +43,15 @@ class Plan:
         Ids are unique.
     kept : Layout, optional
         What hangs there already.
+    private : PrivateGround, optional
+        What cameras must not look into.
     """
 
     wishes: Wishes
     effort: Effort
     candidates: tuple[CandidatePose, ...]
     kept: Layout | None
+    private: PrivateGround | None = None
 
 
 def build_plan(planning: Planning, scene: Scene) -> Plan:
@@ -69,7 +74,11 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
     InputError
         A word is unknown, a layout does not fit the scene, or a wish cannot be met at its sites.
     """
-    for option, is_given in (("--within", bool(planning.within)), ("--samples", planning.samples)):
+    for option, is_given in (
+        ("--within", planning.within),
+        ("--samples", planning.samples),
+        ("--no-look", planning.no_look),
+    ):
         if planning.refine and is_given:
             raise InputError(
                 "--refine", Unquoted(f"it beside {option}"), "one of them: poses stay as they are"
@@ -84,6 +93,12 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
     else:
         extra = _distinct([study, kept])
         candidates = build_candidates(scene, grid_of(planning.sensors), extra=extra)
+    private = None
+    if planning.no_look:
+        private = load_private_ground(Path(planning.no_look), scene)
+        candidates = keep_decent(candidates, scene, private, most=planning.no_look_share)
+        if kept is not None:  # what hangs there hangs there
+            candidates = tuple(_distinct([Layout(name="all", units=candidates), kept]))
     wishes = Wishes(
         budget_units=planning.budget,
         budget_eur=planning.budget_cost,
@@ -110,6 +125,7 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
         effort=effort_of(planning),
         candidates=candidates,
         kept=kept,
+        private=private,
     )
 
 

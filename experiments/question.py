@@ -79,6 +79,10 @@ class Planning:
         See :class:`placement.optimiser.PlacementProblem`.
     sensors : str
         Models with commas between; empty: the default grid's.
+    no_look : str
+        File of areas that cameras must not look into; empty: none.
+    no_look_share : float
+        Share of an area that a camera may have in its picture.
     study_poses : bool
         Whether the study's 12 poses are candidates.
     solver, time_limit_s, gap, milp_solver
@@ -113,6 +117,8 @@ class Planning:
     stage_weights: str = ""
     fusion: str = "any"
     sensors: str = ""
+    no_look: str = ""
+    no_look_share: float = 0.0
     study_poses: bool = True
     solver: str = "auto"
     time_limit_s: float = 20.0
