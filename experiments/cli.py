@@ -30,6 +30,7 @@ from .cli_render import render
 from .cli_retrofit import retrofit
 from .cli_scenarios import scenarios
 from .cli_scene import scene
+from .cli_sheet import sheet
 from .cli_solve import solve
 from .cli_verify import verify
 from .progress import Interrupted, StageProgress, ending_on_signals
@@ -65,6 +66,7 @@ Examples:
   place-rsus --scene scene --budget 3              .. and the best three there
   place-rsus pareto --max 8                        what each further unit buys
   place-rsus retrofit --layout carlancap-12        remove, re-aim or add
+  place-rsus sheet --layout results/latest/layout.json --out mounting.pdf
   place-rsus verify results/latest                 check a certificate
   place-rsus doctor                                what is installed here
   place-rsus export --layout results/latest/layout.json --format carla
@@ -228,6 +230,7 @@ cli.add_command(render)
 cli.add_command(retrofit)
 cli.add_command(scenarios)
 cli.add_command(scene)
+cli.add_command(sheet)
 cli.add_command(solve)
 cli.add_command(verify)
 

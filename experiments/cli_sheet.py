@@ -1,0 +1,67 @@
+"""``place-rsus sheet``: the mounting sheet of a layout."""
+
+from pathlib import Path
+
+import click
+
+from .call import warn_of_slow_rays
+from .cli_latency import latency_budget_options
+from .cli_options import (
+    json_option,
+    layout_option,
+    question_options,
+    quiet_option,
+    seed_option,
+    workers_option,
+)
+from .progress import StageProgress
+from .question import Question
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  place-rsus sheet --layout results/latest/layout.json --out mounting.pdf
+  place-rsus sheet --layout mine.json --scene scene --out mounting.pdf --json"""
+)
+@layout_option
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="PDF file to write.")
+@question_options()
+@latency_budget_options()
+@json_option
+@quiet_option
+@seed_option
+@workers_option
+@click.pass_obj
+def sheet(
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    out: Path,
+    question: Question,
+    as_json: bool,
+    quiet: bool,
+    seed: int,
+    workers: int,
+) -> None:
+    """Write a PDF for whoever mounts the units: a page each.
+
+    Where, how high, where it looks in words and degrees, what it will see (rendered), a plan, the
+    nearest landmarks, and how many degrees and centimetres it may be off before a run is lost.
+    """
+    if len(layout_names) != 1:
+        got = f"{len(layout_names)} layouts" if layout_names else "nothing"
+        raise click.UsageError(f"--layout: got {got}; expected it once")
+    from .study import find_layout
+
+    layout = find_layout(layout_names[0], "--layout")
+    progress.start(quiet=quiet)
+    warn_of_slow_rays()
+    from .exports import to_json_text
+    from .sheet_jobs import run_sheet, sheet_text
+
+    summary = run_sheet(
+        question, layout=layout, out=out, seed=seed, workers=workers, progress=progress
+    )
+    progress.stop()
+    click.echo(to_json_text(summary).rstrip() if as_json else sheet_text(summary))
