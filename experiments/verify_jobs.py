@@ -79,17 +79,21 @@ def run_verification(folder: Path, *, progress: StageProgress) -> dict[str, Any]
 
 
 def _shown_units(folder: Path) -> Sequence[Mapping[str, Any]]:
-    """Units of the layout file; of a recording, which has no poses, those of the summary."""
-    marker = folder / MARKER
-    if (folder / LAYOUT_FILE).exists() or not marker.exists():
-        return layout_records(load_layout(folder / LAYOUT_FILE))
+    """Units of the layout file; of a recording, whose units have no poses, of its summary."""
+    if not (folder / LAYOUT_FILE).exists():
+        units = _recorded_units(folder / MARKER)
+        if units is not None:
+            return units
+    return layout_records(load_layout(folder / LAYOUT_FILE))
+
+
+def _recorded_units(path: Path) -> Sequence[Mapping[str, Any]] | None:
+    """Units in a recording's summary; None if it is no such thing."""
     try:
-        summary = json.loads(marker.read_text(encoding="utf-8"))
+        summary = json.loads(path.read_text(encoding="utf-8"))
         units = summary["layout"] if "recording" in summary else None
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
-        units = None
+        return None
     if not isinstance(units, list) or not all(isinstance(unit, dict) for unit in units):
-        raise InputError(
-            str(folder), Unquoted(f"no {LAYOUT_FILE}"), f"one, or a recording's {MARKER}"
-        )
+        return None
     return units
