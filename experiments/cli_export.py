@@ -5,23 +5,35 @@ from pathlib import Path
 import click
 
 from .cli_options import OneOf, layout_option, scene_option
+from .export_formats import FORMAT_NOTES
 
-EXPORT_FORMATS = ("csv", "geojson", "carla")
+_FORMATS = "\n".join(
+    f"  {name:<10} {note.content}{'; needs --out' if note.is_binary else ''}"
+    for name, note in FORMAT_NOTES.items()
+)
 
 
 @click.command(
-    epilog="""\b
+    epilog=f"""\b
+Formats, and who reads them:
+{_FORMATS}
+opencv and ros leave LiDARs out; geojson, gpkg, kml and cpm need a scene that
+lies somewhere on earth.
+
+\b
 Examples:
   place-rsus export --layout carlancap-12 --format carla
-  place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson"""
+  place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
+  place-rsus export --layout mine.json --scene city --format gpkg --out rsus.gpkg"""
 )
 @layout_option
 @click.option(
     "--format",
     "format_name",
     required=True,
-    type=OneOf(EXPORT_FORMATS),
-    help="csv; geojson (WGS 84); carla: spawn transforms in CARLA's frame.",
+    metavar="FORMAT",
+    type=OneOf(tuple(FORMAT_NOTES)),
+    help="One of those below.",
 )
 @scene_option
 @click.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
@@ -32,19 +44,26 @@ def export(
     if len(layout_names) != 1:
         given = f"{len(layout_names)} layouts" if layout_names else "nothing"
         raise click.UsageError(f"--layout: got {given}; expected it once")
+    if out is None and FORMAT_NOTES[format_name].is_binary:
+        raise click.UsageError(f"--out: got nothing; expected a file: {format_name} is no text")
     from . import jobs
+    from .exports import left_out
     from .study import find_layout
 
     layout = find_layout(layout_names[0], "--layout")
 
-    text = jobs.export_layout(layout, format_name, scene_path=scene)
+    content = jobs.export_layout(layout, format_name, scene_path=scene)
+    missing = left_out(layout, format_name)
+    if missing:
+        click.echo(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     if out is None:
-        click.echo(text, nl=False)
+        click.echo(content, nl=False)
         return
     from geometry.atomic_files import write_atomically
 
+    data = content.encode() if isinstance(content, str) else content
     try:
-        write_atomically(out, lambda file: file.write(text.encode()))
+        write_atomically(out, lambda file: file.write(data))
     except OSError as error:
         raise click.UsageError(
             f"--out: got {out}: {error.strerror}; expected a file that can be written"

@@ -259,8 +259,8 @@ def run_comparison(
     )
 
 
-def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> str:
-    """A layout as text in another program's format, see :data:`experiments.exports.FORMATS`."""
+def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> str | bytes:
+    """A layout for another program: text or bytes, see :data:`experiments.exports.FORMATS`."""
     scene = find_scene(scene_path)
     check_layout(layout, scene)
     return exports.FORMATS[format_name](layout, scene)

@@ -58,7 +58,8 @@ class Layout:
         if len(set(ids)) < len(ids):
             repeated = next(name for name in ids if ids.count(name) > 1)
             raise InputError(f"layout {self.name}: id", repeated, "every id once")
-        for text in (self.name, *ids):
+        sensors = [unit.sensor.name for unit in self.units]
+        for text in (self.name, *ids, *sensors, *(unit.site_id for unit in self.units)):
             if not text.isprintable():  # a line break, or half of a surrogate pair
                 raise InputError("layout: name or id", text, "printable text")
         for name in ids:

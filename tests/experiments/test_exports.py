@@ -122,12 +122,11 @@ def test_geojson_lies_in_the_world_frame_within_a_centimetre():
     assert [feature["properties"] for feature in document["features"]] == layout_records(layout)
 
 
-@pytest.mark.parametrize("crs", ["no such system", ""])
-def test_geojson_says_which_crs_is_unknown(layout, crs):
+def test_geojson_says_which_crs_is_unknown(layout):
     with pytest.raises(InputError) as caught:
-        to_geojson(layout, crs)
+        to_geojson(layout, "no such system")
     assert str(caught.value) == (
-        f"crs: got {crs!r}; expected a coordinate reference system that pyproj knows"
+        "crs: got 'no such system'; expected a coordinate reference system that pyproj knows"
     )
 
 
@@ -198,9 +197,8 @@ def test_carla_has_no_minus_zero(layout):
 
 
 def test_every_format_is_text_of_the_whole_layout(layout):
-    assert set(FORMATS) == {"csv", "geojson", "carla"}
-    for export in FORMATS.values():
-        text = export(layout, load_study_scene())
+    for name in ("json", "csv", "geojson", "kml", "carla", "opencv", "ros", "openlabel", "cpm"):
+        text = FORMATS[name](layout, load_study_scene())
         assert all(unit.id in text for unit in layout.units)
         assert text.endswith("\n")
 

@@ -1,0 +1,41 @@
+"""Layouts as tables: CSV and Parquet."""
+
+import io
+
+import pandas as pd
+
+from geometry.scene import Scene
+from placement.layout import Layout
+
+from .places import longitude_latitude, placed_records, positions_m
+
+
+def to_csv(layout: Layout, scene: Scene | None = None) -> str:
+    """Layout as CSV: one row per unit, in full precision; see :func:`placed_records`."""
+    records = placed_records(layout, scene)
+    text: str = pd.DataFrame(records).to_csv(index=False, lineterminator="\n")
+    return text
+
+
+def to_parquet(layout: Layout, scene: Scene) -> bytes:
+    """Layout as an Apache Parquet file: one row per unit.
+
+    Parameters
+    ----------
+    layout : Layout
+        What to write.
+    scene : Scene
+        Where it hangs; without a crs there are no longitudes and latitudes.
+
+    Returns
+    -------
+    content : bytes
+        Columns as in :func:`to_csv`; with a crs longitude_deg and latitude_deg (WGS 84), too.
+    """
+    table = pd.DataFrame(placed_records(layout, scene))
+    if scene.crs:
+        lon_lat_deg = longitude_latitude(positions_m(layout), scene.crs)
+        table = table.assign(longitude_deg=lon_lat_deg[:, 0], latitude_deg=lon_lat_deg[:, 1])
+    file = io.BytesIO()
+    table.to_parquet(file, index=False)
+    return file.getvalue()

@@ -1,0 +1,238 @@
+"""Calibrations, read back by OpenCV, PyYAML and vcd, against geometry.sensors' own projection."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from export_layouts import awkward_layout, large_layout, level_layout
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from experiments.export_formats.calibration import calibrations
+from experiments.export_formats.opencv_yaml import to_opencv
+from experiments.export_formats.openlabel import to_openlabel
+from experiments.export_formats.ros_yaml import camera_names, to_ros
+from experiments.export_formats.yaml_text import yaml_number, yaml_text
+from geometry.errors import InputError
+from geometry.poses import camera_rotation, to_world
+from geometry.sensors import CameraModel, project_points
+from placement.layout import Layout
+
+HALF_PIXEL = 0.5
+"""Here the middle of the first pixel is (0.5, 0.5); in OpenCV, ROS and OpenLABEL (0, 0)."""
+
+BUILDS = [awkward_layout, large_layout]
+
+
+def cameras_of(layout):
+    return [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
+
+
+def points_before(unit):
+    """Points of the world frame in front of a unit, beside its optical axis, too."""
+    rng = np.random.default_rng(7)
+    return to_world(rng.uniform([3.0, -9.0, -5.0], [40.0, 9.0, 5.0], (20, 3)), unit.pose)
+
+
+def expected_px(unit, points_m):
+    return project_points(points_m, unit.pose, unit.sensor)[:, :2] - HALF_PIXEL
+
+
+def read_opencv(text, tmp_path):
+    path = tmp_path / "cameras.yaml"
+    path.write_text(text, encoding="utf-8")
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    assert storage.isOpened()
+    node = storage.getNode("cameras")
+    cameras = []
+    for index in range(node.size()):
+        entry = node.at(index)
+        texts = {"id": entry.getNode("id").string()}
+        sizes = {key: int(entry.getNode(key).real()) for key in ("image_width", "image_height")}
+        matrices = {
+            key: entry.getNode(key).mat()
+            for key in ("camera_matrix", "distortion_coefficients", "R", "rvec", "t")
+        }
+        cameras.append(texts | sizes | matrices)
+    name = storage.getNode("layout").string()
+    storage.release()
+    return name, cameras
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_opencv_projects_as_the_camera_model_does(build, tmp_path):
+    layout = build()
+    name, cameras = read_opencv(to_opencv(layout), tmp_path)
+    assert name == layout.name
+    for unit, camera in zip(cameras_of(layout), cameras, strict=True):
+        assert camera["id"] == unit.id
+        size = (camera["image_width"], camera["image_height"])
+        assert size == (unit.sensor.width_px, unit.sensor.height_px)
+        points_m = points_before(unit)
+        for rotation in (camera["rvec"], cv2.Rodrigues(camera["R"])[0]):
+            found, _ = cv2.projectPoints(
+                points_m,
+                rotation,
+                camera["t"],
+                camera["camera_matrix"],
+                camera["distortion_coefficients"],
+            )
+            np.testing.assert_allclose(found[:, 0], expected_px(unit, points_m), atol=1e-6)
+
+
+def test_the_principal_point_is_in_the_middle_of_the_image(tmp_path):
+    layout = level_layout(yaw_deg=90.0)  # looks north, over the origin
+    _, (camera,) = read_opencv(to_opencv(layout), tmp_path)
+    found, _ = cv2.projectPoints(
+        np.array([[0.0, 10.0, 6.0], [1.0, 10.0, 6.0], [0.0, 10.0, 5.0]]),
+        camera["rvec"], camera["t"], camera["camera_matrix"], None,
+    )  # fmt: skip
+    middle, east, below = found[:, 0]
+    np.testing.assert_allclose(middle, [959.5, 539.5])  # pixels 0 .. 1919 and 0 .. 1079
+    assert east[0] > middle[0]
+    assert below[1] > middle[1]
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_ros_camera_infos_and_transforms_project_as_the_camera_model_does(build):
+    layout = build()
+    documents = list(yaml.safe_load_all(to_ros(layout)))
+    assert len({document["camera_name"] for document in documents}) == len(documents)
+    for unit, info in zip(cameras_of(layout), documents, strict=True):
+        assert info["unit"] == unit.id
+        assert (info["image_width"], info["image_height"]) == (
+            unit.sensor.width_px,
+            unit.sensor.height_px,
+        )
+        assert info["distortion_model"] == "plumb_bob"
+        matrices = {}
+        for key, shape in (
+            ("camera_matrix", (3, 3)),
+            ("distortion_coefficients", (1, 5)),
+            ("rectification_matrix", (3, 3)),
+            ("projection_matrix", (3, 4)),
+        ):
+            assert (info[key]["rows"], info[key]["cols"]) == shape
+            assert all(isinstance(value, float) for value in info[key]["data"])
+            matrices[key] = np.array(info[key]["data"]).reshape(shape)
+        np.testing.assert_array_equal(matrices["rectification_matrix"], np.eye(3))
+        assert not matrices["distortion_coefficients"].any()
+        frames = info["static_transform"]
+        assert frames["header"]["frame_id"] == "map"
+        assert frames["child_frame_id"] == f"{info['camera_name']}_optical_frame"
+        move = frames["transform"]
+        turn = Rotation.from_quat([move["rotation"][axis] for axis in "xyzw"])
+        place_m = np.array([move["translation"][axis] for axis in "xyz"])
+        points_m = points_before(unit)
+        optical = np.column_stack([turn.inv().apply(points_m - place_m), np.ones(len(points_m))])
+        projected = optical @ matrices["projection_matrix"].T
+        found = projected[:, :2] / projected[:, 2:]
+        np.testing.assert_allclose(found, expected_px(unit, points_m), atol=1e-6)
+        np.testing.assert_array_equal(
+            matrices["projection_matrix"][:, :3], matrices["camera_matrix"]
+        )
+
+
+def test_ros_names_are_legal_and_each_is_there_once():
+    one = awkward_layout().units[0]
+    ids = ["A b", "a_b", "a-b", "a_b_2", "ü", "7", "ß", "<&>"]
+    layout = Layout(name="names", units=tuple(replace(one, id=name) for name in ids))
+    names = camera_names(calibrations(layout, "ros"))
+    assert len(set(names)) == len(names) == len(ids)
+    assert all(name.replace("_", "").isalnum() and name.isascii() for name in names)
+    assert all(name[0].isalpha() for name in names)
+    assert names[0] == "a_b"
+
+
+@pytest.mark.parametrize("export", [to_opencv, to_ros])
+def test_lidars_are_left_out_and_named(export):
+    text = export(awkward_layout())
+    assert "# Left out, for they are no cameras: lidar ä, lidar b\n" in text
+    cameras = Layout(name="cameras", units=tuple(cameras_of(awkward_layout())))
+    assert "Left out" not in export(cameras)
+
+
+@pytest.mark.parametrize(("name", "export"), [("opencv", to_opencv), ("ros", to_ros)])
+def test_lidars_alone_are_refused(name, export):
+    with pytest.raises(InputError) as caught:
+        export(level_layout(0.0, kind="lidar"))
+    assert str(caught.value) == f"{name}: got a layout of LiDARs only; expected at least one camera"
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_yaml_numbers_come_back_bit_by_bit(value):
+    again = yaml.safe_load(yaml_number(value))
+    assert isinstance(again, float)
+    assert again == value
+
+
+@given(st.text(st.characters(exclude_categories=["C", "Zl", "Zp"])))
+def test_yaml_texts_come_back(value):
+    assert yaml.safe_load(f"name: {yaml_text(value)}") == {"name": value}
+
+
+def openlabel_project(root, name, points_m):
+    """Pixels by the definitions of the standard: pose_wrt_parent takes child to parent."""
+    pose = root["coordinate_systems"][name]["pose_wrt_parent"]
+    turn = Rotation.from_quat(pose["quaternion"])
+    own = turn.inv().apply(points_m - np.array(pose["translation"]))
+    intrinsics = root["streams"][name]["stream_properties"]["intrinsics_pinhole"]
+    matrix = np.array(intrinsics["camera_matrix"]).reshape(3, 4)
+    projected = np.column_stack([own, np.ones(len(own))]) @ matrix.T
+    return projected[:, :2] / projected[:, 2:]
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_openlabel_streams_project_as_the_camera_model_does(build):
+    layout = build()
+    root = json.loads(to_openlabel(layout))["openlabel"]
+    assert root["metadata"] == {"schema_version": "1.0.0", "name": layout.name}
+    systems = root["coordinate_systems"]
+    assert systems["world"]["children"] == [unit.id for unit in layout.units]
+    assert list(root["streams"]) == systems["world"]["children"]
+    for unit in layout.units:
+        assert systems[unit.id]["parent"] == "world"
+        stream = root["streams"][unit.id]
+        if not isinstance(unit.sensor, CameraModel):
+            assert stream["type"] == "lidar"
+            ahead = Rotation.from_quat(systems[unit.id]["pose_wrt_parent"]["quaternion"]).apply(
+                [1.0, 0.0, 0.0]
+            )
+            axis = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg)[:, 2]
+            np.testing.assert_allclose(ahead, axis, atol=1e-12)
+            continue
+        assert stream["type"] == "camera"
+        points_m = points_before(unit)
+        found = openlabel_project(root, unit.id, points_m)
+        np.testing.assert_allclose(found, expected_px(unit, points_m), atol=1e-6)
+
+
+def test_a_unit_called_world_is_not_the_world():
+    layout = level_layout(30.0)
+    layout = Layout(name="w", units=(replace(layout.units[0], id="world"),))
+    systems = json.loads(to_openlabel(layout))["openlabel"]["coordinate_systems"]
+    assert systems["world"]["parent"] == "world_cs"
+    assert systems["world_cs"]["parent"] == ""
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_vcd_reads_openlabel_by_its_schema_and_projects_alike(build, tmp_path):
+    core = pytest.importorskip("vcd.core")
+    scl = pytest.importorskip("vcd.scl")
+    layout = build()
+    path = tmp_path / "layout.json"
+    path.write_text(to_openlabel(layout), encoding="utf-8")
+    document = core.OpenLABEL()
+    document.load_from_file(str(path), validation=True)
+    scene = scl.Scene(document)
+    for unit in cameras_of(layout)[:20]:
+        points_m = points_before(unit)
+        transform, is_static = scene.get_transform("world", unit.id)
+        assert is_static
+        own = transform @ np.column_stack([points_m, np.ones(len(points_m))]).T
+        found, _ = scene.get_camera(unit.id, compute_remaps=False).project_points3d(own)
+        np.testing.assert_allclose(found[:2].T, expected_px(unit, points_m), atol=1e-6)

@@ -1,0 +1,93 @@
+"""``place-rsus export``: every format from the command line."""
+
+import os
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from export_layouts import awkward_layout, large_layout, map_scene, placeless_scene
+
+from experiments.cli_export import export as command
+from experiments.export_formats import FORMAT_NOTES
+from experiments.exports import FORMATS, left_out, to_json
+from geometry.errors import InputError
+
+BINARY = ["parquet", "gpkg"]
+
+
+@pytest.fixture
+def layout_path(tmp_path):
+    path = tmp_path / "layout.json"
+    layout = awkward_layout()
+    text = to_json(layout)
+    for unit in layout.units:  # the study's junction has other sites
+        text = text.replace(f'"site": "{unit.site_id}"', '"site": ""')
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def call(*arguments):
+    return CliRunner().invoke(command, [str(argument) for argument in arguments])
+
+
+def test_every_format_is_described():
+    assert list(FORMATS) == list(FORMAT_NOTES)
+    help_text = call("--help").output
+    assert all(f"\n    {name} " in help_text for name in FORMATS)
+    assert [name for name, note in FORMAT_NOTES.items() if note.is_binary] == BINARY
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("build", [awkward_layout, large_layout])
+def test_notes_tell_the_truth(name, build):
+    layout, note = build(), FORMAT_NOTES[name]
+    content = FORMATS[name](layout, map_scene())
+    assert isinstance(content, bytes) == note.is_binary
+    assert content == FORMATS[name](layout, map_scene()) or name == "gpkg"  # it bears a date
+    gone = left_out(layout, name)
+    assert bool(gone) == (not note.has_lidars and build is awkward_layout)
+    if isinstance(content, str):
+        assert content.endswith("\n")
+    if note.needs_crs:
+        with pytest.raises(InputError, match="a scene without crs"):
+            FORMATS[name](layout, placeless_scene())
+    else:
+        assert FORMATS[name](layout, placeless_scene())
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_is_written_to_a_file_whole(name, layout_path, tmp_path):
+    out = tmp_path / f"out.{name}"
+    given = ["--layout", layout_path, "--format", name]
+    result = call(*given, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert result.stdout == ""
+    said = "left out, for they are no cameras: lidar ä, lidar b\n"
+    assert result.stderr == ("" if FORMAT_NOTES[name].has_lidars else said)
+    assert out.stat().st_size > 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([layout_path.name, out.name])
+    if name not in BINARY:
+        assert call(*given).stdout.encode() == out.read_bytes()
+
+
+@pytest.mark.parametrize("name", BINARY)
+def test_what_is_no_text_needs_a_file(name, layout_path):
+    result = call("--layout", layout_path, "--format", name)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert f"--out: got nothing; expected a file: {name} is no text" in result.stderr
+
+
+@pytest.mark.parametrize("name", BINARY)
+def test_an_old_file_survives_a_failure(name, layout_path, tmp_path, monkeypatch):
+    out = tmp_path / "old"
+    out.write_text("old")
+
+    def fail(*_given):
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr(Path, "replace", fail)
+    result = call("--layout", layout_path, "--format", name, "--out", out)
+    assert result.exit_code == 2
+    assert "No space left on device" in result.stderr
+    assert out.read_text() == "old"
+    assert {path.name for path in tmp_path.iterdir()} == {"old", "layout.json"}

@@ -1,0 +1,228 @@
+"""The layout file against its JSON schema, and the sensor information of CPMs."""
+
+import copy
+import json
+from dataclasses import replace
+from importlib.resources import files
+
+import jsonschema
+import numpy as np
+import pytest
+from export_layouts import awkward_layout, large_layout, level_layout, map_scene, placeless_scene
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import Transformer
+
+from experiments.export_formats.collective_perception import to_cpm
+from experiments.export_formats.layout_file import to_json
+from experiments.study import load_carlancap_layout
+from geometry.actors import load_actors
+from geometry.errors import InputError
+from geometry.lidar import LidarModel
+from geometry.poses import Pose
+from geometry.scene_files import load_study_scene
+from placement.layout import RESERVED_IDS, SCHEMA, Layout, layout_records, load_layout
+
+
+@pytest.fixture(scope="module")
+def validator():
+    text = (files("experiments") / "data" / "layout.schema.json").read_text(encoding="utf-8")
+    schema = json.loads(text)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    assert schema["properties"]["schema"]["const"] == SCHEMA
+    assert schema["$defs"]["unit"]["properties"]["id"]["not"]["enum"] == list(RESERVED_IDS)
+    return jsonschema.Draft202012Validator(schema)
+
+
+@pytest.mark.parametrize("build", [awkward_layout, large_layout, load_carlancap_layout])
+def test_layout_files_are_as_the_schema_says_and_read_back(build, validator, tmp_path):
+    layout = build()
+    text = to_json(layout)
+    validator.validate(json.loads(text))
+    path = tmp_path / "layout.json"
+    path.write_text(text, encoding="utf-8")
+    again = load_layout(path)
+    assert (again.name, again.scene_name) == (layout.name, layout.scene_name)
+    assert layout_records(again) == layout_records(layout)
+    assert [unit.sensor for unit in again.units] == [unit.sensor for unit in layout.units]
+
+
+OWN = 'my "own", camera'
+DAMAGE = {
+    "nothing": lambda document: None,
+    "no name": lambda document: document.pop("name"),
+    "no scene": lambda document: document.pop("scene"),
+    "no schema": lambda document: document.pop("schema"),
+    "no site": lambda document: document["layout"][0].pop("site"),
+    "another key": lambda document: document["layout"][0].update(note="painted green"),
+    "null latency": lambda document: document["layout"][0].update(latency_s=None),
+    "no layout": lambda document: document.pop("layout"),
+    "no units": lambda document: document.update(layout=[]),
+    "text for a unit": lambda document: document.update(layout=["a"]),
+    "no id": lambda document: document["layout"][0].pop("id"),
+    "empty id": lambda document: document["layout"][0].update(id=""),
+    "reserved id": lambda document: document["layout"][0].update(id="rsu_all"),
+    "number for an id": lambda document: document["layout"][0].update(id=7),
+    "no camera": lambda document: document["layout"][0].pop("camera"),
+    "camera and lidar": lambda document: document["layout"][0].update(lidar="carla-ncap-lidar"),
+    "text for a number": lambda document: document["layout"][0].update(x_m="1"),
+    "truth for a number": lambda document: document["layout"][0].update(yaw_deg=True),
+    "no height": lambda document: document["layout"][0].pop("z_m"),
+    "overturned": lambda document: document["layout"][0].update(pitch_deg=-90.5),
+    "late before": lambda document: document["layout"][0].update(latency_s=-0.1),
+    "number for a site": lambda document: document["layout"][0].update(site=3),
+    "list of sensors": lambda document: document.update(sensors=[]),
+    "sensor of no kind": lambda document: document["sensors"][OWN].pop("kind"),
+    "sensor without a width": lambda document: document["sensors"][OWN].pop("width_px"),
+    "flat sensor": lambda document: document["sensors"][OWN].update(height_px=0),
+    "sensor all around": lambda document: document["sensors"][OWN].update(horizontal_fov_deg=180.0),
+    "sensor for less than nothing": lambda document: document["sensors"][OWN].update(price_eur=-1),
+}
+FINE = list(DAMAGE)[:7]
+
+
+@pytest.mark.parametrize("what", DAMAGE)
+def test_the_schema_refuses_what_the_reader_refuses(what, validator, tmp_path):
+    document = json.loads(to_json(awkward_layout()))
+    damaged = copy.deepcopy(document)
+    DAMAGE[what](damaged)
+    path = tmp_path / "layout.json"
+    path.write_text(json.dumps(damaged), encoding="utf-8")
+    if what in FINE:
+        load_layout(path)
+        assert validator.is_valid(damaged)
+    else:
+        with pytest.raises(InputError):
+            load_layout(path)
+        assert not validator.is_valid(damaged)
+
+
+def test_an_own_lidar_is_in_the_schema(validator):
+    layout = level_layout(0.0, kind="lidar")
+    (one,) = layout.units
+    own = replace(one, sensor=replace(one.sensor, name="mine"))
+    document = json.loads(to_json(replace(layout, units=(own,))))
+    assert document["sensors"]["mine"]["kind"] == "lidar"
+    validator.validate(document)
+    for key in list(document["sensors"]["mine"]):
+        damaged = copy.deepcopy(document)
+        del damaged["sensors"]["mine"][key]
+        assert not validator.is_valid(damaged), key
+
+
+# Ranges of ETSI TS 102 894-2 V2.1.1; values that mean "unknown" or are not used are left out.
+ANGLE = range(3600)
+OFFSET = range(-32767, 32767)
+LENGTH = range(1, 4094)
+
+
+def stations_of(layout, scene):
+    document = json.loads(to_cpm(layout, scene))
+    assert document["standard"].startswith("ETSI TS 103 324")
+    return document["stations"]
+
+
+def sensors_of(station):
+    rsu, information = station["payload"]["cpmContainers"]
+    assert (rsu, information["containerId"]) == ({"containerId": 2, "containerData": {}}, 3)
+    sensors = information["containerData"]
+    assert 1 <= len(sensors) <= 128
+    assert [sensor["sensorId"] for sensor in sensors] == list(range(len(station["units"])))
+    return sensors
+
+
+@pytest.mark.parametrize("build", [awkward_layout, large_layout, load_carlancap_layout])
+@pytest.mark.parametrize("scene", [load_study_scene(), map_scene()])
+def test_cpm_sensors_are_where_the_units_are(build, scene):
+    layout = build()
+    to_local = Transformer.from_crs("EPSG:4326", scene.crs, always_xy=True)
+    units = {unit.id: unit for unit in layout.units}
+    named = []
+    for station in stations_of(layout, scene):
+        reference = station["payload"]["managementContainer"]["referencePosition"]
+        assert all(isinstance(reference[key], int) for key in ("latitude", "longitude"))
+        origin = to_local.transform(reference["longitude"] / 1e7, reference["latitude"] / 1e7)
+        for name, sensor in zip(station["units"], sensors_of(station), strict=True):
+            unit = units[name]
+            assert unit.site_id == station["site"]
+            assert sensor["sensorType"] == (2 if isinstance(unit.sensor, LidarModel) else 3)
+            shape = sensor["perceptionRegionShape"]["radial"]
+            offset = [shape["shapeReferencePoint"][f"{axis}Coordinate"] for axis in "xyz"]
+            assert all(value in OFFSET for value in offset)
+            found_m = np.append(origin, 0.0) + np.array(offset) / 100.0
+            np.testing.assert_allclose(found_m, unit.pose.position_m, atol=0.0051)
+            assert shape["range"] in LENGTH
+            assert all(value in ANGLE for key, value in shape.items() if "Angle" in key)
+        named += station["units"]
+    assert sorted(named) == sorted(units)
+
+
+@given(
+    yaw_deg=st.floats(-180.0, 180.0),
+    pitch_deg=st.floats(-45.0, 45.0),
+    kind=st.sampled_from(["camera", "lidar"]),
+)
+def test_cpm_opens_from_left_to_right_and_from_below_to_above(yaw_deg, pitch_deg, kind):
+    layout = level_layout(yaw_deg, pitch_deg, kind=kind)
+    (station,) = stations_of(layout, load_study_scene())
+    shape = sensors_of(station)[0]["perceptionRegionShape"]["radial"]
+    sensor = layout.units[0].sensor
+    for start, end, middle_deg, fov_deg in (
+        (
+            "stationaryHorizontalOpeningAngleStart", "stationaryHorizontalOpeningAngleEnd",
+            90.0 - yaw_deg, sensor.horizontal_fov_deg,
+        ),
+        (
+            "verticalOpeningAngleStart", "verticalOpeningAngleEnd",
+            pitch_deg, sensor.vertical_fov_deg,
+        ),
+    ):  # fmt: skip
+        opening = (shape[end] - shape[start]) % 3600 / 10.0
+        assert opening == pytest.approx(fov_deg, abs=0.11)
+        middle = shape[start] / 10.0 + 0.5 * opening
+        assert (middle - middle_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.16)
+
+
+def test_cpm_by_hand():
+    layout = level_layout(90.0, -10.0)  # looks north, 110 degrees wide
+    (station,) = stations_of(layout, load_study_scene())
+    assert (station["site"], station["units"]) == ("", ["one"])
+    (sensor,) = sensors_of(station)
+    # 2 atan(tan(55 deg) 1080 / 1920) = 77.56 deg high: -48.8 .. 28.8 deg, tenths rounded up.
+    # As far as an adult is 40 px high.
+    shape = sensor["perceptionRegionShape"]["radial"]
+    adult_m = load_actors()["adult"].height_m
+    assert shape.pop("range") == int(np.ceil(10.0 * 672.2 * adult_m / 40.0))
+    assert shape == {
+        "shapeReferencePoint": {"xCoordinate": 0, "yCoordinate": 0, "zCoordinate": 600},
+        "stationaryHorizontalOpeningAngleStart": 3050,
+        "stationaryHorizontalOpeningAngleEnd": 550,
+        "verticalOpeningAngleStart": 3113,
+        "verticalOpeningAngleEnd": 288,
+    }
+    assert sensor["shadowingApplies"] is True
+    reference = station["payload"]["managementContainer"]["referencePosition"]
+    assert (reference["latitude"], reference["longitude"]) == (490000000, 80000000)
+    lidar = stations_of(level_layout(0.0, kind="lidar"), load_study_scene())[0]
+    assert sensors_of(lidar)[0]["perceptionRegionShape"]["radial"]["range"] == 2500
+
+
+def test_cpm_does_not_open_beyond_straight_down():
+    (station,) = stations_of(level_layout(0.0, -90.0), load_study_scene())
+    shape = sensors_of(station)[0]["perceptionRegionShape"]["radial"]
+    assert shape["verticalOpeningAngleStart"] == 2700
+
+
+def test_cpm_refuses_what_the_standard_has_no_numbers_for():
+    with pytest.raises(InputError, match=r"^cpm: got a scene without crs"):
+        to_cpm(awkward_layout(), placeless_scene())
+    one = level_layout(0.0).units[0]
+    many = tuple(replace(one, id=f"{index}", site_id="mast") for index in range(129))
+    with pytest.raises(InputError, match=r"^cpm: mast: got 129 units; expected at most 128$"):
+        to_cpm(Layout(name="many", units=many), load_study_scene())
+    far = replace(
+        one, id="far", site_id="mast", pose=Pose(position_m=[700.0, 0.0, 6.0], yaw_deg=0.0)
+    )
+    near = replace(one, site_id="mast")
+    with pytest.raises(InputError, match=r"^cpm: mast: got .* expected at most 327.66 m$"):
+        to_cpm(Layout(name="far", units=(near, far)), load_study_scene())
