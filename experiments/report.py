@@ -17,9 +17,11 @@ from geometry.atomic_files import write_atomically
 from geometry.errors import InputError, Unquoted
 from geometry.junction import COMPASS
 from placement.evaluation import Evaluation
+from placement.ground_coverage import find_ground_coverage
 from placement.setting import Setting
 
 from .additions import added_sentences
+from .coverage_figures import coverage_rows, coverage_sentence, plot_coverage
 from .explanation_tables import report_part
 from .exports import margin_s
 from .figures import describe_run, plot_apr_by_case, plot_heatmap, to_png, unit_labels
@@ -136,6 +138,7 @@ def render_report(
         apr_table=apr_table(evaluations),
         apr_figure=_apr_figure(evaluations),
         sampled_figure=_sampled_figure(sampled_figure, summary),
+        ground=_ground(setting, subject),
         alone=[unit_apr_table(name, item) for name, item in detailed.items()],
         heatmaps=[
             {"name": name, "figures": [_heatmap(item, index) for index in run_indices]}
@@ -242,6 +245,25 @@ def _apr_figure(evaluations: Mapping[str, Evaluation]) -> _Picture:
         + "; ".join(f"{name} {share}" for name, share in over_all)
         + ".",
     )
+
+
+def _ground(setting: Setting, subject: Evaluation) -> dict[str, Any]:
+    """What cameras see of the roads: a sentence, a table, a map."""
+    coverage = find_ground_coverage(setting.scene, subject.layout.units)
+    sentence, rows = coverage_sentence(coverage), coverage_rows(coverage.shares())
+    return {
+        "sentence": sentence,
+        "rows": rows,
+        "figure": _picture(
+            plot_coverage(coverage, setting.scene, subject.layout),
+            title="Pixel density on the road",
+            caption="Of the camera that sees a place most finely, one metre above the road; "
+            "nothing parks or drives. Bands of EN IEC 62676-4. Triangles: cameras.",
+            alt=f"Map of the roads by pixel density. {sentence} "
+            + "; ".join(f"{name}: {share}" for name, _, share in rows)
+            + ".",
+        ),
+    }
 
 
 def _sampled_figure(figure: Figure | None, summary: Mapping[str, Any]) -> _Picture | None:

@@ -13,11 +13,11 @@ from geometry.scene import Scene
 from geometry.sensors import CameraModel, project_points
 
 from .candidates import CandidatePose
+from .sight import is_in_sight
 
 EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
 _SPACING_M = 1.0
 _MAX_POINTS = 20_000
-_SHORT_OF_M = 0.05  # rays end a little before the point
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,11 +121,12 @@ def private_shares(
     counts = np.bincount(ground.area_index, minlength=n_areas)
     share = np.zeros((len(candidates), n_areas))
     for position, indices in mounts.items():
-        vectors = ground.points_m - position
-        lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-        short = vectors * np.maximum(1.0 - _SHORT_OF_M / np.maximum(lengths, 1.0e-9), 0.0)
-        starts = np.broadcast_to((np.array(position) - origin).astype(np.float32), short.shape)
-        is_open = ~caster.is_blocked(np.ascontiguousarray(starts), short.astype(np.float32))
+        is_open = is_in_sight(
+            caster,
+            np.array(position) - origin,
+            ground.points_m - origin,
+            near_m=candidates[indices[0]].sensor.near_m,
+        )
         for index in indices:
             seen = is_open & _in_picture(ground.points_m, candidates[index])
             share[index] = np.bincount(ground.area_index[seen], minlength=n_areas) / counts

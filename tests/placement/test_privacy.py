@@ -69,3 +69,12 @@ def test_areas_that_cannot_be_are_refused():
         build_private_ground([("line", Polygon())])
     with pytest.raises(InputError, match="square metres; expected at most 20,000"):
         build_private_ground([("park", box(0, 0, 1000, 1000))])
+
+
+def test_the_pole_that_carries_a_camera_hides_nothing():
+    ground = build_private_ground([("garden", box(20, -5, 30, 5))])
+    pole = ("pole", 0.0, 0.0, 0.2, 0.2, 9.0)
+    scene = protocol_scene(boxes=[pole])
+    assert private_shares(scene, [unit(0, 0, 0.0)], ground)[0, 0] == 1.0
+    thin = ("post", 5.0, 0.0, 0.2, 0.2, 9.0)
+    assert 0.5 < private_shares(protocol_scene(boxes=[thin]), [unit(0, 0, 0.0)], ground)[0, 0] < 1.0

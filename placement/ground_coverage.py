@@ -1,0 +1,122 @@
+"""What cameras see of the ground, and how finely: pixels per metre, as surveillance plans it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, freeze
+from geometry.raycast import build_caster
+from geometry.scene import Scene
+from geometry.sensors import CameraModel, project_points
+
+from .candidates import CandidatePose
+from .sight import is_in_sight
+
+LOOK_AT_M = 1.0  # height that is looked at: the middle of a road user
+REACH_M = 45.0
+_SPACING_M = 1.0
+
+BANDS = (
+    ("inspect", 1000.0),
+    ("identify", 250.0),
+    ("recognise", 125.0),
+    ("observe", 62.5),
+    ("detect", 25.0),
+    ("monitor", 12.5),
+)
+"""Bands of pixel density by their least, in pixels per metre, the finest first.
+
+EN IEC 62676-4:2015, annex on pixel densities (figures from memory, no copy was at hand).
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GroundCoverage:
+    """Pixel density over the roads around a junction.
+
+    Attributes
+    ----------
+    east_m, north_m : (n_east,), (n_north,) float
+        Middles of the cells. World frame. [m]
+    density : (n_north, n_east) float
+        Of the camera that sees a cell most finely; 0: none sees it. [px/m]
+    is_road : (n_north, n_east) bool
+        Cells on a lane or in the junction.
+    """
+
+    east_m: FloatArray
+    north_m: FloatArray
+    density: FloatArray
+    is_road: BoolArray
+
+    def shares(self) -> dict[str, float]:
+        """Share of the road's cells in each band, "unseen" last; together 1."""
+        road = self.density[self.is_road]
+        left, found = 1.0, {}
+        above = 0.0
+        for name, least in BANDS:
+            here = float((road >= least).mean()) if len(road) else 0.0
+            found[name] = here - above
+            above = here
+        seen = float((road > 0.0).mean()) if len(road) else 0.0
+        found["coarser"] = seen - above
+        found["unseen"] = left - seen
+        return found
+
+
+def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> GroundCoverage:
+    """How finely cameras see the ground around a junction.
+
+    Parameters
+    ----------
+    scene : Scene
+        What hides it; nothing that drives or parks.
+    units : sequence of CandidatePose
+        LiDARs take no pictures.
+
+    Returns
+    -------
+    coverage : GroundCoverage
+        Cells of a square metre, up to 45 m around the junction's middle, one metre above the road.
+
+    Notes
+    -----
+    Pixels per metre across the line of sight, focal length over depth.
+    """
+    import shapely
+
+    outline = scene.outline_m
+    middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    steps = np.arange(-REACH_M + 0.5 * _SPACING_M, REACH_M, _SPACING_M)
+    east, north = middle[0] + steps, middle[1] + steps
+    grid = np.stack(np.meshgrid(east, north), axis=-1)
+    points = np.column_stack([grid.reshape(-1, 2), np.full(len(steps) ** 2, LOOK_AT_M)])
+    origin = np.append(middle, 0.0)
+    caster = build_caster(scene.vertices_m - origin, scene.triangles)
+    density = np.zeros(len(points))
+    for unit in units:
+        camera = unit.sensor
+        if not isinstance(camera, CameraModel):
+            continue
+        mount = unit.pose.position_m - origin
+        is_open = is_in_sight(caster, mount, points - origin, near_m=camera.near_m)
+        column, row, depth = project_points(points, unit.pose, camera).T
+        with np.errstate(invalid="ignore"):
+            is_open &= (column >= 0.0) & (column < camera.width_px) & (depth > camera.near_m)
+            is_open &= (row >= 0.0) & (row < camera.height_px)
+        seen = np.where(is_open, camera.focal_length_px / np.maximum(depth, camera.near_m), 0.0)
+        density = np.maximum(density, seen)
+    lanes = [
+        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
+        for lane in scene.lanes
+        if len(lane.centreline_m) > 1
+    ]
+    road = shapely.union_all([shapely.make_valid(shapely.Polygon(outline)), *lanes])
+    is_road = shapely.contains_xy(road, grid[..., 0], grid[..., 1])
+    return GroundCoverage(
+        east_m=freeze(east),
+        north_m=freeze(north),
+        density=freeze(density.reshape(len(north), len(east))),
+        is_road=freeze(np.asarray(is_road, dtype=bool)),
+    )
