@@ -25,6 +25,7 @@ from .coverage_figures import coverage_rows, coverage_sentence, plot_coverage
 from .explanation_tables import report_part
 from .exports import margin_s
 from .figures import describe_run, plot_apr_by_case, plot_heatmap, to_png, unit_labels
+from .interactive import interactive_part
 from .plan import plot_plan
 from .report_tables import (
     apr_table,
@@ -139,6 +140,9 @@ def render_report(
         apr_figure=_apr_figure(evaluations),
         sampled_figure=_sampled_figure(sampled_figure, summary),
         ground=_ground(setting, subject),
+        interactive=interactive_part(
+            setting, shown, first_runs=[subject.axis.run_ids[index] for index in run_indices]
+        ),
         alone=[unit_apr_table(name, item) for name, item in detailed.items()],
         heatmaps=[
             {"name": name, "figures": [_heatmap(item, index) for index in run_indices]}

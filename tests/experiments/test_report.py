@@ -48,7 +48,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if "style" not in self.open:
+        if not {"style", "script"} & set(self.open):
             self.text += data
 
     @property
@@ -180,14 +180,20 @@ def page(request):
 
 def test_page_is_well_formed_and_stands_alone(page):
     parsed = Page(page)
-    assert len(page.encode()) < 5_000_000
-    assert not re.search(r"https?://|//\w+\.\w+", page)
+    assert len(page.encode()) < 8_000_000
+    # plotly.js names its home in comments; tests/experiments/test_interactive_pages.py sees to it
+    # that a browser asks for nothing.
+    assert not re.search(r"https?://|//\w+\.\w+", _without_scripts(page))
     tags = {tag for tag, _ in parsed.tags}
-    assert not tags & {"script", "link", "iframe", "object", "base", "form"}
+    assert not tags & {"link", "iframe", "object", "base", "form"}
     for _, attributes in parsed.tags:
         assert not any(name.startswith("on") for name in attributes)
         for name in ("src", "href"):
             assert attributes.get(name, "data:").startswith("data:")
+
+
+def _without_scripts(page):
+    return re.sub(r"<script\b.*?</script>", "", page, flags=re.S)
 
 
 def test_page_has_a_language_a_title_and_one_main_heading(page):
@@ -306,10 +312,11 @@ def test_names_are_escaped(setting, evaluations):
     page = render_report(
         summary, setting, {EVIL: evaluation, "b": evaluations["found"]}, command=EVIL
     )
-    assert "<script" not in page
-    parsed = Page(page)
+    plain = _without_scripts(page)
+    assert "<script" not in plain
+    parsed = Page(plain)
     assert parsed.text.count(EVIL) > 5
-    assert not any(tag == "script" for tag, _ in parsed.tags)
+    assert page.count("<script") == page.count("</script>")
 
 
 def test_runs_to_draw_can_be_chosen(setting, evaluations):

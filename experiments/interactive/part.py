@@ -1,0 +1,98 @@
+"""Everything that the template of the report's interactive part needs."""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from geometry.errors import InputError, Unquoted
+from placement.evaluation import Evaluation
+from placement.setting import Setting
+
+from .ground_paths import plan_record
+from .run_choice import choose_runs
+from .run_records import is_playable, party_records, run_record
+from .script_text import is_script_text, to_script_json
+from .unit_records import unit_records
+from .view import view_record
+
+_PLOTLY_PACKAGE = "plotly"
+
+
+def interactive_part(
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    max_runs: int = 24,
+    first_runs: Sequence[str] = (),
+) -> dict[str, Any] | None:
+    """Values for ``templates/interactive.html.j2``.
+
+    Parameters
+    ----------
+    setting : Setting
+        Scene and runs.
+    evaluations : mapping of str to Evaluation
+        By display name; the first one is the subject. Of the others, all units together are a row
+        of the heatmap, and sensors are in the 3-D view.
+    max_runs : int
+        At most so many runs can be played.
+    first_runs : sequence of str
+        Ids of runs that come first, as those whose heatmaps the page shows.
+
+    Returns
+    -------
+    part : dict or None
+        "runs" (their number), "player_json", "view_json", "note" (what the 3-D view leaves out),
+        "plotly_js" (empty where the package plotly is missing: no 3-D view). None if no run has
+        the frames that were evaluated.
+
+    Raises
+    ------
+    InputError
+        There is no evaluation, or `max_runs` is not positive.
+    """
+    if not evaluations:
+        raise InputError("evaluations", Unquoted("none"), "at least one")
+    subject = next(iter(evaluations.values()))
+    by_id = {run.id: run for run in setting.runs}
+    chosen = [
+        (by_id[run_id], group)
+        for index, group in choose_runs(subject, first_runs=first_runs, max_runs=max_runs)
+        for run_id in [subject.axis.run_ids[index]]
+        if run_id in by_id
+        and all(is_playable(by_id[run_id], item) for item in evaluations.values())
+    ]
+    if not chosen:
+        return None
+    units_m = np.array([unit.pose.position_m[:2] for unit in subject.layout.units])
+    player = {
+        "plan": plan_record(setting.scene, units_m),
+        "units": unit_records(subject.layout),
+        "parties": party_records(evaluations),
+        "runs": [run_record(run, evaluations, group=group) for run, group in chosen],
+    }
+    others = [item.layout for item in [*evaluations.values()][1:]]
+    view = view_record(setting.scene, subject.layout, others)
+    return {
+        "n_runs": len(chosen),
+        "n_all": subject.axis.n_runs,
+        "player_json": to_script_json(player),
+        "view_json": to_script_json(view),
+        "note": view["note"],
+        "plotly_js": plotly_script(),
+    }
+
+
+@cache
+def plotly_script() -> str:
+    """Source of plotly.js as the package plotly brings it; empty where it is not installed."""
+    try:
+        from plotly.offline import get_plotlyjs  # type: ignore[import-untyped]
+    except ModuleNotFoundError as error:
+        if error.name != _PLOTLY_PACKAGE:
+            raise
+        return ""
+    source = str(get_plotlyjs())
+    return source if is_script_text(source) else ""

@@ -1,0 +1,147 @@
+// Chooses runs and frames; plan, heatmap, slider and words follow.
+
+function startPlayer(data) {
+  const find = (id) => document.getElementById(id);
+  const [choice, play, speed, slider, timeline, status] =
+    ["player-run", "player-play", "player-speed", "player-frame", "player-timeline", "player-status"].map(find);
+  const { parties, runs } = data;
+  const fused = parties.findIndex((party) => party.kind === "rsu_all");
+  runs.forEach((run) => { run.detected = unpackBits(run.bits, parties.length, run.time.length); });
+  find("watch").hidden = false;
+
+  const plan = createPlan(find("player-plan"), data);
+  const heatmap = createHeatmap(find("player-heatmap"), parties, (frame) => { pause(); show(frame); });
+  const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
+  const listeners = [];
+  let run = runs[0], frame = 0, timer = 0, startedAt = 0, startedFrom = 0;
+
+  fillKey(find("player-key"), data);
+  let group = null;
+  runs.forEach((item, index) => {
+    if (!group || group.label !== item.group) group = element("optgroup", { label: item.group }, choice);
+    element("option", { value: index, text: `${item.title}: ${item.avoided[fused] ? "avoided" : "not avoided"}` }, group);
+  });
+
+  function chooseRun(index) {
+    pause();
+    run = runs[index];
+    slider.max = run.time.length - 1;
+    plan.showRun(run);
+    heatmap.showRun(run);
+    frame = lastFrame(run);
+    markTimes();
+    layOut();
+    if (find("player-details").open) fillTable(find("player-table"), parties, run);
+    listeners.forEach((listener) => listener(run));
+  }
+
+  function layOut() {
+    plan.layOut();
+    heatmap.layOut();
+    show(frame);
+  }
+
+  function markTimes() {
+    timeline.querySelectorAll(".mark").forEach((mark) => mark.remove());
+    for (const [name, ms, text] of [
+      ["last", run.last, "last moment to brake"],
+      ["confirmed", run.confirmed[fused], "confirmed by all RSUs"],
+      ["onset", run.onset[fused], "car would brake"],
+    ]) {
+      const share = shareOf(run, ms);
+      if (share === null) continue;
+      const mark = element("div", { class: `mark ${name}${share > 0.5 ? " late" : ""}` }, timeline);
+      mark.style.left = `calc(7px + (100% - 16px) * ${share.toFixed(5)})`;
+      element("span", { text: `${text} ${seconds(ms)} s` }, mark);
+    }
+  }
+
+  function timeLeft(ms) {
+    if (run.last === null) return "No braking avoids the impact in this run.";
+    const left = run.last - ms;
+    if (left >= 0) return `${seconds(left)} s left until the last moment to brake.`;
+    return `The last moment to brake was ${seconds(-left)} s ago.`;
+  }
+
+  function whoDetects() {
+    const units = parties.filter((party) => party.kind === "unit");
+    const names = units.filter((_, index) => run.detected[index + 1][frame]).map((party) => party.name);
+    const listed = names.length > 12 ? "" : ` (${names.join(", ")})`;
+    const word = names.length === 1 ? "detects" : "detect";
+    const byUnits = names.length ? `${names.length} of ${units.length} units ${word}${listed}` : "No unit detects";
+    const byCar = run.detected[0][frame] ? "the car itself does" : "the car itself does not";
+    return `${byUnits}; ${byCar}.`;
+  }
+
+  function confirmation() {
+    const [confirmed, onset, now] = [run.confirmed[fused], run.onset[fused], run.time[frame]];
+    if (confirmed === null) return "All RSUs together never confirm the road user.";
+    if (confirmed > now) return "Not confirmed yet.";
+    if (onset === null) return `Confirmed at ${seconds(confirmed)} s, but the car never gets to know in time.`;
+    const spare = run.last === null ? null : run.last - onset;
+    const verdict = spare === null ? "" : spare >= 0 ? `: ${seconds(spare)} s to spare` : `: ${seconds(-spare)} s too late`;
+    return `Confirmed by all RSUs at ${seconds(confirmed)} s; with them the car would brake from ${seconds(onset)} s on${verdict}.`;
+  }
+
+  function show(next) {
+    frame = Math.max(0, Math.min(run.time.length - 1, next));
+    const ms = run.time[frame];
+    slider.value = frame;
+    slider.setAttribute("aria-valuetext", `${seconds(ms)} s`);
+    plan.showFrame(frame);
+    heatmap.showFrame(frame);
+    status.replaceChildren();
+    element("strong", { text: ms === 0 ? "Impact. " : `${seconds(ms)} s. ` }, status);
+    status.append(`${timeLeft(ms)} ${whoDetects()} ${confirmation()}`);
+  }
+
+  function pause() {
+    cancelAnimationFrame(timer);
+    timer = 0;
+    play.textContent = calm.matches ? "Next frame" : "Play";
+    status.setAttribute("aria-live", "polite");
+  }
+
+  function begin() {
+    play.textContent = "Pause";
+    status.setAttribute("aria-live", "off"); // not a sentence ten times a second
+    if (frame >= run.time.length - 1) show(0);
+    [startedAt, startedFrom] = [performance.now(), run.time[frame]];
+    timer = requestAnimationFrame(advance);
+  }
+
+  function advance(now) {
+    const ms = startedFrom + Math.max(0, now - startedAt) * Number(speed.value);
+    let next = frame;
+    while (next < run.time.length - 1 && run.time[next + 1] <= ms) next += 1;
+    if (next !== frame) show(next);
+    if (frame >= run.time.length - 1) pause();
+    else timer = requestAnimationFrame(advance);
+  }
+
+  choice.addEventListener("change", () => chooseRun(Number(choice.value)));
+  slider.addEventListener("input", () => { pause(); show(Number(slider.value)); });
+  play.addEventListener("click", () => {
+    if (timer) pause();
+    else if (calm.matches) show(frame >= run.time.length - 1 ? 0 : frame + 1); // nothing moves by itself
+    else begin();
+  });
+  speed.addEventListener("change", () => { [startedAt, startedFrom] = [performance.now(), run.time[frame]]; });
+  calm.addEventListener("change", pause);
+  find("player-closer").addEventListener("click", () => plan.zoomBy(1));
+  find("player-farther").addEventListener("click", () => plan.zoomBy(-1));
+  find("player-last").addEventListener("click", () => { pause(); show(lastFrame(run)); });
+  find("player-details").addEventListener("toggle", () => fillTable(find("player-table"), parties, run));
+  let width = find("player").clientWidth;
+  window.addEventListener("resize", () => {
+    if (find("player").clientWidth === width) return;
+    width = find("player").clientWidth;
+    layOut();
+  });
+  let before = 0;
+  window.addEventListener("beforeprint", () => { pause(); before = frame; show(lastFrame(run)); });
+  window.addEventListener("afterprint", () => show(before));
+  pause();
+  chooseRun(0);
+  return { onRun(listener) { listeners.push(listener); listener(run); } };
+}

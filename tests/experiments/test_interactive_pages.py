@@ -1,0 +1,291 @@
+"""The report's interactive part in a browser, where there is one."""
+
+import json
+import shutil
+from contextlib import contextmanager
+from io import BytesIO
+
+import numpy as np
+import pytest
+from interactive_pages import (
+    EVIL,
+    build_evaluation,
+    build_layout,
+    page_around,
+    with_evil_names,
+)
+from PIL import Image
+
+from experiments.interactive import interactive_part
+from experiments.interactive.script_text import unpack_bits
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+# A software renderer: these machines need no graphics card.
+ARGUMENTS = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+]
+FRAME = "document.getElementById('player-frame')"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as library:
+        found = shutil.which("chromium")
+        try:
+            opened = library.chromium.launch(executable_path=found, args=ARGUMENTS)
+        except playwright.Error as error:
+            pytest.skip(f"no browser can be started: {str(error).splitlines()[0]}")
+        yield opened
+        opened.close()
+
+
+@pytest.fixture(scope="module")
+def part(small_setting):
+    evaluation = build_evaluation(small_setting, build_layout(5), share=0.3, with_vam=True)
+    other = build_evaluation(small_setting, build_layout(2, name="other"), seed=3)
+    return interactive_part(small_setting, {"ours": evaluation, "other": other})
+
+
+@pytest.fixture(scope="module")
+def address(part, tmp_path_factory):
+    return write_page(part, tmp_path_factory.mktemp("page"))
+
+
+def write_page(part, folder):
+    path = folder / "page.html"
+    path.write_text(page_around(part), encoding="utf-8")
+    return path.as_uri()
+
+
+@contextmanager
+def open_page(browser, address, *, width=1280, **options):
+    """A page that must neither complain nor ask for anything from elsewhere."""
+    context = browser.new_context(viewport={"width": width, "height": 900}, **options)
+    page = context.new_page()
+    complaints = []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("dialog", lambda dialog: complaints.append(dialog.message))
+    page.on(
+        "request",
+        lambda request: (
+            None
+            if request.url.startswith(("file:", "data:", "blob:"))
+            else complaints.append(request.url)
+        ),
+    )
+    page.goto(address)
+    yield page
+    context.close()
+    assert complaints == []
+
+
+def seconds(milliseconds):
+    sign = "\N{MINUS SIGN}" if milliseconds < 0 else ""
+    return f"{sign}{abs(milliseconds) / 1000.0:.2f}"
+
+
+def go_to(page, frame):
+    page.evaluate(f"{FRAME}.value = {frame}; {FRAME}.dispatchEvent(new Event('input'))")
+
+
+def test_the_player_shows_what_the_records_say(browser, address, part):
+    data = json.loads(part["player_json"])
+    fused = [party["kind"] for party in data["parties"]].index("rsu_all")
+    with open_page(browser, address) as page:
+        assert page.locator("#player-run option").count() == len(data["runs"])
+        for index, run in enumerate(data["runs"]):
+            page.select_option("#player-run", str(index))
+            last = max(frame for frame, ms in enumerate(run["time"]) if ms <= run["last"])
+            assert page.evaluate(f"Number({FRAME}.value)") == last
+            assert (
+                page.locator("#player-timeline .mark.last")
+                .inner_text()
+                .endswith(f"{seconds(run['last'])} s")
+            )
+            n_marks = page.locator("#player-timeline .mark").count()
+            assert n_marks == 1 + (run["confirmed"][fused] is not None) + (
+                run["onset"][fused] is not None
+            )
+            for frame in (0, last, len(run["time"]) - 1):
+                go_to(page, frame)
+                ms = run["time"][frame]
+                assert page.get_attribute("#player-frame", "aria-valuetext") == f"{seconds(ms)} s"
+                words = page.inner_text("#player-status")
+                left = run["last"] - ms
+                expected = (
+                    f"{seconds(left)} s left until" if left >= 0 else f"{seconds(-left)} s ago"
+                )
+                assert expected in words
+                assert words.startswith("Impact." if ms == 0 else f"{seconds(ms)} s.")
+
+
+def test_units_light_up_in_just_the_frames_in_which_they_detect(browser, address, part):
+    data = json.loads(part["player_json"])
+    n_units = len(data["units"])
+    with open_page(browser, address) as page:
+        run = data["runs"][1]
+        page.select_option("#player-run", "1")
+        bits = unpack_bits(run["bits"], n_rows=len(data["parties"]), n=len(run["time"]))
+        shown = page.evaluate(
+            f"""() => [...Array({len(run["time"])}).keys()].map((frame) => {{
+                {FRAME}.value = frame; {FRAME}.dispatchEvent(new Event('input'));
+                return [...document.querySelectorAll('.unit')].map((unit) =>
+                    [unit.classList.contains('detects'), unit.classList.contains('confirmed')]);
+            }})"""
+        )
+        lit = np.array(shown).transpose(2, 1, 0)
+        assert (lit[0] == bits[1 : n_units + 1]).all()
+        assert lit[0].any()
+        assert not lit[0].all()
+        times = np.array(run["time"])
+        for unit, confirmed in zip(lit[1], run["confirmed"][1:], strict=False):
+            expected = times >= confirmed if confirmed is not None else np.zeros(len(times), bool)
+            assert (unit == expected).all()
+        # The heatmap's rows, too: what they cover is as long as the detections.
+        page.click("#player-details summary")
+        page.wait_for_selector("#player-table tbody tr")
+        assert page.locator("#player-table tbody tr").count() == len(data["parties"])
+        for index, row in enumerate(page.locator("#player-table tbody tr").all()):
+            never = "never" in row.locator("td").first.inner_text()
+            assert never == (not bits[index].any())
+
+
+def test_the_player_runs_and_stops_by_the_keyboard_alone(browser, address):
+    with open_page(browser, address) as page:
+        go_to(page, 0)
+        page.focus("#player-play")
+        page.keyboard.press("Enter")
+        assert page.inner_text("#player-play") == "Pause"
+        page.wait_for_function(f"Number({FRAME}.value) >= 3")
+        page.keyboard.press("Enter")
+        assert page.inner_text("#player-play") == "Play"
+        page.focus("#player-frame")
+        before = page.evaluate(f"Number({FRAME}.value)")
+        page.keyboard.press("ArrowRight")
+        assert page.evaluate(f"Number({FRAME}.value)") == before + 1
+        go_to(page, page.evaluate(f"Number({FRAME}.max) - 1"))
+        page.select_option("#player-speed", "2")
+        page.click("#player-play")
+        page.wait_for_function("document.getElementById('player-play').textContent === 'Play'")
+        assert page.inner_text("#player-status").startswith("Impact.")
+
+
+def test_nothing_moves_by_itself_where_motion_is_not_wanted(browser, address):
+    with open_page(browser, address, reduced_motion="reduce") as page:
+        go_to(page, 0)
+        assert page.inner_text("#player-play") == "Next frame"
+        page.click("#player-play")
+        page.wait_for_timeout(300)
+        assert page.evaluate(f"Number({FRAME}.value)") == 1
+
+
+@pytest.mark.parametrize("width", [360, 1280])
+def test_the_page_is_no_wider_than_the_screen(browser, address, width):
+    with open_page(browser, address, width=width) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        for name in ("#player-plan svg", "#player-heatmap svg"):
+            assert page.locator(name).bounding_box()["width"] > 0.25 * width
+
+
+def test_the_view_is_drawn_on_demand_and_turns(browser, address):
+    pytest.importorskip("plotly")
+
+    def picture(page):
+        page.wait_for_timeout(400)
+        image = page.locator("#view-3d").screenshot()
+        return np.asarray(Image.open(BytesIO(image)).convert("RGB")).astype(int)
+
+    with open_page(browser, address, width=420) as page:
+        assert page.evaluate("typeof window.Plotly") == "undefined"
+        page.click("#view-show")
+        page.wait_for_selector("#view-buttons:not([hidden])", timeout=60_000)
+        first = picture(page)
+        assert len(np.unique(first.reshape(-1, 3), axis=0)) > 100
+        for way in ("left", "above"):
+            page.click(f"[data-turn={way}]")
+            turned = picture(page)
+            assert (np.abs(turned - first).max(axis=2) > 40).mean() > 0.01, way
+            first = turned
+        names = page.evaluate(
+            "document.getElementById('view-3d').data.filter((t) => t.type === 'mesh3d')"
+            ".map((t) => [t.name, t.text ? t.text.length : 0])"
+        )
+        assert dict(names)["building"] > 0
+        way = "document.getElementById('view-3d').data.find((t) => t.name === 'way of the car').x"
+        before = page.evaluate(way)
+        page.select_option("#player-run", "2")
+        assert page.evaluate(way) != before
+
+
+def test_tables_sort_by_numbers_with_units_and_back(browser, address):
+    def order(page):
+        return page.locator("#sorted tbody th").all_inner_texts()
+
+    with open_page(browser, address) as page:
+        original = order(page)
+        name, price, spare = page.locator("#sorted thead button").all()
+        price.click()
+        assert order(page) == ["unit 9", "a unit", "unit 10", "unit 1"]
+        assert page.locator("#sorted th[aria-sort=ascending]").inner_text().startswith("price")
+        price.click()
+        assert order(page) == ["unit 10", "a unit", "unit 9", "unit 1"]
+        price.click()
+        assert order(page) == original
+        assert page.locator("#sorted [aria-sort]").count() == 0
+        name.focus()
+        page.keyboard.press("Enter")
+        assert order(page) == ["a unit", "unit 1", "unit 9", "unit 10"]
+        spare.click()
+        assert order(page) == ["unit 9", "unit 1", "unit 10", "a unit"]
+        assert page.locator("#sorted [aria-sort]").count() == 1
+
+
+def test_without_scripts_a_line_says_what_is_missing(browser, address):
+    with open_page(browser, address, java_script_enabled=False) as page:
+        assert "Scripts are switched off" in page.inner_text("main")
+        assert not page.is_visible("#watch")
+        assert not page.is_visible("#turn")
+        assert page.is_visible("#sorted")
+
+
+def test_print_shows_the_last_moment_and_no_controls(browser, address, part):
+    run = json.loads(part["player_json"])["runs"][0]
+    last = max(frame for frame, ms in enumerate(run["time"]) if ms <= run["last"])
+    with open_page(browser, address) as page:
+        go_to(page, 0)
+        page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        page.emulate_media(media="print")
+        assert page.evaluate(f"Number({FRAME}.value)") == last
+        assert not page.is_visible("#player-play")
+        assert page.is_visible("#player-plan svg")
+        page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+        assert page.evaluate(f"Number({FRAME}.value)") == 0
+
+
+def test_names_are_shown_and_never_run(browser, small_setting, tmp_path):
+    setting = with_evil_names(small_setting)
+    name = EVIL.replace("\u2028", "")
+    layout = build_layout(2, name=name, ids=[f"{name}{index}" for index in range(2)])
+    evaluation = build_evaluation(setting, layout)
+    page_address = write_page(
+        interactive_part(setting, {name: evaluation, f"{name} 2": evaluation}), tmp_path
+    )
+    with open_page(browser, page_address) as page:
+        page.click("#player-details summary")
+        page.wait_for_selector("#player-table tbody tr")
+        assert name in page.inner_text("#player-table")
+
+
+def test_many_units_are_drawn(browser, small_setting, tmp_path):
+    evaluation = build_evaluation(small_setting, build_layout(200))
+    page_address = write_page(interactive_part(small_setting, {"many": evaluation}), tmp_path)
+    with open_page(browser, page_address, width=360) as page:
+        assert page.locator(".unit").count() == 200
+        assert " of 200 units detect" in page.inner_text("#player-status")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 360
