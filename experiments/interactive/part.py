@@ -89,7 +89,7 @@ def interactive_part(
 def plotly_script() -> str:
     """Source of plotly.js as the package plotly brings it; empty where it is not installed."""
     try:
-        from plotly.offline import get_plotlyjs  # type: ignore[import-untyped]
+        from plotly.offline import get_plotlyjs
     except ModuleNotFoundError as error:
         if error.name != _PLOTLY_PACKAGE:
             raise
