@@ -21,7 +21,7 @@ _SHADES = ("#ffffff", "#f1eef6", "#d0d1e6", "#a6bddb", "#67a9cf", "#3690c0", "#0
 
 def plot_coverage(coverage: GroundCoverage, scene: Scene, layout: Layout) -> Figure:
     """Map of the ground around a junction, darker where cameras see it more finely; north up."""
-    figure, axes = build_figure(WIDTH_IN, WIDTH_IN - 0.4)
+    figure, axes = build_figure(WIDTH_IN, WIDTH_IN - 1.8)
     draw_scene(axes, scene)
     edges = [0.0, 1.0e-9, *(least for _, least in reversed(BANDS)), 1.0e9]
     half = 0.5 * (coverage.east_m[1] - coverage.east_m[0])

@@ -1,5 +1,6 @@
 """What things of a scene cover on the ground."""
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from .scene import Scene
 _MIN_AREA_M2 = 1.0e-6
 
 
+@lru_cache(maxsize=4096)
 def thing_footprint(scene: Scene, index: int) -> Any:
     """A thing's triangles seen from above, put together.
 
