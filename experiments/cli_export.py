@@ -24,7 +24,7 @@ lies somewhere on earth.
 Examples:
   place-rsus export --layout carlancap-12 --format carla
   place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
-  place-rsus export --layout mine.json --scene city --format gpkg --out rsus.gpkg"""
+  place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg"""
 )
 @layout_option
 @click.option(

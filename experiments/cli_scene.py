@@ -114,10 +114,10 @@ def scene() -> None:
 Examples:
   place-rsus scene import city.osm -o scene
   place-rsus scene import town.xodr --junction 189 -o scene.zip
-  place-rsus scene import city.osm.pbf --at 13.4412,52.4771 --radius 100 -o scene
-  place-rsus scene import roads.xodr houses.gml poles.geojson --sites poles.csv -o scene
+  place-rsus scene import city.osm.pbf --at 13.4412,52.4771 -o scene
+  place-rsus scene import roads.xodr houses.gml --sites poles.csv -o scene
   place-rsus scene import roads.xodr scan.laz --class vegetation -o scene
-  place-rsus scene import town05 -o scene          the study's junction, to be changed by hand
+  place-rsus scene import town05 -o scene          the study's junction
   place-rsus --scene scene --budget 3              and then""",
 )
 @click.argument("files", nargs=-1, metavar="FILE...")

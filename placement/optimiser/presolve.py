@@ -177,8 +177,11 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
         price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
         usable &= price <= limits.budget_eur + COST_TOLERANCE_EUR
     usable |= limits.is_forced
-    # A weighted sum with margins in it may fall when more is seen: no pose stands for another.
+    # A weighted sum with margins in it may fall when more is seen: no pose stands for another. So
+    # may the smallest margin where only the worst worlds count: a run that is avoided in another
+    # world, too, adds nothing to their APR, but its margin counts.
     is_monotone = problem.stage_weights is None or not any(problem.stage_weights[2:4])
+    is_monotone &= windows.measure.is_mean
     while True:
         poses = np.flatnonzero(usable)
         reduced = windows.reduce(poses)
