@@ -58,7 +58,7 @@ def test_the_checker_calls_nothing_of_the_optimiser():
 
 
 @given(problem=questions(), size=st.integers(0, 4))
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=80)
 def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> None:
     sets = sets_of(problem, size)
     problem = replace(problem, survive=2)

@@ -140,7 +140,7 @@ def check_change(problem: PlacementProblem, poses: RetrofitPoses, change: Change
 
 
 @given(retrofit=retrofits(), budget_eur=st.sampled_from([None, 0.0, 3.0, 6.0]))
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=80)
 def test_the_best_change_of_each_kind_is_that_of_brute_force(
     retrofit: tuple[PlacementProblem, RetrofitPoses], budget_eur: float | None
 ) -> None:

@@ -115,7 +115,7 @@ def test_what_is_no_archive_is_refused(tmp_path, data):
 
 
 @settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data())
 def test_damaged_archives_are_opened_or_refused(tmp_path, data):

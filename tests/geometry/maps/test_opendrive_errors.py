@@ -303,7 +303,7 @@ _VALUES = st.sampled_from(
 
 @given(data=st.data())
 @settings(
-    max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+    max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
 )
 def test_changed_attributes_give_a_map_or_one_line(tmp_path, data):
     attributes = list(re.finditer(r'([A-Za-z]+)="([^"]*)"', _WHOLE))
@@ -323,7 +323,7 @@ def test_changed_attributes_give_a_map_or_one_line(tmp_path, data):
 
 @given(seed=st.integers(0, 2**32), n_changes=st.integers(1, 4))
 @settings(
-    max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+    max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
 )
 def test_dropped_doubled_and_moved_elements_give_a_map_or_one_line(tmp_path, seed, n_changes):
     from xml.etree import ElementTree as ET

@@ -141,7 +141,7 @@ def test_other_files_are_refused(tmp_path):
 
 
 @settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data(), name=st.sampled_from(["sites.csv", "sites.geojson"]))
 def test_damaged_files_are_read_or_refused(tmp_path, data, name):

@@ -203,7 +203,7 @@ def nearest(limits, separation, poses, used):
 
 
 @given(wish=wishes())
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=70)
 def test_conflicts_are_smallest_and_relaxations_are_least(wish):
     check_conflicts(*wish)
 
@@ -215,7 +215,7 @@ def test_models_find_the_same_conflicts_without_enumeration(wish):
 
 
 @given(wish=wishes())
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=50)
 def test_what_is_forced_is_a_fact_where_that_is_asked(wish):
     problem, separation = wish
     given = [demand for demand in Wish(problem, separation).demands if demand.kind == "forced"]

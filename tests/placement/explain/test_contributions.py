@@ -19,7 +19,7 @@ def some_poses(problem: PlacementProblem, data: st.DataObject) -> list[int]:
 
 
 @given(problem=PROBLEMS, data=st.data())
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=100)
 def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
     poses = some_poses(problem, data)
     whole = run_margins_s(problem, poses)

@@ -19,7 +19,7 @@ from placement.optimiser.large import look_out, margin_limits_s
 
 
 @given(problem=st.from_type(PlacementProblem))
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=80)
 def test_all_poses_are_bounded_by_what_they_promise(problem: PlacementProblem) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.large.MAX_BITS", 0)
