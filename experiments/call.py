@@ -4,7 +4,14 @@ import logging
 import os
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from placement.layout import Layout
 
 _log = logging.getLogger(__name__)
 
@@ -17,6 +24,24 @@ def cache_folder() -> Path:
     from platformdirs import user_cache_path
 
     return user_cache_path("place-rsus")
+
+
+def load_one_layout(names: Sequence[str]) -> "Layout":
+    """The layout of a command that takes ``--layout`` once.
+
+    Raises
+    ------
+    click.UsageError
+        It is given several times, or not at all.
+    InputError
+        There is no such layout.
+    """
+    if len(names) != 1:
+        given = f"{len(names)} layouts" if names else "nothing"
+        raise click.UsageError(f"--layout: got {given}; expected it once")
+    from .study import find_layout
+
+    return find_layout(names[0], "--layout")
 
 
 def command_line() -> str:

@@ -1,7 +1,6 @@
 """``place-rsus``: parse, only then import what is heavy, call, print. The only file that prints."""
 
 import logging
-import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,11 +9,13 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from . import tables
+from .call import cache_folder, command_line, load_one_layout, warn_of_slow_rays
 from .cli_compare import compare
 from .cli_doctor import doctor
 from .cli_export import export
 from .cli_latency import latency, latency_budget_options
 from .cli_options import (
+    cache_option,
     json_option,
     layout_option,
     option_name,
@@ -38,7 +39,7 @@ from .question import Planning, Question
 from .recording_tables import recorded_placement_table, recording_table
 
 if TYPE_CHECKING:
-    from placement.layout import Layout
+    pass
 
 DEFAULT_OUT = Path("results/latest")
 _EXIT_BAD_INPUT = 2
@@ -90,13 +91,7 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 @quiet_option
 @seed_option
 @workers_option
-@click.option(
-    "--cache/--no-cache",
-    "uses_cache",
-    default=True,
-    show_default=True,
-    help="Keep detection tables between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
-)
+@cache_option
 @click.pass_context
 def cli(
     context: click.Context,
@@ -155,8 +150,8 @@ def cli(
         out=out,
         seed=seed,
         workers=workers,
-        cache_folder=_cache_folder() if uses_cache else None,
-        command=_command_line(),
+        cache_folder=cache_folder() if uses_cache else None,
+        command=command_line(),
         progress=progress,
     )
     _print(summary, progress, as_json, lambda: _placement_text(summary, out))
@@ -207,7 +202,7 @@ def evaluate(
         )
         _print(summary, progress, as_json, lambda: recording_table(summary, out))
         return
-    layout = _load_layout(layout_names)
+    layout = load_one_layout(layout_names)
     jobs = _start(progress, quiet=quiet)
     summary = jobs.run_evaluation(
         question,
@@ -215,7 +210,7 @@ def evaluate(
         out=out,
         seed=seed,
         workers=workers,
-        command=_command_line(),
+        command=command_line(),
         progress=progress,
     )
     _print(summary, progress, as_json, lambda: tables.evaluation_table(summary, out))
@@ -269,40 +264,10 @@ def _mendable_errors() -> tuple[type[Exception], ...]:
 def _start(progress: StageProgress, *, quiet: bool) -> Any:
     """Show what happens from here on; import what does the work."""
     progress.start(quiet=quiet)
-    from geometry.raycast import open3d_problem
-
+    warn_of_slow_rays()
     from . import jobs
 
-    problem = open3d_problem()
-    if problem is not None:
-        logging.getLogger(__name__).warning("%s", problem)
     return jobs
-
-
-def _cache_folder() -> Path:
-    folder = os.environ.get("PLACE_RSUS_CACHE")
-    if folder:
-        return Path(folder)
-    from platformdirs import user_cache_path
-
-    return user_cache_path("place-rsus")
-
-
-def _command_line() -> str:
-    import shlex
-
-    # What the system hands over need not be text.
-    arguments = [argument.encode(errors="replace").decode() for argument in sys.argv[1:]]
-    return shlex.join(["place-rsus", *arguments])
-
-
-def _load_layout(names: Sequence[str]) -> "Layout":
-    if len(names) != 1:
-        given = f"{len(names)} layouts" if names else "nothing"
-        raise click.UsageError(f"--layout: got {given}; expected it once")
-    from .study import find_layout
-
-    return find_layout(names[0], "--layout")
 
 
 def _placement_text(summary: dict[str, Any], out: Path) -> str:

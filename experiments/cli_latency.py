@@ -1,6 +1,5 @@
 """``place-rsus latency``, and the options by which other commands take a latency budget."""
 
-import logging
 from collections.abc import Callable
 from dataclasses import replace
 from functools import wraps
@@ -9,6 +8,7 @@ from typing import Any
 
 import click
 
+from .call import load_one_layout, warn_of_slow_rays
 from .cli_options import (
     Number,
     OneOf,
@@ -85,22 +85,13 @@ def latency(
     long as the budget says: exposure, detector, the wait for the next collective perception
     message (CPM), radio, decision.
     """
-    if len(layout_names) != 1:
-        got = f"{len(layout_names)} layouts" if layout_names else "nothing"
-        raise click.UsageError(f"--layout: got {got}; expected it once")
-    from .study import find_layout
-
-    layout = find_layout(layout_names[0], "--layout")
+    layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
-    from geometry.raycast import open3d_problem
-
     from .exports import to_json_text
     from .latency_jobs import run_latency
     from .latency_tables import latency_text
 
-    problem = open3d_problem()
-    if problem is not None:
-        logging.getLogger(__name__).warning("%s", problem)
+    warn_of_slow_rays()
     summary = run_latency(
         question,
         layout=layout,

@@ -169,6 +169,13 @@ _DRIVE_OPTIONS = (
     ),
     click.option("--force", is_flag=True, help="Drive speeds that the protocol does not."),
 )
+cache_option = click.option(
+    "--cache/--no-cache",
+    "uses_cache",
+    default=True,
+    show_default=True,
+    help="Keep detection tables between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
+)
 scene_option = click.option(
     "--scene",
     default="",

@@ -10,6 +10,7 @@ from .cli_latency import latency_budget_options
 from .cli_options import (
     OneOf,
     WholeNumber,
+    cache_option,
     json_option,
     question_options,
     quiet_option,
@@ -66,13 +67,7 @@ Examples:
 @quiet_option
 @seed_option
 @workers_option
-@click.option(
-    "--cache/--no-cache",
-    "uses_cache",
-    default=True,
-    show_default=True,
-    help="Keep detection tables between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
-)
+@cache_option
 @click.pass_obj
 def pareto(
     progress: StageProgress,

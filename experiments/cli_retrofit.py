@@ -4,10 +4,11 @@ from pathlib import Path
 
 import click
 
-from .call import cache_folder, command_line, warn_of_slow_rays
+from .call import cache_folder, command_line, load_one_layout, warn_of_slow_rays
 from .cli_latency import latency_budget_options
 from .cli_options import (
     Number,
+    cache_option,
     json_option,
     layout_option,
     question_options,
@@ -55,13 +56,7 @@ Examples:
 @quiet_option
 @seed_option
 @workers_option
-@click.option(
-    "--cache/--no-cache",
-    "uses_cache",
-    default=True,
-    show_default=True,
-    help="Keep detection tables between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
-)
+@cache_option
 @click.pass_obj
 def retrofit(
     progress: StageProgress,
@@ -82,12 +77,7 @@ def retrofit(
     A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost, the best
     re-aims and additions together for the money, too.
     """
-    if len(layout_names) != 1:
-        got = f"{len(layout_names)} layouts" if layout_names else "nothing"
-        raise click.UsageError(f"--layout: got {got}; expected it once")
-    from .study import find_layout
-
-    layout = find_layout(layout_names[0], "--layout")
+    layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
     from .exports import to_json_text
     from .retrofit_jobs import run_retrofit

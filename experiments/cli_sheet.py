@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from .call import warn_of_slow_rays
+from .call import load_one_layout, warn_of_slow_rays
 from .cli_latency import latency_budget_options
 from .cli_options import (
     json_option,
@@ -49,12 +49,7 @@ def sheet(
     Where, how high, where it looks in words and degrees, what it will see (rendered), a plan, the
     nearest landmarks, and how many degrees and centimetres it may be off before a run is lost.
     """
-    if len(layout_names) != 1:
-        got = f"{len(layout_names)} layouts" if layout_names else "nothing"
-        raise click.UsageError(f"--layout: got {got}; expected it once")
-    from .study import find_layout
-
-    layout = find_layout(layout_names[0], "--layout")
+    layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
     warn_of_slow_rays()
     from .exports import to_json_text

@@ -1,14 +1,12 @@
 """What ``place-rsus latency`` does: evaluate a layout once, read its APR off for every latency."""
 
-import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import pandas as pd
 
-from geometry.atomic_files import write_atomically
 from geometry.errors import InputError, Unquoted
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout
@@ -18,6 +16,7 @@ from placement.layout import Layout, check_layout, layout_records
 
 from .driving import build_setting
 from .figures import to_png
+from .folder_files import check_folder, write_files
 from .latency_figures import plot_latency
 from .progress import WRITING, StageProgress
 from .question import Question
@@ -83,7 +82,7 @@ def run_latency(
             "--phase", question.phase, "aligned: every latency is looked at on the same frames"
         )
     if out is not None:
-        _check_folder(out)
+        check_folder(out)
         progress.kept = f"nothing was written to {out}"
     progress("setting", 0, 0)
     setting = build_setting(question, find_scene(question.scene))
@@ -104,7 +103,7 @@ def run_latency(
         progress(WRITING, 0, 0)
         figure = plot_latency(curves, chosen, max_latency_s=shown_s)
         csv = latency_table(curves, max_latency_s=shown_s).to_csv(index=False, lineterminator="\n")
-        _write(out, {CSV_NAME: csv.encode(), PNG_NAME: to_png(figure)})
+        write_files(out, {CSV_NAME: csv.encode(), PNG_NAME: to_png(figure)})
         progress.kept = f"the results are in {out}"
     summary |= {"seconds": progress.finish(), "versions": versions()}
     return summary
@@ -231,33 +230,3 @@ def _default_max_s(curves: Mapping[str, LatencyCurve], budget: LatencyBudget) ->
     reach_s = max(budget.worst_s, min(falls_s, _MOST_SHOWN_S - _STEP_SHOWN_S))
     shown_s = _STEP_SHOWN_S * (int(reach_s / _STEP_SHOWN_S + _ROUNDING) + 1)
     return max(_LEAST_SHOWN_S, round(shown_s, 9))
-
-
-def _check_folder(folder: Path) -> None:
-    """Find out before anything is computed whether a folder is there, or can be made."""
-    existing = folder
-    while not existing.exists() and existing != existing.parent:
-        existing = existing.parent
-    try:
-        with tempfile.TemporaryDirectory(prefix=".place-rsus.", dir=existing):
-            pass
-    except OSError as error:
-        raise _unwritable(folder, error) from None
-
-
-def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in contents.items():
-            write_atomically(folder / name, _writer(content))
-    except OSError as error:
-        raise _unwritable(folder, error) from None
-
-
-def _writer(content: bytes) -> Callable[[BinaryIO], object]:
-    return lambda file: file.write(content)
-
-
-def _unwritable(folder: Path, error: OSError) -> InputError:
-    what = Unquoted(f"{folder}: {error.strerror or error}")
-    return InputError("--out", what, "a folder that can be written to")

@@ -9,6 +9,7 @@ from geometry.junction import Arm, build_junction
 from geometry.poses import camera_rotation
 from geometry.raycast import build_caster
 from geometry.scene import Scene
+from geometry.scene_footprints import road_area
 
 from .figures import WIDTH_IN, build_figure, literal
 from .ground import draw_scene
@@ -177,12 +178,7 @@ def _is_road(scene: Scene, points_m: FloatArray) -> BoolArray:
     """Which points lie on a lane or in the junction."""
     import shapely
 
-    areas = [shapely.make_valid(shapely.Polygon(scene.outline_m))]
-    areas += [
-        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
-        for lane in scene.lanes
-    ]
-    road = shapely.union_all(areas)
+    road = road_area(scene)
     shapely.prepare(road)
     is_road: BoolArray = shapely.contains_xy(road, *points_m.T)
     return is_road

@@ -9,7 +9,7 @@ import numpy as np
 from .errors import InputError
 from .junction import build_junction
 from .scene import Scene, containing_instance
-from .scene_footprints import thing_footprint
+from .scene_footprints import road_area, thing_footprint
 
 _FLOATING_M = 0.5
 _SUNK_M = 3.0
@@ -153,13 +153,7 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
         if shapely.area(shapely.intersection(areas[a], areas[b])) > _OVERLAP_M2:
             why = "they overlap on the ground"
             yield Finding(level="warning", what=f"{names[a]} and {names[b]}", why=why)
-    road = shapely.make_valid(shapely.Polygon(scene.outline_m))
-    lanes = [
-        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
-        for lane in scene.lanes
-        if len(lane.centreline_m) > 1
-    ]
-    road = shapely.union_all([road, *lanes])
+    road = road_area(scene)
     on_road = [
         names[index]
         for index in tree.query(road, predicate="intersects").tolist()

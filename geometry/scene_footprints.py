@@ -11,6 +11,18 @@ from .scene import Scene
 _MIN_AREA_M2 = 1.0e-6
 
 
+def road_area(scene: Scene) -> Any:
+    """What a scene's lanes and its junction cover: a shapely geometry, world frame, metres."""
+    import shapely
+
+    lanes = [
+        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
+        for lane in scene.lanes
+        if len(lane.centreline_m) > 1
+    ]
+    return shapely.union_all([shapely.make_valid(shapely.Polygon(scene.outline_m)), *lanes])
+
+
 @lru_cache(maxsize=4096)
 def thing_footprint(scene: Scene, index: int) -> Any:
     """A thing's triangles seen from above, put together.

@@ -8,6 +8,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.raycast import build_caster
 from geometry.scene import Scene
+from geometry.scene_footprints import road_area
 from geometry.sensors import CameraModel, project_points
 
 from .candidates import CandidatePose
@@ -107,13 +108,7 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
             is_open &= (row >= 0.0) & (row < camera.height_px)
         seen = np.where(is_open, camera.focal_length_px / np.maximum(depth, camera.near_m), 0.0)
         density = np.maximum(density, seen)
-    lanes = [
-        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
-        for lane in scene.lanes
-        if len(lane.centreline_m) > 1
-    ]
-    road = shapely.union_all([shapely.make_valid(shapely.Polygon(outline)), *lanes])
-    is_road = shapely.contains_xy(road, grid[..., 0], grid[..., 1])
+    is_road = shapely.contains_xy(road_area(scene), grid[..., 0], grid[..., 1])
     return GroundCoverage(
         east_m=freeze(east),
         north_m=freeze(north),
