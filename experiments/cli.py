@@ -4,7 +4,7 @@ import logging
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import click
 
@@ -37,9 +37,6 @@ from .cli_verify import verify
 from .progress import Interrupted, StageProgress, ending_on_signals
 from .question import Planning, Question
 from .recording_tables import recorded_placement_table, recording_table
-
-if TYPE_CHECKING:
-    pass
 
 DEFAULT_OUT = Path("results/latest")
 _EXIT_BAD_INPUT = 2
