@@ -20,15 +20,15 @@ import click
 from geometry.raycast import caster_name
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
+from placement.driving import build_setting
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout
+from placement.question import Question
 from placement.visibility.build import build_detection_table
 
 from .bench_optimiser import measure_covering, measure_large, measure_optimiser
 from .bench_perception import measure_perception
 from .bench_rays import N_MOUNTS, measure_casting
-from .driving import build_setting
-from .question import Question
 from .study import load_carlancap_layout
 from .timing import REPEATS
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -12,6 +13,8 @@ from geometry.actors import Actor, Shape, load_actors
 from geometry.arrays import FloatArray
 from geometry.poses import body_rotation
 from geometry.raycast import build_caster
+
+from .figures import root_figure
 
 _SIDES_DEG = np.arange(0, 360, 45)
 _SIDE_NAMES = {0: "ahead", 90: "its left", 180: "behind", 270: "its right"}
@@ -34,10 +37,10 @@ _N_GREYS = 24  # few: a smaller file
 )
 def main(out: Path) -> None:
     """Draw every body of the catalogue from eight sides."""
-    plot_bodies(load_actors()).savefig(out, metadata={"Software": None})
+    root_figure(plot_bodies(load_actors())[0]).savefig(out, metadata={"Software": None})
 
 
-def plot_bodies(actors: Mapping[str, Actor], *, pixels_per_view: int = 144) -> Figure:
+def plot_bodies(actors: Mapping[str, Actor], *, pixels_per_view: int = 144) -> list[Axes]:
     """Bodies from eight sides, one per row, the gait running on along the row.
 
     Parameters
@@ -49,8 +52,8 @@ def plot_bodies(actors: Mapping[str, Actor], *, pixels_per_view: int = 144) -> F
 
     Returns
     -------
-    figure : Figure
-        Parallel projection, shaded from the right; rows have scales of their own.
+    axes : list of Axes
+        A row each: parallel projection, shaded from the right; rows have scales of their own.
     """
     strips = {
         name: np.hstack(
@@ -92,7 +95,7 @@ def plot_bodies(actors: Mapping[str, Actor], *, pixels_per_view: int = 144) -> F
         fontsize=8,
     )
     panels[0].tick_params(length=0)
-    return figure
+    return list(panels)
 
 
 def shade_view(

@@ -8,6 +8,8 @@ from typing import Any, NoReturn
 
 import click
 
+from placement.question import Question
+
 from . import tables
 from .call import cache_folder, command_line, load_one_layout, warn_of_slow_rays
 from .cli_compare import compare
@@ -34,8 +36,8 @@ from .cli_scene import scene
 from .cli_sheet import sheet
 from .cli_solve import solve
 from .cli_verify import verify
+from .planning_words import Planning
 from .progress import Interrupted, StageProgress, ending_on_signals
-from .question import Planning, Question
 from .recording_tables import recorded_placement_table, recording_table
 
 DEFAULT_OUT = Path("results/latest")

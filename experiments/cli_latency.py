@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from placement.question import Question
+
 from .call import load_one_layout, warn_of_slow_rays
 from .cli_options import (
     Number,
@@ -21,7 +23,6 @@ from .cli_options import (
     workers_option,
 )
 from .progress import StageProgress
-from .question import Question
 
 LATENCY_MODES = ("mean", "worst", "sampled")
 _BUDGET_METAVAR = "NAME|FILE"

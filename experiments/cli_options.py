@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from .question import DEFAULT_CASES, Question
+from placement.question import DEFAULT_CASES, Question
 
 PHASES = ("aligned", "worst")
 _MAX_DIGITS = 100

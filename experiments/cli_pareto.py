@@ -5,6 +5,8 @@ from pathlib import Path
 
 import click
 
+from placement.question import Question
+
 from .call import cache_folder, command_line, warn_of_slow_rays
 from .cli_latency import latency_budget_options
 from .cli_options import (
@@ -18,8 +20,8 @@ from .cli_options import (
     workers_option,
 )
 from .cli_planning import planning_options
+from .planning_words import Planning
 from .progress import StageProgress
-from .question import Planning, Question
 
 _TIME_LIMIT_S = 60.0
 # A front has every APR and every number of units: what asks for one of them has no place here.

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from .cli_options import Number, OneOf, Share, WholeNumber
-from .question import Planning
+from .planning_words import Planning
 
 FUSIONS = ("any", "single")
 SOLVERS = ("auto", "exact", "relax", "greedy")

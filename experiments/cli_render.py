@@ -110,10 +110,11 @@ def render(
         raise click.UsageError(f"--layout: got {got}; expected it once")
     progress.start(quiet=quiet)
     progress("lay the run", 0, 0)
+    from placement.driving import find_scene
     from placement.layout import check_layout
 
     from . import rendering
-    from .study import find_layout, find_scene
+    from .study import find_layout
 
     around = find_scene(scene)
     layout = find_layout(layout_names[0], "--layout")

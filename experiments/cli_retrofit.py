@@ -4,6 +4,8 @@ from pathlib import Path
 
 import click
 
+from placement.question import Question
+
 from .call import cache_folder, command_line, load_one_layout, warn_of_slow_rays
 from .cli_latency import latency_budget_options
 from .cli_options import (
@@ -18,8 +20,8 @@ from .cli_options import (
 )
 from .cli_pareto import leave_out
 from .cli_planning import planning_options
+from .planning_words import Planning
 from .progress import StageProgress
-from .question import Planning, Question
 
 _TIME_LIMIT_S = 60.0
 # What hangs there is --layout; what is added is asked for by money alone.

@@ -6,9 +6,10 @@ from typing import Any
 
 import click
 
+from placement.question import Question
+
 from .cli_options import json_option, one_run_options, question_options, quiet_option
 from .progress import StageProgress
-from .question import Question
 
 
 @click.group(
@@ -43,10 +44,10 @@ def list_scenarios(
     1.2 seconds before it. With --json a list, one entry per case and approach, with one last
     moment per speed; null where braking cannot help.
     """
-    from .driving import drive
+    from placement.driving import drive, find_scene
+
     from .exports import to_json_text
     from .scenario_list import list_rows, scenario_table
-    from .study import find_scene
 
     progress.start(quiet=quiet)
     progress("lay the cases", 0, 0)
@@ -71,9 +72,9 @@ Examples:
 @click.pass_obj
 def show(progress: StageProgress, *, question: Question, out: Path | None, quiet: bool) -> None:
     """Draw a run from above: bodies, paths, obstruction, what the VUT has in sight."""
-    from .driving import drive_one
+    from placement.driving import drive_one, find_scene
+
     from .film import save_film
-    from .study import find_scene
 
     scene = find_scene(question.scene)
     run = drive_one(question, scene)
@@ -104,10 +105,9 @@ Example:
 def export(*, question: Question, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""
     from geometry.atomic_files import write_atomically
+    from placement.driving import drive_one, find_scene
 
-    from .driving import drive_one
     from .openscenario import to_openscenario
-    from .study import find_scene
 
     scene = find_scene(question.scene)
     text = to_openscenario(drive_one(question, scene), road_network=scene.road_network)

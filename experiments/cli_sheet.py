@@ -4,6 +4,8 @@ from pathlib import Path
 
 import click
 
+from placement.question import Question
+
 from .call import load_one_layout, warn_of_slow_rays
 from .cli_latency import latency_budget_options
 from .cli_options import (
@@ -15,7 +17,6 @@ from .cli_options import (
     workers_option,
 )
 from .progress import StageProgress
-from .question import Question
 
 
 @click.command(

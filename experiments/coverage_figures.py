@@ -3,15 +3,15 @@
 from collections.abc import Mapping
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from geometry.scene import Scene
 from placement.ground_coverage import BANDS, GroundCoverage
 from placement.layout import Layout
 
-from .figures import WIDTH_IN, build_figure
+from .figures import WIDTH_IN, new_axes
 from .ground import CLASS_STYLES, draw_scene
 from .tables import percent
 
@@ -19,9 +19,11 @@ from .tables import percent
 _SHADES = ("#ffffff", "#f1eef6", "#d0d1e6", "#a6bddb", "#67a9cf", "#3690c0", "#016c59", "#014636")
 
 
-def plot_coverage(coverage: GroundCoverage, scene: Scene, layout: Layout) -> Figure:
+def plot_coverage(
+    coverage: GroundCoverage, scene: Scene, layout: Layout, *, axes: Axes | None = None
+) -> Axes:
     """Map of the ground around a junction, darker where cameras see it more finely; north up."""
-    figure, axes = build_figure(WIDTH_IN, WIDTH_IN - 1.8)
+    axes = axes or new_axes(WIDTH_IN, WIDTH_IN - 1.8)
     draw_scene(axes, scene)
     edges = [0.0, 1.0e-9, *(least for _, least in reversed(BANDS)), 1.0e9]
     half = 0.5 * (coverage.east_m[1] - coverage.east_m[0])
@@ -74,7 +76,7 @@ def plot_coverage(coverage: GroundCoverage, scene: Scene, layout: Layout) -> Fig
         loc="upper left",
         bbox_to_anchor=(1.01, 1.0),
     )
-    return figure
+    return axes
 
 
 def coverage_rows(shares: Mapping[str, float]) -> list[list[str]]:

@@ -66,7 +66,7 @@ def describe_run(axis: FrameAxis, run_index: int) -> str:
     )
 
 
-def plot_apr_by_case(evaluations: Mapping[str, Evaluation]) -> Figure:
+def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None = None) -> Axes:
     """Accident prevention ratio by case and over all runs, as a shaded table.
 
     Parameters
@@ -74,16 +74,18 @@ def plot_apr_by_case(evaluations: Mapping[str, Evaluation]) -> Figure:
     evaluations : mapping of str to Evaluation
         By display name; the first one is the subject. Shown are all RSUs together of each, the
         VUT alone, and the VUT with the subject's RSUs.
+    axes : Axes, optional
+        Where to draw; by default in a new figure.
 
     Returns
     -------
-    figure : Figure
+    axes : Axes
         One row per case, the first for all runs; the more accidents are left, the darker.
     """
     columns = _apr_columns(evaluations)
     rows = list(next(iter(columns.values())))
     shares = np.array([[column[row] for column in columns.values()] for row in rows])
-    figure, axes = build_figure(WIDTH_IN, 1.0 + 0.24 * len(rows))
+    axes = axes or new_axes(WIDTH_IN, 1.0 + 0.24 * len(rows))
     axes.imshow(np.nan_to_num(shares, nan=1.0), cmap=_SHADES, vmin=0.0, vmax=1.0, aspect="auto")
     for (row, column), share in np.ndenumerate(shares):
         axes.text(
@@ -107,16 +109,30 @@ def plot_apr_by_case(evaluations: Mapping[str, Evaluation]) -> Figure:
     for column in range(1, len(columns)):
         axes.axvline(column - 0.5, color="black", linewidth=0.3)
     axes.set_xlabel("share of the runs that end without contact", fontsize=8)
-    return figure
+    return axes
 
 
-def plot_heatmap(evaluation: Evaluation, run_index: int) -> Figure:
-    """Who detects the VRU when, in one run; see :func:`plot_heatmaps`."""
-    return plot_heatmaps(evaluation, [run_index])
+def plot_heatmap(evaluation: Evaluation, run_index: int, *, axes: Axes | None = None) -> Axes:
+    """Who detects the VRU when, in one run; see :func:`plot_heatmaps`.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Of a layout.
+    run_index : int
+        Which run.
+    axes : Axes, optional
+        Where to draw; by default in a new figure, with a legend below.
+    """
+    if axes is None:
+        return plot_heatmaps(evaluation, [run_index])[0]
+    _draw_heatmap(axes, evaluation, _heatmap_rows(evaluation), run_index)
+    axes.set_xlabel(_TIME_LABEL, fontsize=9)
+    return axes
 
 
-def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> Figure:
-    """Who detects the VRU when, one pair of axes per run.
+def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> list[Axes]:
+    """Who detects the VRU when, one pair of axes per run, in a new figure.
 
     Parameters
     ----------
@@ -127,7 +143,7 @@ def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> Figure:
 
     Returns
     -------
-    figure : Figure
+    axes : list of Axes
         Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before the
         impact. The dashed red line is the last brake time; a diamond is a confirmation.
     """
@@ -138,21 +154,34 @@ def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> Figure:
     panels = figure.subplots(len(run_indices), 1, squeeze=False)[:, 0]
     for axes, run_index in zip(panels, run_indices, strict=True):
         _draw_heatmap(axes, evaluation, rows, run_index)
-    panels[-1].set_xlabel("time before the impact without braking (s)", fontsize=9)
+    panels[-1].set_xlabel(_TIME_LABEL, fontsize=9)
     figure.legend(
         handles=_heatmap_legend(), loc="outside lower center", ncols=4, fontsize=8, frameon=False
     )
-    return figure
+    return list(panels)
 
 
-def to_png(figure: Figure) -> bytes:
-    """A figure as a PNG file; equal figures give equal bytes."""
+def to_png(drawn: Axes | Figure) -> bytes:
+    """A figure, or the one that some axes are in, as a PNG file; equal ones give equal bytes."""
+    figure = root_figure(drawn)
     buffer = BytesIO()
     with warnings.catch_warnings():
         # A name in a script that the font lacks is drawn as boxes; the report spells it out.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
+
+
+def root_figure(drawn: Axes | Figure) -> Figure:
+    """The figure that some axes are in."""
+    figure = drawn.get_figure(root=True)
+    assert figure is not None  # drawn in one
+    return figure
+
+
+def new_axes(width_in: float, height_in: float) -> Axes:
+    """One pair of axes in a figure of its own, drawn by Agg; sizes in inches."""
+    return build_figure(width_in, height_in)[1]
 
 
 def build_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
@@ -165,6 +194,7 @@ def build_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
 # ---------------------------------------------------------------- APR by case
 
 
+_TIME_LABEL = "time before the impact without braking (s)"
 _SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
 _DARK_BELOW = 0.34  # where white and black stand out from the cell alike
 _HEAD_WIDTH = 16

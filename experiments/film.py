@@ -28,7 +28,7 @@ from placement.evaluator import load_vut_camera
 from placement.visibility.obstructions import build_static_mesh
 from scenarios.runs import Run
 
-from .figures import BLUE, SKY, VERMILION, literal
+from .figures import BLUE, SKY, VERMILION, literal, root_figure
 from .ground import PARKED_STYLE, draw_parked, draw_scene
 
 STILLS = (".png", ".svg", ".pdf")
@@ -45,7 +45,7 @@ _END_M = 0.02
 _FAR_M = 500.0
 
 
-def plot_film(scene: Scene, run: Run) -> Figure:
+def plot_film(scene: Scene, run: Run) -> list[Axes]:
     """Film strip of a run: six plan views from its begin to the impact.
 
     Parameters
@@ -57,8 +57,8 @@ def plot_film(scene: Scene, run: Run) -> Figure:
 
     Returns
     -------
-    figure : Figure
-        One pair of axes per instant, in metres, north up. The fourth shows the last frame in which
+    axes : list of Axes
+        One pair per instant, in metres, north up. The fourth shows the last frame in which
         braking still helps, the last one the impact.
     """
     figure = Figure(
@@ -70,13 +70,13 @@ def plot_film(scene: Scene, run: Run) -> Figure:
     figure.suptitle(_title(run), fontsize=11)
     instants = _instants(run)
     stage = _Stage(scene, run, instants)
-    for number, frame in enumerate(instants):
-        axes = figure.add_subplot(_ROWS, _COLUMNS, number + 1)
+    panels = [figure.add_subplot(_ROWS, _COLUMNS, number + 1) for number in range(len(instants))]
+    for axes, frame in zip(panels, instants, strict=True):
         stage.draw(axes, frame)
     figure.legend(
         handles=_legend(run), loc="outside lower center", ncols=4, fontsize=8, frameon=False
     )
-    return figure
+    return panels
 
 
 def save_film(
@@ -106,7 +106,7 @@ def save_film(
     elif suffix in STILLS:
         buffer = BytesIO()
         metadata = {"Software": None} if suffix == ".png" else {}
-        plot_film(scene, run).savefig(buffer, format=suffix[1:], metadata=metadata)
+        root_figure(plot_film(scene, run)[0]).savefig(buffer, format=suffix[1:], metadata=metadata)
         data = buffer.getvalue()
     else:
         raise InputError(

@@ -19,14 +19,15 @@ from geometry.maps.importing import ImportOptions, import_scene, read_maps
 from geometry.maps.map_files import SUFFIXES, ReadingOptions, read_map
 from geometry.maps.model import SourceMap
 from geometry.maps.survey import choose_junction
+from placement.driving import build_setting
 from placement.evaluation import apr
 from placement.evaluator import evaluate_layout
 from placement.pipeline import place
+from placement.question import Question
 
-from .driving import build_setting
 from .figures import to_png
 from .planning import build_plan
-from .question import Planning, Question
+from .planning_words import Planning
 from .scene_figures import plot_scene_plan
 
 _WORKERS = 2

@@ -6,32 +6,34 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, cast
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from placement.certificates import build_certificate, save_certificate
+from placement.driving import build_setting, find_scene
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
 from placement.layout import Layout, check_layout
 from placement.optimiser import Fusion
 from placement.optimiser.pareto import front_below
 from placement.pipeline import Placement, place
+from placement.question import Question
 from placement.refine import refine
 from placement.sampling import load_uncertainty, out_of_sample_layouts
 from placement.setting import Setting
 
 from . import exports
-from .driving import build_setting
 from .explanations import summarise_explanations
 from .figures import plot_apr_by_case, plot_heatmap, to_png
 from .no_look import summarise_private_ground
 from .plan import plot_plan
 from .planning import Plan, build_plan
+from .planning_words import Planning
 from .progress import WRITING, StageProgress
-from .question import Planning, Question
 from .refinement_summary import summarise_refinement
 from .report import GREEDY, pick_heatmap_runs, write_report
 from .result_folder import MARKER, check_result_folder, new_result_folder
-from .study import find_baseline, find_scene
+from .study import find_baseline
 from .summary import (
     summarise_comparison,
     summarise_drives,
@@ -366,7 +368,7 @@ def _write_results(
     command: str,
     progress: StageProgress,
     placement: Placement | None = None,
-    more_figures: Mapping[str, Figure] | None = None,
+    more_figures: Mapping[str, Axes | Figure] | None = None,
 ) -> None:
     """Fill the result folder; the times of all stages but the writing go into the summary."""
     progress(WRITING, 0, 0)
@@ -394,7 +396,7 @@ def _write_results(
             save_certificate(new, document, placement.problem)
         exports.apr_table(evaluations).to_csv(new / "apr.csv", index=False)
         exports.runs_table(evaluations).to_parquet(new / "runs.parquet")
-        figures = {
+        figures: dict[str, Axes | Figure] = {
             "plan": plot_plan(setting, subject.layout, others=others),
             "apr_by_case": plot_apr_by_case(evaluations),
             **(more_figures or {}),

@@ -37,7 +37,7 @@ _HATCHES = ("", "//", "", "xx", "..", "\\\\", "++", "oo")
 
 def plot_latency(
     curves: Mapping[str, LatencyCurve], budget: LatencyBudget, *, max_latency_s: float
-) -> Figure:
+) -> list[Axes]:
     """APR of the sensing parties as steps, the budget's range shaded, its parts as bars below.
 
     Parameters
@@ -51,8 +51,8 @@ def plot_latency(
 
     Returns
     -------
-    figure : Figure
-        Two pairs of axes, in milliseconds; the lower one has a scale of its own.
+    axes : list of Axes
+        Two pairs in a new figure, in milliseconds; the lower one has a scale of its own.
     """
     n_rows = 1 if _is_fixed(budget) else 2
     height = 3.9 + 0.3 * n_rows + 0.17 * ((len(budget.parts) + 2) // 3)
@@ -64,7 +64,7 @@ def plot_latency(
     style: dict[str, Any] = {"ncols": 3, "fontsize": 8, "frameon": False}
     figure.legend(handles=handles, loc="outside upper center", **style)
     figure.legend(handles=_part_patches(budget), loc="outside lower center", **style)
-    return figure
+    return [upper, lower]
 
 
 def _is_fixed(budget: LatencyBudget) -> bool:

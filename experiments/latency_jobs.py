@@ -8,19 +8,18 @@ from typing import Any
 import pandas as pd
 
 from geometry.errors import InputError, Unquoted
+from placement.driving import build_setting, find_scene
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout
 from placement.latency import MAX_LATENCY_S, LatencyBudget, fixed_latency, load_latency_budget
 from placement.latency_curve import LatencyCurve, apr_by_latency
 from placement.layout import Layout, check_layout, layout_records
+from placement.question import Question
 
-from .driving import build_setting
 from .figures import to_png
 from .folder_files import check_folder, write_files
 from .latency_figures import plot_latency
 from .progress import WRITING, StageProgress
-from .question import Question
-from .study import find_scene
 from .summary import summarise_drives, versions
 
 TABLE_S = (0.0, 0.025, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
@@ -101,9 +100,9 @@ def run_latency(
     summary |= {"vut_latency_s": vut_latency_s, **summarise_drives(setting)}
     if out is not None:
         progress(WRITING, 0, 0)
-        figure = plot_latency(curves, chosen, max_latency_s=shown_s)
+        axes, _ = plot_latency(curves, chosen, max_latency_s=shown_s)
         csv = latency_table(curves, max_latency_s=shown_s).to_csv(index=False, lineterminator="\n")
-        write_files(out, {CSV_NAME: csv.encode(), PNG_NAME: to_png(figure)})
+        write_files(out, {CSV_NAME: csv.encode(), PNG_NAME: to_png(axes)})
         progress.kept = f"the results are in {out}"
     summary |= {"seconds": progress.finish(), "versions": versions()}
     return summary

@@ -8,23 +8,23 @@ from typing import Any, cast
 import pandas as pd
 
 from placement.candidates import CandidatePose
+from placement.driving import build_setting, find_scene
 from placement.layout import layout_records
 from placement.optimiser import Fusion, PlacementProblem
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import Front, FrontPoint, StageChoice
 from placement.optimiser.pareto import pareto_front
 from placement.pipeline import obtain_table, pick_layout
+from placement.question import Question
 from placement.wishes import build_problem
 
-from .driving import build_setting
 from .exports import to_json_text
 from .figures import to_png
 from .folder_files import check_folder, write_files
 from .pareto_figures import plot_front
 from .planning import Plan, build_plan
+from .planning_words import Planning
 from .progress import WRITING, StageProgress
-from .question import Planning, Question
-from .study import find_scene
 from .summary import summarise_drives, versions
 from .unit_sentences import describe_money, describe_units
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from matplotlib.path import Path
@@ -27,8 +26,8 @@ from .figures import (
     SKY,
     VERMILION,
     WIDTH_IN,
-    build_figure,
     literal,
+    new_axes,
     unit_labels,
 )
 from .ground import CLASS_STYLES, PARKED_STYLE, SITE_STYLE, draw_parked, draw_scene
@@ -83,7 +82,8 @@ def plot_plan(
     others: Sequence[Layout] = (),
     half_size_m: float = 45.0,
     max_range_m: float = 35.0,
-) -> Figure:
+    axes: Axes | None = None,
+) -> Axes:
     """Plan of the junction with a layout: where its units are and what ground they look at.
 
     Parameters
@@ -98,13 +98,15 @@ def plot_plan(
         Half the side of the square that is shown, around the middle of the junction. [m]
     max_range_m : float
         Fields of view end here; the camera itself sees farther. [m]
+    axes : Axes, optional
+        Where to draw; by default in a new figure.
 
     Returns
     -------
-    figure : Figure
-        One pair of axes, in metres, north up.
+    axes : Axes
+        In metres, north up.
     """
-    figure, axes = build_figure(WIDTH_IN, WIDTH_IN + 1.0)
+    axes = axes or new_axes(WIDTH_IN, WIDTH_IN + 1.0)
     scene = setting.scene
     outline = scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
@@ -120,14 +122,15 @@ def plot_plan(
     axes.set_xlabel("east (m)")
     axes.set_ylabel("north (m)")
     _draw_compass(axes, middle, half_size_m)
-    figure.legend(
+    axes.legend(
         handles=_plan_legend(setting, layout, others),
-        loc="outside lower center",
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.09),
         ncols=2,
         fontsize=8,
         frameon=False,
     )
-    return figure
+    return axes
 
 
 def _clip(corners: FloatArray, inside: FloatArray) -> FloatArray:

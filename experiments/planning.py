@@ -25,7 +25,7 @@ from placement.privacy import PrivateGround
 from placement.wishes import Wishes, check_wishes
 
 from .no_look import keep_decent, load_private_ground
-from .question import Planning
+from .planning_words import Planning
 from .study import find_baseline, find_layout
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from geometry.errors import InputError, Unquoted
 from placement.certificates import build_certificate, save_certificate
+from placement.driving import build_rule
 from placement.evaluation import Verdict, apr, apr_by_case, detected_share
 from placement.optimiser import (
     Fusion,
@@ -19,6 +20,7 @@ from placement.optimiser import (
     solve_greedy,
     solve_placement,
 )
+from placement.question import Question
 from placement.recordings import (
     RecordedEvaluation,
     Recording,
@@ -30,11 +32,10 @@ from placement.recordings import (
 )
 from scenarios.aeb import AebRule
 
-from .driving import build_rule
 from .exports import to_json_text
 from .planning import effort_of
+from .planning_words import Planning
 from .progress import WRITING, StageProgress
-from .question import Planning, Question
 from .recording_tables import ALL_UNITS
 from .result_folder import MARKER, check_result_folder, new_result_folder
 from .summary import versions

@@ -16,14 +16,13 @@ from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.scene import Scene
 from geometry.weather import pick_weather
+from placement.driving import drive_one
 from placement.evaluator.pictures import vut_camera_pose
 from placement.evaluator.vut_camera import load_vut_camera, load_vut_lidar
 from placement.imaging import Picture, PointCloud, render_picture, scan_cloud
 from placement.layout import Layout
+from placement.question import Question
 from scenarios.runs import WEATHERS, Run
-
-from .driving import drive_one
-from .question import Question
 
 VUT_UNIT, VUT_LIDAR_UNIT = "VUT", "VUT-LIDAR"
 COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")

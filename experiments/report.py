@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from geometry.atomic_files import write_atomically
@@ -64,7 +65,7 @@ def write_report(
     *,
     command: str,
     heatmap_runs: Sequence[str] = (),
-    sampled_figure: Figure | None = None,
+    sampled_figure: Axes | Figure | None = None,
 ) -> Path:
     """Write :func:`render_report`'s page to ``report.html`` in `folder`, which must exist."""
     page = render_report(
@@ -87,7 +88,7 @@ def render_report(
     *,
     command: str,
     heatmap_runs: Sequence[str] = (),
-    sampled_figure: Figure | None = None,
+    sampled_figure: Axes | Figure | None = None,
 ) -> str:
     """A result as one HTML page that loads nothing from elsewhere.
 
@@ -105,7 +106,7 @@ def render_report(
         Command line that makes the result again.
     heatmap_runs : sequence of str
         Ids of the runs to draw; else see :func:`pick_heatmap_runs`.
-    sampled_figure : Figure, optional
+    sampled_figure : Axes or Figure, optional
         Of the APR in sampled worlds, where they were asked for.
 
     Returns
@@ -190,8 +191,8 @@ def _template() -> Template:
     return environment.get_template("report.html.j2")
 
 
-def _picture(figure: Figure, *, title: str, caption: str, alt: str) -> _Picture:
-    png = to_png(figure)
+def _picture(drawn: Axes | Figure, *, title: str, caption: str, alt: str) -> _Picture:
+    png = to_png(drawn)
     width_px, height_px = struct.unpack(">II", png[16:24])  # of the header chunk
     return _Picture(
         title=title,
@@ -270,7 +271,7 @@ def _ground(setting: Setting, subject: Evaluation) -> dict[str, Any]:
     }
 
 
-def _sampled_figure(figure: Figure | None, summary: Mapping[str, Any]) -> _Picture | None:
+def _sampled_figure(figure: Axes | Figure | None, summary: Mapping[str, Any]) -> _Picture | None:
     if figure is None:
         return None
     return _picture(

@@ -12,13 +12,13 @@ import numpy as np
 from geometry.atomic_files import write_atomically
 from geometry.errors import InputError
 from geometry.toml_files import load_toml, take_list, take_number, take_text
+from placement.driving import build_setting
 from placement.evaluation import Evaluation, Verdict, apr, detected_share
 from placement.evaluator import evaluate_layout
+from placement.question import Question
 
-from .driving import build_setting
 from .figures import plot_heatmaps, to_png
 from .progress import StageProgress
-from .question import Question
 from .tables import percent
 from .variants import OWN_CASES, Variant, build_variants
 
@@ -132,7 +132,7 @@ def write_reproduction(
         base.axis.run_ids.index(f"{case}/east/{speed}")
         for case, speed in HEATMAP_SPEEDS_KMH.items()
     ]
-    picture = to_png(plot_heatmaps(base, heatmaps))
+    picture = to_png(plot_heatmaps(base, heatmaps)[0])
     found = [quantities(evaluation) for evaluation in evaluations]
     names = [variant.name for variant in variants]
     text = "\n".join(

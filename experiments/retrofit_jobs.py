@@ -7,22 +7,22 @@ from typing import Any, cast
 import pandas as pd
 
 from placement.candidates import CandidatePose
+from placement.driving import build_setting, find_scene
 from placement.labour import Labour, load_labour
 from placement.layout import Layout, check_layout, layout_records
 from placement.optimiser import Fusion, PlacementValue, is_better
 from placement.pipeline import obtain_table
+from placement.question import Question
 from placement.retrofit import Change, Retrofit, find_retrofit
 from placement.retrofit_poses import RetrofitPoses, build_retrofit_poses
 from placement.wishes import build_problem
 
-from .driving import build_setting
 from .exports import to_json_text
 from .folder_files import check_folder, write_files
 from .planning import build_plan, grid_of
+from .planning_words import Planning
 from .progress import WRITING, StageProgress
-from .question import Planning, Question
 from .retrofit_sentences import describe_retrofit
-from .study import find_scene
 from .summary import summarise_drives, versions
 
 CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .driving import Drives
+from placement.driving import Drives
 
 _WIDTH = 80
 

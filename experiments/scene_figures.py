@@ -2,7 +2,6 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.junction import Arm, build_junction
@@ -11,7 +10,7 @@ from geometry.raycast import build_caster
 from geometry.scene import Scene
 from geometry.scene_footprints import road_area
 
-from .figures import WIDTH_IN, build_figure, literal
+from .figures import WIDTH_IN, literal, new_axes
 from .ground import draw_scene
 
 _COLOURS = {
@@ -31,7 +30,9 @@ _VIEW_DEG, _PITCH_DEG, _YAW_DEG = 42.0, -50.0, 60.0
 _MAX_SITE_NAMES = 40
 
 
-def plot_scene_plan(scene: Scene, *, half_size_m: float | None = None) -> Figure:
+def plot_scene_plan(
+    scene: Scene, *, half_size_m: float | None = None, axes: Axes | None = None
+) -> Axes:
     """Plan of a scene: lanes with their directions, arms, crosswalks, sites, things; north up.
 
     Parameters
@@ -41,11 +42,13 @@ def plot_scene_plan(scene: Scene, *, half_size_m: float | None = None) -> Figure
     half_size_m : float, optional
         Half the side of the square that is shown; by default all things and sites, at least 45 m
         and at most 90 m. [m]
+    axes : Axes, optional
+        Where to draw; by default in a new figure.
     """
     junction = build_junction(scene)
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     half = half_size_m or _half_size_m(scene, middle)
-    figure, axes = build_figure(WIDTH_IN, WIDTH_IN)
+    axes = axes or new_axes(WIDTH_IN, WIDTH_IN)
     draw_scene(axes, scene)
     outline = np.vstack([scene.outline_m, scene.outline_m[:1]])
     axes.plot(*outline.T, color="#0072B2", linewidth=1.4, zorder=3)
@@ -77,19 +80,19 @@ def plot_scene_plan(scene: Scene, *, half_size_m: float | None = None) -> Figure
     axes.set_ylabel("north (m)", fontsize=9)
     axes.tick_params(labelsize=8)
     axes.set_title(literal(scene.name), fontsize=10)
-    return figure
+    return axes
 
 
-def plot_scene_view(scene: Scene) -> Figure:
+def plot_scene_view(scene: Scene, *, axes: Axes | None = None) -> Axes:
     """A scene as seen from a height in the south-west: ray-cast, shaded by the sun's direction."""
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     half = min(_half_size_m(scene, middle), 70.0)
     picture = _cast_view(scene, middle, distance_m=2.6 * half)
-    figure, axes = build_figure(WIDTH_IN, WIDTH_IN * _HEIGHT_PX / _WIDTH_PX)
+    axes = axes or new_axes(WIDTH_IN, WIDTH_IN * _HEIGHT_PX / _WIDTH_PX)
     axes.imshow(picture)
     axes.set_axis_off()
     axes.set_title(literal(f"{scene.name}, seen from the south-west"), fontsize=10)
-    return figure
+    return axes
 
 
 def _half_size_m(scene: Scene, middle_m: FloatArray) -> float:

@@ -6,15 +6,14 @@ from typing import Any
 
 from geometry.atomic_files import write_atomically
 from geometry.errors import InputError, Unquoted
+from placement.driving import build_setting, find_scene
 from placement.layout import Layout, check_layout
+from placement.question import Question
 from placement.tolerance import find_tolerances
 
-from .driving import build_setting
 from .folder_files import check_folder
 from .mounting_sheet import mounting_sheet
 from .progress import WRITING, StageProgress
-from .question import Question
-from .study import find_scene
 
 
 def run_sheet(

@@ -11,21 +11,18 @@ from geometry.errors import InputError
 from geometry.frames import from_carla_pose
 from geometry.scene import Scene
 from geometry.scene_files import load_study_scene
-from geometry.scene_folders import load_scene_folder
 from geometry.toml_files import load_toml, take_list, take_number, take_text
 from placement.candidates import CandidatePose
+from placement.driving import build_setting
 from placement.layout import Layout, load_layout
 from placement.setting import Setting
-
-from .driving import build_setting
-from .question import Question
 
 BASELINE_NAME = "carlancap-12"
 
 
 def build_study_setting() -> Setting:
     """The study's junction, cases, braking rule and detector, every run with equal weight."""
-    return build_setting(Question(), load_study_scene())
+    return build_setting()
 
 
 @cache
@@ -56,17 +53,6 @@ def load_carlancap_layout() -> Layout:
         units=tuple(units),
         scene_name=load_study_scene().name,
     )
-
-
-def find_scene(path: str) -> Scene:
-    """A scene from where ``scene import`` has written it; no path: the study's junction.
-
-    Raises
-    ------
-    InputError
-        There is no scene.
-    """
-    return load_scene_folder(Path(path)) if path else load_study_scene()
 
 
 def find_baseline(scene: Scene) -> Layout | None:

@@ -11,12 +11,12 @@ from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
 from geometry.scene_files import load_study_scene
 from placement.detectors import GeometricDetector, load_planning_detector
+from placement.driving import build_setting
 from placement.layout import Layout
+from placement.question import Question
 from placement.setting import Setting
 from scenarios.runs import Run
 
-from .driving import build_setting
-from .question import Question
 from .study import load_carlancap_layout
 
 OWN_CASES = "CPNC-50,CBNA,CBLA"

@@ -94,7 +94,7 @@ class CandidateGrid:
 
 
 def build_candidates(
-    scene: Scene, grid: CandidateGrid, *, extra: Sequence[CandidatePose] = ()
+    scene: Scene, grid: CandidateGrid | None = None, *, extra: Sequence[CandidatePose] = ()
 ) -> tuple[CandidatePose, ...]:
     """Every site x height x sensor x yaw x pitch, and some more by name.
 
@@ -102,8 +102,8 @@ def build_candidates(
     ----------
     scene : Scene
         Its sites are used.
-    grid : CandidateGrid
-        What is tried at each.
+    grid : CandidateGrid, optional
+        What is tried at each; by default :func:`load_candidate_grid`.
     extra : sequence of CandidatePose
         Added behind, such as the poses of an existing layout.
 
@@ -119,6 +119,7 @@ def build_candidates(
     """
     if not scene.sites:
         raise InputError(f"{scene.name}: sites", Unquoted("none"), "at least one mount site")
+    grid = grid or load_candidate_grid()
     # From the whole circle, and rounded: sums of steps would miss 0 and 180 by a hair.
     yaws_deg = (360.0 * np.arange(1, grid.n_yaws + 1) / grid.n_yaws - 180.0).round(12)
     candidates = [

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import pandas as pd
 
 from geometry.arrays import BoolArray, FloatArray, freeze
 from scenarios.aeb import AebRule, is_in_time
@@ -74,6 +75,32 @@ class Evaluation:
         return (
             f"Evaluation({self.layout.name!r}: APR {apr(self.rsu_all, self.axis):.4f} with "
             f"{len(self.units)} units, {apr(self.vut, self.axis):.4f} by the VUT alone)"
+        )
+
+    def __str__(self) -> str:
+        return f"{self.layout.name}: accident prevention ratio\n{self.to_frame().to_string()}"
+
+    def _repr_html_(self) -> str:
+        html: str = self.to_frame().to_html()
+        return html
+
+    def to_frame(self) -> pd.DataFrame:
+        """Accident prevention ratios, 0 .. 1: a row for all runs and each case, a column a party.
+
+        Columns: "rsu_all", "vut", "vut_and_rsus", what ``others`` has, then each unit by its id.
+        """
+        parties = {
+            "rsu_all": self.rsu_all,
+            "vut": self.vut,
+            "vut_and_rsus": self.vut_and_rsus,
+            **self.others,
+            **self.units,
+        }
+        return pd.DataFrame(
+            {
+                name: {"all runs": apr(verdict, self.axis), **apr_by_case(verdict, self.axis)}
+                for name, verdict in parties.items()
+            }
         )
 
 

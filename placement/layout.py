@@ -4,11 +4,12 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from geometry.catalogue import (
     SENSOR_KINDS,
@@ -73,6 +74,17 @@ class Layout:
     def __repr__(self) -> str:
         return f"Layout({self.name!r}, {[unit.id for unit in self.units]})"
 
+    def __str__(self) -> str:
+        return f"{self.name}: {len(self.units)} units\n{self.to_frame().round(2).to_string()}"
+
+    def _repr_html_(self) -> str:
+        html: str = self.to_frame().round(2).to_html()
+        return html
+
+    def to_frame(self) -> pd.DataFrame:
+        """The units as a table: a row each, under its id; columns as :func:`layout_records`."""
+        return pd.DataFrame(layout_records(self)).set_index("id")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stage:
@@ -116,6 +128,17 @@ class Certificate:
     def is_proven(self) -> bool:
         """Whether every stage's gap is closed."""
         return all(stage.gap == 0.0 for stage in self.stages)
+
+    def __str__(self) -> str:
+        return f"{self.to_frame().to_string()}\nby {self.solver}"
+
+    def _repr_html_(self) -> str:
+        html: str = self.to_frame().to_html()
+        return html
+
+    def to_frame(self) -> pd.DataFrame:
+        """The stages as a table: objective, bound, gap and seconds, a row each under its name."""
+        return pd.DataFrame([asdict(stage) for stage in self.stages]).set_index("name")
 
 
 def relative_gap(objective: float, bound: float) -> float:

@@ -69,6 +69,12 @@ class Placement:
         proof = "proven" if self.certificate.is_proven else "not proven"
         return f"Placement({self.layout!r}, {proof})"
 
+    def __str__(self) -> str:
+        return f"{self.layout}\n\n{self.certificate}"
+
+    def _repr_html_(self) -> str:
+        return self.layout._repr_html_() + self.certificate._repr_html_()
+
 
 def place(
     setting: Setting,

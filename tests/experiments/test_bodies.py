@@ -44,8 +44,7 @@ def test_light_comes_from_the_right_and_nothing_is_paper():
 
 def test_every_body_is_drawn_from_eight_sides():
     actors = load_actors()
-    figure = plot_bodies(actors, pixels_per_view=24)
-    panels = figure.get_axes()
+    panels = plot_bodies(actors, pixels_per_view=24)
     assert [panel.get_ylabel().split("\n")[0] for panel in panels] == list(actors)
     for panel in panels:
         (image,) = panel.get_images()
@@ -53,7 +52,7 @@ def test_every_body_is_drawn_from_eight_sides():
         views = np.split(strip, 8, axis=1)
         assert all((view < 1.0).any() for view in views)
     buffer = BytesIO()
-    figure.savefig(buffer, format="png")
+    panels[0].figure.savefig(buffer, format="png")
     assert imread(BytesIO(buffer.getvalue())).shape[2] == 4
 
 

@@ -26,11 +26,11 @@ from experiments.cli_options import question_options
 from experiments.latency_figures import plot_latency
 from experiments.latency_jobs import latency_table
 from experiments.latency_tables import latency_text
-from experiments.question import Question
 from geometry.errors import InputError
 from placement import latency as budgets
 from placement.latency import load_latency_budget
 from placement.latency_curve import LatencyCurve
+from placement.question import Question
 
 UNIT = {
     "site": "",
@@ -231,8 +231,7 @@ def test_the_csv_has_every_step_up_to_the_longest_latency(curves):
 @pytest.mark.parametrize(("max_s", "n_steps"), [(0.05, 1), (0.3, 2), (0.5, 3), (2.0, 4)])
 def test_curves_are_drawn_as_steps_that_end_at_the_right_edge(curves, max_s, n_steps):
     budget = load_latency_budget("cpm-100ms")
-    figure = plot_latency(curves, budget, max_latency_s=max_s)
-    upper, lower = figure.axes
+    upper, lower = plot_latency(curves, budget, max_latency_s=max_s)
     lines = {line.get_gid(): line for line in upper.get_lines()}
     assert set(lines) == {*curves, "mean"}
     x_ms, apr = lines["rsu_all"].get_data()
@@ -251,12 +250,10 @@ def test_curves_are_drawn_as_steps_that_end_at_the_right_edge(curves, max_s, n_s
 
 
 def test_a_fixed_budget_has_one_bar_and_no_range(curves):
-    upper, lower = plot_latency(curves, load_latency_budget(), max_latency_s=0.5).axes
+    upper, lower = plot_latency(curves, load_latency_budget(), max_latency_s=0.5)
     assert [bar.get_gid() for bar in lower.patches] == ["always: processing and communication"]
     assert len(upper.patches) == 0
-    (shade,) = (
-        plot_latency(curves, load_latency_budget("cpm-50ms"), max_latency_s=0.5).axes[0].patches
-    )
+    (shade,) = plot_latency(curves, load_latency_budget("cpm-50ms"), max_latency_s=0.5)[0].patches
     assert (shade.get_x(), shade.get_width()) == (pytest.approx(42.0), pytest.approx(93.0))
 
 

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from experiments import jobs
+from experiments.planning_words import Planning
 from experiments.progress import StageProgress
-from experiments.question import Planning, Question
 from placement.instance import load_problem, save_problem
+from placement.question import Question
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from itertools import pairwise
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.figures import (
@@ -62,8 +63,8 @@ def texts(figure):
 
 
 def test_heatmap_cells_are_the_detections(evaluation):
-    figure = plot_heatmaps(evaluation, [0, 1, 2])
-    for run_index, axes in enumerate(figure.axes):
+    panels = plot_heatmaps(evaluation, [0, 1, 2])
+    for run_index, axes in enumerate(panels):
         (image,) = axes.get_images()
         frames = evaluation.axis.frames_of(run_index)
         rows = [evaluation.vut, *evaluation.units.values(), evaluation.rsu_all]
@@ -76,7 +77,7 @@ def test_heatmap_cells_are_the_detections(evaluation):
 
 def test_heatmap_cells_are_centred_on_their_frames(evaluation):
     for run_index in range(evaluation.axis.n_runs):
-        (axes,) = plot_heatmap(evaluation, run_index).axes
+        axes = plot_heatmap(evaluation, run_index)
         times = evaluation.axis.time_s[evaluation.axis.frames_of(run_index)]
         left, right, bottom, top = axes.get_images()[0].get_extent()
         edges = np.linspace(left, right, len(times) + 1)
@@ -86,7 +87,7 @@ def test_heatmap_cells_are_centred_on_their_frames(evaluation):
 
 def test_heatmap_draws_the_last_brake_time_as_a_dashed_red_line(evaluation):
     for run_index, last_brake_s in enumerate(evaluation.axis.last_brake_time_s[:2]):
-        (axes,) = plot_heatmap(evaluation, run_index).axes
+        axes = plot_heatmap(evaluation, run_index)
         (line,) = [line for line in axes.get_lines() if line.get_gid() == "last brake time"]
         assert list(line.get_xdata()) == [last_brake_s] * 2
         assert line.get_color() == RED
@@ -94,14 +95,14 @@ def test_heatmap_draws_the_last_brake_time_as_a_dashed_red_line(evaluation):
 
 
 def test_heatmap_says_so_where_no_braking_helps(evaluation):
-    figure = plot_heatmap(evaluation, 2)  # its last brake time is minus infinity
-    assert not [line for line in figure.axes[0].get_lines() if line.get_gid() == "last brake time"]
-    assert any("no braking" in text for text in texts(figure))
+    axes = plot_heatmap(evaluation, 2)  # its last brake time is minus infinity
+    assert not [line for line in axes.get_lines() if line.get_gid() == "last brake time"]
+    assert any("no braking" in text for text in texts(axes.figure))
 
 
 def test_heatmap_marks_confirmations_and_names_outcomes(evaluation):
     for run_index in range(evaluation.axis.n_runs):
-        (axes,) = plot_heatmap(evaluation, run_index).axes
+        axes = plot_heatmap(evaluation, run_index)
         (marks,) = [line for line in axes.get_lines() if line.get_marker() == "D"]
         rows = [evaluation.vut, *evaluation.units.values(), evaluation.rsu_all]
         times = [row.confirmation_time_s[run_index] for row in rows]
@@ -117,7 +118,7 @@ def test_cells_tell_the_apr_of_every_case_and_party(frame_axis, camera):
         name: build_evaluation(frame_axis, camera, name=name, seed=seed)
         for seed, name in enumerate(["found", "greedy", "carlancap-12"])
     }
-    (axes,) = plot_apr_by_case(evaluations).axes
+    axes = plot_apr_by_case(evaluations)
     found = evaluations["found"]
     verdicts = [*(item.rsu_all for item in evaluations.values()), found.vut, found.vut_and_rsus]
     expected = np.array(
@@ -137,7 +138,7 @@ def test_cells_tell_the_apr_of_every_case_and_party(frame_axis, camera):
 
 def test_cells_are_the_darker_the_more_is_left_and_their_numbers_stand_out(frame_axis, camera):
     evaluation = build_evaluation(frame_axis, camera, name="a")
-    (axes,) = plot_apr_by_case({"a": evaluation}).axes
+    axes = plot_apr_by_case({"a": evaluation})
     (image,) = axes.get_images()
     lightness = image.cmap(image.norm(np.linspace(0.0, 1.0, 11)))[:, :3].mean(axis=1)
     assert (np.diff(lightness) > 0.0).all()
@@ -154,8 +155,17 @@ def test_figures_are_the_same_bytes_each_time(evaluation):
 def test_figures_leave_no_trace_in_pyplot(evaluation):
     import matplotlib.pyplot as plt
 
-    assert isinstance(plot_heatmap(evaluation, 0), Figure)
+    assert isinstance(plot_heatmap(evaluation, 0), Axes)
     assert plt.get_fignums() == []
+
+
+def test_figures_are_drawn_where_the_caller_wants_them(evaluation):
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    assert plot_apr_by_case({"mine": evaluation}, axes=left) is left
+    assert plot_heatmap(evaluation, 0, axes=right) is right
+    assert to_png(left) == to_png(figure)
+    assert any(text.endswith("%") for text in texts(left))
 
 
 @pytest.mark.parametrize("name", ["$x^{", "_hidden", "雪", "a\\b", "%s {}"])
@@ -199,9 +209,9 @@ def test_every_row_stands_apart_however_many_cases_there_are(camera, n_cases):
         run_start=np.arange(n_cases + 1),
         time_s=np.zeros(n_cases),
     )
-    figure = plot_apr_by_case({"found": build_evaluation(axis, camera, name="found")})
+    axes = plot_apr_by_case({"found": build_evaluation(axis, camera, name="found")})
+    figure = axes.figure
     figure.draw_without_rendering()
-    (axes,) = figure.axes
     boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
     assert len(boxes) == n_cases + 1
     for above, below in pairwise(boxes):

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from experiments.driving import drive_one
 from experiments.film import plot_film, save_film
-from experiments.question import Question
 from geometry.errors import InputError
 from geometry.scene_files import load_study_scene
+from placement.driving import drive_one
+from placement.question import Question
 
 
 def run_of(case, approach="east", speeds="40"):
@@ -18,8 +18,8 @@ def child():
     return run_of("CPNCO-50")
 
 
-def captions(figure):
-    return [axes.get_title() for axes in figure.axes]
+def captions(panels):
+    return [axes.get_title() for axes in panels]
 
 
 def test_a_strip_leads_over_the_last_useful_frame_to_the_impact(child):
@@ -45,14 +45,14 @@ def test_an_open_crossing_is_in_sight_all_along():
 
 
 def test_a_cyclist_beside_a_turning_vut_is_not_in_its_image():
-    figure = plot_film(load_study_scene(), run_of("CBTAfs-side", "south", "15"))
-    assert [title.split(": ")[1].split()[0] for title in captions(figure)] == ["0"] * 6
+    panels = plot_film(load_study_scene(), run_of("CBTAfs-side", "south", "15"))
+    assert [title.split(": ")[1].split()[0] for title in captions(panels)] == ["0"] * 6
 
 
 def test_bodies_stand_where_the_run_has_them(child):
-    figure = plot_film(load_study_scene(), child)
+    panels = plot_film(load_study_scene(), child)
     vut = child.encounter.vut
-    corners = figure.axes[-1].patches
+    corners = panels[-1].patches
     middles = np.array(
         [
             np.asarray(patch.get_xy())[:4].mean(axis=0)

@@ -5,11 +5,12 @@ from dataclasses import fields
 import pytest
 
 from experiments import jobs
+from experiments.planning_words import Planning
 from experiments.progress import StageProgress
-from experiments.question import Planning, Question
 from experiments.study import load_carlancap_layout
 from geometry.errors import InputError
 from placement.layout import Layout, load_layout
+from placement.question import Question
 
 
 def place(out, **options):

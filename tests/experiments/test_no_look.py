@@ -13,7 +13,7 @@ from experiments.no_look import (
     summarise_private_ground,
 )
 from experiments.planning import build_plan
-from experiments.question import Planning
+from experiments.planning_words import Planning
 from experiments.study import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.frames import to_geographic

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from oracles import naive_confirmed
 
+from experiments.planning_words import Planning
 from experiments.progress import StageProgress
-from experiments.question import Planning, Question
 from experiments.recording_jobs import run_recorded_placement, run_recording
 from experiments.recording_tables import recorded_placement_table, recording_table
 from experiments.verify_jobs import run_verification
 from geometry.errors import InputError
+from placement.question import Question
 from placement.recordings import WrittenDrive, write_recording
 from scenarios.aeb import load_aeb_rule
 

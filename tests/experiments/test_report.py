@@ -8,17 +8,17 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from experiments.driving import build_setting
 from experiments.exports import margin_s
-from experiments.question import Question
 from experiments.report import pick_heatmap_runs, render_report, write_report
 from experiments.study import load_carlancap_layout
 from experiments.tables import percent
 from geometry.errors import InputError
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose
+from placement.driving import build_setting
 from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout, layout_records
+from placement.question import Question
 from scenarios.aeb import confirmation_time_s, is_in_time
 from scenarios.runs import Refusal, build_frame_axis
 

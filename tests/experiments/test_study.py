@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from experiments.driving import build_setting
-from experiments.question import Question
 from experiments.study import BASELINE_NAME, load_carlancap_layout
 from geometry.scene_files import load_study_scene
+from placement.driving import build_setting
 from placement.evaluation import apr, apr_by_case, detected_share
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout, check_layout
+from placement.question import Question
 
 # CarlaNCAP study's released generator (ekut-es/carla_ncap, ncap.py). CARLA's frame.
 GOLDEN_UNITS = {

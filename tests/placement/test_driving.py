@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from junctions import build_scene, lanes_of
 
-from experiments.driving import build_rule, build_setting, drive, drive_one
-from experiments.question import Question
 from experiments.scenario_list import list_rows, scenario_table
 from geometry.errors import InputError
 from geometry.scene_files import load_study_scene
 from placement.detectors import load_planning_detector
+from placement.driving import build_rule, build_setting, drive, drive_one
 from placement.links import Links
+from placement.question import Question
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import load_case_sets
 

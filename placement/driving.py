@@ -2,23 +2,37 @@
 
 import logging
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import cast
 
 from geometry.actors import pick_actor
 from geometry.errors import InputError, Unquoted
 from geometry.junction import build_junction
 from geometry.scene import Scene
-from placement.detectors import Detector, PlanningDetector, load_detector, load_planning_detector
-from placement.links import Links
-from placement.setting import VUT_SENSORS, Setting
+from geometry.scene_files import load_study_scene
+from geometry.scene_folders import load_scene_folder
 from scenarios.aeb import AebRule, load_aeb_rule
 from scenarios.exposure import weigh
 from scenarios.runs import WEATHERS, Refusal, Run, build_frame_axis, build_runs
 from scenarios.selection import select_cases
 
+from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
+from .links import Links
 from .question import Question
+from .setting import VUT_SENSORS, Setting
 
 _log = logging.getLogger(__name__)
+
+
+def find_scene(path: str) -> Scene:
+    """A scene from where ``scene import`` has written it; no path: the study's junction.
+
+    Raises
+    ------
+    InputError
+        There is no scene.
+    """
+    return load_scene_folder(Path(path)) if path else load_study_scene()
 
 
 def build_rule(question: Question) -> AebRule:
@@ -122,15 +136,15 @@ def drive_one(question: Question, scene: Scene) -> Run:
     return drives.runs[0]
 
 
-def build_setting(question: Question, scene: Scene) -> Setting:
+def build_setting(question: Question | None = None, scene: Scene | None = None) -> Setting:
     """All that a layout is placed in and judged by.
 
     Parameters
     ----------
-    question : Question
-        What is driven and how much it counts.
-    scene : Scene
-        The junction.
+    question : Question, optional
+        What is driven and how much it counts; by default the study's cases, each run alike.
+    scene : Scene, optional
+        The junction, in place of the one that the question names.
 
     Returns
     -------
@@ -143,6 +157,8 @@ def build_setting(question: Question, scene: Scene) -> Setting:
         As :func:`drive`; no approach carries any of the cases, or one that was named; the weights
         do not fit the runs.
     """
+    question = question or Question()
+    scene = scene or find_scene(question.scene)
     drives = drive(question, scene)
     runs = drives.runs
     driven = {run.case.name for run in runs}
