@@ -15,8 +15,7 @@ _WIDTH = 80
 def added_sentences(summary: Mapping[str, Any]) -> list[str]:
     """For the report's answer."""
     sentences: list[str] = []
-    if "private_ground" in summary:
-        sentences += private_sentences(summary["private_ground"])
+    sentences += _private(summary)
     if "refinement" in summary:
         sentences += refinement_sentences(summary["refinement"])
     if "sampled" in summary:
@@ -32,12 +31,25 @@ def added_text(summary: Mapping[str, Any]) -> str:
     if "explained" in summary:
         parts.append([explanation_text(summary["explained"])])
     if "private_ground" in summary:
-        parts.append(_wrapped(private_sentences(summary["private_ground"])))
+        parts.append(_wrapped(_private(summary)))
     if "refinement" in summary:
         parts.append(_wrapped(refinement_sentences(summary["refinement"])))
     if "sampled" in summary:
         parts.append([uncertainty_text(summary["sampled"])])
     return "\n\n".join("\n".join(part) for part in parts)
+
+
+def _private(summary: Mapping[str, Any]) -> list[str]:
+    """What cameras see of private ground; of each layout where several are compared."""
+    if "private_ground" not in summary:
+        return []
+    sentences = private_sentences(summary["private_ground"])
+    for other in summary.get("compared", ()):
+        sentences += [
+            f"{other['name']}: {sentence}"
+            for sentence in private_sentences(other["private_ground"])
+        ]
+    return sentences
 
 
 def _wrapped(sentences: list[str], indent: str = "") -> list[str]:

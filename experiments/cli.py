@@ -20,6 +20,7 @@ from .cli_options import (
     cache_option,
     json_option,
     layout_option,
+    no_look_option,
     option_name,
     question_options,
     quiet_option,
@@ -35,9 +36,11 @@ from .cli_scenarios import scenarios
 from .cli_scene import scene
 from .cli_sheet import sheet
 from .cli_solve import solve
+from .cli_terminal import completion, help_command
 from .cli_verify import verify
+from .help_sections import SectionedCommand, SectionedGroup
 from .planning_words import Planning
-from .progress import Interrupted, StageProgress, ending_on_signals
+from .progress import Interrupted, StageProgress, StderrLog, ending_on_signals
 from .recording_tables import recorded_placement_table, recording_table
 
 DEFAULT_OUT = Path("results/latest")
@@ -45,6 +48,7 @@ _EXIT_BAD_INPUT = 2
 
 
 @click.group(
+    cls=SectionedGroup,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="""\b
@@ -157,13 +161,15 @@ def cli(
 
 
 @cli.command(
+    cls=SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus evaluate --layout carlancap-12
   place-rsus evaluate --layout results/latest/layout.json --out results/mine
-  place-rsus evaluate --recording ncap_data"""
+  place-rsus evaluate --recording ncap_data""",
 )
 @layout_option
+@no_look_option("Areas of which the share is told that each camera has in its picture")
 @recording_options
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a report; else none.")
 @question_options()
@@ -177,6 +183,7 @@ def evaluate(
     progress: StageProgress,
     *,
     layout_names: tuple[str, ...],
+    no_look: str,
     recording: Path | None,
     min_confidence: float,
     out: Path | None,
@@ -206,18 +213,21 @@ def evaluate(
     summary = jobs.run_evaluation(
         question,
         layout=layout,
+        no_look=no_look,
         out=out,
         seed=seed,
         workers=workers,
         command=command_line(),
         progress=progress,
     )
-    _print(summary, progress, as_json, lambda: tables.evaluation_table(summary, out))
+    _print(summary, progress, as_json, lambda: _evaluation_text(summary, out))
 
 
 cli.add_command(compare)
+cli.add_command(completion)
 cli.add_command(doctor)
 cli.add_command(export)
+cli.add_command(help_command, "help")
 cli.add_command(latency)
 cli.add_command(pareto)
 cli.add_command(render)
@@ -231,7 +241,7 @@ cli.add_command(verify)
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line; every problem that the user can mend is one line and exit code 2."""
-    logging.basicConfig(stream=sys.stderr, format="place-rsus: %(message)s")
+    logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
     progress = StageProgress()
     code, message = 0, ""
     try:
@@ -267,6 +277,13 @@ def _start(progress: StageProgress, *, quiet: bool) -> Any:
     from . import jobs
 
     return jobs
+
+
+def _evaluation_text(summary: dict[str, Any], out: Path | None) -> str:
+    from .additions import added_text
+
+    texts = (added_text(summary), tables.evaluation_table(summary, out))
+    return "\n\n".join(text for text in texts if text)
 
 
 def _placement_text(summary: dict[str, Any], out: Path) -> str:

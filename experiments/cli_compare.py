@@ -11,20 +11,23 @@ from .cli_latency import latency_budget_options
 from .cli_options import (
     WholeNumber,
     json_option,
+    no_look_option,
     question_options,
     quiet_option,
     seed_option,
     workers_option,
 )
+from .help_sections import SectionedCommand
 from .progress import StageProgress
 
 
 @click.command(
+    cls=SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus compare results/latest/layout.json carlancap-12
   place-rsus compare a.json b.json c.json --report results/abc
-  place-rsus compare a.json b.json --samples 60     is the difference sure?"""
+  place-rsus compare a.json b.json --samples 60     is the difference sure?""",
 )
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
 @click.option("--layout", "more_layouts", multiple=True, help="The same as an argument.")
@@ -49,6 +52,7 @@ Examples:
     metavar="NAME",
     help="What is drawn: a name, or a .toml file.",
 )
+@no_look_option("Areas of which the share is told that each camera has in its picture")
 @question_options()
 @latency_budget_options()
 @json_option
@@ -63,6 +67,7 @@ def compare(
     more_layouts: tuple[str, ...],
     samples: int,
     uncertainty: str,
+    no_look: str,
     out: Path | None,
     question: Question,
     as_json: bool,
@@ -93,6 +98,7 @@ def compare(
         layouts=found,
         samples=samples,
         uncertainty=uncertainty,
+        no_look=no_look,
         out=out,
         seed=seed,
         workers=workers,

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from .call import load_one_layout
 from .cli_options import OneOf, layout_option, scene_option
 from .export_formats import FORMAT_NOTES
 
@@ -41,18 +42,12 @@ def export(
     *, layout_names: tuple[str, ...], format_name: str, scene: str, out: Path | None
 ) -> None:
     """Write a layout in a format that other programs read."""
-    if len(layout_names) != 1:
-        given = f"{len(layout_names)} layouts" if layout_names else "nothing"
-        raise click.UsageError(f"--layout: got {given}; expected it once")
     if out is None and FORMAT_NOTES[format_name].is_binary:
         raise click.UsageError(f"--out: got nothing; expected a file: {format_name} is no text")
-    from . import jobs
-    from .exports import left_out
-    from .study import find_layout
+    layout = load_one_layout(layout_names)
+    from .layout_exports import export_layout, left_out
 
-    layout = find_layout(layout_names[0], "--layout")
-
-    content = jobs.export_layout(layout, format_name, scene_path=scene)
+    content = export_layout(layout, format_name, scene_path=scene)
     missing = left_out(layout, format_name)
     if missing:
         click.echo(f"left out, for they are no cameras: {', '.join(missing)}", err=True)

@@ -22,6 +22,7 @@ from .cli_options import (
     seed_option,
     workers_option,
 )
+from .help_sections import SectionedCommand
 from .progress import StageProgress
 
 LATENCY_MODES = ("mean", "worst", "sampled")
@@ -29,12 +30,13 @@ _BUDGET_METAVAR = "NAME|FILE"
 
 
 @click.command(
+    cls=SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus latency --layout carlancap-12
   place-rsus latency --layout carlancap-12 --budget cpm-100ms --out mine
   place-rsus latency --layout mine.json --budget mine.toml --json
-  place-rsus latency --layout carlancap-12 --vut-latency 0.02 --max 2"""
+  place-rsus latency --layout carlancap-12 --vut-latency 0.02 --max 2""",
 )
 @layout_option
 @click.option(

@@ -7,9 +7,11 @@ from functools import wraps
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from placement.question import DEFAULT_CASES, Question
 
+BASELINE_NAME = "carlancap-12"
 PHASES = ("aligned", "worst")
 _MAX_DIGITS = 100
 
@@ -31,6 +33,12 @@ class OneOf(click.ParamType[str]):
         if value not in self.words:
             raise input_error(option_name(param), value, "one of " + ", ".join(self.words))
         return value
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Words for a shell to complete."""
+        return [CompletionItem(word) for word in self.words if word.startswith(incomplete)]
 
 
 class WholeNumber(click.ParamType[int]):
@@ -111,10 +119,41 @@ def input_error(where: str, got: object, expected: str) -> Exception:
     return InputError(where, got, expected)
 
 
+def complete_paths(
+    context: click.Context, param: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Leaves it to the shell to complete a path; the study's layout goes by its name."""
+    takes_layouts = str(param.name) in ("layout_names", "keep", "within")
+    if takes_layouts and incomplete and BASELINE_NAME.startswith(incomplete):
+        return [CompletionItem(BASELINE_NAME)]
+    return [CompletionItem(incomplete, type="file")]
+
+
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print JSON on stdout and nothing else."
 )
-quiet_option = click.option("--quiet", is_flag=True, help="No progress on stderr.")
+
+
+def _be_verbose(context: click.Context, param: click.Parameter, is_verbose: bool) -> None:
+    if is_verbose:
+        context.obj.tell_more()
+
+
+_verbose_option = click.option(
+    "--verbose",
+    is_flag=True,
+    expose_value=False,
+    callback=_be_verbose,
+    help="Also tell sizes, bounds, files that are read, and seconds per stage.",
+)
+_quiet_option = click.option("--quiet", is_flag=True, help="No progress on stderr.")
+
+
+def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """How much is told on stderr: ``--quiet``, which the command gets, and ``--verbose``."""
+    return _quiet_option(_verbose_option(command))
+
+
 workers_option = click.option(
     "--workers",
     type=WholeNumber(1, "a number of threads"),
@@ -130,8 +169,23 @@ seed_option = click.option(
     help="Of all that is left to chance: points on the road users, misses, lost messages.",
 )
 layout_option = click.option(
-    "--layout", "layout_names", multiple=True, help="carlancap-12, or a layout file."
+    "--layout",
+    "layout_names",
+    multiple=True,
+    shell_complete=complete_paths,
+    help="carlancap-12, or a layout file.",
 )
+
+
+def no_look_option(what: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """``--no-look``: a file of areas."""
+    return click.option(
+        "--no-look",
+        default="",
+        metavar="FILE",
+        shell_complete=complete_paths,
+        help=f"{what}: polygons in GeoJSON, GeoPackage or Shapefile.",
+    )
 
 
 def _cases_option(default: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -180,6 +234,7 @@ scene_option = click.option(
     "--scene",
     default="",
     metavar="PATH",
+    shell_complete=complete_paths,
     help="Folder or .zip file of `place-rsus scene import`; default: the study's junction.",
 )
 _BRAKING_OPTIONS = (

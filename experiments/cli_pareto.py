@@ -20,6 +20,7 @@ from .cli_options import (
     workers_option,
 )
 from .cli_planning import planning_options
+from .help_sections import SectionedCommand
 from .planning_words import Planning
 from .progress import StageProgress
 
@@ -29,13 +30,14 @@ _NOT_ASKED = ("budget", "target", "least", "survive", "stage_weights")
 
 
 @click.command(
+    cls=SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus pareto --max 8                        what each further unit buys
   place-rsus pareto --max 4 --all-stages           time to spare, too
   place-rsus pareto --by cost --site-cost 2000     what more money buys
   place-rsus pareto --keep carlancap-12 --max 3    what more units buy there
-  place-rsus pareto --max 5 --out results/pareto --json"""
+  place-rsus pareto --max 5 --out results/pareto --json""",
 )
 @click.option(
     "--max",

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .cli_options import Number, OneOf, Share, WholeNumber
+from .cli_options import Number, OneOf, Share, WholeNumber, complete_paths, no_look_option
 from .planning_words import Planning
 
 FUSIONS = ("any", "single")
@@ -55,12 +55,14 @@ _SITES = (
         "--keep",
         default="",
         metavar="LAYOUT",
+        shell_complete=complete_paths,
         help="A layout that hangs there and is paid: units are added to it.",
     ),
     click.option(
         "--within",
         default="",
         metavar="LAYOUT",
+        shell_complete=complete_paths,
         help="Choose among the units of this layout alone: carlancap-12, or a file.",
     ),
     click.option("--force-site", default="", metavar="SITES", help="Sites that must carry units."),
@@ -92,18 +94,18 @@ _SITES = (
         help="Models to choose from, with commas between: carla-ncap-rgb,carla-ncap-lidar, or "
         "your own: FILE.toml, FILE.toml:NAME; default: the study's camera.",
     ),
-    click.option(
-        "--no-look",
-        default="",
-        metavar="FILE",
-        help="Areas that no camera may have in its picture: polygons in GeoJSON, GeoPackage or "
-        "Shapefile.",
-    ),
+    no_look_option("Areas that no camera may have in its picture"),
     click.option(
         "--no-look-share",
         type=Share("a share of an area"),
+        help="Share of such an area that may be in the picture all the same; default: none.",
+    ),
+    click.option(
+        "--no-look-price",
+        type=Number("EUR", "euros", may_be_zero=True),
         default=0.0,
-        help="Share of such an area that may be in the picture all the same.",
+        help="In place of forbidding: what each square metre in a camera's picture costs, beside "
+        "the sensor; counts in --budget-cost, --least cost and the last objective.",
     ),
     click.option(
         "--study-poses/--no-study-poses",

@@ -15,6 +15,7 @@ from .cli_options import (
     scene_option,
     workers_option,
 )
+from .help_sections import SectionedCommand
 from .progress import StageProgress
 
 _MAX_DIGITS = 9
@@ -41,13 +42,17 @@ class FrameNumber(click.ParamType[int]):
 
 
 @click.command(
+    cls=SectionedCommand,
     epilog="""\b
 Examples:
-  place-rsus render --layout carlancap-12 --run CPNC-50/east/40 --frame -13 --unit RSU3
-  place-rsus render --layout carlancap-12 --run CBNA/east/60/rain --frame -1 --unit VUT
-  place-rsus render --layout results/latest/layout.json --run CPNC-50/east/55 \\
-      --weather night --frame -20 --unit RSU1 --out night.jpg
-  place-rsus render --layout carlancap-12 --run CBLA/west/50 --frame -11 --unit VUT-LIDAR"""
+  place-rsus render --layout carlancap-12 --run CPNC-50/east/40 \\
+      --frame -13 --unit RSU3
+  place-rsus render --layout carlancap-12 --run CBNA/east/60/rain \\
+      --frame -1 --unit VUT
+  place-rsus render --layout results/latest/layout.json \\
+      --run CPNC-50/east/55/night --frame -20 --unit RSU1 --out night.jpg
+  place-rsus render --layout carlancap-12 --run CBLA/west/50 \\
+      --frame -11 --unit VUT-LIDAR""",
 )
 @layout_option
 @click.option(

@@ -20,6 +20,7 @@ from .cli_options import (
 )
 from .cli_pareto import leave_out
 from .cli_planning import planning_options
+from .help_sections import SectionedCommand
 from .planning_words import Planning
 from .progress import StageProgress
 
@@ -32,12 +33,13 @@ _NOT_ASKED = (
 
 
 @click.command(
+    cls=SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus retrofit --layout carlancap-12
   place-rsus retrofit --layout results/latest/layout.json --budget-cost 4000
   place-rsus retrofit --layout mine.json --sensors carla-ncap-lidar
-  place-rsus retrofit --layout carlancap-12 --visit-cost 300 --json"""
+  place-rsus retrofit --layout carlancap-12 --visit-cost 300 --json""",
 )
 @layout_option
 @click.option(

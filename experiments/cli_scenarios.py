@@ -28,7 +28,7 @@ def scenarios() -> None:
 @scenarios.command(
     "list",
     epilog="""\b
-Example:
+Examples:
   place-rsus scenarios list --cases protocol-4.5.1 --approaches east,west""",
 )
 @question_options(cases="all", has_weights=False)
@@ -97,7 +97,7 @@ def show(progress: StageProgress, *, question: Question, out: Path | None, quiet
 
 @scenarios.command(
     epilog="""\b
-Example:
+Examples:
   place-rsus scenarios export CPNA-25 --approach east --speed 10 --out a.xosc"""
 )
 @one_run_options()

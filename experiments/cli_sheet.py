@@ -16,14 +16,16 @@ from .cli_options import (
     seed_option,
     workers_option,
 )
+from .help_sections import SectionedCommand
 from .progress import StageProgress
 
 
 @click.command(
+    cls=SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus sheet --layout results/latest/layout.json --out mounting.pdf
-  place-rsus sheet --layout mine.json --scene scene --out mounting.pdf --json"""
+  place-rsus sheet --layout mine.json --scene scene --out mounting.pdf --json""",
 )
 @layout_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="PDF file to write.")

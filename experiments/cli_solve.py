@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from .cli_options import Number, OneOf, WholeNumber, input_error, json_option, quiet_option
+from .help_sections import SectionedCommand
 from .progress import StageProgress
 
 FORMATS = ("auto", "npz", "orlib", "gecco")
@@ -35,13 +36,14 @@ class Target(click.ParamType[float | None]):
 
 
 @click.command(
+    cls=SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus solve scp41.txt                       all rows at least cost
   place-rsus solve scp41.txt --target 0.9          enough of them
   place-rsus solve scp41.txt --budget 3 --json     what 3 columns cover
   place-rsus solve scp41.txt --out scp41.npz       in our own format, too
-  place-rsus solve results/latest/instance.npz --budget 2"""
+  place-rsus solve results/latest/instance.npz --budget 2""",
 )
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option(

@@ -25,7 +25,7 @@ from placement.setting import Setting
 from . import exports
 from .explanations import summarise_explanations
 from .figures import plot_apr_by_case, plot_heatmap, to_png
-from .no_look import summarise_private_ground
+from .no_look import load_private_ground, summarise_private_ground
 from .plan import plot_plan
 from .planning import Plan, build_plan
 from .planning_words import Planning
@@ -129,7 +129,9 @@ def run_placement(
     summary |= {"bought": bought, "explained": explained}
     if plan.private is not None:
         units = placement.layout.units
-        summary["private_ground"] = summarise_private_ground(units, scene, plan.private)
+        summary["private_ground"] = summarise_private_ground(
+            units, scene, plan.private, eur_per_m2=planning.no_look_price
+        )
     if refinement is not None:
         summary["refinement"] = summarise_refinement(refinement)
     figures = {}
@@ -192,6 +194,7 @@ def run_evaluation(
     question: Question,
     *,
     layout: Layout,
+    no_look: str = "",
     out: Path | None,
     seed: int,
     workers: int,
@@ -213,6 +216,7 @@ def run_evaluation(
     return _judge(
         question,
         [layout],
+        no_look=no_look,
         out=out,
         seed=seed,
         workers=workers,
@@ -227,6 +231,7 @@ def run_comparison(
     layouts: Sequence[Layout],
     samples: int = 0,
     uncertainty: str = "default",
+    no_look: str = "",
     out: Path | None,
     seed: int,
     workers: int,
@@ -253,6 +258,7 @@ def run_comparison(
         layouts,
         samples=samples,
         uncertainty=uncertainty,
+        no_look=no_look,
         out=out,
         seed=seed,
         workers=workers,
@@ -261,19 +267,13 @@ def run_comparison(
     )
 
 
-def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> str | bytes:
-    """A layout for another program: text or bytes, see :data:`experiments.exports.FORMATS`."""
-    scene = find_scene(scene_path)
-    check_layout(layout, scene)
-    return exports.FORMATS[format_name](layout, scene)
-
-
 def _judge(
     question: Question,
     layouts: Sequence[Layout],
     *,
     samples: int = 0,
     uncertainty: str = "default",
+    no_look: str = "",
     out: Path | None,
     seed: int,
     workers: int,
@@ -290,12 +290,20 @@ def _judge(
     layouts = _with_distinct_names(layouts)
     for layout in layouts:
         check_layout(layout, setting.scene)
+    private = load_private_ground(Path(no_look), setting.scene) if no_look else None
     verdicts = _evaluate(layouts, setting, seed, workers, progress)
     if len(verdicts) == 1:
         summary = summarise_layout(verdicts[0], setting.rule)
     else:
         summary = summarise_comparison(verdicts[0], verdicts[1:], setting.rule)
     summary |= summarise_drives(setting)
+    if private is not None:
+        seen = [
+            summarise_private_ground(layout.units, setting.scene, private) for layout in layouts
+        ]
+        summary["private_ground"] = seen[0]
+        for entry, of_layout in zip(summary.get("compared", ()), seen[1:], strict=True):
+            entry["private_ground"] = of_layout
     figures = {}
     if samples:
         judged = out_of_sample_layouts(

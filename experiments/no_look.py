@@ -85,18 +85,56 @@ def keep_decent(
     return kept
 
 
+def private_prices_eur(
+    candidates: Sequence[CandidatePose], scene: Scene, ground: PrivateGround, *, eur_per_m2: float
+) -> tuple[tuple[str, float], ...]:
+    """What candidates cost for the private ground in their pictures.
+
+    Parameters
+    ----------
+    candidates : sequence of CandidatePose
+        Poses to choose from.
+    scene : Scene
+        What hides ground from them.
+    ground : PrivateGround
+        The areas; each counts for the share of it that is seen.
+    eur_per_m2 : float
+        Price of a square metre. [EUR]
+
+    Returns
+    -------
+    prices_eur : tuple of (str, float)
+        Ids of those that see any, with the price. [EUR]
+    """
+    if eur_per_m2 == 0.0:
+        return ()
+    seen_m2 = private_shares(scene, candidates, ground) @ ground.area_m2
+    return tuple(
+        (candidate.id, float(eur_per_m2 * area_m2))
+        for candidate, area_m2 in zip(candidates, seen_m2, strict=True)
+        if area_m2 > 0.0
+    )
+
+
 def summarise_private_ground(
-    units: Sequence[CandidatePose], scene: Scene, ground: PrivateGround
+    units: Sequence[CandidatePose],
+    scene: Scene,
+    ground: PrivateGround,
+    *,
+    eur_per_m2: float = 0.0,
 ) -> dict[str, Any]:
     """What units see of private ground, as one plain object.
 
     Returns
     -------
     summary : dict
-        ``{"areas": [{"name", "area_m2"}], "units": {id: {area name: share}}}``.
+        ``{"areas": [{"name", "area_m2"}], "units": {id: {area name: share}}, "eur_per_m2",
+        "price_eur"}``; the last two are 0 where it has no price.
     """
     shares = private_shares(scene, units, ground)
     return {
+        "eur_per_m2": eur_per_m2,
+        "price_eur": float(eur_per_m2 * (shares @ ground.area_m2).sum()),
         "areas": [
             {"name": name, "area_m2": float(area)}
             for name, area in zip(ground.names, ground.area_m2, strict=True)
@@ -120,4 +158,10 @@ def private_sentences(summary: dict[str, Any]) -> list[str]:
     what = "the private area" if n_areas == 1 else f"any of the {n_areas} private areas"
     if not seen:
         return [f"No camera has {what} in its picture."]
-    return [f"Of private ground, {'; '.join(seen)}."]
+    sentences = [f"Of private ground, {'; '.join(seen)}."]
+    if summary["price_eur"]:
+        sentences.append(
+            f"That is in the cost with {summary['price_eur']:,.0f} EUR, "
+            f"{summary['eur_per_m2']:g} EUR a square metre: no money is paid for it."
+        )
+    return sentences

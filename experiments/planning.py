@@ -24,7 +24,7 @@ from placement.optimiser.milp import DEFAULT_SOLVER, check_solver
 from placement.privacy import PrivateGround
 from placement.wishes import Wishes, check_wishes
 
-from .no_look import keep_decent, load_private_ground
+from .no_look import keep_decent, load_private_ground, private_prices_eur
 from .planning_words import Planning
 from .study import find_baseline, find_layout
 
@@ -83,6 +83,12 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
             raise InputError(
                 "--refine", Unquoted(f"it beside {option}"), "one of them: poses stay as they are"
             )
+    for option, value in (
+        ("--no-look-share", planning.no_look_share),
+        ("--no-look-price", planning.no_look_price),
+    ):
+        if value and not planning.no_look:
+            raise InputError(option, value, "--no-look beside it")
     if planning.pool_tolerance and not planning.pool:
         raise InputError("--pool-tolerance", planning.pool_tolerance, "--pool beside it")
     study = find_baseline(scene) if planning.study_poses else None
@@ -94,9 +100,16 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
         extra = _distinct([study, kept])
         candidates = build_candidates(scene, grid_of(planning.sensors), extra=extra)
     private = None
+    surcharges: tuple[tuple[str, float], ...] = ()
     if planning.no_look:
         private = load_private_ground(Path(planning.no_look), scene)
-        candidates = keep_decent(candidates, scene, private, most=planning.no_look_share)
+        most = planning.no_look_share
+        if most is None:
+            most = 1.0 if planning.no_look_price else 0.0
+        candidates = keep_decent(candidates, scene, private, most=most)
+        surcharges = private_prices_eur(
+            candidates, scene, private, eur_per_m2=planning.no_look_price
+        )
         if kept is not None:  # what hangs there hangs there
             candidates = tuple(_distinct([Layout(name="all", units=candidates), kept]))
     wishes = Wishes(
@@ -112,6 +125,7 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
         site_capacity=planning.site_capacity,
         site_cost_eur=planning.site_cost_eur,
         separation_m=planning.separation_m,
+        surcharges_eur=surcharges,
         stage_weights=_stage_weights(planning.stage_weights),
         tail=_tail(planning.risk, planning.samples),
     )

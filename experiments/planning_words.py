@@ -31,8 +31,11 @@ class Planning:
         Models with commas between; empty: the default grid's.
     no_look : str
         File of areas that cameras must not look into; empty: none.
-    no_look_share : float
-        Share of an area that a camera may have in its picture.
+    no_look_share : float, optional
+        Share of an area that a camera may have in its picture; by default none, or any where it
+        has a price.
+    no_look_price : float
+        Of a square metre of such an area in a camera's picture. [EUR]
     study_poses : bool
         Whether the study's 12 poses are candidates.
     solver, time_limit_s, gap, milp_solver
@@ -68,7 +71,8 @@ class Planning:
     fusion: str = "any"
     sensors: str = ""
     no_look: str = ""
-    no_look_share: float = 0.0
+    no_look_share: float | None = None
+    no_look_price: float = 0.0
     study_poses: bool = True
     solver: str = "auto"
     time_limit_s: float = 20.0

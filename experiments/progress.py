@@ -1,5 +1,6 @@
 """Progress on stderr, and an orderly end when the user or the system asks for one."""
 
+import logging
 import os
 import signal
 import sys
@@ -15,6 +16,8 @@ import click
 WRITING = "write results"
 """The stage in which files are written."""
 
+_OWN_PACKAGES = ("geometry", "scenarios", "placement", "experiments")
+_log = logging.getLogger(__name__)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _GRACE_S = 1.5  # what does not end by itself within it is ended
 
@@ -41,6 +44,8 @@ class StageProgress:
         Time per finished stage. [s]
     kept : str
         What is on disk if the program ends now, in words.
+    is_verbose : bool
+        Whether the seconds of each stage are told when it ends.
     """
 
     def __init__(self) -> None:
@@ -50,6 +55,9 @@ class StageProgress:
         self._began_s = time.perf_counter()
         self._prints_lines = False
         self._bar: Any = None
+        self.is_verbose = False
+        for name in _OWN_PACKAGES:
+            logging.getLogger(name).setLevel(logging.WARNING)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show a stage; a new name ends the one before."""
@@ -58,11 +66,21 @@ class StageProgress:
             self.stage = stage
             if self._prints_lines:
                 click.echo(f"{stage} ...", err=True)
+            if self._bar is not None:  # time left is of this stage, not of those before
+                self._bar.reset(self._task)
         if self._bar is not None:
             self._bar.update(self._task, description=stage, completed=done, total=total or None)
 
+    def tell_more(self) -> None:
+        """Also tell sizes, bounds, files that are read, and the seconds of each stage."""
+        self.is_verbose = True
+        for name in _OWN_PACKAGES:
+            logging.getLogger(name).setLevel(logging.INFO)
+
     def start(self, *, quiet: bool) -> None:
         """Begin to show the stages, unless `quiet`."""
+        if quiet and self.is_verbose:
+            raise click.UsageError("--quiet, --verbose: got both; expected one of them")
         if quiet or sys.stderr is None:
             return
         if not sys.stderr.isatty():
@@ -76,6 +94,7 @@ class StageProgress:
             SpinnerColumn,
             TextColumn,
             TimeElapsedColumn,
+            TimeRemainingColumn,
         )
 
         self._bar = Progress(
@@ -84,6 +103,8 @@ class StageProgress:
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
+            TextColumn("[dim]left"),
+            TimeRemainingColumn(),
             console=Console(stderr=True),
             transient=True,
             # What others print must stay where it belongs: stdout is not rich's to move.
@@ -112,9 +133,21 @@ class StageProgress:
 
     def _end_stage(self) -> None:
         now_s = time.perf_counter()
+        if self.is_verbose:
+            _log.info("%s: %.1f s", self.stage, now_s - self._began_s)
         stage = self.stage.split(":")[0]
         self.seconds[stage] = self.seconds.get(stage, 0.0) + now_s - self._began_s
         self._began_s = now_s
+
+
+class StderrLog(logging.StreamHandler[Any]):
+    """Writes to what is stderr at the moment: a bar moves aside for it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record."""
+        if sys.stderr is not None:
+            self.setStream(sys.stderr)
+            super().emit(record)
 
 
 @contextmanager

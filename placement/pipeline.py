@@ -1,5 +1,6 @@
 """Candidates -> detection table -> optimiser -> layout, in one call."""
 
+import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,8 @@ from .sampling import Uncertainty, sampled_table
 from .setting import Setting
 from .visibility import build_detection_table, load_table, save_table, table_fingerprint
 from .wishes import Wishes, build_problem, check_wishes
+
+_log = logging.getLogger(__name__)
 
 # Called with the stage, and how much of how much is done; 0 of 0 where that is not known.
 StageProgress = Callable[[str, int, int], None]
@@ -153,11 +156,13 @@ def place(
             on_progress=report,
         )
     table_done = time.perf_counter()
+    _log.info("detection table: %d poses, %d frames", table.n_poses, table.axis.n_frames)
     problem = build_problem(
         setting, candidates, table, wishes=wishes, fusion=fusion, sample_index=sample_index
     )
     report("optimise", 0, 0)
     reduced = presolve(problem)
+    _log.info("presolve: %s", reduced.statistics)
     try:
         solution: Solution = solve_placement(
             problem,
@@ -231,6 +236,7 @@ def obtain_table(
         path = cache_folder / f"table-{fingerprint}.npz"
         cached = load_table(path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis)
         if cached is not None:
+            _log.info("detection table read from %s", path)
             on_progress("detection table (cached)", 0, 0)
             return cached
     on_progress("detection table", 0, 0)

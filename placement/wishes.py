@@ -46,6 +46,8 @@ class Wishes:
         For a site that is used, in place of the scene's. [EUR]
     separation_m : float
         Least distance on the ground between two units; on one site there is one at most then. [m]
+    surcharges_eur : tuple of (str, float)
+        Ids of candidates, and what each costs beside its sensor. [EUR]
     stage_weights : (5,) float, optional
         See :class:`placement.optimiser.PlacementProblem`.
     tail : float
@@ -65,6 +67,7 @@ class Wishes:
     site_capacity: int | None = None
     site_cost_eur: float | None = None
     separation_m: float = 0.0
+    surcharges_eur: tuple[tuple[str, float], ...] = ()
     stage_weights: tuple[float, ...] | None = None
     tail: float = 1.0
 
@@ -174,7 +177,8 @@ def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePos
         if n_free <= 0:
             expected = "candidates beside the units kept, at sites with room for them"
         raise InputError("--budget", wishes.budget_units, expected)
-    price = np.array([candidate.sensor.price_eur for candidate in candidates])
+    extra = dict(wishes.surcharges_eur)
+    price = np.array([c.sensor.price_eur + extra.get(c.id, 0.0) for c in candidates])
     return Limits(
         site_index=site_index,
         site_capacity=capacity,

@@ -1,5 +1,6 @@
 """The stages in order, each holding those before it, each with a proven bound."""
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,8 @@ from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import PlacementProblem, PlacementValue, apr_failed, placement_value
 from .search import Search
 from .stages import Stages
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,6 +103,7 @@ def solve_placement(
         began_s = time.monotonic()
         bound = find_bound()
         records.append((name, bound, time.monotonic() - began_s))
+        _log.info("%s: bound %.6g after %.2f s", name, bound, records[-1][-1])
     assert search.units is not None
     pose_index = to_full(reduced, search.units)
     value = placement_value(problem, pose_index)

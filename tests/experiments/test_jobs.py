@@ -5,6 +5,7 @@ from dataclasses import fields
 import pytest
 
 from experiments import jobs
+from experiments.layout_exports import export_layout
 from experiments.planning_words import Planning
 from experiments.progress import StageProgress
 from experiments.study import load_carlancap_layout
@@ -210,7 +211,7 @@ def test_names_with_markup_are_escaped_in_the_report(small_study, tmp_path):
 
 @pytest.mark.parametrize("name", sorted(["csv", "geojson", "carla"]))
 def test_every_export_names_every_unit(name):
-    text = jobs.export_layout(load_carlancap_layout(), name)
+    text = export_layout(load_carlancap_layout(), name)
     assert all(unit.id in text for unit in load_carlancap_layout().units)
 
 

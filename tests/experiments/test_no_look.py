@@ -19,6 +19,7 @@ from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.scene_files import load_study_scene
 from placement.privacy import private_shares
+from placement.wishes import build_limits
 
 
 @pytest.fixture
@@ -89,6 +90,59 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
         keep_decent(watching, scene, ground, most=0.0)
     with pytest.raises(InputError, match="--refine: got it beside --no-look"):
         build_plan(Planning(budget=1, no_look=str(garden), refine=True), scene)
+
+
+def test_a_price_forbids_nothing_and_counts_every_square_metre(garden, scene):
+    everything = build_plan(Planning(budget=1), scene)
+    plan = build_plan(Planning(budget=1, no_look=str(garden), no_look_price=30.0), scene)
+    assert [c.id for c in plan.candidates] == [c.id for c in everything.candidates]
+    prices = dict(plan.wishes.surcharges_eur)
+    seen_m2 = private_shares(scene, plan.candidates, plan.private)[:, 0] * plan.private.area_m2[0]
+    assert [prices.get(unit.id, 0.0) for unit in plan.candidates] == pytest.approx(30.0 * seen_m2)
+    costs = build_limits(plan.wishes, scene, plan.candidates).unit_cost_eur
+    sensors = np.array([unit.sensor.price_eur for unit in plan.candidates])
+    assert costs == pytest.approx(sensors + 30.0 * seen_m2)
+    both = Planning(budget=1, no_look=str(garden), no_look_price=30.0, no_look_share=0.5)
+    assert len(build_plan(both, scene).candidates) < len(everything.candidates)
+    units = load_carlancap_layout().units
+    summary = summarise_private_ground(units, scene, plan.private, eur_per_m2=30.0)
+    assert summary["price_eur"] == pytest.approx(sum(prices.get(unit.id, 0.0) for unit in units))
+    assert f"{summary['price_eur']:,.0f} EUR, 30 EUR a square" in private_sentences(summary)[1]
+
+
+def test_the_cheapest_layout_looks_away_from_what_has_a_price(garden, run, small_study):
+    """Where any of several cameras does, the price decides which."""
+    common = ("--target", "0.5", "--least", "cost", "--no-look", garden, "--json", "--quiet")
+    free = json.loads(run(*common, "--no-look-share", "1")[1])
+    priced = json.loads(run(*common, "--no-look-price", "1000")[1])
+    assert free["private_ground"]["price_eur"] == 0.0
+    money = priced["cost_eur"] + priced["private_ground"]["price_eur"]
+    assert priced["spent_eur"] == pytest.approx(money)
+    assert priced["private_ground"]["price_eur"] <= 1.0
+
+
+@pytest.mark.parametrize("option", ["--no-look-share", "--no-look-price"])
+def test_what_belongs_to_areas_needs_areas(run, option):
+    code, _, err = run("--budget", 1, option, "0.5")
+    assert code == 2
+    assert err.endswith(f"place-rsus: {option}: got 0.5; expected --no-look beside it\n")
+
+
+@pytest.mark.parametrize("command", ["evaluate", "compare"])
+def test_layouts_are_judged_by_what_they_see_of_private_ground(garden, run, small_study, command):
+    asked = ("--no-look", garden, "--quiet")
+    layouts = ("--layout", "carlancap-12")
+    if command == "compare":
+        layouts = ("carlancap-12", "carlancap-12")
+    summary = json.loads(run(command, *layouts, *asked, "--json")[1])
+    seen = summary["private_ground"]["units"]
+    ground = load_private_ground(garden, load_study_scene())
+    expected = private_shares(load_study_scene(), load_carlancap_layout().units, ground)[:, 0]
+    assert [shares["garden"] for shares in seen.values()] == pytest.approx(expected)
+    if command == "compare":
+        assert summary["compared"][0]["private_ground"] == summary["private_ground"]
+    _, text, _ = run(command, *layouts, *asked)
+    assert "Of private ground, RSU" in text
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 import os
 import pty
+import re
 import select
 import signal
 import subprocess
@@ -60,6 +61,7 @@ def test_a_terminal_gets_a_bar_that_is_gone_in_the_end(monkeypatch):
         progress = StageProgress()
         progress.start(quiet=False)
         progress("detection table", 3, 7)
+        progress("detection table", 5, 7)
         time.sleep(0.3)  # the bar is drawn ten times a second
         progress.stop()
         progress.stop()
@@ -68,7 +70,9 @@ def test_a_terminal_gets_a_bar_that_is_gone_in_the_end(monkeypatch):
             shown += os.read(main_end, 100_000).decode()
     os.close(main_end)
     assert "detection table" in shown
-    assert "3/7" in shown
+    assert "5/7" in shown
+    plain = re.sub(r"\x1b\[[\d;?]*\w", "", shown)
+    assert re.search(r"5/7 +\d:\d\d:\d\d left \d:\d\d:\d\d", plain)
     assert shown.rindex("\x1b[2K") > shown.rindex("detection table")  # erased
     assert shown.rindex("\x1b[?25h") > shown.rindex("\x1b[?25l")  # the cursor is back
 
