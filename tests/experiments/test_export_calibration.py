@@ -11,6 +11,7 @@ from export_layouts import awkward_layout, large_layout, level_layout
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from vcd import core, scl
 
 from experiments.export_formats.calibration import calibrations
 from experiments.export_formats.opencv_yaml import to_opencv
@@ -221,8 +222,6 @@ def test_a_unit_called_world_is_not_the_world():
 
 @pytest.mark.parametrize("build", BUILDS)
 def test_vcd_reads_openlabel_by_its_schema_and_projects_alike(build, tmp_path):
-    core = pytest.importorskip("vcd.core")
-    scl = pytest.importorskip("vcd.scl")
     layout = build()
     path = tmp_path / "layout.json"
     path.write_text(to_openlabel(layout), encoding="utf-8")
