@@ -96,7 +96,7 @@ def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
 
 
 def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
-    """Accident prevention ratios of every party, by case, approach and weather.
+    """Accident prevention ratios of every party, by case, approach, weather and speed.
 
     Parameters
     ----------
@@ -106,8 +106,9 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
     Returns
     -------
     table : DataFrame
-        Columns layout, party, case, approach, weather, apr, n_runs, n_avoided. "all" stands for
-        every case, approach or weather; a single weather has no rows of its own. The ratio is
+        Columns layout, party, case, approach, weather, vut_speed_kmh, apr, n_runs, n_avoided.
+        "all" stands for every case, approach, weather or speed; a single weather or speed has no
+        rows of its own, and speeds are told of all approaches and weathers together. The ratio is
         missing where none of the runs has weight.
     """
     return pd.DataFrame(
@@ -115,20 +116,15 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
             {
                 "layout": name,
                 "party": party,
-                "case": case,
-                "approach": approach,
-                "weather": weather,
+                **group,
                 "apr": apr(verdict, evaluation.axis, mask),
                 "n_runs": int(mask.sum()),
                 "n_avoided": int((verdict.is_avoided & mask).sum()),
             }
             for name, evaluation in evaluations.items()
+            for groups in [_run_groups(evaluation.axis)]
             for party, verdict in parties(evaluation).items()
-            for case in (ALL, *dict.fromkeys(evaluation.axis.cases))
-            for approach in (ALL, *dict.fromkeys(evaluation.axis.approaches))
-            for weather in (ALL, *_several(evaluation.axis.weathers))
-            for mask in [_run_mask(evaluation.axis, case, approach, weather)]
-            if mask.any()
+            for group, mask in groups
         ]
     )
 
@@ -180,16 +176,33 @@ def _several(words: Sequence[str]) -> tuple[str, ...]:
     return different if len(different) > 1 else ()
 
 
-def _run_mask(axis: FrameAxis, case: str, approach: str, weather: str) -> BoolArray:
-    mask: BoolArray = np.ones(axis.n_runs, dtype=bool)
-    for wanted, words in (
-        (case, axis.cases),
-        (approach, axis.approaches),
-        (weather, axis.weathers),
-    ):
-        if wanted != ALL:
-            mask &= np.array(words) == wanted
-    return mask
+def _run_groups(axis: FrameAxis) -> list[tuple[dict[str, str], BoolArray]]:
+    """Groups of runs by their words, each with its runs; none is empty."""
+    of_run = {
+        "case": np.array(axis.cases),
+        "approach": np.array(axis.approaches),
+        "weather": np.array(axis.weathers),
+        "vut_speed_kmh": np.array([f"{speed:g}" for speed in axis.vut_speed_kmh]),
+    }
+    cases = (ALL, *dict.fromkeys(axis.cases))
+    wanted = [
+        (case, approach, weather, ALL)
+        for case in cases
+        for approach in (ALL, *dict.fromkeys(axis.approaches))
+        for weather in (ALL, *_several(axis.weathers))
+    ]
+    speeds = _several([f"{speed:g}" for speed in np.sort(axis.vut_speed_kmh)])
+    wanted += [(case, ALL, ALL, speed) for case in cases for speed in speeds]
+    groups = []
+    for words in wanted:
+        group = dict(zip(of_run, words, strict=True))
+        mask: BoolArray = np.ones(axis.n_runs, dtype=bool)
+        for key, word in group.items():
+            if word != ALL:
+                mask &= of_run[key] == word
+        if mask.any():
+            groups.append((group, mask))
+    return groups
 
 
 def _missing(times_s: FloatArray) -> FloatArray:

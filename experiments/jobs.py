@@ -22,7 +22,8 @@ from placement.refine import refine
 from placement.sampling import load_uncertainty, out_of_sample_layouts
 from placement.setting import Setting
 
-from . import exports
+from . import bill_of_materials, exports
+from .bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from .explanations import summarise_explanations
 from .figures import plot_apr_by_case, plot_heatmap, to_png
 from .no_look import load_private_ground, summarise_private_ground
@@ -168,6 +169,12 @@ def run_placement(
         command=command,
         progress=progress,
         placement=placement,
+        bill=build_bill(
+            placement.layout,
+            scene,
+            site_cost_eur=planning.site_cost_eur,
+            kept_ids=plan.wishes.kept,
+        ),
         more_figures=figures,
     )
     return summary
@@ -376,6 +383,7 @@ def _write_results(
     command: str,
     progress: StageProgress,
     placement: Placement | None = None,
+    bill: BillOfMaterials | None = None,
     more_figures: Mapping[str, Axes | Figure] | None = None,
 ) -> None:
     """Fill the result folder; the times of all stages but the writing go into the summary."""
@@ -402,6 +410,8 @@ def _write_results(
                 versions=summary["versions"],
             )
             save_certificate(new, document, placement.problem)
+        bill = bill or build_bill(layout, setting.scene)
+        _write_text(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
         exports.apr_table(evaluations).to_csv(new / "apr.csv", index=False)
         exports.runs_table(evaluations).to_parquet(new / "runs.parquet")
         figures: dict[str, Axes | Figure] = {
@@ -422,6 +432,7 @@ def _write_results(
             command=command,
             heatmap_runs=heatmap_runs,
             sampled_figure=(more_figures or {}).get("sampled_apr"),
+            bill=bill,
         )
         summary["seconds"] = progress.finish()
         _write_text(new / MARKER, exports.to_json_text(summary))

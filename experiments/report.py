@@ -1,10 +1,7 @@
 """One self-contained HTML page: the answer, its proof, figures, and every run."""
 
-import base64
 import math
-import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,13 +19,19 @@ from placement.ground_coverage import find_ground_coverage
 from placement.setting import Setting
 
 from .additions import added_sentences
+from .bill_of_materials import BillOfMaterials, bill_part, build_bill
 from .coverage_figures import coverage_rows, coverage_sentence, plot_coverage
 from .explanation_tables import report_part
 from .exports import margin_s
-from .figures import describe_run, plot_apr_by_case, plot_heatmap, to_png, unit_labels
+from .failure_tables import failures_part
+from .figures import describe_run, plot_apr_by_case, plot_heatmap, unit_labels
 from .interactive import interactive_part
+from .margin_tables import margins_part
+from .pictures import Picture, build_picture
 from .plan import plot_plan
+from .private_ground_tables import private_ground_part
 from .report_tables import (
+    apr_group_tables,
     apr_table,
     case_table,
     disagreement_rows,
@@ -66,6 +69,7 @@ def write_report(
     command: str,
     heatmap_runs: Sequence[str] = (),
     sampled_figure: Axes | Figure | None = None,
+    bill: BillOfMaterials | None = None,
 ) -> Path:
     """Write :func:`render_report`'s page to ``report.html`` in `folder`, which must exist."""
     page = render_report(
@@ -75,6 +79,7 @@ def write_report(
         command=command,
         heatmap_runs=heatmap_runs,
         sampled_figure=sampled_figure,
+        bill=bill,
     )
     path = folder / FILE_NAME
     write_atomically(path, lambda file: file.write(page.encode()))
@@ -89,6 +94,7 @@ def render_report(
     command: str,
     heatmap_runs: Sequence[str] = (),
     sampled_figure: Axes | Figure | None = None,
+    bill: BillOfMaterials | None = None,
 ) -> str:
     """A result as one HTML page that loads nothing from elsewhere.
 
@@ -108,6 +114,8 @@ def render_report(
         Ids of the runs to draw; else see :func:`pick_heatmap_runs`.
     sampled_figure : Axes or Figure, optional
         Of the APR in sampled worlds, where they were asked for.
+    bill : BillOfMaterials, optional
+        What the first layout takes, where more is known of its costs than the scene tells.
 
     Returns
     -------
@@ -124,6 +132,7 @@ def render_report(
     subject_name, subject = next(iter(evaluations.items()))
     shown = {name: item for name, item in evaluations.items() if name != GREEDY}
     is_comparison = "stages" not in summary and len(evaluations) > 1
+    labels = unit_labels(subject.layout)
     detailed = shown if is_comparison else {subject_name: subject}
     run_indices = _heatmap_indices(subject, setting, heatmap_runs)
     return _template().render(
@@ -135,10 +144,15 @@ def render_report(
         stages=stage_rows(summary),
         solver=summary.get("solver", NOTHING),
         bought=summary.get("bought", []),
-        explained=report_part(summary.get("explained"), unit_labels(subject.layout)),
+        explained=report_part(summary.get("explained"), labels),
         is_weighted=is_weighted(subject.axis),
         apr_table=apr_table(evaluations),
         apr_figure=_apr_figure(evaluations),
+        apr_groups=apr_group_tables(evaluations),
+        margins=margins_part(shown),
+        failures=failures_part(subject, setting.rule, labels),
+        private_ground=private_ground_part(summary.get("private_ground"), labels),
+        bill=bill_part(bill or build_bill(subject.layout, setting.scene)),
         sampled_figure=_sampled_figure(sampled_figure, summary),
         ground=_ground(setting, subject),
         interactive=interactive_part(
@@ -167,18 +181,6 @@ def render_report(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Picture:
-    """A figure as the template shows it."""
-
-    title: str
-    caption: str
-    alt: str
-    png: str
-    width_px: int
-    height_px: int
-
-
 @cache
 def _template() -> Template:
     environment = Environment(
@@ -191,27 +193,14 @@ def _template() -> Template:
     return environment.get_template("report.html.j2")
 
 
-def _picture(drawn: Axes | Figure, *, title: str, caption: str, alt: str) -> _Picture:
-    png = to_png(drawn)
-    width_px, height_px = struct.unpack(">II", png[16:24])  # of the header chunk
-    return _Picture(
-        title=title,
-        caption=caption,
-        alt=alt,
-        png=base64.b64encode(png).decode(),
-        width_px=width_px,
-        height_px=height_px,
-    )
-
-
 # ---------------------------------------------------------------- figures
 
 
 def _plans(
     setting: Setting, detailed: Mapping[str, Evaluation], others: Sequence[Evaluation]
-) -> list[_Picture]:
+) -> list[Picture]:
     return [
-        _picture(
+        build_picture(
             plot_plan(
                 setting,
                 item.layout,
@@ -237,12 +226,12 @@ def _plans(
     ]
 
 
-def _apr_figure(evaluations: Mapping[str, Evaluation]) -> _Picture:
+def _apr_figure(evaluations: Mapping[str, Evaluation]) -> Picture:
     table = apr_table(evaluations)
     # The table's first columns: every layout, the car alone, the car with the subject.
     n_drawn = len(evaluations) + 2
     over_all = [*zip(table["columns"][1:], table["rows"][0][1:], strict=True)][:n_drawn]
-    return _picture(
+    return build_picture(
         plot_apr_by_case(evaluations),
         title="Accident prevention ratio by case",
         caption="Numbers from the table above.",
@@ -259,7 +248,7 @@ def _ground(setting: Setting, subject: Evaluation) -> dict[str, Any]:
     return {
         "sentence": sentence,
         "rows": rows,
-        "figure": _picture(
+        "figure": build_picture(
             plot_coverage(coverage, setting.scene, subject.layout),
             title="Pixel density on the road",
             caption="Of the camera that sees a place most finely, one metre above the road; "
@@ -271,10 +260,10 @@ def _ground(setting: Setting, subject: Evaluation) -> dict[str, Any]:
     }
 
 
-def _sampled_figure(figure: Axes | Figure | None, summary: Mapping[str, Any]) -> _Picture | None:
+def _sampled_figure(figure: Axes | Figure | None, summary: Mapping[str, Any]) -> Picture | None:
     if figure is None:
         return None
-    return _picture(
+    return build_picture(
         figure,
         title="APR in sampled worlds",
         caption="Worlds that were not used for the choice. Drawn at random: "
@@ -327,7 +316,7 @@ def _heatmap_indices(evaluation: Evaluation, setting: Setting, run_ids: Sequence
     ]
 
 
-def _heatmap(evaluation: Evaluation, run_index: int) -> _Picture:
+def _heatmap(evaluation: Evaluation, run_index: int) -> Picture:
     axis, labels = evaluation.axis, unit_labels(evaluation.layout)
     rows = {
         "the VUT": evaluation.vut,
@@ -342,7 +331,7 @@ def _heatmap(evaluation: Evaluation, run_index: int) -> _Picture:
         else f"{name} never"
         for name, verdict in rows.items()
     ]
-    return _picture(
+    return build_picture(
         plot_heatmap(evaluation, run_index),
         title=run,
         caption=f"Detections in each frame; the last moment to brake is at {last_moment} s.",

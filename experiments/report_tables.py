@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from geometry.arrays import BoolArray
 from geometry.junction import COMPASS
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share
 from placement.layout import Layout, layout_records
@@ -107,7 +108,67 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
         where road users announce themselves, for them alone and for all sources with each layout.
     """
     subject = next(iter(evaluations.values()))
-    verdicts = [
+    verdicts = _parties(evaluations)
+    return {
+        "caption": f"Accident prevention ratio by {_groups(subject.axis, 'and')}",
+        "columns": [_groups(subject.axis, "or"), *(name for name, _, _ in verdicts)],
+        "rows": _apr_rows([(item, verdict) for _, item, verdict in verdicts]),
+    }
+
+
+def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[dict[str, Any]]:
+    """APR of every sensing party by the car's speed, and by the direction from which it comes.
+
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By display name, on the same runs; the first one is the subject.
+
+    Returns
+    -------
+    tables : list of dict
+        Caption, columns - those of :func:`apr_table` - and rows; none where all runs have the same
+        speed or direction.
+    """
+    verdicts = _parties(evaluations)
+    axis = verdicts[0][1].axis
+    of_approach = np.array(axis.approaches)
+    groupings: list[tuple[str, str, list[tuple[str, BoolArray]]]] = [
+        (
+            "speed of the car",
+            "speed (km/h)",
+            [
+                (f"{speed:g}", axis.vut_speed_kmh == speed)
+                for speed in np.unique(axis.vut_speed_kmh)
+            ],
+        ),
+        (
+            "direction from which the car comes",
+            "from",
+            [(name, of_approach == name) for name in dict.fromkeys(axis.approaches)],
+        ),
+    ]
+    return [
+        {
+            "caption": f"Accident prevention ratio by {words}",
+            "columns": [head, *(name for name, _, _ in verdicts)],
+            "rows": [
+                [
+                    group,
+                    *(percent(apr(verdict, item.axis, mask)) for _, item, verdict in verdicts),
+                ]
+                for group, mask in groups
+            ],
+        }
+        for words, head, groups in groupings
+        if len(groups) > 1
+    ]
+
+
+def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Evaluation, Verdict]]:
+    """What the columns of a table of APR are about: head, evaluation, verdict."""
+    subject = next(iter(evaluations.values()))
+    parties = [
         *(
             (f"{name}: {count_sensors(item.layout)}", item, item.rsu_all)
             for name, item in evaluations.items()
@@ -117,17 +178,13 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
     ]
     # Who announces themselves does not depend on the layout.
     if "vam" in subject.others:
-        verdicts.append(("road users' messages (VAM) alone", subject, subject.others["vam"]))
-    verdicts += [
+        parties.append(("road users' messages (VAM) alone", subject, subject.others["vam"]))
+    parties += [
         (f"car (VUT), {name} and VAM", item, item.others["all_sources"])
         for name, item in evaluations.items()
         if "all_sources" in item.others
     ]
-    return {
-        "caption": f"Accident prevention ratio by {_groups(subject.axis, 'and')}",
-        "columns": [_groups(subject.axis, "or"), *(name for name, _, _ in verdicts)],
-        "rows": _apr_rows([(item, verdict) for _, item, verdict in verdicts]),
-    }
+    return parties
 
 
 def unit_apr_table(name: str, evaluation: Evaluation) -> dict[str, Any]:

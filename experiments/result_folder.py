@@ -22,6 +22,7 @@ _OURS = (
     "certificate.json",
     "instance.npz",
     "apr.csv",
+    "bill_of_materials.csv",
     "runs.parquet",
     "*.png",
     ".DS_Store",

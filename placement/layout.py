@@ -97,7 +97,7 @@ class Stage:
     objective, bound : float
         Value of the layout, and what no layout can exceed.
     gap : float
-        (bound - objective) / |objective| as HiGHS defines it; 0 = proven optimal.
+        (bound - objective) / abs(objective) as HiGHS defines it; 0 = proven optimal.
     seconds : float
         Time spent. [s]
     """

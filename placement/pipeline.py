@@ -4,6 +4,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 
 from .candidates import CandidatePose
@@ -281,13 +282,20 @@ def _alone(
 def pick_layout(
     candidates: Sequence[CandidatePose], pose_index: Sequence[int], name: str
 ) -> Layout:
-    """Layout of some candidates by their rows; poses of the grid get short names."""
-    units = []
-    for number, index in enumerate(pose_index, start=1):
-        candidate = candidates[index]
-        is_of_grid = "/" in candidate.id
-        units.append(replace(candidate, id=f"U{number}") if is_of_grid else candidate)
-    return Layout(name=name, units=tuple(units))
+    """Layout of some candidates by their rows; poses of the grid get short names.
+
+    A name that a unit of another layout brings along is not given again.
+    """
+    chosen = [candidates[index] for index in pose_index]
+    taken = {candidate.id for candidate in chosen}
+    free = (name for name in (f"U{number}" for number in count(1)) if name not in taken)
+    return Layout(
+        name=name,
+        units=tuple(
+            replace(candidate, id=next(free)) if "/" in candidate.id else candidate
+            for candidate in chosen
+        ),
+    )
 
 
 def _ignore(stage: str, done: int, total: int) -> None:

@@ -27,7 +27,7 @@ class Conflict:
     Attributes
     ----------
     demands : tuple of Demand
-        In the order of :attr:`Wish.demands`.
+        In the order of ``Wish.demands``.
     is_smallest : bool
         Proven: no conflict has fewer demands. Else time was short, and some may be needless.
     relaxations : tuple of Relaxation

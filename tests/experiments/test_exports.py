@@ -221,10 +221,12 @@ def test_json_text_has_null_for_what_json_lacks():
 def test_apr_table_agrees_with_the_evaluation(evaluation):
     table = apr_table({"mine": evaluation})
     assert list(table.columns) == [
-        "layout", "party", "case", "approach", "weather", "apr", "n_runs", "n_avoided",
+        "layout", "party", "case", "approach", "weather", "vut_speed_kmh", "apr", "n_runs",
+        "n_avoided",
     ]  # fmt: skip
     for party, verdict in parties(evaluation).items():
-        rows = table[(table.party == party) & (table.approach == "all")].set_index("case")
+        is_wanted = (table.party == party) & (table.approach == "all")
+        rows = table[is_wanted & (table.vut_speed_kmh == "all")].set_index("case")
         assert set(rows.weather) == {"all"}  # there is but one
         assert rows.loc["all", "apr"] == apr(verdict, evaluation.axis)
         assert rows.loc["all", "n_runs"] == 3
@@ -236,8 +238,9 @@ def test_apr_table_agrees_with_the_evaluation(evaluation):
 def test_apr_table_tells_several_weathers_apart(evaluation):
     axis = replace(evaluation.axis, weathers=("day", "night", "day"))
     evaluation = replace(evaluation, axis=axis)
-    table = apr_table({"mine": evaluation}).set_index(["party", "case", "approach", "weather"])
-    assert table.index.is_unique
+    table = apr_table({"mine": evaluation})
+    assert not table.duplicated(["party", "case", "approach", "weather", "vut_speed_kmh"]).any()
+    table = table[table.vut_speed_kmh == "all"].set_index(["party", "case", "approach", "weather"])
     for party, verdict in parties(evaluation).items():
         for weather in ("day", "night"):
             mask = np.array([word == weather for word in axis.weathers])
@@ -252,11 +255,32 @@ def test_apr_table_tells_several_weathers_apart(evaluation):
     assert runs.weather.tolist() == list(axis.weathers) * len(parties(evaluation))
 
 
+def test_apr_table_tells_several_speeds_apart(evaluation):
+    table = apr_table({"mine": evaluation})
+    told = table[(table.vut_speed_kmh != "all") & (table.party == "rsu_all")]
+    assert set(told.approach) == set(told.weather) == {"all"}
+    verdict, axis = evaluation.rsu_all, evaluation.axis
+    got = {(row.case, row.vut_speed_kmh): (row.apr, row.n_runs) for row in told.itertuples()}
+    runs = {
+        ("all", "20"): [True, False, True],
+        ("all", "30"): [False, True, False],
+        ("A", "20"): [True, False, False],
+        ("A", "30"): [False, True, False],
+        ("B", "20"): [False, False, True],
+    }
+    assert got == {
+        key: (apr(verdict, axis, np.array(mask)), sum(mask)) for key, mask in runs.items()
+    }
+    same = replace(evaluation, axis=replace(axis, vut_speed_kmh=np.full(3, 20.0)))
+    assert set(apr_table({"mine": same}).vut_speed_kmh) == {"all"}
+
+
 def test_apr_table_leaves_the_ratio_of_runs_without_weight_open(evaluation):
     axis = replace(evaluation.axis, weight=np.array([0.5, 0.5, 0.0]))
     table = apr_table({"mine": replace(evaluation, axis=axis)})
     rows = table[(table.case == "B") & (table.approach == "all")]
-    assert len(rows) == 6
+    assert set(rows.vut_speed_kmh) == {"all", "20"}  # nobody drives it at 30
+    assert len(rows) == 12
     assert rows.apr.isna().all()
     assert (rows.n_runs == 1).all()
 

@@ -173,7 +173,9 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     )
     assert (summary["name"], summary["baseline_name"]) == ("twin", "twin (2)")
     assert summary["runs_lost"] == []
-    names = re.findall(r"^([^,]*),vut,all,all,", (tmp_path / "out/apr.csv").read_text(), re.M)
+    names = re.findall(
+        r"^([^,]*),vut,all,all,all,all,", (tmp_path / "out/apr.csv").read_text(), re.M
+    )
     assert names == ["twin", "twin (2)", "other"]
     assert [other["name"] for other in summary["compared"]] == ["twin (2)", "other"]
     assert summary["baseline"] == summary["compared"][0]["evaluation"]

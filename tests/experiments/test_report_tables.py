@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.report_tables import apr_table, run_table, unit_apr_table
+from experiments.report_tables import apr_group_tables, apr_table, run_table, unit_apr_table
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict
@@ -106,3 +106,28 @@ def test_road_users_who_announce_themselves_have_columns_of_their_own(build):
         "weather: day": ["33.3 %", "100.0 %", "100.0 %"],
         "weather: night": ["0.0 %", "100.0 %", "0.0 %"],
     }
+
+
+def test_apr_by_speed_and_direction_has_the_columns_of_the_apr_by_case(build):
+    approaches = ("west", "<east>", "west")
+    both = {name: build(name, approaches=approaches) for name in ("mine", "theirs")}
+    by_speed, by_direction = apr_group_tables(both)
+    assert by_speed["columns"] == ["speed (km/h)", *apr_table(both)["columns"][1:]]
+    assert by_direction["columns"][1:] == by_speed["columns"][1:]
+    # Runs at 20, 30 and 20 km/h with weights 1/2, 1/4, 1/4; the units avoid the first, the VUT
+    # the last.
+    assert by_speed["rows"] == [
+        ["20", "66.7 %", "66.7 %", "33.3 %", "100.0 %", "100.0 %"],
+        ["30", "0.0 %", "0.0 %", "0.0 %", "0.0 %", "0.0 %"],
+    ]
+    assert by_direction["rows"] == [
+        ["west", "66.7 %", "66.7 %", "33.3 %", "100.0 %", "100.0 %"],
+        ["<east>", "0.0 %", "0.0 %", "0.0 %", "0.0 %", "0.0 %"],
+    ]
+
+
+def test_one_speed_or_one_direction_has_no_table(build):
+    assert [table["columns"][0] for table in apr_group_tables({"mine": build("mine")})] == [
+        "speed (km/h)"
+    ]
+    assert apr_group_tables({"mine": build("mine", vut_speed_kmh=np.full(3, 20.0))}) == []

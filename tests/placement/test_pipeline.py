@@ -12,7 +12,7 @@ from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.detectors import load_detector, load_planning_detector
 from placement.layout import check_layout
 from placement.optimiser import is_better, is_feasible, placement_value, solve_greedy
-from placement.pipeline import obtain_table, place
+from placement.pipeline import obtain_table, pick_layout, place
 from placement.setting import Setting
 from placement.wishes import Wishes, build_problem, check_wishes
 from scenarios.exposure import weight_per_run
@@ -263,6 +263,12 @@ def test_poses_by_name_keep_their_names(setting, candidates, camera):
     named = replace(candidates[0], id="RSU1")
     found = place(setting, [named], wishes=Wishes(budget_units=1))
     assert [unit.id for unit in found.layout.units] == ["RSU1"]
+
+
+def test_a_unit_kept_from_an_earlier_result_keeps_its_name_and_no_other_gets_it(candidates):
+    kept = replace(candidates[0], id="U2")
+    layout = pick_layout([*candidates[1:4], kept], (0, 1, 2, 3), "more")
+    assert [unit.id for unit in layout.units] == ["U1", "U3", "U4", "U2"]
 
 
 def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):

@@ -1,0 +1,48 @@
+"""
+Place cameras in ten lines
+==========================
+
+The study's junction, two cases, and up to three cameras: where should they hang, and what do they
+prevent? This page is a script. Its figures and tables are made when the site is built.
+"""
+
+# %%
+# A question is what is driven and how it is judged. ``Question()`` alone is the study: 13 cases
+# from four approaches. Here a child crosses behind parked cars (CPNCO-50), a cyclist comes out of
+# the side road (CBNA), and the car comes from the north or the west.
+import placement
+from experiments import figures, plan
+
+setting = placement.build_setting(
+    placement.Question(cases="CPNCO-50,CBNA", approaches="north,west", speeds="30,45,60")
+)
+print(len(setting.runs), "runs; the first is", setting.runs[0].id)
+
+# %%
+# Candidates are poses at the scene's sites: every height, direction and tilt of the grid.
+candidates = placement.build_candidates(setting.scene)
+print(len(candidates), "poses; the first is", candidates[0].id)
+
+# %%
+# The best of them, with a bound for every objective that no layout of this size can exceed.
+# Units that add nothing to any objective are left out.
+found = placement.place(setting, candidates, wishes=placement.Wishes(budget_units=3))
+print(found)
+
+# %%
+# The layout is judged again, by rendering every frame and braking every car.
+judged = placement.evaluate_layout(found.layout, setting)
+print(judged)
+
+# %%
+# Plots are matplotlib axes; ``.figure`` shows them in a notebook, ``.figure.savefig("plan.png")``
+# keeps them. From above: units and their fields of view, the runs, and what stands in the way.
+plan.plot_plan(setting, found.layout).figure
+
+# %%
+# How much is prevented, case by case.
+figures.plot_apr_by_case({"found": judged}).figure
+
+# %%
+# As a table of pandas:
+judged.to_frame()

@@ -1,0 +1,82 @@
+"""What each unit sees of private ground, as a table."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from .no_look import private_sentences
+from .tables import percent
+
+MAX_UNITS, MAX_AREAS = 12, 60
+"""Columns and rows of the table: beyond, only what is seen the most."""
+_MAX_NAMED = 6  # pairs of unit and area in a sentence
+
+
+def private_ground_part(
+    private_ground: Mapping[str, Any] | None, labels: Mapping[str, str]
+) -> dict[str, Any] | None:
+    """What ``templates/private_ground.html.j2`` shows.
+
+    Parameters
+    ----------
+    private_ground : mapping or None
+        By :func:`experiments.no_look.summarise_private_ground`; None: nobody has named any.
+    labels : mapping of str to str
+        Short names of the units, by id.
+
+    Returns
+    -------
+    part : dict or None
+        Sentences, caption, columns and rows: one per area, those seen the most first.
+    """
+    if private_ground is None:
+        return None
+    units: Mapping[str, Mapping[str, float]] = private_ground["units"]
+    areas = private_ground["areas"]
+    most_seen = {
+        area["name"]: max((shares[area["name"]] for shares in units.values()), default=0.0)
+        for area in areas
+    }
+    seeing = sorted(units, key=lambda unit_id: -max(units[unit_id].values(), default=0.0))
+    shown = [unit_id for unit_id in units if unit_id in set(seeing[:MAX_UNITS])]
+    rows = sorted(areas, key=lambda area: -most_seen[area["name"]])[:MAX_AREAS]
+    caption = "Share of each private area that a unit sees"
+    for n_shown, n_all, what in (
+        (len(shown), len(units), "units"),
+        (len(rows), len(areas), "areas"),
+    ):
+        if n_shown < n_all:
+            caption += f"; of {n_all} {what} the {n_shown} that matter most"
+    return {
+        "sentences": _sentences(private_ground, most_seen),
+        "caption": caption,
+        "columns": [
+            "area",
+            "size (m\N{SUPERSCRIPT TWO})",
+            "most, by one unit",
+            *(labels.get(unit_id, unit_id) for unit_id in shown),
+        ],
+        "rows": [
+            [
+                area["name"],
+                f"{area['area_m2']:.0f}",
+                percent(most_seen[area["name"]]),
+                *(percent(units[unit_id][area["name"]]) for unit_id in shown),
+            ]
+            for area in rows
+        ],
+    }
+
+
+def _sentences(private_ground: Mapping[str, Any], most_seen: Mapping[str, float]) -> list[str]:
+    """Short where few are seen; where many are, only how many."""
+    n_seen = sum(share > 0.0 for share in most_seen.values())
+    n_seeing = sum(max(shares.values()) > 0.0 for shares in private_ground["units"].values())
+    of_each, *of_price = private_sentences(dict(private_ground))
+    if n_seen * n_seeing <= _MAX_NAMED:
+        return [of_each, *of_price]
+    worst = max(most_seen, key=lambda name: most_seen[name])
+    return [
+        f"{n_seeing} of {len(private_ground['units'])} units see something of {n_seen} of "
+        f"{len(most_seen)} private areas; the most is {percent(most_seen[worst])} of {worst}.",
+        *of_price,
+    ]
