@@ -26,8 +26,10 @@ def added_sentences(summary: Mapping[str, Any]) -> list[str]:
 def added_text(summary: Mapping[str, Any]) -> str:
     """For a terminal; empty where nothing is added."""
     parts = []
-    if summary.get("bought"):
-        parts.append(["What each unit buys:", *_wrapped(summary["bought"], indent="  ")])
+    if "front" in summary:
+        parts.append(
+            ["What each unit buys:", *_wrapped(summary["front"]["sentences"], indent="  ")]
+        )
     if "explained" in summary:
         parts.append([explanation_text(summary["explained"])])
     if "private_ground" in summary:

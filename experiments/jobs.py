@@ -15,18 +15,22 @@ from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
 from placement.layout import Layout, check_layout
 from placement.optimiser import Fusion
+from placement.optimiser.front import Front
 from placement.optimiser.pareto import front_below
 from placement.pipeline import Placement, place
 from placement.question import Question
 from placement.refine import refine
 from placement.sampling import load_uncertainty, out_of_sample_layouts
+from placement.sensitivity import find_sensitivity
 from placement.setting import Setting
 
 from . import bill_of_materials, exports
 from .bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
+from .comparison_tables import summarise_differences
 from .explanations import summarise_explanations
 from .figures import plot_apr_by_case, plot_heatmap, to_png
 from .no_look import load_private_ground, summarise_private_ground
+from .pareto_jobs import summarise_front
 from .plan import plot_plan
 from .planning import Plan, build_plan
 from .planning_words import Planning
@@ -34,6 +38,8 @@ from .progress import WRITING, StageProgress
 from .refinement_summary import summarise_refinement
 from .report import GREEDY, pick_heatmap_runs, write_report
 from .result_folder import MARKER, check_result_folder, new_result_folder
+from .sampled_figures import plot_sampled_apr
+from .sensitivity_tables import summarise_sensitivity
 from .study import find_baseline
 from .summary import (
     summarise_comparison,
@@ -41,8 +47,7 @@ from .summary import (
     summarise_layout,
     summarise_placement,
 )
-from .uncertainty_summary import MAX_STAIRCASES, plot_sampled_apr, summarise_uncertainty
-from .unit_sentences import describe_units
+from .uncertainty_summary import summarise_uncertainty
 
 MIN_FRESH_WORLDS = 60
 """Sampled worlds that a layout is judged in, at least: with fewer, intervals say little."""
@@ -113,21 +118,29 @@ def run_placement(
         )
         placement = refinement.placement
     progress("explain", 0, 0)
+    poses = plan.candidates if refinement is None else refinement.candidates
     explained = summarise_explanations(
         placement,
         setting,
-        plan.candidates if refinement is None else refinement.candidates,
+        poses,
         n_pool=planning.pool,
         tolerance=planning.pool_tolerance,
         seed=seed,
     )
-    bought = _what_units_buy(placement, plan, progress)
+    front = _front_below(placement, plan, progress)
     layouts = [placement.layout, placement.greedy, *([] if study is None else [study])]
     found, greedy, *others = _evaluate(layouts, setting, seed, workers, progress)
     baseline = others[0] if others else None
     summary = summarise_placement(placement, setting, found=found, greedy=greedy, baseline=baseline)
     summary |= summarise_drives(setting)
-    summary |= {"bought": bought, "explained": explained}
+    summary["explained"] = explained
+    if front is not None:
+        summary["front"] = summarise_front(
+            front, placement.problem, poses, n_kept=len(plan.wishes.kept)
+        )
+    summary["sensitivity"] = _what_if(
+        setting, placement.layout, seed, workers, progress, fusion=planning.fusion
+    )
     if plan.private is not None:
         units = placement.layout.units
         summary["private_ground"] = summarise_private_ground(
@@ -180,21 +193,41 @@ def run_placement(
     return summary
 
 
-def _what_units_buy(placement: Placement, plan: Plan, progress: StageProgress) -> list[str]:
-    """What each further unit buys, in sentences; none where the best was not what was asked."""
+def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:
+    """The best layout of each smaller size, too; None where the best was not what was asked."""
     problem = placement.problem
     if problem.goal != "best" or problem.survive or problem.stage_weights is not None:
-        return []
-    n_kept = 0 if plan.kept is None else len(plan.kept.units)
-    front = front_below(
+        return None
+    return front_below(
         problem,
         placement.pose_index,
         placement.certificate,
-        min_units=n_kept,
+        min_units=len(plan.wishes.kept),
         effort=plan.effort,
         on_point=lambda point: progress(f"fewer units: {point.units}", 0, 0),
     )
-    return describe_units(front, n_kept=n_kept)
+
+
+def _what_if(
+    setting: Setting,
+    layout: Layout,
+    seed: int,
+    workers: int,
+    progress: StageProgress,
+    *,
+    fusion: str = "any",
+) -> dict[str, Any]:
+    """What becomes of a layout if an assumption is wrong."""
+    progress("what if", 0, 0)
+    found = find_sensitivity(
+        setting,
+        layout,
+        fusion=cast(Fusion, fusion),
+        seed=seed,
+        workers=workers,
+        on_progress=lambda done, total: progress("what if", done, total),
+    )
+    return summarise_sensitivity(found)
 
 
 def run_evaluation(
@@ -303,6 +336,8 @@ def _judge(
         summary = summarise_layout(verdicts[0], setting.rule)
     else:
         summary = summarise_comparison(verdicts[0], verdicts[1:], setting.rule)
+        named = {verdict.layout.name: verdict for verdict in verdicts}
+        summary["differences"] = summarise_differences(named)
     summary |= summarise_drives(setting)
     if private is not None:
         seen = [
@@ -326,11 +361,11 @@ def _judge(
         summary["sampled"] = summarise_uncertainty(
             judged, drawn, tail=1.0, seed=seed, planned_apr=planned
         )
-        if len(judged) <= MAX_STAIRCASES:
-            figures["sampled_apr"] = plot_sampled_apr(judged)
+        figures["sampled_apr"] = plot_sampled_apr(judged)
     if out is None:
         summary["seconds"] = progress.finish()
         return summary
+    summary["sensitivity"] = _what_if(setting, layouts[0], seed, workers, progress)
     _write_results(
         out,
         summary,

@@ -18,6 +18,7 @@ from .figures import BLUE, VERMILION, WIDTH_IN
 
 _DPI = 160
 _SETTLED = "#ececec"
+_X_LABELS = {"units": "units", "cost": "cost (EUR)"}
 # Told apart by marker and dashes as well as by colour.
 _CURVES: dict[str, dict[str, Any]] = {
     "apr": {"label": "APR", "color": BLUE, "marker": "o", "linestyle": "-"},
@@ -39,35 +40,42 @@ _TIMES: dict[str, dict[str, Any]] = {
 }
 
 
-def plot_front(front: Front) -> Figure:
+def plot_front(front: Front, *, axes: Axes | None = None) -> Axes:
     """APR and APR when one unit fails against units or euros; times to spare where optimised.
 
     Parameters
     ----------
     front : Front
         To draw.
+    axes : Axes, optional
+        Where to draw shares, without times; by default in a figure of their own, with axes for
+        the times to spare below these where they were optimised.
 
     Returns
     -------
-    figure : Figure
-        Filled markers are layouts found. Open ones are bounds that no layout exceeds, where they
-        are higher; a bar spans the gap. Where nothing grows any more, the ground is grey.
+    axes : Axes
+        Of the shares. Filled markers are layouts found. Open ones are bounds that no layout
+        exceeds, where they are higher; a bar spans the gap. Where nothing grows any more, the
+        ground is grey.
     """
+    if axes is not None:
+        handles = _draw_shares(axes, front)
+        axes.set_xlabel(_X_LABELS[front.by], fontsize=8)
+        axes.legend(handles=[*handles, *_shades(front)], fontsize=8, frameon=False, loc="best")
+        return axes
     has_times = front.stages == "all"
     figure = Figure(figsize=(WIDTH_IN, 4.9 if has_times else 3.4), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(
         2 if has_times else 1, 1, sharex=True, squeeze=False, height_ratios=[3, 2][: 1 + has_times]
     )[:, 0]
-    handles = _draw(panels[0], front, _CURVES, scale=100.0)
-    panels[0].set_ylabel("share of the runs avoided (%)", fontsize=8)
-    panels[0].set_ylim(-4.0, 104.0)
+    handles = _draw_shares(panels[0], front)
     if has_times:
         times = _draw(panels[1], front, _TIMES, scale=1.0)
         panels[1].set_ylabel("time to spare (s)", fontsize=8)
         panels[1].set_ylim(bottom=min(0.0, panels[1].get_ylim()[0]))
         panels[1].legend(handles=times[:2], fontsize=8, frameon=False, loc="best")
-    panels[-1].set_xlabel("units" if front.by == "units" else "cost (EUR)", fontsize=8)
+    panels[-1].set_xlabel(_X_LABELS[front.by], fontsize=8)
     figure.legend(
         handles=[*handles, *_shades(front)],
         loc="outside upper center",
@@ -75,7 +83,16 @@ def plot_front(front: Front) -> Figure:
         fontsize=8,
         frameon=False,
     )
-    return figure
+    shares: Axes = panels[0]
+    return shares
+
+
+def _draw_shares(axes: Axes, front: Front) -> list[Any]:
+    """Draw what is avoided; returns the entries of the legend."""
+    handles = _draw(axes, front, _CURVES, scale=100.0)
+    axes.set_ylabel("share of the runs avoided (%)", fontsize=8)
+    axes.set_ylim(-4.0, 104.0)
+    return handles
 
 
 def _draw(

@@ -20,11 +20,13 @@ from placement.setting import Setting
 
 from .additions import added_sentences
 from .bill_of_materials import BillOfMaterials, bill_part, build_bill
+from .comparison_tables import comparison_part
 from .coverage_figures import coverage_rows, coverage_sentence, plot_coverage
 from .explanation_tables import report_part
 from .exports import margin_s
 from .failure_tables import failures_part
 from .figures import describe_run, plot_apr_by_case, plot_heatmap, unit_labels
+from .front_tables import front_part
 from .interactive import interactive_part
 from .margin_tables import margins_part
 from .pictures import Picture, build_picture
@@ -40,6 +42,8 @@ from .report_tables import (
     unit_apr_table,
     unit_table,
 )
+from .sampled_figures import MAX_STAIRCASES
+from .sensitivity_tables import sensitivity_part
 from .sentences import (
     NOTHING,
     answer,
@@ -143,7 +147,9 @@ def render_report(
         proof=proof(summary),
         stages=stage_rows(summary),
         solver=summary.get("solver", NOTHING),
-        bought=summary.get("bought", []),
+        front=front_part(summary.get("front")),
+        comparison=comparison_part(summary, evaluations),
+        sensitivity=sensitivity_part(summary.get("sensitivity")),
         explained=report_part(summary.get("explained"), labels),
         is_weighted=is_weighted(subject.axis),
         apr_table=apr_table(evaluations),
@@ -263,12 +269,13 @@ def _ground(setting: Setting, subject: Evaluation) -> dict[str, Any]:
 def _sampled_figure(figure: Axes | Figure | None, summary: Mapping[str, Any]) -> Picture | None:
     if figure is None:
         return None
+    kind = "Staircases" if len(summary["sampled"]["layouts"]) <= MAX_STAIRCASES else "Intervals"
     return build_picture(
         figure,
         title="APR in sampled worlds",
         caption="Worlds that were not used for the choice. Drawn at random: "
         f"{what_is_uncertain(summary['sampled'])}.",
-        alt=f"Staircases. {' '.join(uncertainty_sentences(summary['sampled']))}",
+        alt=f"{kind}. {' '.join(uncertainty_sentences(summary['sampled']))}",
     )
 
 

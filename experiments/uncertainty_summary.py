@@ -3,27 +3,20 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import combinations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from geometry.errors import InputError, Unquoted
 from placement.sampling import SampledApr, Uncertainty, cvar, estimate_mean
 from placement.sampling.uncertainty import StandingTraffic
 
-from .figures import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, build_figure, literal
 from .tables import percent
 
 _MAX_FRAGILE = 5
 _NAME_WIDTH = 20
-_STRIP = 0.08  # height of a mark's row
-_STYLES = (  # told apart by their lines and marks where colours are not
-    (BLUE, "-", "o"),
-    (VERMILION, "--", "s"),
-    (GREEN, "-.", "^"),
-    (PINK, ":", "D"),
-)
+_SAME_APR = 1.0e-9  # shares of summed weights carry rounding noise
 
 
 def summarise_uncertainty(
@@ -58,7 +51,10 @@ def summarise_uncertainty(
         "layouts": [{"name", "planned", "in_sample", "mean", "standard_error", "low", "high",
         "method", "cvar", "worst", "apr_by_sample": [..], "least_sure_runs": [{"run",
         "avoided_share"}]}], "gains": [{"over", "mean", "standard_error", "low", "high",
-        "method"}]}``; a gain is the subject's APR less the other's, world by world.
+        "method"}], "pairs": [{"first", "second", "mean", "standard_error", "low", "high", "method",
+        "more_share", "equal_share", "less_share"}]}``; a gain is the subject's APR less the
+        other's, world by world; a pair is any two layouts, the first one's APR less the second
+        one's, and in what share of the worlds it avoids more, as much and less.
 
     Raises
     ------
@@ -99,6 +95,21 @@ def summarise_uncertainty(
             }
             for other in others
         ],
+        "pairs": [_pair(first, second) for first, second in combinations(judged, 2)],
+    }
+
+
+def _pair(first: SampledApr, second: SampledApr) -> dict[str, Any]:
+    """Two layouts in the same worlds: the difference, and who avoids more how often."""
+    gain = first.apr_by_sample - second.apr_by_sample
+    more, less = float((gain > _SAME_APR).mean()), float((gain < -_SAME_APR).mean())
+    return {
+        "first": first.layout.name,
+        "second": second.layout.name,
+        **asdict(estimate_mean(gain, bounds=(-1.0, 1.0))),
+        "more_share": more,
+        "equal_share": float((np.abs(gain) <= _SAME_APR).mean()),
+        "less_share": less,
     }
 
 
@@ -163,10 +174,14 @@ def uncertainty_sentences(summary: Mapping[str, Any]) -> list[str]:
             if chosen > subject["mean"]
             else f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
         )
-    sentences.append(
-        f"In the worst {percent(summary['tail'])} of these worlds it avoids "
-        f"{percent(subject['cvar'])} on average, in the very worst {percent(subject['worst'])}"
-    )
+    very_worst = f"n the very worst of these worlds it avoids {percent(subject['worst'])}"
+    if summary["tail"] < 1.0:
+        sentences.append(
+            f"In the worst {percent(summary['tail'])} of these worlds it avoids "
+            f"{percent(subject['cvar'])} on average, i{very_worst}"
+        )
+    else:
+        sentences.append(f"I{very_worst}")
     for gain in summary["gains"]:
         sentences.append(_gain(subject["name"], gain))
     unsure = subject["least_sure_runs"]
@@ -178,7 +193,7 @@ def uncertainty_sentences(summary: Mapping[str, Any]) -> list[str]:
 
 def uncertainty_text(summary: Mapping[str, Any]) -> str:
     """A small table for a terminal, at most 80 columns wide."""
-    tail = f"worst {100.0 * summary['tail']:.2g} %"
+    tail = f"worst {100.0 * summary['tail']:g} %"
     head = f"  {'layout':<{_NAME_WIDTH}} {'planned':>8} {'mean':>8} {'95 % interval':>18}"
     lines = [
         f"APR in {summary['samples']} fresh sampled {_worlds(summary['samples'])}, "
@@ -196,59 +211,6 @@ def uncertainty_text(summary: Mapping[str, Any]) -> str:
             f"{interval:>18} {percent(layout['cvar']):>10} {percent(layout['worst']):>8}"
         )
     return "\n".join(lines)
-
-
-MAX_STAIRCASES = len(_STYLES)
-
-
-def plot_sampled_apr(judged: Sequence[SampledApr]) -> Figure:
-    """In what share of the worlds a layout avoids at most how much: one staircase per layout.
-
-    Parameters
-    ----------
-    judged : sequence of SampledApr
-        At most four; line styles and marks tell them apart without colour. Below the staircases
-        a mark stands at each mean, with its 95 % confidence interval.
-
-    Raises
-    ------
-    InputError
-        There are more.
-    """
-    if len(judged) > len(_STYLES):
-        raise InputError("layouts", len(judged), f"at most {len(_STYLES)} in one figure")
-    figure, axes = build_figure(WIDTH_IN, 3.2)
-    for row, (item, (colour, line, mark)) in enumerate(zip(judged, _STYLES, strict=False)):
-        estimate = item.estimate
-        axes.ecdf(item.apr_by_sample, color=colour, linestyle=line, linewidth=1.8)
-        axes.errorbar(
-            [estimate.mean],
-            [-_STRIP * (row + 1)],
-            xerr=[[estimate.mean - estimate.low], [estimate.high - estimate.mean]],
-            color=colour,
-            marker=mark,
-            markersize=6.0,
-            markerfacecolor="white",
-            linestyle=line,  # of the legend: one point draws no line
-            elinewidth=1.2,
-            capsize=3.0,
-            clip_on=False,
-            label=literal(f"{item.layout.name}: mean {percent(estimate.mean)}"),
-            zorder=3,
-        )
-    axes.axhline(0.0, color="#999999", linewidth=0.8)
-    axes.set_ylim(-_STRIP * (len(judged) + 1), 1.02)
-    axes.set_yticks(np.linspace(0.0, 1.0, 6))
-    axes.set_xlabel("share of the accidents avoided (APR)", fontsize=9)
-    axes.set_ylabel("share of the sampled worlds\nwith at most this APR", fontsize=9)
-    axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:.4g} %")
-    axes.yaxis.set_major_formatter(lambda value, _: f"{100.0 * value:.0f} %")
-    axes.tick_params(labelsize=8)
-    axes.grid(color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(fontsize=8, loc="upper left")
-    return figure
 
 
 def what_is_uncertain(summary: Mapping[str, Any]) -> str:

@@ -188,7 +188,7 @@ def test_the_text_says_what_is_not_proven(loosened_front, unit_poses):
 
 
 def test_open_bounds_are_drawn_apart_and_kinds_differ_by_more_than_colour(loosened_front):
-    (axes,) = plot_front(loosened_front).axes
+    axes = plot_front(loosened_front)
     lines = {line.get_gid(): line for line in axes.get_lines() if line.get_gid()}
     assert lines["apr"].get_ydata().tolist() == [50.0, 100.0]
     assert lines["apr_one_failed"].get_ydata().tolist() == [0.0, 50.0]
@@ -203,7 +203,7 @@ def test_open_bounds_are_drawn_apart_and_kinds_differ_by_more_than_colour(loosen
 def test_where_nothing_grows_the_ground_is_grey():
     problem = avoiding_problem(["11", "11", "10"])
     front = pareto_front(problem, max_units=4)
-    (axes,) = plot_front(front).axes
+    axes = plot_front(front)
     (shade,) = (patch for patch in axes.patches if patch.get_gid() == "settled")
     assert shade.get_x() == front.settled == 2.0
     assert shade.get_x() + shade.get_width() == pytest.approx(axes.get_xlim()[1])
@@ -211,14 +211,16 @@ def test_where_nothing_grows_the_ground_is_grey():
 
 def test_times_to_spare_have_axes_of_their_own_where_they_were_optimised():
     problem = avoiding_problem(["11", "10"])
-    upper, lower = plot_front(pareto_front(problem, max_units=2, stages="all")).axes
+    axes = plot_front(pareto_front(problem, max_units=2, stages="all"))
+    upper, lower = axes.figure.axes
+    assert axes is upper
     assert "runs" in upper.get_ylabel()
     assert lower.get_ylabel() == "time to spare (s)"
 
 
 def test_costs_are_drawn_as_steps_to_the_right_edge():
     problem = avoiding_problem(["1100", "0011"], price_eur=[1000.0, 2000.0])
-    (axes,) = plot_front(cost_front(problem)).axes
+    axes = plot_front(cost_front(problem))
     steps = [line for line in axes.get_lines() if line.get_drawstyle() == "steps-post"]
     assert steps[0].get_xdata().tolist() == [1000.0, 3000.0, axes.get_xlim()[1]]
     assert steps[0].get_ydata().tolist() == [50.0, 100.0, 100.0]

@@ -56,8 +56,8 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
     page = (tmp_path / "out/report.html").read_text()
     assert "place-rsus --budget 1 &lt;&amp;&gt;" in page
     assert "1 <&>" not in page
-    assert len(summary["bought"]) == 1
-    assert summary["bought"][0] in page
+    assert len(summary["front"]["sentences"]) == 1
+    assert summary["front"]["sentences"][0] in page
     (part,) = summary["explained"]["contributions"]
     assert part["unit"] == summary["layout"][0]["id"]
     assert "Why these poses" in page

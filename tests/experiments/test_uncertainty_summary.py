@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.figures import to_png
+from experiments.sampled_figures import plot_sampled_apr
 from experiments.uncertainty_summary import (
-    plot_sampled_apr,
     summarise_uncertainty,
     uncertainty_record,
     uncertainty_sentences,
@@ -196,20 +196,18 @@ def test_what_was_not_judged_alike_is_not_compared(judge):
 
 
 def test_the_figure_shows_the_share_of_worlds_below_each_apr(judged):
-    figure = plot_sampled_apr(judged)
-    (axes,) = figure.axes
+    axes = plot_sampled_apr(judged)
     stairs = [line for line in axes.lines if len(line.get_xdata()) > 4]
     for line, item in zip(stairs, judged, strict=True):
         x, y = np.array(line.get_xdata(), dtype=float), np.array(line.get_ydata(), dtype=float)
         for value in np.unique(item.apr_by_sample):
             expected = (item.apr_by_sample <= value).mean()
             assert y[np.isclose(x, value)].max() == pytest.approx(expected)
-    assert to_png(figure).startswith(b"\x89PNG")
+    assert to_png(axes).startswith(b"\x89PNG")
 
 
 def test_layouts_are_told_apart_without_colour(judged):
-    figure = plot_sampled_apr(judged)
-    (axes,) = figure.axes
+    axes = plot_sampled_apr(judged)
     stairs = [line for line in axes.lines if len(line.get_xdata()) > 4]
     assert len({line.get_linestyle() for line in stairs}) == 2
     handles, labels = axes.get_legend_handles_labels()
@@ -223,7 +221,26 @@ def test_one_world_alone_can_be_drawn(judge):
     assert to_png(plot_sampled_apr([judge("a", [0.7])])).startswith(b"\x89PNG")
 
 
-def test_more_layouts_than_styles_are_refused(judge):
-    with pytest.raises(InputError) as caught:
-        plot_sampled_apr([judge(f"{n}", [0.5]) for n in range(5)])
-    assert str(caught.value) == "layouts: got 5; expected at most 4 in one figure"
+def test_a_figure_without_layouts_is_refused():
+    with pytest.raises(InputError, match="layouts: got none"):
+        plot_sampled_apr([])
+
+
+# Pairs
+
+
+def test_every_pair_of_layouts_is_compared_world_by_world(judge):
+    judged = [
+        judge("a", [0.9, 0.8, 1.0, 0.9]),
+        judge("b", [0.5, 0.9, 1.0, 0.5]),
+        judge("c", [0.6, 0.6, 0.6, 0.6]),
+    ]
+    summary = summarise_uncertainty(judged, load_uncertainty(), tail=1.0, seed=0)
+    named = {(pair["first"], pair["second"]): pair for pair in summary["pairs"]}
+    assert list(named) == [("a", "b"), ("a", "c"), ("b", "c")]
+    first = named["a", "b"]
+    assert (first["more_share"], first["equal_share"], first["less_share"]) == (0.5, 0.25, 0.25)
+    assert first["mean"] == pytest.approx(np.mean([0.4, -0.1, 0.0, 0.4]))
+    assert named["a", "c"]["mean"] == pytest.approx(summary["gains"][1]["mean"])
+    assert named["a", "c"]["low"] == pytest.approx(summary["gains"][1]["low"])
+    json.dumps(summary)
