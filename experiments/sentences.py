@@ -55,29 +55,31 @@ def answer(summary: Mapping[str, Any], shown: Mapping[str, Evaluation]) -> list[
     shown : mapping of str to Evaluation
         By display name; the first one is the subject.
     """
-    is_placement = "stages" in summary
     (subject_name, subject), *others = shown.items()
     score = _score(_together(subject, summary), subject)
-    if is_placement:
-        verb = "avoids" if len(subject.units) == 1 else "avoid"
-        how = ", each by itself," if summary.get("fusion") == "single" else ""
-        sentences = [
-            f"{count_sensors(subject.layout)}{how} {verb} {score}",
-            _proof_in_short(summary),
-        ]
-    else:
-        sentences = [f"{subject_name} ({count_sensors(subject.layout)}) avoids {score}"]
-    sentences += [
+    car = f"the car by itself avoids {_score(subject.vut, subject)}"
+    scores = [
         f"{name} ({count_sensors(item.layout)}) avoids {_score(item.rsu_all, item)}"
         for name, item in others
     ]
-    if not is_placement:
-        sentences += [_difference(subject_name, subject, name, item) for name, item in others]
-    sentences.append(f"The car by itself avoids {_score(subject.vut, subject)}")
     left = summary.get("evaluation", {}).get("apr_without_worst_unit")
-    if left is not None:
-        sentences.append(_one_failed(left, subject))
-    return [f"{sentence}." for sentence in sentences]
+    failed = [] if left is None else [_one_failed(left, subject)]
+    if "stages" in summary:
+        verb = "avoids" if len(subject.units) == 1 else "avoid"
+        how = ", each by itself," if summary.get("fusion") == "single" else ""
+        sentences = [
+            f"{count_sensors(subject.layout)}{how} {verb} {score}; {car}",
+            _proof_in_short(summary),
+            "; ".join([*failed, *scores]),
+        ]
+    else:
+        sentences = [
+            f"{subject_name} ({count_sensors(subject.layout)}) avoids {score}; {car}",
+            *scores,
+            *(_difference(subject_name, subject, name, item) for name, item in others),
+            *failed,
+        ]
+    return [f"{sentence}." for sentence in sentences if sentence]
 
 
 def _proof_in_short(summary: Mapping[str, Any]) -> str:
@@ -119,7 +121,8 @@ def proof(summary: Mapping[str, Any]) -> str:
 def _one_failed(left: float, subject: Evaluation) -> str:
     if len(subject.units) == 1:
         return "If this one unit fails, only the car itself is left"
-    return f"If any one unit fails, the others still reach an APR of {percent(left)} or more"
+    reach = "still avoid every run" if left > 1.0 - 1.0e-9 else f"reach at least {percent(left)}"
+    return f"If any one unit fails, the others {reach}"
 
 
 def _difference(name: str, ours: Evaluation, other_name: str, theirs: Evaluation) -> str:

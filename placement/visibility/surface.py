@@ -1,6 +1,7 @@
 """Points spread over a body: what rays are sent to."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -34,6 +35,7 @@ class Surface:
     area_m2: FloatArray
 
 
+@cache  # tables of variants ask for the same bodies again
 def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -> Surface:
     """Spread points evenly over the outside of a body.
 
