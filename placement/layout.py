@@ -27,6 +27,9 @@ from geometry.sensors import CameraModel, with_fov
 from .candidates import CandidatePose
 
 SCHEMA = "place-rsus/layout/1"
+RESULT_SCHEMA = "place-rsus/result/1"
+"""Of summary.json, which has the layout in the same words."""
+
 RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
 """Names of the sensing parties that are no unit: no unit may be called so."""
 
@@ -274,7 +277,7 @@ def load_layout(path: Path) -> Layout:
     Raises
     ------
     InputError
-        The file cannot be read, is not JSON, or a field is wrong.
+        The file cannot be read, is not JSON, of another version, or a field is wrong.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -284,6 +287,10 @@ def load_layout(path: Path) -> Layout:
         raise InputError(str(path), Unquoted("JSON nested too deep"), "a layout") from None
     except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
         raise InputError(str(path), Unquoted(error), "JSON in UTF-8") from None
+    if isinstance(document, dict) and document.get("schema", SCHEMA) not in (SCHEMA, RESULT_SCHEMA):
+        raise InputError(
+            f"{path}: schema", document["schema"], f"{SCHEMA} or {RESULT_SCHEMA}, or none of it"
+        )
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
         raise InputError(str(path), Unquoted("no list 'layout'"), 'an object {"layout": [units]}')
     layout = layout_from_records(

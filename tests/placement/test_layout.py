@@ -17,6 +17,8 @@ from geometry.sensors import CameraModel, with_fov
 from placement.candidates import CandidatePose
 from placement.layout import (
     RESERVED_IDS,
+    RESULT_SCHEMA,
+    SCHEMA,
     Certificate,
     Layout,
     Stage,
@@ -286,6 +288,22 @@ def test_a_file_without_a_list_of_units_is_named(tmp_path, content):
     assert _message(load_layout, path) == (
         f"{path}: got no list 'layout'; expected an object {{\"layout\": [units]}}"
     )
+
+
+@pytest.mark.parametrize("schema", ["place-rsus/layout/2", "place-rsus/scene/1", 1, None])
+def test_a_file_of_another_version_is_refused_and_not_guessed_at(tmp_path, schema):
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"schema": schema, "layout": GOOD}))
+    message = _message(load_layout, path)
+    assert message.startswith(f"{path}: schema: got ")
+    assert message.endswith("expected place-rsus/layout/1 or place-rsus/result/1, or none of it")
+
+
+@pytest.mark.parametrize("schema", [SCHEMA, RESULT_SCHEMA])
+def test_layouts_are_read_from_layout_files_and_from_results(tmp_path, schema):
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"schema": schema, "layout": GOOD}))
+    assert [unit.id for unit in load_layout(path).units] == ["A", "B"]
 
 
 def test_a_missing_file_is_named(tmp_path):
