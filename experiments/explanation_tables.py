@@ -1,50 +1,27 @@
-"""Why these poses, what they miss, what else would do: in sentences and tables."""
+"""Why these poses, what they miss, what else would do: as tables, and in short for a terminal."""
 
 import textwrap
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .sentences import NOTHING, STAGES, count_runs, number
+from .explanation_sentences import (
+    OUTCOMES,
+    cause,
+    contribution_sentences,
+    count_layouts,
+    is_nothing_avoided,
+    missed_counts,
+    missed_sentences,
+    pool_sentences,
+)
+from .sentences import NOTHING, count_runs, number
 from .tables import percent
 
 _WIDTH = 80
 _MAX_RUNS, _MAX_MISSED, _MAX_SETS, _MAX_SITES = 3, 8, 5, 8
 _MAX_REASONS = 2
 
-_CAUSES = {
-    "out of view": "out of view",
-    "cut off": "cut off by the edge of the view",
-    "too dark": "too little contrast in light and weather",
-    "too far": "too small or too thin at that distance",
-    "otherwise": "not detected on the table",
-}
-
-
 # ---------------------------------------------------------------- why these
-
-
-def contribution_sentences(explained: Mapping[str, Any]) -> list[str]:
-    """Which units something hangs on, in sentences.
-
-    Parameters
-    ----------
-    explained : mapping
-        By :func:`experiments.explanations.summarise_explanations`.
-    """
-    parts = explained["contributions"]
-    if len(parts) == 1:
-        return ["Everything that is avoided hangs on this one unit."]
-    needed = [part for part in parts if part["only_runs"]]
-    if not needed:
-        return [
-            "No run hangs on a single unit: whichever fails, the others avoid all that they avoid "
-            "together. What each unit adds is time."
-        ]
-    if len(needed) == len(parts):
-        return ["Each unit saves runs that no other one saves."]
-    verb = "saves" if len(needed) == 1 else "save"
-    return [f"Of {len(parts)} units, {len(needed)} {verb} runs that no other one saves."]
 
 
 def contribution_table(
@@ -102,43 +79,6 @@ def _of_others(part: Mapping[str, Any], value_s: float) -> str:
 # ---------------------------------------------------------------- what they miss
 
 
-def missed_sentences(explained: Mapping[str, Any]) -> list[str]:
-    """How many runs are not avoided, and what is most often in the way.
-
-    Parameters
-    ----------
-    explained : mapping
-        By :func:`experiments.explanations.summarise_explanations`.
-    """
-    missed = explained["not_avoided"]
-    if not missed:
-        return ["On the detection table, every run is avoided."]
-    outcomes = Counter(entry["outcome"] for entry in missed)
-    each = ", ".join(f"{count} {_OUTCOMES[outcome]}" for outcome, count in outcomes.most_common())
-    verb = "is" if len(missed) == 1 else "are"
-    sentences = [f"On the detection table, {count_runs(len(missed))} {verb} not avoided: {each}."]
-    causes = Counter(_cause(entry["reasons"][0]) for entry in missed if entry["reasons"])
-    if causes:
-        cause, n_runs = causes.most_common(1)[0]
-        sentences.append(f"What is in the way most often: {cause}, in {count_runs(n_runs)}.")
-    saved = Counter(entry["rescue"]["unit"] for entry in missed if entry["rescue"])
-    if saved:
-        unit, n_runs = saved.most_common(1)[0]
-        sentences.append(
-            f"A further unit could save {sum(saved.values())} of them; {unit} is the nearest one "
-            f"that does for {count_runs(n_runs)}."
-        )
-    return sentences
-
-
-_OUTCOMES = {
-    "hopeless": "too short for any unit",
-    "never seen": "never seen",
-    "never confirmed": "seen, but never long enough",
-    "too late": "confirmed too late",
-}
-
-
 def missed_table(explained: Mapping[str, Any]) -> dict[str, Any]:
     """Runs that are not avoided, why, and what would save them: a row each.
 
@@ -163,7 +103,7 @@ def missed_table(explained: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _outcome(entry: Mapping[str, Any]) -> str:
-    words: str = _OUTCOMES[entry["outcome"]]
+    words: str = OUTCOMES[entry["outcome"]]
     if entry["outcome"] != "too late":
         return words
     return f"{words}, by {number(entry['late_s'])} s"
@@ -173,16 +113,10 @@ def _why(entry: Mapping[str, Any]) -> str:
     if entry["outcome"] == "hopeless":
         return "the road user is there too late for any confirmation in time"
     reasons = "; ".join(
-        f"{_cause(reason)} in {reason['frames']} of {entry['frames_in_time']} frames"
+        f"{cause(reason)} in {reason['frames']} of {entry['frames_in_time']} frames"
         for reason in entry["reasons"][:_MAX_REASONS]
     )
     return f"for {entry['unit']}: {reasons}" if reasons else "seen, but with gaps"
-
-
-def _cause(reason: Mapping[str, Any]) -> str:
-    if reason["cause"] == "hidden":
-        return f"hidden by {reason['thing']}"
-    return _CAUSES[reason["cause"]]
 
 
 def _rescue(entry: Mapping[str, Any]) -> str:
@@ -195,43 +129,6 @@ def _rescue(entry: Mapping[str, Any]) -> str:
 
 
 # ---------------------------------------------------------------- what else would do
-
-
-def pool_sentences(explained: Mapping[str, Any]) -> list[str]:
-    """How much there is to choose from; nothing where nobody has looked.
-
-    Parameters
-    ----------
-    explained : mapping
-        By :func:`experiments.explanations.summarise_explanations`.
-    """
-    pool = explained["pool"]
-    if pool is None:
-        return []
-    stage, within = STAGES.get(pool["stage"], pool["stage"]), pool["within"]
-    worth = f"the best {stage}"
-    if pool["tolerance"]:
-        worth += f", or up to {percent(pool['tolerance'])} of the runs less"
-        if pool["stage"] in ("units", "cost_eur"):
-            worth = f"the least {stage}, or up to {percent(pool['tolerance'])} more"
-    elif pool["stage"] in ("units", "cost_eur"):
-        worth = f"the least {stage}"
-    if not pool["is_complete"]:
-        return [
-            f"Found by exchanging units one for one: {_layouts(within)} with {worth}. There may be "
-            "more, and better ones among them in what comes after."
-        ]
-    sentences = [f"All choices were gone through: {_layouts(within)} with {worth}."]
-    if within > len(pool["sets"]):
-        sentences.append(_listed(len(pool["sets"])))
-    always = [site["site"] for site in pool["sites"] if site["share"] == 1.0]
-    if always and within > 1:
-        sentences.append(f"Each of them has a unit at {', '.join(always)}.")
-    return sentences
-
-
-def _listed(count: int) -> str:
-    return "The best one is listed." if count == 1 else f"The {count} best of them are listed."
 
 
 def pool_table(explained: Mapping[str, Any]) -> dict[str, Any]:
@@ -274,16 +171,15 @@ def pool_table(explained: Mapping[str, Any]) -> dict[str, Any]:
 def site_table(explained: Mapping[str, Any]) -> dict[str, Any]:
     """How often each site appears in the layouts that are as good: a row each."""
     pool = explained["pool"]
-    whole = "all" if pool["is_complete"] else "the listed"
+    whole = "all " if pool["is_complete"] else "the listed "
+    if pool["within"] == 1:
+        whole = ""
+    layouts = f"{whole}{count_layouts(pool['within'])}"
     return {
-        "caption": f"How often each site carries a unit, of {whole} {_layouts(pool['within'])}",
+        "caption": f"How often each site carries a unit, of {layouts}",
         "columns": ["site", "share of the layouts"],
         "rows": [[site["site"], percent(site["share"])] for site in pool["sites"]],
     }
-
-
-def _layouts(count: int) -> str:
-    return "1 layout" if count == 1 else f"{count:,} layouts"
 
 
 # ---------------------------------------------------------------- for a terminal
@@ -297,11 +193,19 @@ def explanation_text(explained: Mapping[str, Any]) -> str:
     explained : mapping
         By :func:`experiments.explanations.summarise_explanations`.
     """
-    lines = ["Why these units, on the detection table:"]
-    for part in explained["contributions"]:
-        lines += _wrapped(_in_short(part))
-    lines += _wrapped(" ".join(missed_sentences(explained)), indent="")
+    parts = explained["contributions"]
+    these = "this unit" if len(parts) == 1 else "these units"
+    lines = [f"Why {these}, on the detection table:"]
+    if is_nothing_avoided(parts):
+        lines += _wrapped(" ".join(contribution_sentences(explained)))
+    else:
+        for part in parts:
+            lines += _wrapped(_in_short(part, n_units=len(parts)))
     groups = _alike(explained["not_avoided"])
+    told = missed_sentences(explained)
+    if len(groups) == 1:  # the line about them says it all: once is enough
+        told = missed_counts(explained, with_outcomes=False)
+    lines += _wrapped(" ".join(told), indent="")
     for group in groups[:_MAX_MISSED]:
         lines += _wrapped(_missed_in_short(group))
     lines += _and_more(sum(map(len, groups[_MAX_MISSED:])))
@@ -326,18 +230,18 @@ def _alike(missed: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]]
     """Runs that have the same said of them, but for numbers; the largest group first."""
     groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
     for entry in missed:
-        cause = _cause(entry["reasons"][0]) if entry["reasons"] else ""
+        because = cause(entry["reasons"][0]) if entry["reasons"] else ""
         rescue = entry["rescue"]["unit"] if entry["rescue"] else ""
-        groups.setdefault((entry["outcome"], entry["unit"], cause, rescue), []).append(entry)
+        groups.setdefault((entry["outcome"], entry["unit"], because, rescue), []).append(entry)
     return sorted(groups.values(), key=len, reverse=True)
 
 
 def _missed_in_short(group: Sequence[Mapping[str, Any]]) -> str:
     first = group[0]
     runs = _first_runs([entry["run"] for entry in group])
-    words = f"{runs}: {_OUTCOMES[first['outcome']]}"
+    words = f"{runs}: {OUTCOMES[first['outcome']]}"
     if first["reasons"]:
-        words += f"; for {first['unit']} {_cause(first['reasons'][0])}"
+        words += f"; for {first['unit']} {cause(first['reasons'][0])}"
     rescue = first["rescue"]
     return words if rescue is None else f"{words}; would be saved by {rescue['unit']}"
 
@@ -348,20 +252,21 @@ def _first_runs(runs: Sequence[str]) -> str:
     return f"{listed} and {left} more" if left > 0 else listed
 
 
-def _in_short(part: Mapping[str, Any]) -> str:
-    runs = part["only_runs"]
-    words = f"{part['unit']}: no run hangs on it alone"
+def _in_short(part: Mapping[str, Any], *, n_units: int) -> str:
+    unit, runs = part["unit"], part["only_runs"]
+    saved = f"{count_runs(len(runs))} ({_first_runs(runs)})"
+    if n_units == 1:
+        return f"{unit}: saves {saved}, an APR of {percent(part['marginal_apr'])}"
+    words = f"{unit}: no run hangs on it alone"
     if runs:
-        words = (
-            f"{part['unit']}: only it saves {count_runs(len(runs))} ({_first_runs(runs)}), "
-            f"{percent(part['marginal_apr'])} of the APR"
-        )
+        points = number(100.0 * part["marginal_apr"], 1)
+        words = f"{unit}: only it saves {saved}, {points} points of the APR"
     if part["without"]["apr"] == 0.0:
         return words
-    return (
-        f"{words}; without it what the others save is confirmed {number(part['mean_delay_s'])} s "
-        "later on average"
-    )
+    what = "the other saves" if n_units == 2 else "the others save"
+    delay = number(part["mean_delay_s"])
+    when = "as early" if delay == number(0.0) else f"{delay} s later on average"
+    return f"{words}; without it what {what} is confirmed {when}"
 
 
 def _wrapped(text: str, indent: str = "  ") -> list[str]:
@@ -398,7 +303,12 @@ def report_part(
         "contributions": contribution_table(explained, labels),
         "missed_text": missed_sentences(explained),
         "missed": missed_table(explained),
+        "missed_summary": _missed_summary(len(explained["not_avoided"])),
         "pool_text": pool_sentences(explained),
         "pool": pool_table(explained) if has_pool else None,
         "sites": site_table(explained) if has_pool else None,
     }
+
+
+def _missed_summary(n_runs: int) -> str:
+    return f"{count_runs(n_runs)}: why, and what would save {'it' if n_runs == 1 else 'them'}"

@@ -57,11 +57,12 @@ def summarise_explanations(
         "marginal_apr", "first_share", "mean_delay_s", "max_delay_s", "without": {..}}],
         "not_avoided": [{"run", "outcome", "late_s", "frames_in_time", "frames_seen", "unit",
         "reasons": [{"cause", "thing", "frames"}], "rescue": {"unit", "site", "distance_m",
-        "margin_s"} or None}], "pool": {"stage", "tolerance", "is_complete", "within", "sets":
-        [{"units": [id], "objective", "apr", ..}], "sites": [{"site", "share"}], "poses": [{"unit",
-        "share"}]} or None}``. Runs that are not avoided are those of the world as planned; where
-        worlds were sampled, nobody looks for what would save them. "late_s" is None where braking
-        never sets in.
+        "margin_s"} or None}], "runs_without_weight": n, "pool": {"stage", "tolerance",
+        "is_complete", "within", "sets": [{"units": [id], "objective", "apr", ..}], "sites":
+        [{"site", "share"}], "poses": [{"unit", "share"}]} or None}``. Runs that are not avoided are
+        those of the world as planned; where worlds were sampled, nobody looks for what would save
+        them. Runs of weight 0 are in no list, since no ratio knows them; "runs_without_weight" says
+        how many they are. "late_s" is None where braking never sets in.
     """
     problem, chosen = placement.problem, placement.pose_index
     names = {
@@ -85,6 +86,7 @@ def summarise_explanations(
     return {
         "contributions": [_contribution_record(problem, part, names) for part in contributions],
         "not_avoided": [_missed_record(entry, names) for entry in missed],
+        "runs_without_weight": int((placement.nominal.table.axis.weight == 0.0).sum()),
         "pool": None if pool is None else _pool_record(problem, candidates, pool),
     }
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
+from matplotlib.patches import PathPatch
 
 from geometry.arrays import FloatArray
 from geometry.frames import to_geographic
@@ -17,7 +17,7 @@ from geometry.scene import Scene
 from geometry.scene_footprints import thing_footprint
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
-from placement.candidates import CandidatePose
+from placement.candidates import CandidatePose, is_ring, is_turn_useless
 from placement.imaging import render_picture
 from placement.layout import Layout
 from placement.setting import Setting
@@ -27,6 +27,7 @@ from scenarios.runs import Run
 from .figures import BLUE, VERMILION, literal, unit_labels
 from .ground import draw_scene
 from .plan import ground_footprint
+from .round_views import ALL_ROUND, blind_footprint, ring_path
 
 _A4_IN = (8.27, 11.69)
 _PLAN_HALF_M = 30.0
@@ -129,7 +130,7 @@ def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple
         ("Mount", unit.site_id or "on a mount of its own"),
         ("Where", where),
         ("Height", f"{z:.2f} m above the road"),
-        ("Looks", _direction(unit)),
+        ("Scans" if is_ring(unit.sensor) else "Looks", _direction(unit)),
         ("Tilt", _tilt(unit)),
         ("May be off", _tolerance_text(tolerance)),
         ("Landmarks", "\n".join(_landmarks(unit, scene)) or "none within 40 m"),
@@ -141,14 +142,26 @@ def _direction(unit: CandidatePose) -> str:
     yaw_deg = unit.pose.yaw_deg
     point = COMPASS[round(yaw_deg / 45.0) % 8]
     bearing_deg = (90.0 - yaw_deg) % 360.0
-    return (
+    yaw = (
         f"to the {point}: compass bearing {bearing_deg:.1f}\N{DEGREE SIGN} (clockwise from "
         f"north),\nyaw {yaw_deg:.1f}\N{DEGREE SIGN} (counter-clockwise from east)"
     )
+    if not is_ring(unit.sensor):
+        return yaw
+    is_same = is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg)
+    turned = ": turned it sees the same, only its axes turn with it" if is_same else ""
+    return f"{ALL_ROUND}{turned}\nits front {yaw}"
 
 
 def _tilt(unit: CandidatePose) -> str:
     pitch_deg, height_m = unit.pose.pitch_deg, float(unit.pose.position_m[2])
+    if is_ring(unit.sensor):
+        if pitch_deg == 0.0:
+            return "none: level, its axis upright"
+        side = "down" if pitch_deg < 0.0 else "up"
+        return (
+            f"its front {abs(pitch_deg):.1f}\N{DEGREE SIGN} {side}, its back as much the other way"
+        )
     if pitch_deg >= 0.0:
         return f"{pitch_deg:.1f}\N{DEGREE SIGN} above level"
     reach_m = height_m / math.tan(math.radians(-pitch_deg))
@@ -213,17 +226,18 @@ def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> Non
     x, y = unit.pose.position_m[:2]
     corners = ground_footprint(unit, max_range_m=_VIEW_RANGE_M)
     if len(corners):
-        axes.add_patch(
-            Polygon(corners, facecolor=BLUE, alpha=0.25, edgecolor=BLUE, linewidth=1.5, zorder=5)
+        blind = blind_footprint(unit, max_range_m=_VIEW_RANGE_M)
+        style = {"facecolor": BLUE, "alpha": 0.25, "edgecolor": BLUE, "linewidth": 1.5, "zorder": 5}
+        axes.add_patch(PathPatch(ring_path(corners, blind), **style))
+    if not is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg):
+        yaw = math.radians(unit.pose.yaw_deg)
+        axes.annotate(
+            "",
+            xy=(x + 9.0 * math.cos(yaw), y + 9.0 * math.sin(yaw)),
+            xytext=(x, y),
+            arrowprops={"arrowstyle": "-|>", "color": VERMILION, "linewidth": 2.0},
+            zorder=9,
         )
-    yaw = math.radians(unit.pose.yaw_deg)
-    axes.annotate(
-        "",
-        xy=(x + 9.0 * math.cos(yaw), y + 9.0 * math.sin(yaw)),
-        xytext=(x, y),
-        arrowprops={"arrowstyle": "-|>", "color": VERMILION, "linewidth": 2.0},
-        zorder=9,
-    )
     axes.plot([x], [y], marker="o", markersize=8, color=VERMILION, zorder=10)
     axes.annotate(
         literal(label), (x, y), xytext=(6, 6), textcoords="offset points", fontsize=10, zorder=10,

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from geometry.atomic_files import write_atomically
 from geometry.errors import InputError, Unquoted
-from geometry.junction import COMPASS
 from placement.evaluation import Evaluation
 from placement.ground_coverage import find_ground_coverage
 from placement.setting import Setting
@@ -42,6 +41,7 @@ from .report_tables import (
     unit_apr_table,
     unit_table,
 )
+from .round_views import looking_words
 from .sampled_figures import MAX_STAIRCASES
 from .sensitivity_tables import sensitivity_part
 from .sentences import (
@@ -221,9 +221,8 @@ def _plans(
             ),
             alt="Plan of the junction, north up. "
             + " ".join(
-                f"Camera {labels[unit.id]} at {number(unit.pose.position_m[0], 1)} m east, "
-                f"{number(unit.pose.position_m[1], 1)} m north, looking to the "
-                f"{COMPASS[round(unit.pose.yaw_deg / 45.0) % 8]}."
+                f"{labels[unit.id]} at {number(unit.pose.position_m[0], 1)} m east, "
+                f"{number(unit.pose.position_m[1], 1)} m north, {looking_words(unit)}."
                 for unit in item.layout.units
             ),
         )

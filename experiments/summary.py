@@ -11,7 +11,7 @@ import numpy as np
 from geometry.raycast import caster_name
 from placement.agreement import find_disagreements
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, apr_one_failed
-from placement.layout import layout_records
+from placement.layout import RESULT_SCHEMA, layout_records
 from placement.optimiser import placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting
@@ -142,6 +142,7 @@ def summarise_layout(evaluation: Evaluation, rule: AebRule) -> dict[str, Any]:
     """
     evaluated = summarise_evaluation(evaluation, rule)
     return {
+        "schema": RESULT_SCHEMA,
         "name": evaluation.layout.name,
         "layout": layout_records(evaluation.layout),
         "cost_eur": sum(unit.sensor.price_eur for unit in evaluation.layout.units),

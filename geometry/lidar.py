@@ -23,8 +23,10 @@ class LidarModel:
     ----------
     name : str
         Name in the catalogue.
-    horizontal_fov_deg, vertical_fov_deg : float
-        Full angles, more than 0 and less than 180. [deg]
+    horizontal_fov_deg : float
+        Full angle, more than 0 and up to 360: then it scans all round. [deg]
+    vertical_fov_deg : float
+        Full angle, as much up as down; more than 0 and less than 180. [deg]
     n_lines : int
         Scan lines, one above the other.
     points_per_second : float
@@ -65,8 +67,9 @@ class LidarModel:
     price_eur: float
 
     def __post_init__(self) -> None:
-        for field in ("horizontal_fov_deg", "vertical_fov_deg"):
-            self._check(field, 0.0 < getattr(self, field) < 180.0, "0 < degrees < 180")
+        is_wide = 0.0 < self.horizontal_fov_deg <= 360.0
+        self._check("horizontal_fov_deg", is_wide, "0 < degrees <= 360")
+        self._check("vertical_fov_deg", 0.0 < self.vertical_fov_deg < 180.0, "0 < degrees < 180")
         is_count = isinstance(self.n_lines, int) and not isinstance(self.n_lines, bool)
         self._check("n_lines", is_count and self.n_lines > 0, "a whole number of lines, > 0")
         for field in (
@@ -100,12 +103,20 @@ class LidarModel:
         return round(self.points_per_second / self.frame_rate_hz) // self.n_lines
 
     @property
+    def scans_all_round(self) -> bool:
+        """Whether its columns close to a ring: no azimuth is left out, and none is an edge."""
+        return self.horizontal_fov_deg == 360.0
+
+    @property
     def diagonal_fov_deg(self) -> float:
-        """Full angle between opposite corners, in degrees: all beams lie within this cone."""
-        corner = math.cos(math.radians(0.5 * self.horizontal_fov_deg)) * math.cos(
-            math.radians(0.5 * self.vertical_fov_deg)
-        )
-        return 2.0 * math.degrees(math.acos(corner))
+        """Full angle of the cone around the axis in which all beams lie, in degrees.
+
+        Up to 180 degrees the corners are farthest from the axis, beyond them the ends of the middle
+        line: behind the sensor elevation leads back to the axis.
+        """
+        half_width = math.radians(0.5 * self.horizontal_fov_deg)
+        corner = math.cos(half_width) * math.cos(math.radians(0.5 * self.vertical_fov_deg))
+        return 2.0 * math.degrees(max(math.acos(corner), half_width))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,7 +147,8 @@ def beam_directions(lidar: LidarModel) -> FloatArray:
     -------
     directions : (n_lines, n_columns, 3) float
         Unit vectors, body frame (x ahead, y left, z up); from the lowest line up, from right to
-        left. Each beam is in the middle of its cell of azimuth and elevation.
+        left. Each beam is in the middle of its cell of azimuth and elevation: at 360 degrees the
+        columns stand evenly on the circle, none twice, and the seam is straight behind.
     """
     elevation = np.radians(_cell_centres(lidar.vertical_fov_deg, lidar.n_lines))[:, None]
     azimuth = np.radians(_cell_centres(lidar.horizontal_fov_deg, lidar.n_columns))[None, :]
@@ -154,14 +166,16 @@ def beam_window(lidar: LidarModel, low_deg: ArrayLike, high_deg: ArrayLike) -> I
     lidar : LidarModel
         Scan pattern.
     low_deg, high_deg : (..., 2) float
-        Azimuth (to the left) and elevation, seen from the sensor. [deg]
+        Azimuth (to the left) and elevation, seen from the sensor; low <= high. A box over the seam
+        behind a LiDAR that scans all round has limits beyond 180 degrees, such as 170 to 190. [deg]
 
     Returns
     -------
     window : (..., 4) int
         First line, first column, and the line and column after the last, as in
         ``beam_directions(lidar)[window[0]:window[2], window[1]:window[3]]``; equal where there
-        are none.
+        are none. Of a LiDAR that scans all round columns count modulo ``n_columns``: the first one
+        is in the circle, the end may be beyond it, and none is in the window twice.
     """
     counts = np.array([lidar.n_lines, lidar.n_columns])
     fov_deg = np.array([lidar.vertical_fov_deg, lidar.horizontal_fov_deg])
@@ -170,9 +184,11 @@ def beam_window(lidar: LidarModel, low_deg: ArrayLike, high_deg: ArrayLike) -> I
         for limit in (low_deg, high_deg)
     )
     # Angles of beams are rounded in their last digits: a limit on a beam is not to lose it.
-    first = np.clip(np.ceil(low - _INDEX_SLACK), 0, counts)
-    end = np.clip(np.floor(high + _INDEX_SLACK) + 1.0, first, counts)
-    window: IntArray = np.concatenate([first, end], axis=-1).astype(np.int64)
+    first, end = np.ceil(low - _INDEX_SLACK), np.floor(high + _INDEX_SLACK) + 1.0
+    is_open = np.array([True, not lidar.scans_all_round])
+    start = np.where(is_open, np.clip(first, 0, counts), first % counts)
+    length = np.where(is_open, np.clip(end, start, counts) - start, np.clip(end - first, 0, counts))
+    window: IntArray = np.concatenate([start, start + length], axis=-1).astype(np.int64)
     return window
 
 

@@ -1,15 +1,17 @@
 """Candidate poses: every site x height x sensor x yaw x pitch."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
+from itertools import product
 
 import numpy as np
 
 from geometry.arrays import FloatArray, float_array
 from geometry.catalogue import Sensor, pick_sensor
 from geometry.errors import InputError, Unquoted
+from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.scene import Scene
 from geometry.toml_files import load_toml, take_list, take_number
@@ -62,23 +64,28 @@ class CandidateGrid:
         Positive up. [deg]
     sensors : tuple of CameraModel or LidarModel
         Models to choose from.
+    ring_pitches_deg : (n,) float
+        In place of `pitches_deg`, of LiDARs that scan all round. Level by default: a ring that is
+        tilted down on one side looks into the sky on the other, which suits none but a mount at
+        the edge of everything that matters. Positive up. [deg]
     """
 
     heights_m: FloatArray
     yaw_step_deg: float
     pitches_deg: FloatArray
     sensors: tuple[Sensor, ...]
+    ring_pitches_deg: FloatArray = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:
-        for field in ("heights_m", "pitches_deg"):
-            values = float_array(getattr(self, field), (-1,), f"grid.{field}")
-            object.__setattr__(self, field, values)
+        for name in ("heights_m", "pitches_deg", "ring_pitches_deg"):
+            values = float_array(getattr(self, name), (-1,), f"grid.{name}")
+            object.__setattr__(self, name, values)
             if len(values) == 0:
-                raise InputError(f"grid.{field}", Unquoted("none"), "at least one")
+                raise InputError(f"grid.{name}", Unquoted("none"), "at least one")
+            if name != "heights_m" and (np.abs(values) > 90.0).any():
+                raise InputError(f"grid.{name}", values.tolist(), "-90 .. 90 degrees")
         if (self.heights_m <= 0.0).any():
             raise InputError("grid.heights_m", self.heights_m.tolist(), "metres, > 0")
-        if (np.abs(self.pitches_deg) > 90.0).any():
-            raise InputError("grid.pitches_deg", self.pitches_deg.tolist(), "-90 .. 90 degrees")
         step_deg = float(float_array(self.yaw_step_deg, (), "grid.yaw_step_deg"))
         if not 0.0 < step_deg <= 360.0:
             raise InputError("grid.yaw_step_deg", step_deg, "0 < degrees <= 360")
@@ -92,11 +99,35 @@ class CandidateGrid:
         """Number of yaws."""
         return round(360.0 / self.yaw_step_deg)
 
+    def directions_deg(self, sensor: Sensor) -> list[tuple[float, float]]:
+        """Where a sensor is tried to look: yaw and pitch, each direction that differs once.
+
+        A LiDAR that scans all round sees the same however it is turned, as long as it is level:
+        then only yaw 0 is tried.
+        """
+        # From the whole circle, and rounded: sums of steps would miss 0 and 180 by a hair.
+        yaws_deg = (360.0 * np.arange(1, self.n_yaws + 1) / self.n_yaws - 180.0).round(12).tolist()
+        if not is_ring(sensor):
+            return list(product(yaws_deg, self.pitches_deg.tolist()))
+        level = [(0.0, 0.0)] if (self.ring_pitches_deg == 0.0).any() else []
+        tilts_deg = self.ring_pitches_deg[self.ring_pitches_deg != 0.0].tolist()
+        return level + list(product(yaws_deg, tilts_deg))
+
+
+def is_ring(sensor: Sensor) -> bool:
+    """Whether a sensor is a LiDAR that scans all round."""
+    return isinstance(sensor, LidarModel) and sensor.scans_all_round
+
+
+def is_turn_useless(sensor: Sensor, *, pitch_deg: float) -> bool:
+    """Whether a sensor sees the same at every yaw: a level LiDAR that scans all round."""
+    return is_ring(sensor) and pitch_deg == 0.0
+
 
 def build_candidates(
     scene: Scene, grid: CandidateGrid | None = None, *, extra: Sequence[CandidatePose] = ()
 ) -> tuple[CandidatePose, ...]:
-    """Every site x height x sensor x yaw x pitch, and some more by name.
+    """Every site x height x sensor x direction, and some more by name.
 
     Parameters
     ----------
@@ -120,8 +151,6 @@ def build_candidates(
     if not scene.sites:
         raise InputError(f"{scene.name}: sites", Unquoted("none"), "at least one mount site")
     grid = grid or load_candidate_grid()
-    # From the whole circle, and rounded: sums of steps would miss 0 and 180 by a hair.
-    yaws_deg = (360.0 * np.arange(1, grid.n_yaws + 1) / grid.n_yaws - 180.0).round(12)
     candidates = [
         CandidatePose(
             id=f"{site.id}/{height_m:g}m/{yaw_deg:g}/{pitch_deg:g}/{sensor.name}",
@@ -136,8 +165,7 @@ def build_candidates(
         for site in scene.sites
         for height_m in np.unique(np.clip(grid.heights_m, *site.height_range_m))
         for sensor in grid.sensors
-        for yaw_deg in yaws_deg
-        for pitch_deg in grid.pitches_deg
+        for yaw_deg, pitch_deg in grid.directions_deg(sensor)
     ]
     candidates += extra
     ids = [candidate.id for candidate in candidates]
@@ -157,6 +185,9 @@ def load_candidate_grid() -> CandidateGrid:
         yaw_step_deg=take_number(table, "yaw_step_deg", where),
         pitches_deg=float_array(
             take_list(table, "pitches_deg", where), (-1,), f"{where}: pitches_deg"
+        ),
+        ring_pitches_deg=float_array(
+            take_list(table, "ring_pitches_deg", where), (-1,), f"{where}: ring_pitches_deg"
         ),
         sensors=tuple(
             pick_sensor(name, f"{where}: sensors") for name in take_list(table, "sensors", where)

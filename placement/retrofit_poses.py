@@ -8,7 +8,7 @@ import numpy as np
 from geometry.arrays import IntArray
 from geometry.errors import InputError
 
-from .candidates import CandidateGrid, CandidatePose
+from .candidates import CandidateGrid, CandidatePose, is_turn_useless
 from .layout import Layout
 
 _SAME_DEG = 1.0e-9
@@ -43,14 +43,14 @@ class RetrofitPoses:
 def build_retrofit_poses(
     layout: Layout, grid: CandidateGrid, additions: Sequence[CandidatePose]
 ) -> RetrofitPoses:
-    """The units, their re-aims (same place and sensor, yaws and pitches of a grid), and new poses.
+    """The units, their re-aims (same place and sensor, directions of a grid), and new poses.
 
     Parameters
     ----------
     layout : Layout
         What hangs.
     grid : CandidateGrid
-        Only its yaws and pitches.
+        Only its directions.
     additions : sequence of CandidatePose
         What can be added; poses with the id of a unit are left out.
 
@@ -60,11 +60,10 @@ def build_retrofit_poses(
         Two ids are equal.
     """
     aims = [
-        (number, _aimed(unit, yaw_deg=float(yaw), pitch_deg=float(pitch)))
+        (number, _aimed(unit, yaw_deg=yaw_deg, pitch_deg=pitch_deg))
         for number, unit in enumerate(layout.units)
-        for yaw in (360.0 * np.arange(1, grid.n_yaws + 1) / grid.n_yaws - 180.0).round(12)
-        for pitch in grid.pitches_deg
-        if not _looks_there(unit, yaw_deg=float(yaw), pitch_deg=float(pitch))
+        for yaw_deg, pitch_deg in grid.directions_deg(unit.sensor)
+        if not _looks_there(unit, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
     ]
     taken = {unit.id for unit in layout.units}
     new = [candidate for candidate in additions if candidate.id not in taken]
@@ -84,4 +83,6 @@ def _aimed(unit: CandidatePose, *, yaw_deg: float, pitch_deg: float) -> Candidat
 
 def _looks_there(unit: CandidatePose, *, yaw_deg: float, pitch_deg: float) -> bool:
     turn_deg = (unit.pose.yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0
+    if is_turn_useless(unit.sensor, pitch_deg=pitch_deg):
+        turn_deg = 0.0
     return max(abs(turn_deg), abs(unit.pose.pitch_deg - pitch_deg)) <= _SAME_DEG

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from geometry.actors import load_actors
 from geometry.catalogue import load_cameras
@@ -10,6 +11,9 @@ from scenarios.aeb import load_aeb_rule
 from scenarios.cases import pick_cases
 from scenarios.published import load_placements
 from scenarios.runs import FrameAxis, build_runs
+
+settings.register_profile("place-rsus", deadline=None)  # how long an example takes is no test
+settings.load_profile("place-rsus")
 
 
 @pytest.fixture(scope="session")

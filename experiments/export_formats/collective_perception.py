@@ -12,7 +12,7 @@ from geometry.frames import to_carla_yaw
 from geometry.maps.local_frame import transform
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
-from placement.candidates import CandidatePose
+from placement.candidates import CandidatePose, is_ring
 from placement.detectors import load_detector
 from placement.layout import Layout
 
@@ -64,6 +64,12 @@ def to_cpm(layout: Layout, scene: Scene) -> str:
     A camera has no range of its own: it ends where an adult is as high in the image as the least
     box of the default detector. Angles are those of the middle of the image's edges; shadowing
     (shadowingApplies) is left to the receiver.
+
+    Of a LiDAR that scans all round the horizontal opening starts at 0 (north) and ends at 359.9
+    degrees. A full turn has no value of its own: 360.0 means "not used", and a start that equals
+    the end reads as no opening as well as a full one. So a tenth of a degree is left out, to the
+    north, and every receiver that takes the way from start to end has all but that. If the LiDAR is
+    tilted, the vertical opening is what it reaches to any side, not to each.
 
     References
     ----------
@@ -151,10 +157,16 @@ def _radial_shape(
         )
     half_deg = 0.5 * unit.sensor.horizontal_fov_deg
     half_vertical_deg = 0.5 * unit.sensor.vertical_fov_deg
-    # What looks straight down sees beyond it, but there is no steeper direction.
-    low_deg = max(unit.pose.pitch_deg - half_vertical_deg, -90.0)
-    high_deg = min(unit.pose.pitch_deg + half_vertical_deg, 90.0)
+    lowest_deg, highest_deg = unit.pose.pitch_deg, unit.pose.pitch_deg
     heading_deg = float(to_carla_yaw(unit.pose.yaw_deg)) + 90.0
+    start, end = _tenths(heading_deg - half_deg) % _TURN, _tenths(heading_deg + half_deg) % _TURN
+    if is_ring(unit.sensor):
+        start, end = 0, _TURN - 1
+        # Tilted, its front goes down by as much as its back goes up.
+        lowest_deg, highest_deg = -abs(unit.pose.pitch_deg), abs(unit.pose.pitch_deg)
+    # What looks straight down sees beyond it, but there is no steeper direction.
+    low_deg = max(lowest_deg - half_vertical_deg, -90.0)
+    high_deg = min(highest_deg + half_vertical_deg, 90.0)
     return {
         "shapeReferencePoint": {
             "xCoordinate": int(offset[0]),
@@ -162,8 +174,8 @@ def _radial_shape(
             "zCoordinate": int(offset[2]),
         },
         "range": min(_tenths(_range_m(unit, adult_px_m)), _MAX_RANGE),
-        "stationaryHorizontalOpeningAngleStart": _tenths(heading_deg - half_deg) % _TURN,
-        "stationaryHorizontalOpeningAngleEnd": _tenths(heading_deg + half_deg) % _TURN,
+        "stationaryHorizontalOpeningAngleStart": start,
+        "stationaryHorizontalOpeningAngleEnd": end,
         "verticalOpeningAngleStart": _tenths(low_deg) % _TURN,
         "verticalOpeningAngleEnd": _tenths(high_deg) % _TURN,
     }

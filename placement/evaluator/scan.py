@@ -7,7 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.lidar import LidarModel, beam_directions, load_lidar_detection, return_probability
+from geometry.lidar import (
+    LidarModel,
+    beam_directions,
+    beam_window,
+    load_lidar_detection,
+    return_probability,
+)
 from geometry.poses import Pose, body_rotation
 from geometry.weather import Weather
 
@@ -144,10 +150,14 @@ def _look(
     )
     middle = np.column_stack([vru_poses[:, :2], np.full(len(poses), 0.5 * vru.hull_m[:, 2].max())])
     towards = (middle - pose.position_m) / distance[:, None]
-    reach = np.cos(np.arcsin(np.minimum(1.0, radius_m / distance)))
-    is_near = distance - radius_m <= lidar.range_m
-    sight, beam = np.nonzero((towards @ beams.T >= reach[:, None]) & is_near[:, None])
-    directions = beams[beam]
+    half_angle = np.arcsin(np.minimum(1.0, radius_m / distance))
+    near = np.flatnonzero(distance - radius_m <= lidar.range_m)
+    towards_lidar = towards[near] @ body_rotation(pose.yaw_deg, pose.pitch_deg)
+    windows = list(_beams_around(lidar, towards_lidar, half_angle[near]))
+    sight = np.repeat(near, [len(window) for window in windows])
+    beam = np.concatenate([*windows, np.empty(0, dtype=np.int64)])
+    is_close = np.einsum("ni,ni->n", towards[sight], beams[beam]) >= np.cos(half_angle[sight])
+    sight, directions = sight[is_close], beams[beam[is_close]]
     depth, triangle = _cast(pose, lidar, vru, vru_poses[sight], directions)
     hits = np.isfinite(depth)
     sight, directions, depth, triangle = sight[hits], directions[hits], depth[hits], triangle[hits]
@@ -163,6 +173,50 @@ def _look(
             distance_m=depth[start:end],
             incidence_cos=cosine[start:end],
         )
+
+
+def _beams_around(
+    lidar: LidarModel, towards: FloatArray, half_angle_rad: FloatArray
+) -> Iterator[IntArray]:
+    """Beams in boxes of angles around cones, cone by cone: line by line, each from right to left.
+
+    Parameters
+    ----------
+    lidar : LidarModel
+        Scan pattern.
+    towards : (n, 3) float
+        Axes of the cones, unit vectors in the LiDAR's frame.
+    half_angle_rad : (n,) float
+        How wide they are. [rad]
+
+    Yields
+    ------
+    beam : (n_beams,) int
+        Into the flattened scan pattern. Over the seam of a LiDAR that scans all round they go on:
+        a cone has the same beams in the same order however the LiDAR is turned.
+    """
+    azimuth = np.arctan2(towards[:, 1], towards[:, 0])
+    elevation = np.arcsin(np.clip(towards[:, 2], -1.0, 1.0))
+    # A cone around the pole has every azimuth; another one is widest where a meridian touches it.
+    has_pole = np.abs(elevation) + half_angle_rad >= 0.5 * np.pi
+    ratio = np.sin(half_angle_rad) / np.where(has_pole, 1.0, np.cos(elevation))
+    half_width = np.where(has_pole, np.pi, np.arcsin(np.minimum(ratio, 1.0)))
+    middle = np.degrees(np.stack([azimuth, elevation], axis=1))
+    half = np.degrees(np.stack([half_width, half_angle_rad], axis=1))
+    # What ends at an edge may come in again at the other one, if it is wide enough.
+    turns_deg = (0.0,) if lidar.scans_all_round else (-360.0, 0.0, 360.0)
+    windows = [
+        beam_window(lidar, middle - half + [turn_deg, 0.0], middle + half + [turn_deg, 0.0])
+        for turn_deg in turns_deg
+    ]
+    for parts in zip(*windows, strict=True):
+        columns = np.concatenate([np.arange(first, end) for _, first, _, end in parts])
+        if lidar.scans_all_round:
+            columns %= lidar.n_columns
+        else:
+            columns = np.unique(columns)
+        lines = np.arange(parts[0][0], parts[0][2])
+        yield (lines[:, None] * lidar.n_columns + columns).ravel()
 
 
 def _cast(

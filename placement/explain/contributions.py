@@ -20,7 +20,7 @@ class Contribution:
     pose_index : int
         Row of the table.
     only_runs : (n,) int
-        Runs that are avoided with it and not without it.
+        Runs with weight that are avoided with it and not without it.
     marginal_apr : float
         APR of the whole set less that of the others, 0..1.
     without : PlacementValue
@@ -81,7 +81,7 @@ def find_contributions(
         found.append(
             Contribution(
                 pose_index=pose,
-                only_runs=np.flatnonzero((margin_s > -np.inf) & ~stays),
+                only_runs=np.flatnonzero((margin_s > -np.inf) & ~stays & (weight > 0.0)),
                 marginal_apr=value.apr - without.apr,
                 without=without,
                 mean_delay_s=float(delay_s @ weight) / share if share else 0.0,

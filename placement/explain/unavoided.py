@@ -46,7 +46,7 @@ class Rescue:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unavoided:
-    """A run that a set of poses does not avoid.
+    """A run with weight that a set of poses does not avoid.
 
     Attributes
     ----------
@@ -109,8 +109,9 @@ def find_unavoided(
     Returns
     -------
     unavoided : tuple of Unavoided
-        In the order of the runs. A candidate that would save one is not forbidden, finds room at
-        its site and is not too near to another unit; what it costs does not matter.
+        In the order of the runs; runs of weight 0, which no ratio knows, are not among them. A
+        candidate that would save one is not forbidden, finds room at its site and is not too near
+        to another unit; what it costs does not matter.
 
     Raises
     ------
@@ -124,7 +125,8 @@ def find_unavoided(
         raise InputError("candidates", Unquoted("others"), "the rows of the table")
     if not chosen:
         raise InputError("pose_index", chosen, "at least one pose")
-    missed = np.flatnonzero(run_margins_s(problem, chosen) == -np.inf)
+    is_missed = run_margins_s(problem, chosen) == -np.inf
+    missed = np.flatnonzero(is_missed & (axis.weight > 0.0))
     runs = [_Missed(setting, problem, candidates, chosen, run) for run in missed.tolist()]
     hopeful = [run for run in runs if run.outcome != "hopeless"]
     looks = [run.look() for run in hopeful]

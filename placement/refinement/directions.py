@@ -9,7 +9,7 @@ import numpy as np
 
 from geometry.sensors import CameraModel
 
-from ..candidates import CandidatePose
+from ..candidates import CandidatePose, is_turn_useless
 from ..optimiser import PlacementProblem, is_feasible
 from .bench import Bench, add_poses
 from .proposals import Places, moved
@@ -132,13 +132,16 @@ def _steps(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePo
     for step_deg, turn_sign, tilt_sign, zoom_sign in product(STEPS_DEG, *[(-1, 0, 1)] * 3):
         if zoom_sign and (turn_sign or tilt_sign or not has_zoom):
             continue
+        pitch_deg = unit.pose.pitch_deg + tilt_sign * step_deg
+        if turn_sign and is_turn_useless(sensor, pitch_deg=pitch_deg):
+            continue
         zoom = (1.0 + 0.01 * step_deg) ** zoom_sign
         pose = moved(
             places,
             origin,
             height_m=float(unit.pose.position_m[2]),
             yaw_deg=unit.pose.yaw_deg + turn_sign * step_deg,
-            pitch_deg=unit.pose.pitch_deg + tilt_sign * step_deg,
+            pitch_deg=pitch_deg,
             fov_deg=zoom * sensor.horizontal_fov_deg,
         )
         if pose is not None and pose.id != unit.id:

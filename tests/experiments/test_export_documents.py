@@ -18,7 +18,7 @@ from experiments.export_formats.layout_file import to_json
 from experiments.study import load_carlancap_layout
 from geometry.actors import load_actors
 from geometry.errors import InputError
-from geometry.lidar import LidarModel
+from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
 from placement.layout import RESERVED_IDS, SCHEMA, Layout, layout_records, load_layout
@@ -108,6 +108,9 @@ def test_an_own_lidar_is_in_the_schema(validator):
         damaged = copy.deepcopy(document)
         del damaged["sensors"]["mine"][key]
         assert not validator.is_valid(damaged), key
+    for fov_deg, is_fine in ((360.0, True), (360.1, False)):
+        document["sensors"]["mine"]["horizontal_fov_deg"] = fov_deg
+        assert validator.is_valid(document) == is_fine
 
 
 # Ranges of ETSI TS 102 894-2 V2.1.1; values that mean "unknown" or are not used are left out.
@@ -205,6 +208,24 @@ def test_cpm_by_hand():
     assert (reference["latitude"], reference["longitude"]) == (490000000, 80000000)
     lidar = stations_of(level_layout(0.0, kind="lidar"), load_study_scene())[0]
     assert sensors_of(lidar)[0]["perceptionRegionShape"]["radial"]["range"] == 2500
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 45.0, 180.0])
+@pytest.mark.parametrize(("pitch_deg", "low", "high"), [(0.0, 3375, 225), (-30.0, 3075, 525)])
+def test_cpm_opens_all_but_a_tenth_of_a_turn_where_a_lidar_scans_all_round(
+    yaw_deg, pitch_deg, low, high
+):
+    """A start that equals the end may mean nothing as well as all."""
+    (unit,) = level_layout(yaw_deg, pitch_deg, kind="lidar").units
+    ring = replace(unit, sensor=load_lidars()["ouster-os1-128"])
+    (station,) = stations_of(Layout(name="ring", units=(ring,)), load_study_scene())
+    shape = sensors_of(station)[0]["perceptionRegionShape"]["radial"]
+    assert (
+        shape["stationaryHorizontalOpeningAngleStart"],
+        shape["stationaryHorizontalOpeningAngleEnd"],
+    ) == (0, 3599)
+    assert (shape["verticalOpeningAngleStart"], shape["verticalOpeningAngleEnd"]) == (low, high)
+    assert shape["range"] == 1200
 
 
 def test_cpm_does_not_open_beyond_straight_down():

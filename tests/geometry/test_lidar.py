@@ -22,6 +22,7 @@ from geometry.lidar import (
 )
 
 STUDY = load_lidars()["carla-ncap-lidar"]
+RING = load_lidars()["ouster-os1-128"]
 SQUARE_CLEAR = {"reflectivity": 0.1, "incidence_cos": 1.0, "extinction_per_m": 0.0}
 
 
@@ -30,7 +31,7 @@ def lidars(draw) -> LidarModel:
     n_lines = draw(st.integers(1, 30))
     return dataclasses.replace(
         STUDY,
-        horizontal_fov_deg=draw(numbers(1.0, 179.0)),
+        horizontal_fov_deg=draw(numbers(1.0, 360.0) | st.just(360.0)),
         vertical_fov_deg=draw(numbers(1.0, 179.0)),
         n_lines=n_lines,
         points_per_second=10.0 * draw(st.integers(n_lines, 30 * n_lines)),
@@ -53,6 +54,15 @@ def test_the_studys_lidar_is_that_of_its_table_of_sensors():
     assert (STUDY.n_lines, STUDY.frame_rate_hz, STUDY.range_m) == (52, 10.0, 250.0)
     assert STUDY.points_per_second == 90_000.0
     assert STUDY.n_columns == 173  # 9000 points per frame on 52 lines, rounded down
+
+
+def test_the_ring_is_that_of_its_data_sheet():
+    # Ouster, OS1, first edition; 1024 of its columns.
+    assert (RING.horizontal_fov_deg, RING.vertical_fov_deg, RING.n_lines) == (360.0, 45.0, 128)
+    assert (RING.n_columns, RING.frame_rate_hz) == (1024, 10.0)
+    assert (RING.reference_range_m, RING.reference_reflectivity) == (40.0, 0.1)
+    # Its two ranges agree with the LiDAR equation: 120 m on 80 %.
+    assert probability_at(120.0, RING, reflectivity=0.8) == pytest.approx(0.76, abs=0.01)
 
 
 @given(lidars())
@@ -85,39 +95,76 @@ def test_beams_go_from_the_lowest_line_up_and_from_right_to_left():
 
 
 @given(lidars())
-def test_the_diagonal_cone_touches_the_corners_and_holds_every_beam(lidar):
+def test_the_diagonal_cone_touches_the_field_of_view_and_holds_every_beam(lidar):
+    """It touches where x is least on the border: at a corner, or behind at the ends of a line."""
     half_width, half_height = (
         math.radians(0.5 * lidar.horizontal_fov_deg),
         math.radians(0.5 * lidar.vertical_fov_deg),
     )
-    corner_x = math.cos(half_height) * math.cos(half_width)
+    elevations = np.linspace(-half_height, half_height, 201)
     limit = math.cos(math.radians(0.5 * lidar.diagonal_fov_deg))
-    assert limit == pytest.approx(corner_x, abs=1e-9)
+    assert limit == pytest.approx((np.cos(elevations) * math.cos(half_width)).min(), abs=1e-9)
     assert (beam_directions(lidar)[..., 0] >= limit - 1e-9).all()
 
 
-@given(lidars(), st.tuples(*[numbers(-100.0, 100.0)] * 4))
+def test_all_is_inside_the_cone_of_a_lidar_that_scans_all_round():
+    assert RING.scans_all_round
+    assert RING.diagonal_fov_deg == 360.0
+    assert not dataclasses.replace(RING, horizontal_fov_deg=359.9).scans_all_round
+    assert dataclasses.replace(RING, horizontal_fov_deg=200.0).diagonal_fov_deg == 200.0
+
+
+@given(lidars(), st.integers(-40, 40))
+def test_a_ring_turned_by_whole_columns_has_the_same_beams(lidar, n_columns):
+    """Evenly all round, and none twice at the seam."""
+    ring = dataclasses.replace(lidar, horizontal_fov_deg=360.0)
+    beams = beam_directions(ring)
+    turn = 2.0 * math.pi * n_columns / ring.n_columns
+    cosine, sine = math.cos(turn), math.sin(turn)
+    turned = beams @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(turned, np.roll(beams, -n_columns, axis=1), atol=1e-12)
+    azimuth = np.sort(angles_deg(beams[:1])[0][0])
+    steps = np.diff(np.append(azimuth, azimuth[0] + 360.0))
+    np.testing.assert_allclose(steps, 360.0 / ring.n_columns, atol=1e-9)
+
+
+LIMITS = st.tuples(*[numbers(-250.0, 250.0)] * 2, *[numbers(-100.0, 100.0)] * 2)
+
+
+@given(lidars(), LIMITS)
 def test_a_window_holds_exactly_the_beams_within_its_angles(lidar, limits):
-    low, high = np.sort(np.array(limits).reshape(2, 2), axis=0)
+    low, high = np.sort(np.array(limits).reshape(2, 2), axis=1).T
     first_line, first_column, end_line, end_column = beam_window(lidar, low, high)
     azimuth, elevation = angles_deg(beam_directions(lidar))
+    columns = np.arange(first_column, end_column)
+    if lidar.scans_all_round:
+        columns %= lidar.n_columns
+        assert 0 <= first_column < lidar.n_columns
+    assert len(np.unique(columns)) == len(columns)
     inside = np.zeros(azimuth.shape, dtype=bool)
-    inside[first_line:end_line, first_column:end_column] = True
-    slack = 1e-6  # beams on a limit may be rounded to either side
-    surely = (
-        (azimuth > low[0] + slack)
-        & (azimuth < high[0] - slack)
-        & (elevation > low[1] + slack)
-        & (elevation < high[1] - slack)
+    inside[first_line:end_line, columns] = True
+
+    def is_within(slack):  # beams on a limit may be rounded to either side
+        # Behind a ring azimuths go on: 190 degrees are -170.
+        turns = (-360.0, 0.0, 360.0) if lidar.scans_all_round else (0.0,)
+        is_beside = [
+            (azimuth + turn > low[0] - slack) & (azimuth + turn < high[0] + slack) for turn in turns
+        ]
+        is_level = (elevation > low[1] - slack) & (elevation < high[1] + slack)
+        return np.any(is_beside, axis=0) & is_level
+
+    assert (is_within(-1e-6) <= inside).all()
+    assert (inside <= is_within(1e-6)).all()
+
+
+def test_a_window_goes_on_over_the_seam():
+    ring = dataclasses.replace(RING, n_lines=1, points_per_second=360.0 * 10.0)
+    assert ring.n_columns == 360  # at -179.5 .. 179.5 degrees
+    windows = beam_window(
+        ring, [[177.9, 0], [-182.1, 0], [-500, 0]], [[182.1, 0], [-177.9, 0], [500, 0]]
     )
-    possibly = (
-        (azimuth > low[0] - slack)
-        & (azimuth < high[0] + slack)
-        & (elevation > low[1] - slack)
-        & (elevation < high[1] + slack)
-    )
-    assert (surely <= inside).all()
-    assert (inside <= possibly).all()
+    assert windows[:2].tolist() == [[0, 358, 1, 362]] * 2
+    assert windows[2, 3] - windows[2, 1] == 360
 
 
 def test_windows_come_many_at_once_and_include_their_limits():
@@ -219,9 +266,11 @@ def test_detection_asks_for_points_of_every_class_of_road_user():
     ("change", "message"),
     [
         (
-            {"horizontal_fov_deg": 180.0},
-            "horizontal_fov_deg: got 180.0; expected 0 < degrees < 180",
+            {"horizontal_fov_deg": 360.1},
+            "horizontal_fov_deg: got 360.1; expected 0 < degrees <= 360",
         ),
+        ({"horizontal_fov_deg": 0.0}, "horizontal_fov_deg: got 0.0; expected 0 < degrees <= 360"),
+        ({"vertical_fov_deg": 180.0}, "vertical_fov_deg: got 180.0; expected 0 < degrees < 180"),
         ({"vertical_fov_deg": math.nan}, "vertical_fov_deg: got nan; expected 0 < degrees < 180"),
         ({"n_lines": 0}, "n_lines: got 0; expected a whole number of lines, > 0"),
         ({"n_lines": 2.0}, "n_lines: got 2.0; expected a whole number of lines, > 0"),

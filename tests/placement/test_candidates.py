@@ -5,16 +5,20 @@ from hypothesis import strategies as st
 
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
+from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from geometry.scene import Scene, Site
 from placement.candidates import (
     CandidateGrid,
     CandidatePose,
     build_candidates,
+    is_turn_useless,
     load_candidate_grid,
 )
 
 CAMERAS = tuple(load_cameras().values())[:2]
+LIDARS = load_lidars()
+SECTOR, RING = LIDARS["carla-ncap-lidar"], LIDARS["ouster-os1-128"]
 
 
 def _scene(*height_ranges_m) -> Scene:
@@ -90,6 +94,32 @@ def test_the_default_grid_looks_every_15_degrees_at_three_heights_and_pitches():
     assert [sensor.name for sensor in grid.sensors] == ["carla-ncap-rgb"]
 
 
+def test_what_scans_all_round_hangs_level_and_is_not_turned():
+    scene = _scene([5, 9])
+    others = [c.id for c in build_candidates(scene, _grid(sensors=(*CAMERAS, SECTOR)))]
+    assert len(others) == 2 * 3 * 12 * 3
+    assert others[0] == f"pole-0/6m/-150/-30/{CAMERAS[0].name}"
+    found = [c.id for c in build_candidates(scene, _grid(sensors=(*CAMERAS, SECTOR, RING)))]
+    rings = [name for name in found if name not in others]
+    assert rings == [f"pole-0/{height}m/0/0/{RING.name}" for height in (6, 8)]
+    assert [name for name in found if name in others] == others  # unchanged, in their order
+
+
+def test_a_tilted_ring_is_turned():
+    grid = _grid(sensors=(RING,), ring_pitches_deg=np.array([-20.0, 0.0, 10.0]))
+    directions = grid.directions_deg(RING)
+    assert directions[0] == (0.0, 0.0)
+    assert len(set(directions)) == len(directions) == 1 + 12 * 2
+    assert {pitch for _, pitch in directions} == {-20.0, 0.0, 10.0}
+    assert [is_turn_useless(RING, pitch_deg=pitch) for pitch in (0.0, -20.0)] == [True, False]
+    assert not is_turn_useless(SECTOR, pitch_deg=0.0)
+    assert not is_turn_useless(CAMERAS[0], pitch_deg=0.0)
+
+
+def test_the_default_grid_hangs_rings_level():
+    assert load_candidate_grid().ring_pitches_deg.tolist() == [0.0]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -99,6 +129,11 @@ def test_the_default_grid_looks_every_15_degrees_at_three_heights_and_pitches():
         ({"heights_m": 5.0}, "grid.heights_m: got shape (); expected shape (-1,)"),
         ({"pitches_deg": []}, "grid.pitches_deg: got none; expected at least one"),
         ({"pitches_deg": [-91.0]}, "grid.pitches_deg: got [-91.0]; expected -90 .. 90 degrees"),
+        ({"ring_pitches_deg": []}, "grid.ring_pitches_deg: got none; expected at least one"),
+        (
+            {"ring_pitches_deg": [100.0]},
+            "grid.ring_pitches_deg: got [100.0]; expected -90 .. 90 degrees",
+        ),
         ({"pitches_deg": [np.nan]}, "grid.pitches_deg: got [nan]; expected finite numbers"),
         ({"yaw_step_deg": 0.0}, "grid.yaw_step_deg: got 0.0; expected 0 < degrees <= 360"),
         ({"yaw_step_deg": 361.0}, "grid.yaw_step_deg: got 361.0; expected 0 < degrees <= 360"),

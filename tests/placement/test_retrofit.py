@@ -11,6 +11,7 @@ from problems import problems
 from small_tables import avoiding_problem
 
 from geometry.errors import InputError
+from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from placement.candidates import CandidateGrid, CandidatePose
 from placement.labour import Labour
@@ -284,6 +285,16 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(grid
     for aim in aims:
         assert aim.pose.position_m.tolist() == position.tolist()
         assert (aim.sensor, aim.site_id, aim.latency_s) == (camera, "corner", 0.2)
+
+
+def test_a_level_ring_is_not_turned(grid) -> None:  # type: ignore[no-untyped-def]
+    """All round: a turn would change nothing, and the grid's tilts are for cameras."""
+    ring = replace(_pose("A"), sensor=load_lidars()["ouster-os1-128"])
+    level = replace(ring, pose=replace(ring.pose, yaw_deg=77.0, pitch_deg=0.0))
+    assert len(build_retrofit_poses(_layout(level), grid, []).aims_of(0)) == 0
+    tilted = replace(ring, pose=replace(ring.pose, yaw_deg=77.0, pitch_deg=-9.0))
+    poses = build_retrofit_poses(_layout(tilted), grid, [])
+    assert [poses.candidates[row].id for row in poses.aims_of(0)] == ["A/aim/0/0"]
 
 
 def test_ids_that_clash_are_refused(grid, camera) -> None:  # type: ignore[no-untyped-def]

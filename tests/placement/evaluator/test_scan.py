@@ -284,3 +284,96 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     behind = build_surroundings(wall, [build_run(block, vru, vut)])
     found = scan_from_vut(behind, load_vut_camera(), load_vut_lidar(), _rng())
     assert found.tolist() == [False, False, False, False] + [True, False, False, True] * 2
+
+
+# All round
+
+
+# Cells of a degree; a wide one leaves a gap behind, over which a cone reaches both edges.
+RING = replace(SURE, horizontal_fov_deg=360.0, vertical_fov_deg=150.0, n_lines=150)
+RING = replace(RING, points_per_second=10.0 * 150 * 360)
+SECTOR = replace(RING, horizontal_fov_deg=120.0, points_per_second=10.0 * 150 * 120)
+WIDE = replace(RING, horizontal_fov_deg=345.0, points_per_second=10.0 * 150 * 345)
+OVERHEAD = Pose(position_m=np.array([0.5, 0.5, 5.0]), yaw_deg=0.0)
+
+
+@pytest.fixture
+def beams_on_vru(monkeypatch):
+    """Beams that end on the VRU, frame by frame."""
+
+    def look(surroundings, pose, lidar):
+        counts = []
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                scan, "_is_enough", lambda echoes, *given: counts.append(len(echoes.distance_m))
+            )
+            # One by one: a scan has an order of its own.
+            for frame in range(len(surroundings.vru_poses)):
+                one = surroundings.take(np.array([frame]))
+                scan_from_roadside(one, pose, lidar, _rng())
+        return np.array(counts)
+
+    return look
+
+
+def _around(build_run, name, distance_m, n_frames=20):
+    """A VRU all round the origin, with the VUT now and then before it."""
+    bearing_deg = np.linspace(-180.0, 180.0, n_frames, endpoint=False)
+    towards = np.column_stack([np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))])
+    vru = np.column_stack([distance_m * towards, bearing_deg + 20.0])
+    vut = np.column_stack([0.5 * distance_m * towards, bearing_deg + 90.0])
+    vut[::2] += 500.0
+    return build_run(pick_actor(name, "test"), vru, vut)
+
+
+@pytest.mark.parametrize("lidar", [RING, WIDE, SECTOR], ids=["ring", "wide", "sector"])
+@pytest.mark.parametrize("pitch_deg", [0.0, -35.0])
+@pytest.mark.parametrize("distance_m", [1.5, 9.0])
+def test_all_round_as_many_beams_end_on_the_vru_as_of_the_whole_pattern(
+    build_scene, build_run, beams_on_vru, lidar, pitch_deg, distance_m
+):
+    """Also over the seam behind, and below the LiDAR, where a VRU is at all azimuths at once."""
+    scene = build_scene(((3.0, 2.0, 0.0), (6.0, 5.0, 3.0)))
+    run = _around(build_run, "cyclist", distance_m)
+    # Looking east: the first frames are right behind.
+    for yaw_deg in (0.0, 100.0):
+        pose = replace(OVERHEAD, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+        found = beams_on_vru(build_surroundings(scene, [run]), pose, lidar)
+        plain = _plain_counts(scene, [run], pose, lidar)
+        # A beam along an edge may go either way in single precision.
+        assert np.abs(found - plain).max() <= 2
+        assert (found == plain).mean() > 0.7
+        assert plain.max() > 20
+
+
+@pytest.mark.parametrize("n_columns", [1, 90, 179, -67])
+def test_a_level_ring_sees_the_same_however_it_is_turned(
+    build_scene, build_run, beams_on_vru, needs, n_columns
+):
+    scene = build_scene(((3.0, 2.0, 0.0), (6.0, 5.0, 3.0)))
+    runs = [_around(build_run, name, 9.0) for name in ("adult", "cyclist")]
+    surroundings = build_surroundings(scene, runs)
+    turned = replace(OVERHEAD, yaw_deg=float(n_columns))
+    before, after = (beams_on_vru(surroundings, pose, RING) for pose in (OVERHEAD, turned))
+    assert np.abs(before - after).max() <= 1
+    assert (before == after).mean() > 0.95
+    # The same pulses come back, too: beams meet the same luck on either side of the seam.
+    vague = replace(RING, threshold_width=9.0, reference_probability=0.5, reference_range_m=9.0)
+    for n_points in (3, 12, 8):
+        needs(n_points)
+        one, other = (
+            scan_from_roadside(surroundings, pose, vague, _rng(4)) for pose in (OVERHEAD, turned)
+        )
+        assert (one == other)[before == after].all()
+    assert 0.1 < one.mean() < 0.9
+
+
+def test_a_ring_meets_what_a_sector_of_the_same_steps_meets(build_scene, build_run, beams_on_vru):
+    surroundings = build_surroundings(build_scene(WALL), [_around(build_run, "adult", 9.0, 72)])
+    ring = beams_on_vru(surroundings, OVERHEAD, RING)
+    assert (ring > 0).mean() > 0.8
+    for yaw_deg in (0.0, 150.0, -120.0):
+        sector = beams_on_vru(surroundings, replace(OVERHEAD, yaw_deg=yaw_deg), SECTOR)
+        assert (ring >= sector - 1).all()
+        assert (sector > 0).any()
+        assert (sector < ring - 5).any()

@@ -30,7 +30,9 @@ def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
         others = [pose for pose in poses if pose != part.pose_index]
         left = run_margins_s(problem, others)
         assert part.only_runs.tolist() == [
-            run for run in range(len(left)) if whole[run] > -np.inf and left[run] == -np.inf
+            run
+            for run in range(len(left))
+            if whole[run] > -np.inf and left[run] == -np.inf and weight[run] > 0.0
         ]
         assert part.marginal_apr == pytest.approx(apr(problem, poses) - apr(problem, others))
         assert part.marginal_apr == pytest.approx(weight[part.only_runs].sum())

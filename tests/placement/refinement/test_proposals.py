@@ -10,6 +10,7 @@ from geometry.catalogue import pick_sensor
 from geometry.poses import Pose, body_rotation
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.optimiser import Limits
+from placement.refinement import directions
 from placement.refinement.proposals import aimed, around, build_places, moved
 from placement.refinement.weak_spots import WeakSpots, find_weak_spots
 
@@ -193,3 +194,20 @@ def test_nothing_is_aimed_at_where_nothing_is_weak(places, meadow_placement):
     )
     rng = np.random.default_rng(0)
     assert aimed(places, meadow_placement.problem.table, nothing, rng) == []
+
+
+def test_a_level_ring_is_tilted_and_never_only_turned(meadow):
+    ring = pick_sensor("ouster-os1-128", "test")
+    grid = CandidateGrid(
+        heights_m=np.array([6.0]), yaw_step_deg=90.0, pitches_deg=np.array([-20.0]), sensors=(ring,)
+    )
+    candidates = build_candidates(meadow.scene, grid)
+    places = build_places(meadow.scene, candidates, _limits(candidates))
+    steps = directions._steps(candidates[0], 0, places)
+    assert steps
+    assert all(step.pose.pitch_deg != 0.0 for step in steps)
+    tilted = replace(candidates[0].pose, pitch_deg=-8.0)
+    steps = directions._steps(replace(candidates[0], id="tilted", pose=tilted), 0, places)
+    # Eight degrees up it is level again: then it is not turned.
+    assert [step.pose.yaw_deg for step in steps if step.pose.pitch_deg == 0.0] == [0.0]
+    assert any(step.pose.yaw_deg != 0.0 and step.pose.pitch_deg == -8.0 for step in steps)

@@ -1,0 +1,244 @@
+"""Results of every kind against their JSON schema, and that against the documentation."""
+
+import copy
+import json
+import re
+from dataclasses import replace
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from experiments import jobs
+from experiments.export_formats.layout_file import to_json
+from experiments.result_files import load_result
+from experiments.study import load_carlancap_layout
+from geometry.frames import to_geographic
+from geometry.scene_files import load_study_scene
+from placement.assumptions import load_assumptions
+from placement.layout import RESULT_SCHEMA, Layout
+from placement.links import Links
+from scenarios.runs import build_frame_axis
+
+DOCUMENT = json.loads(
+    (files("experiments") / "data" / "result.schema.json").read_text(encoding="utf-8")
+)
+VALIDATOR = jsonschema.Draft202012Validator(DOCUMENT)
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def messages(summary):
+    return [f"{error.json_path}: {error.message}" for error in VALIDATOR.iter_errors(summary)]
+
+
+def parts(node, where="$"):
+    """Every object of a schema that says what it is for, and where it stands."""
+    if isinstance(node, dict):
+        yield where, node
+        for key, value in node.items():
+            yield from parts(value, f"{where}.{key}")
+    elif isinstance(node, list):
+        for index, value in enumerate(node):
+            yield from parts(value, f"{where}[{index}]")
+
+
+# ---------------------------------------------------------------- the schema itself
+
+
+def test_the_schema_is_one_and_leaves_nothing_open_or_unsaid():
+    jsonschema.Draft202012Validator.check_schema(DOCUMENT)
+    assert DOCUMENT["properties"]["schema"]["const"] == RESULT_SCHEMA
+    n_keys = 0
+    for where, node in parts(DOCUMENT):
+        if node.get("type") == "object":
+            assert "additionalProperties" in node, where
+        if isinstance(node.get("properties"), dict) and node.get("type") == "object":
+            assert node["additionalProperties"] is False, where
+            assert set(node["required"]) <= set(node["properties"]), where
+            for name, value in node["properties"].items():
+                n_keys += 1
+                assert value.get("description", "").endswith("."), f"{where}.{name}"
+    assert n_keys > 200
+
+
+def test_names_that_end_in_a_unit_say_so_in_words_too():
+    units = {"_m": "metres", "_s": "seconds", "_deg": "degrees", "_eur": "EUR", "_kmh": "km/h"}
+    n_named = 0
+    for where, node in parts(DOCUMENT):
+        properties = node.get("properties", {}) if node.get("type") == "object" else {}
+        for name, value in properties.items():
+            unit = next((words for end, words in units.items() if name.endswith(end)), None)
+            if unit is not None:
+                n_named += 1
+                assert unit in value["description"], f"{where}.{name}"
+    assert n_named > 20
+
+
+def test_every_part_of_the_schema_is_used():
+    text = json.dumps(DOCUMENT)
+    for name in DOCUMENT["$defs"]:
+        assert f'"#/$defs/{name}"' in text, name
+    for name in re.findall(r'"#/\$defs/([a-z_]+)"', text):
+        assert name in DOCUMENT["$defs"], name
+
+
+def test_every_key_of_the_schema_is_in_the_documentation_and_no_other():
+    text = (DOCS / "formats.md").read_text(encoding="utf-8")
+    section = text.split("## summary.json", 1)[1].split("\n## ", 1)[0]
+    rows = re.findall(r"^\| (`[^|]*`) \|", section, re.M)
+    documented = re.findall(r"`([a-z_]+)`", " ".join(rows))
+    assert sorted(documented) == sorted(DOCUMENT["properties"])
+    assert RESULT_SCHEMA in section
+    assert "experiments/data/result.schema.json" in section
+
+
+# ---------------------------------------------------------------- results of every kind
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    """Few worlds, assumptions and units to compare with: whether a layout is good is no matter."""
+    study = load_carlancap_layout()
+    monkeypatch.setattr(jobs, "find_baseline", lambda scene: replace(study, units=study.units[:2]))
+    monkeypatch.setattr(jobs, "MIN_FRESH_WORLDS", 3)
+    few = [item for item in load_assumptions() if item.name in ("latency_s", "height_m")]
+    monkeypatch.setattr(jobs, "find_sensitivity", partial(jobs.find_sensitivity, assumptions=few))
+
+
+@pytest.fixture
+def garden(tmp_path):
+    corners = np.array([[-110.0, 10.0], [-100.0, 10.0], [-100.0, 12.0], [-110.0, 12.0]])
+    ring = to_geographic(corners, load_study_scene().crs).tolist()
+    feature = {
+        "type": "Feature",
+        "properties": {"name": "garden"},
+        "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
+    }
+    path = tmp_path / "garden.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    return path
+
+
+@pytest.fixture
+def layout_files(tmp_path):
+    """One of the study's units, and two."""
+    paths = []
+    for n_units in (1, 2):
+        units = load_carlancap_layout().units[:n_units]
+        path = tmp_path / f"layout-{n_units}.json"
+        path.write_text(to_json(Layout(name=f"first-{n_units}", units=units)), encoding="utf-8")
+        paths.append(path)
+    return paths
+
+
+def written(run, out, *arguments):
+    """A command's summary as it lies in the folder, which is what it prints."""
+    code, printed, errors = run(*arguments, "--out", out, "--json", "--quiet")
+    assert code == 0, errors
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert json.loads(printed) == summary
+    return summary
+
+
+PLACEMENTS = {
+    "plain": (["--budget", "2"], {"front", "stages", "sensitivity", "explained"}),
+    "refined": (["--budget", "1", "--refine"], {"refinement"}),
+    "weighted": (["--budget", "1", "--stage-weights", "apr=1,mean_margin_s=0.1"], {"stages"}),
+    "cheapest": (["--target", "max", "--least", "cost", "--pool", "2"], {"goal"}),
+    "single": (["--budget", "2", "--fusion", "single", "--survive", "1"], {"stages"}),
+}
+
+
+@pytest.mark.parametrize("kind", PLACEMENTS)
+def test_placements_are_as_the_schema_says(kind, small_study, without_figures, run, tmp_path):
+    options, expected = PLACEMENTS[kind]
+    summary = written(run, tmp_path / "out", *options)
+    assert messages(summary) == []
+    assert expected <= set(summary)
+    assert summary["schema"] == RESULT_SCHEMA
+    assert load_result(tmp_path / "out").summary == summary
+
+
+def test_prices_of_private_ground_are_in_the_schema(
+    small_study, without_figures, run, tmp_path, garden, layout_files
+):
+    summary = written(
+        run, tmp_path / "out", "--budget", 1, "--no-look", garden, "--no-look-price", 1
+    )
+    assert messages(summary) == []
+    assert summary["private_ground"]["areas"][0]["name"] == "garden"
+    code, printed, _ = run("compare", *layout_files, "--no-look", garden, "--json", "--quiet")
+    assert code == 0
+    assert messages(json.loads(printed)) == []
+    assert "private_ground" in json.loads(printed)["compared"][0]
+
+
+def test_weights_weathers_and_announcements_are_in_the_schema(
+    small_study, without_figures, run, tmp_path, monkeypatch, layout_files
+):
+    foggy = [replace(run, id=f"{run.id}/fog", weather="fog") for run in small_study.runs[:3]]
+    runs = (*small_study.runs, *foggy)
+    weight = np.array([0.0 if item.case.name == "CBLA" else 1.0 for item in runs])
+    setting = replace(
+        small_study,
+        runs=runs,
+        axis=build_frame_axis(runs, weight / weight.sum()),
+        links=Links(packet_loss=0.1, vam_rate=0.5),
+    )
+    monkeypatch.setattr(jobs, "build_setting", lambda question, scene: setting)
+    summary = written(run, tmp_path / "out", "--budget", 1)
+    assert messages(summary) == []
+    assert summary["evaluation"]["rsu_all"]["by_case"]["CBLA"] is None
+    assert "all_sources" in summary["evaluation"]
+    assert summary["weathers"] == ["day", "fog"]
+    assert summary["explained"]["runs_without_weight"] == int((weight == 0.0).sum()) > 0
+    result = load_result(tmp_path / "out")
+    assert result.apr["apr"].isna().any()
+    assert set(result.runs["weather"]) == {"day", "fog"}
+
+
+def test_evaluations_and_comparisons_are_as_the_schema_says(
+    small_study, without_figures, run, tmp_path, layout_files
+):
+    one, two = layout_files
+    summary = written(run, tmp_path / "one", "evaluate", "--layout", one)
+    assert messages(summary) == []
+    assert "sensitivity" in summary
+    code, printed, _ = run("evaluate", "--layout", one, "--json", "--quiet")
+    assert code == 0
+    assert messages(json.loads(printed)) == []
+    summary = written(run, tmp_path / "both", "compare", two, one, "--samples", 2)
+    assert messages(summary) == []
+    assert {"compared", "differences", "sampled"} <= set(summary)
+    result = load_result(tmp_path / "both")
+    assert result.layout.name == "first-2"
+    assert set(result.runs["layout"]) == {"first-1", "first-2"}
+
+
+def test_what_is_changed_in_a_summary_is_noticed(small_study, without_figures, run, tmp_path):
+    """Every key of it is needed or known, and every number is a number."""
+    options = ("--budget", 2, "--samples", 2, "--pool", 2)
+    summary = written(run, tmp_path / "out", *options)
+    assert messages(summary) == []
+    assert load_result(tmp_path / "out").summary == summary
+    optional = {"front", "private_ground", "refinement", "sampled", "sensitivity"}
+    for key in summary:
+        less = {name: value for name, value in summary.items() if name != key}
+        assert bool(messages(less)) != (key in optional - {"sensitivity"}), key
+        assert messages(summary | {key: {"what": object}}), key
+    assert messages(summary | {"schema": "place-rsus/result/2"})
+    n_changed = 0
+    for path in [path for path, _ in parts(summary)]:
+        is_mapping = path.endswith(("seconds", "versions", "by_case", "units"))
+        if is_mapping or re.search(r"\[[1-9]", path):  # those after the first are alike
+            continue
+        damaged = copy.deepcopy(summary)
+        for where, part in parts(damaged):
+            if where == path:
+                part["note"] = "new"
+        assert messages(damaged), path
+        n_changed += 1
+    assert n_changed > 30
