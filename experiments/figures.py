@@ -20,6 +20,7 @@ from placement.evaluation import Evaluation, Verdict, apr, apr_by_case
 from placement.layout import Layout
 from scenarios.runs import FrameAxis
 
+from .heatmap_rows import units_in_heatmap
 from .tables import percent
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008): told apart with any colour vision.
@@ -28,7 +29,11 @@ ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
 _RED = "#CC0000"
 
 WIDTH_IN = 6.8
+NARROW_IN = 4.0
+"""Width of figures whose letters can be read on a phone without moving the figure."""
+
 _DPI = 160
+_WIDTH_PX = WIDTH_IN * _DPI
 _MAX_LABEL_LENGTH = 8
 
 
@@ -85,7 +90,8 @@ def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None
     columns = _apr_columns(evaluations)
     rows = list(next(iter(columns.values())))
     shares = np.array([[column[row] for column in columns.values()] for row in rows])
-    axes = axes or new_axes(WIDTH_IN, 1.0 + 0.24 * len(rows))
+    width_in = NARROW_IN if len(columns) <= _MAX_NARROW_COLUMNS else WIDTH_IN
+    axes = axes or new_axes(width_in, 1.0 + 0.24 * len(rows))
     axes.imshow(np.nan_to_num(shares, nan=1.0), cmap=_SHADES, vmin=0.0, vmax=1.0, aspect="auto")
     for (row, column), share in np.ndenumerate(shares):
         axes.text(
@@ -125,13 +131,15 @@ def plot_heatmap(evaluation: Evaluation, run_index: int, *, axes: Axes | None = 
         Where to draw; by default in a new figure, with a legend below.
     """
     if axes is None:
-        return plot_heatmaps(evaluation, [run_index])[0]
-    _draw_heatmap(axes, evaluation, _heatmap_rows(evaluation), run_index)
+        return plot_heatmaps(evaluation, [run_index], width_in=NARROW_IN)[0]
+    _draw_heatmap(axes, evaluation, _heatmap_rows(evaluation, [run_index]), run_index)
     axes.set_xlabel(_TIME_LABEL, fontsize=9)
     return axes
 
 
-def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> list[Axes]:
+def plot_heatmaps(
+    evaluation: Evaluation, run_indices: Sequence[int], *, width_in: float = WIDTH_IN
+) -> list[Axes]:
     """Who detects the VRU when, one pair of axes per run, in a new figure.
 
     Parameters
@@ -140,23 +148,31 @@ def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> list[Ax
         Of a layout.
     run_indices : sequence of int
         Which runs, at least one.
+    width_in : float
+        Of the figure. [inch]
 
     Returns
     -------
     axes : list of Axes
         Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before the
-        impact. The dashed red line is the last brake time; a diamond is a confirmation.
+        impact. The dashed red line is the last brake time; a diamond is a confirmation. Of many
+        RSUs only those that confirm first have a row; an axis label tells how many.
     """
-    rows = _heatmap_rows(evaluation)
-    height = 0.75 + len(run_indices) * (0.85 + 0.21 * len(rows))
-    figure = Figure(figsize=(WIDTH_IN, height), dpi=_DPI, layout="constrained")
+    rows = _heatmap_rows(evaluation, run_indices)
+    is_narrow = width_in < WIDTH_IN
+    height = 0.75 + 0.2 * is_narrow + len(run_indices) * (0.85 + 0.21 * len(rows))
+    figure = Figure(figsize=(width_in, height), dpi=_dots_per_inch(width_in), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(run_indices), 1, squeeze=False)[:, 0]
     for axes, run_index in zip(panels, run_indices, strict=True):
         _draw_heatmap(axes, evaluation, rows, run_index)
     panels[-1].set_xlabel(_TIME_LABEL, fontsize=9)
     figure.legend(
-        handles=_heatmap_legend(), loc="outside lower center", ncols=4, fontsize=8, frameon=False
+        handles=_heatmap_legend(),
+        loc="outside lower center",
+        ncols=2 if is_narrow else 4,
+        fontsize=8,
+        frameon=False,
     )
     return list(panels)
 
@@ -186,9 +202,15 @@ def new_axes(width_in: float, height_in: float) -> Axes:
 
 def build_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
     """An empty figure with one pair of axes, drawn by Agg; sizes in inches."""
-    figure = Figure(figsize=(width_in, height_in), dpi=_DPI, layout="constrained")
+    dpi = _dots_per_inch(width_in)
+    figure = Figure(figsize=(width_in, height_in), dpi=dpi, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.add_subplot()
+
+
+def _dots_per_inch(width_in: float) -> float:
+    """So that a narrow figure, too, is fine enough for a phone's screen."""
+    return _WIDTH_PX / width_in if width_in == NARROW_IN else _DPI
 
 
 # ---------------------------------------------------------------- APR by case
@@ -198,6 +220,7 @@ _TIME_LABEL = "time before the impact without braking (s)"
 _SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
 _DARK_BELOW = 0.34  # where white and black stand out from the cell alike
 _HEAD_WIDTH = 16
+_MAX_NARROW_COLUMNS = 3
 
 
 def _apr_columns(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, float]]:
@@ -230,13 +253,17 @@ def _n_sensors(evaluation: Evaluation) -> str:
 
 _DETECTED, _MISSED = BLUE, "#e6e6e6"
 _DASHES = (0, (3.0, 1.5))
+_NARROW_TITLE = 46
 
 
-def _heatmap_rows(evaluation: Evaluation) -> dict[str, Verdict]:
+def _heatmap_rows(evaluation: Evaluation, run_indices: Sequence[int]) -> dict[str, Verdict]:
     labels = unit_labels(evaluation.layout)
     return {
         "VUT": evaluation.vut,
-        **{labels[unit_id]: verdict for unit_id, verdict in evaluation.units.items()},
+        **{
+            labels[unit_id]: evaluation.units[unit_id]
+            for unit_id in units_in_heatmap(evaluation, run_indices)
+        },
         "all RSUs": evaluation.rsu_all,
     }
 
@@ -262,6 +289,9 @@ def _draw_heatmap(
         np.arange(len(rows) - 1) + 0.5, *axes.get_xlim(), colors="white", linewidth=2.0, zorder=2
     )
     axes.set_yticks(range(len(rows)), [literal(row) for row in rows], fontsize=8)
+    n_units, n_shown = len(evaluation.units), len(rows) - 2
+    if n_shown < n_units:
+        axes.set_ylabel(f"{n_shown} of {n_units} units: those that confirm first", fontsize=8)
     axes.tick_params(axis="both", length=0, labelsize=8)
     axes.spines[:].set_visible(False)
     confirmations = [verdict.confirmation_time_s[run_index] for verdict in rows.values()]
@@ -274,8 +304,10 @@ def _draw_heatmap(
     outcomes.spines[:].set_visible(False)
     _draw_last_moment(axes, float(axis.last_brake_time_s[run_index]), len(rows))
     avoided = "avoided" if evaluation.rsu_all.is_avoided[run_index] else "not avoided"
+    title = f"{describe_run(axis, run_index)}: {avoided} by all RSUs together"
+    is_narrow = root_figure(axes).get_figwidth() < WIDTH_IN
     axes.set_title(
-        literal(f"{describe_run(axis, run_index)}: {avoided} by all RSUs together"),
+        literal(textwrap.fill(title, _NARROW_TITLE) if is_narrow else title),
         fontsize=9,
         fontweight="bold",
         loc="left",

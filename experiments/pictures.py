@@ -1,18 +1,28 @@
 """Figures as the templates show them: an embedded PNG, its title, caption, alternative text."""
 
 import base64
-import struct
 from dataclasses import dataclass
+from io import BytesIO
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from PIL import Image
+
+from geometry.arrays import FloatArray
 
 from .figures import to_png
+
+MAX_TRUE_COLOUR_BYTES = 50_000
+"""PNG files above are drawn with a palette."""
+
+_N_COLOURS = 256
+_LARGEST_ERROR, _LARGEST_MEAN_ERROR = 32.0, 1.5  # of 255, of any one channel: not seen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """What the macro ``figure_of`` of ``templates/report.html.j2`` shows.
+    """What the macro ``figure_of`` of ``templates/macros.html.j2`` shows.
 
     Attributes
     ----------
@@ -24,6 +34,8 @@ class Picture:
         PNG file, base64.
     width_px, height_px : int
         Its size.
+    width_in : float
+        The width for which its letters are drawn: those of 8 pt are that high at this width.
     """
 
     title: str
@@ -32,6 +44,7 @@ class Picture:
     png: str
     width_px: int
     height_px: int
+    width_in: float
 
 
 def build_picture(drawn: Figure | Axes, *, title: str, caption: str, alt: str) -> Picture:
@@ -42,8 +55,8 @@ def build_picture(drawn: Figure | Axes, *, title: str, caption: str, alt: str) -
     figure = drawn.get_figure(root=True)
     if figure is None:
         raise ValueError("axes that are in no figure")
-    png = to_png(figure)
-    width_px, height_px = struct.unpack(">II", png[16:24])  # of the header chunk
+    png = with_palette(to_png(figure))
+    width_px, height_px = Image.open(BytesIO(png)).size
     return Picture(
         title=title,
         caption=caption,
@@ -51,4 +64,36 @@ def build_picture(drawn: Figure | Axes, *, title: str, caption: str, alt: str) -
         png=base64.b64encode(png).decode(),
         width_px=width_px,
         height_px=height_px,
+        width_in=round(float(figure.get_figwidth()), 2),
     )
+
+
+def with_palette(png: bytes) -> bytes:
+    """A picture with at most 256 colours where that spares much and is not seen.
+
+    Parameters
+    ----------
+    png : bytes
+        PNG file.
+
+    Returns
+    -------
+    png : bytes
+        The same file where it is small, would not become smaller, or would look different.
+    """
+    if len(png) <= MAX_TRUE_COLOUR_BYTES:
+        return png
+    image = Image.open(BytesIO(png)).convert("RGB")
+    # Colours of small marks count like those of wide areas, which a median cut would let win.
+    reduced = image.quantize(
+        _N_COLOURS, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
+    )
+    error = np.abs(_levels(reduced.convert("RGB")) - _levels(image))
+    buffer = BytesIO()
+    reduced.save(buffer, format="png", optimize=True)
+    is_alike = error.max() <= _LARGEST_ERROR and error.mean() <= _LARGEST_MEAN_ERROR
+    return buffer.getvalue() if is_alike and buffer.tell() < len(png) else png
+
+
+def _levels(image: Image.Image) -> FloatArray:
+    return np.asarray(image, dtype=np.float64)

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
+from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 
 from geometry.arrays import FloatArray
 from geometry.poses import camera_rotation
-from placement.candidates import CandidatePose
+from placement.candidates import CandidatePose, is_ring
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
@@ -21,6 +21,7 @@ from scenarios.runs import Run
 from .figures import (
     BLUE,
     GREEN,
+    NARROW_IN,
     ORANGE,
     PINK,
     SKY,
@@ -31,10 +32,14 @@ from .figures import (
     unit_labels,
 )
 from .ground import CLASS_STYLES, PARKED_STYLE, SITE_STYLE, draw_parked, draw_scene
+from .plan_labels import HALO, MAX_LABELLED_UNITS, label_units
+from .round_views import blind_footprint, ground_rings, is_wide, ring_path
 
 _UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
 _LINE_STYLES = ("-", "--", "-.", ":")
-_HALO = withStroke(linewidth=3.0, foreground="white")
+_LEGEND_ROW_IN = 0.17
+_MAX_NARROW_UNITS = 6  # labels of more would lie on one another
+_MAX_NAME = 18  # letters that the legend has room for
 
 
 def ground_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
@@ -50,9 +55,12 @@ def ground_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
     Returns
     -------
     corners_m : (n, 2) float
-        A convex polygon, counter-clockwise; empty if the camera sees no ground there. World
+        A convex polygon, counter-clockwise; empty if the camera sees no ground there. Of a LiDAR
+        that opens half a turn or more the outer one of :func:`round_views.ground_rings`. World
         frame. [m]
     """
+    if is_wide(unit):
+        return ground_rings(unit, max_range_m=max_range_m)[0]
     position = unit.pose.position_m
     angles = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
     corners = position[:2] + max_range_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -106,7 +114,13 @@ def plot_plan(
     axes : Axes
         In metres, north up.
     """
-    axes = axes or new_axes(WIDTH_IN, WIDTH_IN + 1.0)
+    entries = _plan_legend(setting, layout, others)
+    is_crowded = len(layout.units) > _MAX_NARROW_UNITS
+    width_in, n_columns = (WIDTH_IN, 2) if is_crowded else (NARROW_IN, 1)
+    if axes is None:
+        n_rows = -(-len(entries) // n_columns)
+        axes = new_axes(width_in, width_in + 0.05 + _LEGEND_ROW_IN * n_rows)
+        axes.set_anchor("N")  # what is left over is below the legend
     scene = setting.scene
     outline = scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
@@ -123,10 +137,10 @@ def plot_plan(
     axes.set_ylabel("north (m)")
     _draw_compass(axes, middle, half_size_m)
     axes.legend(
-        handles=_plan_legend(setting, layout, others),
+        handles=entries,
         loc="upper center",
-        bbox_to_anchor=(0.5, -0.09),
-        ncols=2,
+        bbox_to_anchor=(0.5, -0.54 / width_in),
+        ncols=n_columns,
         fontsize=8,
         frameon=False,
     )
@@ -173,7 +187,7 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
 
 _IMPACT_STYLE: dict[str, Any] = {
     "marker": "X",
-    "markersize": 5.5,
+    "markersize": 4.5,
     "markerfacecolor": "black",
     "markeredgecolor": "white",
     "linestyle": "none",
@@ -182,50 +196,37 @@ _IMPACT_STYLE: dict[str, Any] = {
 
 def _draw_units(axes: Axes, layout: Layout, max_range_m: float) -> None:
     labels = unit_labels(layout)
+    is_labelled = len(labels) <= MAX_LABELLED_UNITS
     for index, unit in enumerate(layout.units):
         colour = _UNIT_COLOURS[index % len(_UNIT_COLOURS)]
         position = unit.pose.position_m[:2]
         corners = ground_footprint(unit, max_range_m=max_range_m)
         if len(corners):
+            shape = ring_path(corners, blind_footprint(unit, max_range_m=max_range_m))
             axes.add_patch(
-                Polygon(corners, facecolor=colour, alpha=0.6 / (len(labels) + 3.0), zorder=2.5)
+                PathPatch(shape, facecolor=colour, alpha=0.6 / (len(labels) + 3.0), zorder=2.5)
             )
             style = _LINE_STYLES[index % len(_LINE_STYLES)]
             axes.add_patch(
-                Polygon(
-                    corners,
+                PathPatch(
+                    shape,
                     facecolor="none",
                     edgecolor=colour,
                     linestyle=style,
-                    linewidth=1.3,
+                    linewidth=1.2 if is_labelled else 0.4,
                     zorder=6,
                 )
             )
         axes.plot(
             *position,
             **_camera_marker(unit),
-            markersize=13.0,
+            markersize=10.0,
             markerfacecolor=colour,
             markeredgecolor="black",
             zorder=8,
             gid=f"unit:{unit.id}",
         )
-        # Beside the camera, on the side where it looks: cameras on one pole look apart.
-        yaw = math.radians(unit.pose.yaw_deg)
-        east, north = math.cos(yaw), math.sin(yaw)
-        axes.annotate(
-            literal(labels[unit.id]),
-            xy=(position[0], position[1]),
-            xytext=(10.0 * east, 13.0 * north),
-            textcoords="offset points",
-            ha="center" if abs(east) < 0.3 else "left" if east > 0.0 else "right",
-            va="center",
-            fontsize=9,
-            fontweight="bold",
-            path_effects=[_HALO],
-            zorder=9,
-            annotation_clip=True,
-        )
+    label_units(axes, layout)
 
 
 def _draw_other(axes: Axes, layout: Layout) -> None:
@@ -233,19 +234,23 @@ def _draw_other(axes: Axes, layout: Layout) -> None:
         axes.plot(
             *unit.pose.position_m[:2],
             **_camera_marker(unit),
-            markersize=10.0,
+            markersize=8.0,
             markerfacecolor="white",
             markeredgecolor="#555555",
             zorder=7,
         )
 
 
+_ROUND_MARKER: dict[str, Any] = {"marker": "o", "linestyle": "none"}
+
 # Looking east; the last point closes the outline.
 _DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0]])
 
 
 def _camera_marker(unit: CandidatePose) -> dict[str, Any]:
-    """A dart whose tip points where the camera looks."""
+    """A dart whose tip points where the camera looks; a disc where that is all round."""
+    if is_ring(unit.sensor):
+        return _ROUND_MARKER
     yaw = math.radians(unit.pose.yaw_deg)
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     return {"marker": Path(_DART @ turn, closed=True), "linestyle": "none"}
@@ -262,7 +267,7 @@ def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
         fontsize=11,
         fontweight="bold",
         arrowprops={"arrowstyle": "-|>", "facecolor": "black", "linewidth": 1.4},
-        path_effects=[_HALO],
+        path_effects=[HALO],
         zorder=10,
     )
     length_m = 10.0
@@ -283,9 +288,13 @@ def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
         ha="center",
         va="bottom",
         fontsize=9,
-        path_effects=[_HALO],
+        path_effects=[HALO],
         zorder=11,
     )
+
+
+def _shortened(name: str) -> str:
+    return name if len(name) <= _MAX_NAME else f"{name[: _MAX_NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
 
 
 def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> list[Any]:
@@ -298,13 +307,18 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
     camera: dict[str, Any] = {
         "marker": Path(_DART, closed=True),
         "linestyle": "none",
-        "markersize": 9.0,
+        "markersize": 8.0,
     }
+    what = (
+        "camera, and the ground it looks at"
+        if len(layout.units) <= MAX_LABELLED_UNITS
+        else "cameras at a place, and what they look at"
+    )
     units = [
         Line2D(
             [],
             [],
-            label=literal(f"{layout.name}: camera, and the ground it looks at"),
+            label=literal(f"{_shortened(layout.name)}: {what}"),
             markerfacecolor=BLUE,
             markeredgecolor="black",
             **camera,
@@ -313,7 +327,7 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
             Line2D(
                 [],
                 [],
-                label=literal(f"{name}: camera"),
+                label=literal(f"{_shortened(name)}: camera"),
                 markerfacecolor="white",
                 markeredgecolor="#555555",
                 **camera,
@@ -321,6 +335,12 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
             for name in dict.fromkeys(other.name for other in others)
         ),
     ]
+    if any(is_ring(unit.sensor) for unit in layout.units):
+        style: dict[str, Any] = {"markerfacecolor": BLUE, "markeredgecolor": "black"}
+        label = literal(f"{_shortened(layout.name)}: LiDAR that scans all round")
+        units.insert(1, Line2D([], [], label=label, markersize=8.0, **style, **_ROUND_MARKER))
+    if all(is_ring(unit.sensor) for unit in layout.units):
+        del units[0]
     present = {instance.class_name for instance in setting.scene.instances}
     things = [
         Patch(label=name, **style)

@@ -15,6 +15,7 @@ from geometry.atomic_files import write_atomically
 from geometry.errors import InputError, Unquoted
 from placement.evaluation import Evaluation
 from placement.ground_coverage import find_ground_coverage
+from placement.layout import Layout
 from placement.setting import Setting
 
 from .additions import added_sentences
@@ -26,6 +27,7 @@ from .exports import margin_s
 from .failure_tables import failures_part
 from .figures import describe_run, plot_apr_by_case, plot_heatmap, unit_labels
 from .front_tables import front_part
+from .heatmap_rows import units_in_heatmap
 from .interactive import interactive_part
 from .margin_tables import margins_part
 from .pictures import Picture, build_picture
@@ -62,6 +64,7 @@ from .uncertainty_summary import uncertainty_sentences, what_is_uncertain
 FILE_NAME = "report.html"
 GREEDY = "greedy"
 _PLAN_RANGE_M = 35.0
+_MAX_UNITS_IN_WORDS = 40
 
 
 def write_report(
@@ -219,16 +222,21 @@ def _plans(
                 f"{_PLAN_RANGE_M:g} m; they see farther. Walls and parked cars hide parts "
                 "of it, which is taken into account in the numbers but not drawn here."
             ),
-            alt="Plan of the junction, north up. "
-            + " ".join(
-                f"{labels[unit.id]} at {number(unit.pose.position_m[0], 1)} m east, "
-                f"{number(unit.pose.position_m[1], 1)} m north, {looking_words(unit)}."
-                for unit in item.layout.units
-            ),
+            alt="Plan of the junction, north up. " + _units_in_words(item.layout),
         )
         for name, item in detailed.items()
-        for labels in [unit_labels(item.layout)]
     ]
+
+
+def _units_in_words(layout: Layout) -> str:
+    if len(layout.units) > _MAX_UNITS_IN_WORDS:
+        return f"{len(layout.units)} units: where each is says the table above."
+    labels = unit_labels(layout)
+    return " ".join(
+        f"{labels[unit.id]} at {number(unit.pose.position_m[0], 1)} m east, "
+        f"{number(unit.pose.position_m[1], 1)} m north, {looking_words(unit)}."
+        for unit in layout.units
+    )
 
 
 def _apr_figure(evaluations: Mapping[str, Evaluation]) -> Picture:
@@ -326,7 +334,10 @@ def _heatmap(evaluation: Evaluation, run_index: int) -> Picture:
     axis, labels = evaluation.axis, unit_labels(evaluation.layout)
     rows = {
         "the VUT": evaluation.vut,
-        **{labels[unit_id]: verdict for unit_id, verdict in evaluation.units.items()},
+        **{
+            labels[unit_id]: evaluation.units[unit_id]
+            for unit_id in units_in_heatmap(evaluation, [run_index])
+        },
         "all RSUs": evaluation.rsu_all,
     }
     run = describe_run(axis, run_index)

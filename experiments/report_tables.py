@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from geometry.arrays import BoolArray
-from geometry.junction import COMPASS
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share
 from placement.layout import Layout, layout_records
 from placement.setting import Setting
@@ -15,6 +14,7 @@ from scenarios.runs import FrameAxis
 
 from .exports import margin_s
 from .figures import unit_labels
+from .round_views import compass_word
 from .sentences import (
     NOTHING,
     STAGES,
@@ -38,10 +38,10 @@ def unit_table(name: str, layout: Layout) -> dict[str, Any]:
             *(number(record[key]) for key in ("x_m", "y_m", "z_m")),
             number(record["yaw_deg"], 1),
             number(record["pitch_deg"], 1),
-            COMPASS[round(record["yaw_deg"] / 45.0) % 8],
+            compass_word(unit),
             record.get("camera") or record["lidar"],
         ]
-        for record in layout_records(layout)
+        for unit, record in zip(layout.units, layout_records(layout), strict=True)
     ]
     return {"caption": f"Units of {name}", "rows": rows}
 
@@ -200,19 +200,39 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> dict[str, Any]:
     Returns
     -------
     table : dict
-        Caption, columns and rows; the last row: in what share of the frames the unit detects.
+        Caption, columns and rows; the last row: in what share of the frames the unit detects. Of
+        more than ``MAX_UNIT_COLUMNS`` units each is a row instead, the best first.
     """
     labels = unit_labels(evaluation.layout)
     units = evaluation.units.items()
     detected = [percent(detected_share(verdict, evaluation.axis)) for _, verdict in units]
+    head = _groups(evaluation.axis, "or")
+    caption = f"APR of each unit of {name} by itself"
+    rows = [
+        *_apr_rows([(evaluation, verdict) for _, verdict in units]),
+        ["frames in which it detects", *detected],
+    ]
+    if len(labels) <= MAX_UNIT_COLUMNS:
+        columns = [head, *(labels[unit_id] for unit_id, _ in units)]
+        return {"caption": caption, "columns": columns, "rows": rows}
+    by_unit = [*zip(*(row[1:] for row in rows), strict=True)]
+    best_first = sorted(
+        units, key=lambda item: _rank(item[1], evaluation.axis), reverse=True
+    )  # stable: as in the layout where two are alike
+    place = {unit_id: index for index, (unit_id, _) in enumerate(units)}
     return {
-        "caption": f"APR of each unit of {name} by itself",
-        "columns": [_groups(evaluation.axis, "or"), *(labels[unit_id] for unit_id, _ in units)],
-        "rows": [
-            *_apr_rows([(evaluation, verdict) for _, verdict in units]),
-            ["frames in which it detects", *detected],
-        ],
+        "caption": f"{caption}, best first",
+        "columns": ["unit", *(row[0] for row in rows)],
+        "rows": [[labels[unit_id], *by_unit[place[unit_id]]] for unit_id, _ in best_first],
     }
+
+
+MAX_UNIT_COLUMNS = 24
+"""Of more units, each is a row of the table of units by themselves."""
+
+
+def _rank(verdict: Verdict, axis: FrameAxis) -> tuple[float, float]:
+    return apr(verdict, axis), detected_share(verdict, axis)
 
 
 def _groups(axis: FrameAxis, conjunction: str) -> str:

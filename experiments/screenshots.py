@@ -5,8 +5,20 @@ from pathlib import Path
 
 import click
 
+from .pictures import with_palette
+
 _WIDTHS_PX = {"desktop": (1280, 1600), "phone": (360, 1400)}
-_PARTS = ("Where to mount", "Watch a run", "What the cameras see of the road")
+_PARTS = (
+    "Where to mount",
+    "What each unit buys",
+    "Time and distance to spare",
+    "If a unit fails",
+    "What if an assumption is wrong?",
+    "What the cameras see of the road",
+    "Who sees the road user when",
+    "Watch a run",
+    "Bill of materials",
+)
 
 
 @click.command()
@@ -28,10 +40,10 @@ def main(report: Path, out: Path) -> None:
             page.goto(report.resolve().as_uri())
             for part in _PARTS:
                 heading = page.locator("h1, h2").filter(has_text=part).first
-                heading.evaluate("element => element.scrollIntoView()")
+                heading.evaluate("element => element.scrollIntoView({ behavior: 'instant' })")
                 page.wait_for_timeout(400)
-                path = out / f"{name}-{'-'.join(part.lower().split())}.png"
-                page.screenshot(path=path)
+                path = out / f"{name}-{'-'.join(part.lower().replace('?', '').split())}.png"
+                path.write_bytes(with_palette(page.screenshot()))
                 click.echo(f"Written to {path}.")
         browser.close()
 

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 _WIDTH = 80
-_COLUMN, _NARROWEST = 13, 9
+_COLUMN, _NARROWEST, _WIDEST = 13, 9, 20
 
 
 _MAX_ID_WIDTH = 22
 _MAX_DISAGREEMENTS = 5
+_MAX_UNITS = 24
 _TOGETHER = "fused: in each frame, any of the units may detect"
 
 
@@ -89,6 +90,8 @@ def _apr_text(parties: dict[str, dict[str, Any]]) -> list[str]:
 def _column_width(names: Sequence[str], width: int) -> int:
     """The widest column that needs the fewest blocks and breaks no word that it need not break."""
     longest = max(len(word) for name in names for word in name.split())
+    if _COLUMN <= longest < _WIDEST:
+        return longest + 1
     widths = range(_COLUMN, max(_NARROWEST, min(longest + 1, _COLUMN)) - 1, -1)
     return min(widths, key=lambda column: math.ceil(len(names) / max(1, width // column)))
 
@@ -185,16 +188,23 @@ def _disagreements(disagreements: list[dict[str, Any]]) -> list[str]:
 
 
 def evaluation_table(summary: dict[str, Any], out: Path | None) -> str:
-    """One layout's result: units and the APR of each."""
+    """One layout's result: units and the APR of each; of many units, those of the highest APR."""
     evaluation = summary["evaluation"]
+    units = dict(
+        sorted(evaluation["units"].items(), key=lambda item: item[1]["all"], reverse=True)
+        if len(evaluation["units"]) > _MAX_UNITS
+        else evaluation["units"].items()
+    )
+    shown = dict([*units.items()][:_MAX_UNITS])
     lines = [
         *textwrap.wrap(f"{summary['name']} on {summary['runs']} runs:", _WIDTH),
-        *_units_text(summary["layout"]),
+        *_units_text([unit for unit in summary["layout"] if unit["id"] in shown]),
+        *_left_out(len(units) - len(shown), out),
         _cost_text(summary),
         "",
         *_apr_text(
             {
-                **evaluation["units"],
+                **shown,
                 "all, fused": evaluation["rsu_all"],
                 "with the VUT": evaluation["vut_and_rsus"],
                 "VUT alone": evaluation["vut"],
@@ -206,6 +216,13 @@ def evaluation_table(summary: dict[str, Any], out: Path | None) -> str:
     if out is not None:
         lines += ["", f"Written to {out}: report.html and more."]
     return "\n".join(lines)
+
+
+def _left_out(n_left: int, out: Path | None) -> list[str]:
+    if not n_left:
+        return []
+    place = "apr.csv" if out is not None else "apr.csv with --out"
+    return [f"  and {n_left} more units, none of a higher APR by itself: in {place}"]
 
 
 def _runs_text(words: str, runs: Sequence[str]) -> list[str]:

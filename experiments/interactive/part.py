@@ -1,5 +1,7 @@
 """Everything that the template of the report's interactive part needs."""
 
+import base64
+import gzip
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
@@ -13,7 +15,7 @@ from placement.setting import Setting
 from .ground_paths import plan_record
 from .run_choice import choose_runs
 from .run_records import is_playable, party_records, run_record
-from .script_text import is_script_text, to_script_json
+from .script_text import to_script_json
 from .unit_records import unit_records
 from .view import view_record
 
@@ -45,7 +47,7 @@ def interactive_part(
     -------
     part : dict or None
         "runs" (their number), "player_json", "view_json", "note" (what the 3-D view leaves out),
-        "plotly_js" (empty where the package plotly is missing: no 3-D view). None if no run has
+        "plotly_gzip" (empty where the package plotly is missing: no 3-D view). None if no run has
         the frames that were evaluated.
 
     Raises
@@ -81,11 +83,18 @@ def interactive_part(
         "player_json": to_script_json(player),
         "view_json": to_script_json(view),
         "note": view["note"],
-        "plotly_js": plotly_script(),
+        "plotly_gzip": packed_plotly(),
     }
 
 
 @cache
+def packed_plotly() -> str:
+    """plotly.js as the page holds it, in base64 of gzip: a third of its size; may be empty."""
+    source = plotly_script()
+    # No time stamp, so that equal reports are equal files.
+    return base64.b64encode(gzip.compress(source.encode(), mtime=0)).decode() if source else ""
+
+
 def plotly_script() -> str:
     """Source of plotly.js as the package plotly brings it; empty where it is not installed."""
     try:
@@ -94,5 +103,4 @@ def plotly_script() -> str:
         if error.name != _PLOTLY_PACKAGE:
             raise
         return ""
-    source = str(get_plotlyjs())
-    return source if is_script_text(source) else ""
+    return str(get_plotlyjs())

@@ -39,12 +39,6 @@ def to_script_json(value: Any) -> str:
     return text
 
 
-def is_script_text(text: str) -> bool:
-    """Whether a text can stand in a ``<script>`` as it is."""
-    lower = text.lower()
-    return not any(mark in lower for mark in ("</script", "<script", "<!--"))
-
-
 def to_base64(array: NDArray[Any]) -> str:
     """Bytes of an array, row by row, in base64."""
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()

@@ -9,16 +9,18 @@ from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor, sensor_kind
 from geometry.lidar import LidarModel
 from geometry.poses import body_rotation
-from placement.candidates import CandidatePose
+from placement.candidates import CandidatePose, is_ring
 from placement.layout import Layout
 
 from ..figures import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, unit_labels
 from ..plan import ground_footprint
+from ..round_views import blind_footprint, ground_rings
 
 COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
 DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
 RANGE_M = 35.0
 _POINTS_PER_SIDE = 8
+_ABOVE_ROAD_M = 0.1  # or the road would hide parts of lines that lie on it
 
 
 def unit_records(layout: Layout) -> list[dict[str, Any]]:
@@ -28,12 +30,13 @@ def unit_records(layout: Layout) -> list[dict[str, Any]]:
         {
             "name": labels[unit.id],
             "title": describe_unit(labels[unit.id], unit),
-            "kind": sensor_kind(unit.sensor),
+            "kind": "ring" if is_ring(unit.sensor) else sensor_kind(unit.sensor),
             "place": np.rint(100.0 * unit.pose.position_m[:2]).astype(int).tolist(),
             "yaw": round(10.0 * unit.pose.yaw_deg),
             "colour": COLOURS[index % len(COLOURS)],
             "dash": DASHES[index % len(DASHES)],
             "sees": _outline_cm(ground_footprint(unit, max_range_m=RANGE_M)),
+            "blind": _outline_cm(blind_footprint(unit, max_range_m=RANGE_M)),
         }
         for index, unit in enumerate(layout.units)
     ]
@@ -44,8 +47,34 @@ def describe_unit(label: str, unit: CandidatePose) -> str:
     name = label if label == unit.id else f"{label}, {unit.id}"
     return (
         f"{name}: {sensor_kind(unit.sensor)} {unit.sensor.name}, "
-        f"{unit.pose.position_m[2]:.1f} m high"
+        f"{unit.pose.position_m[2]:.1f} m high" + (", scans all round" * is_ring(unit.sensor))
     )
+
+
+def field_lines(unit: CandidatePose, *, max_range_m: float) -> list[FloatArray]:
+    """Lines that show a unit's field of view.
+
+    Parameters
+    ----------
+    unit : CandidatePose
+        Sensor and pose.
+    max_range_m : float
+        How far. [m]
+
+    Returns
+    -------
+    lines : list of (n, 3) float
+        The border, and the edges from the sensor to its corners. Of a LiDAR that scans all round:
+        where on the road its scan ends and begins, and four of its lowest beams. World frame. [m]
+    """
+    rings = ground_rings(unit, max_range_m=max_range_m) if is_ring(unit.sensor) else ()
+    borders = [np.insert(ring, 2, _ABOVE_ROAD_M, axis=1) for ring in rings if len(ring)]
+    borders = borders or [view_border(unit, max_range_m=max_range_m)]
+    corners = borders[-1][:: len(borders[-1]) // 4]
+    return [
+        *(np.vstack([border, border[:1]]) for border in borders),
+        *(np.stack([unit.pose.position_m, corner]) for corner in corners),
+    ]
 
 
 def view_border(unit: CandidatePose, *, max_range_m: float) -> FloatArray:

@@ -15,7 +15,7 @@ from ..figures import unit_labels
 from ..ground import CLASS_STYLES
 from .ground_paths import lane_area, road_area
 from .script_text import to_plotly_array
-from .unit_records import COLOURS, RANGE_M, describe_unit, view_border
+from .unit_records import COLOURS, RANGE_M, describe_unit, field_lines
 
 MAX_TRIANGLES = 60_000
 _COLOURS = {"ground": "#ebe8e0", "lamp post": "#40404d"} | {
@@ -256,9 +256,8 @@ def _fields_of_view(units: Sequence[CandidatePose]) -> list[dict[str, Any]]:
     by_style: dict[int, list[FloatArray]] = {}
     is_dashed = len(units) <= _MAX_STYLES
     for index, unit in enumerate(units):
-        ends = view_border(unit, max_range_m=RANGE_M)
-        edges = [np.stack([unit.pose.position_m, corner]) for corner in ends[::8]]
-        by_style.setdefault(index % _MAX_STYLES, []).extend([np.vstack([ends, ends[:1]]), *edges])
+        lines = field_lines(unit, max_range_m=RANGE_M)
+        by_style.setdefault(index % _MAX_STYLES, []).extend(lines)
     return [
         _lines(
             f"fields of view, up to {RANGE_M:g} m",

@@ -5,6 +5,7 @@ const DETECTED = "#0072B2", MISSED = "#e6e6e6";
 function createHeatmap(holder, parties, onPick) {
   const rowHeight = parties.length > 40 ? 12 : 18;
   const fontSize = parties.length > 40 ? 10 : 12;
+  holder.classList.toggle("many", parties.length > 40); // too long for paper
   const [top, bottom] = [26, 36];
   let svg = null, run = null, frame = 0, cellWidth = 1, left = 0, head = null;
   const short = (text, length) => (text.length > length ? text.slice(0, length - 1) + "\u2026" : text);
@@ -12,8 +13,8 @@ function createHeatmap(holder, parties, onPick) {
   function layOut() {
     const width = Math.max(holder.clientWidth - 2, 240);
     const n = run.time.length;
-    left = Math.min(112, 0.28 * width);
-    const right = Math.min(104, 0.26 * width);
+    left = Math.min(112, 0.27 * width);
+    const right = 102; // "never confirmed"
     cellWidth = (width - left - right) / n;
     const rows = parties.length * rowHeight;
     holder.replaceChildren();

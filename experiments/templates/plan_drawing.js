@@ -4,8 +4,10 @@ const CAR_COLOUR = "#0072B2", ROAD_USER_COLOUR = "#D55E00", LAST_COLOUR = "#CC00
 const MARKS = {
   camera: "M9 0L-7 5.5L-4 0L-7 -5.5Z",
   lidar: "M9 0L4 6H-6V-6H4Z",
+  ring: "M7 0A7 7 0 1 1 -7 0A7 7 0 1 1 7 0ZM2 0A2 2 0 1 1 -2 0A2 2 0 1 1 2 0Z",
 };
 const points = (corners) => corners.map((corner) => corner.join(" ")).join(",");
+const outline = (corners) => corners.length ? `M${corners.map((corner) => corner.join(" ")).join("L")}Z` : "";
 
 function bodyCorners(motion, size, frame) {
   const yaw = motion.yaw[frame] * Math.PI / 1800;
@@ -45,7 +47,7 @@ function createPlan(holder, data) {
     element("title", { text: part.name }, path);
   });
   data.plan.crosswalks.forEach((ends) => element("line", { x1: ends[0][0], y1: ends[0][1], x2: ends[1][0], y2: ends[1][1], stroke: "#fff", "stroke-width": 4, "stroke-dasharray": "3 3", ...thin }, ground));
-  const views = data.units.map((unit) => element("polygon", { points: points(unit.sees), fill: unit.colour, stroke: unit.colour, "stroke-dasharray": unit.dash, ...thin }, ground));
+  const views = data.units.map((unit) => element("path", { d: outline(unit.sees) + outline(unit.blind), "fill-rule": "evenodd", fill: unit.colour, stroke: unit.colour, "stroke-dasharray": unit.dash, ...thin }, ground));
   const parked = element("g", {}, ground);
   const carWay = element("path", { fill: "none", stroke: "#000", "stroke-width": 1.2, ...thin }, ground);
   const roadWay = element("path", { fill: "none", stroke: "#000", "stroke-width": 1.6, "stroke-dasharray": "4 3", ...thin }, ground);
@@ -165,7 +167,7 @@ function fillKey(list, data) {
     element("rect", { x: -3, y: -3, width: 6, height: 6, fill: ROAD_USER_COLOUR, stroke: "#000" }, svg);
     element("circle", { r: 10, fill: "none", stroke: ROAD_USER_COLOUR, "stroke-width": 2, "stroke-dasharray": "4 2" }, svg);
   });
-  for (const [kind, name] of [["camera", "camera"], ["lidar", "LiDAR"]]) {
+  for (const [kind, name] of [["camera", "camera"], ["lidar", "LiDAR"], ["ring", "LiDAR that scans all round"]]) {
     if (!data.units.some((unit) => unit.kind === kind)) continue;
     add(`${name}: detects nothing now`, path({ d: MARKS[kind], fill: "#fff" }));
     add(`${name}: detects`, (svg) => {

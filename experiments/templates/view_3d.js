@@ -27,9 +27,12 @@ function startView(player) {
     return () => { prototype.getContext = getContext; };
   }
 
-  function readLibrary() {
+  // Packed, as it would be most of the page's size.
+  async function readLibrary() {
+    const packed = Uint8Array.from(atob(find("plotly-source").textContent), (sign) => sign.charCodeAt(0));
+    const unpacked = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
     const script = document.createElement("script");
-    script.textContent = find("plotly-source").textContent;
+    script.textContent = await new Response(unpacked).text();
     document.head.append(script);
     return window.Plotly;
   }
@@ -114,7 +117,7 @@ function startView(player) {
     const restore = readOften();
     await new Promise((resume) => setTimeout(resume, 30)); // so that the line above is seen
     try {
-      const library = readLibrary();
+      const library = await readLibrary();
       const data = JSON.parse(find("view-data").textContent);
       const still = data.traces.map(wholeNumbers);
       firstWay = still.length;

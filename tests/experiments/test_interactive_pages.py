@@ -1,12 +1,11 @@
 """The report's interactive part in a browser, where there is one."""
 
 import json
-import shutil
-from contextlib import contextmanager
 from io import BytesIO
 
 import numpy as np
 import pytest
+from browser_pages import open_page, start_browser
 from interactive_pages import (
     EVIL,
     build_evaluation,
@@ -19,29 +18,13 @@ from PIL import Image
 from experiments.interactive import interactive_part
 from experiments.interactive.script_text import unpack_bits
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-
-# A software renderer: these machines need no graphics card.
-ARGUMENTS = [
-    "--no-sandbox",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-]
 FRAME = "document.getElementById('player-frame')"
 
 
 @pytest.fixture(scope="module")
 def browser():
-    with playwright.sync_playwright() as library:
-        found = shutil.which("chromium")
-        try:
-            opened = library.chromium.launch(executable_path=found, args=ARGUMENTS)
-        except playwright.Error as error:
-            pytest.skip(f"no browser can be started: {str(error).splitlines()[0]}")
+    with start_browser() as opened:
         yield opened
-        opened.close()
 
 
 @pytest.fixture(scope="module")
@@ -60,29 +43,6 @@ def write_page(part, folder):
     path = folder / "page.html"
     path.write_text(page_around(part), encoding="utf-8")
     return path.as_uri()
-
-
-@contextmanager
-def open_page(browser, address, *, width=1280, **options):
-    """A page that must neither complain nor ask for anything from elsewhere."""
-    context = browser.new_context(viewport={"width": width, "height": 900}, **options)
-    page = context.new_page()
-    complaints = []
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("dialog", lambda dialog: complaints.append(dialog.message))
-    page.on(
-        "request",
-        lambda request: (
-            None
-            if request.url.startswith(("file:", "data:", "blob:"))
-            else complaints.append(request.url)
-        ),
-    )
-    page.goto(address)
-    yield page
-    context.close()
-    assert complaints == []
 
 
 def seconds(milliseconds):
