@@ -127,8 +127,9 @@ def load_result(folder: Path | str) -> Result:
 
 
 def _load_summary(path: Path) -> dict[str, Any]:
+    data = _read(path)
     try:
-        summary = json.loads(_read(path).decode("utf-8"))
+        summary = json.loads(data.decode("utf-8"))
     except RecursionError:
         raise InputError(str(path), Unquoted("JSON nested too deep"), _A_WHOLE) from None
     except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits

@@ -174,14 +174,13 @@ def uncertainty_sentences(summary: Mapping[str, Any]) -> list[str]:
             if chosen > subject["mean"]
             else f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
         )
-    very_worst = f"n the very worst of these worlds it avoids {percent(subject['worst'])}"
     if summary["tail"] < 1.0:
         sentences.append(
             f"In the worst {percent(summary['tail'])} of these worlds it avoids "
-            f"{percent(subject['cvar'])} on average, i{very_worst}"
+            f"{percent(subject['cvar'])} on average, in the very worst {percent(subject['worst'])}"
         )
     else:
-        sentences.append(f"I{very_worst}")
+        sentences.append(f"In the worst of these worlds it avoids {percent(subject['worst'])}")
     for gain in summary["gains"]:
         sentences.append(_gain(subject["name"], gain))
     unsure = subject["least_sure_runs"]

@@ -70,7 +70,7 @@ def test_sensors_are_counted_by_model_and_sites_are_paid_once(build, scene):
         "and comes on top."
     ]
     sensors, sites = bill_tables(bill)
-    assert sensors["rows"][-1] == ["all", "", "3", "", "7,000", "", "unknown"]
+    assert sensors["rows"][-1] == ["all", "", "3", "", "7,000"]
     assert sites["rows"][-1] == ["all", "", "3", "≥ 800"]
     assert {len(row) for row in sensors["rows"]} == {len(sensors["columns"])}
     assert {len(row) for row in sites["rows"]} == {len(sites["columns"])}
@@ -80,7 +80,7 @@ def test_what_is_unknown_is_never_zero(build, scene):
     bill = build_bill(build((1, "own"), (None, "own")), scene)
     assert bill_sentences(bill) == ["No price is known."]
     sensors, sites = bill_tables(bill)
-    assert sensors["rows"][0][3:] == ["unknown"] * 4
+    assert sensors["rows"][0][3:] == ["unknown"] * 2
     assert [row[3] for row in sites["rows"]] == ["unknown"] * 3
     rows = list(csv.DictReader(io.StringIO(bill_of_materials_csv(bill))))
     assert all(row["price_eur"] == row["sum_eur"] == "" for row in rows)
