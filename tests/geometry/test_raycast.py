@@ -33,7 +33,7 @@ def _random_rays(rng, n, reach_m):
 
 @pytest.mark.parametrize("library", LIBRARIES)
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_rays_against_a_box_are_those_of_the_slab_formula(library, seed):
     origins, vectors = _random_rays(np.random.default_rng(seed), 500, 8.0)
     caster = build_caster(BOX.vertices, BOX.faces, library=library)
@@ -78,7 +78,7 @@ def test_the_nearest_of_several_triangles_is_hit_at_its_share_of_the_vector(libr
 
 @needs_open3d
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
     rng = np.random.default_rng(seed)
     vertices = rng.uniform(-50.0, 50.0, (90, 3))
@@ -93,7 +93,7 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
 
 @needs_open3d
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_open3d_and_embreex_name_the_same_first_triangle(seed):
     rng = np.random.default_rng(seed)
     vertices = rng.uniform(-50.0, 50.0, (90, 3))
@@ -111,7 +111,7 @@ def test_open3d_and_embreex_name_the_same_first_triangle(seed):
 
 @pytest.mark.parametrize("library", LIBRARIES)
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, seed):
     rng = np.random.default_rng(seed)
     vertices = rng.uniform(-50.0, 50.0, (90, 3))
@@ -134,7 +134,7 @@ def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, 
 
 @pytest.mark.parametrize("library", LIBRARIES)
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_blocked_means_that_the_first_hit_comes_before_the_end(library, seed):
     rng = np.random.default_rng(seed)
     caster = build_caster(

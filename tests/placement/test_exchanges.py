@@ -10,7 +10,7 @@ from placement.optimiser import PlacementProblem, is_better, placement_value, ru
 
 
 @given(problem=problems(), n_kept=st.integers(0, 3))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(
     problem: PlacementProblem, n_kept: int
 ) -> None:

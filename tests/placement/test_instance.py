@@ -17,7 +17,7 @@ from placement.optimiser import Floor, Limits, PlacementProblem
 from scenarios.aeb import AebRule
 
 SHARED_FOLDER = settings(
-    deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100
 )
 
 

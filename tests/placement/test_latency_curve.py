@@ -86,7 +86,7 @@ def cases(draw):
     return axis, draw(frames), units, own_s
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     cases(),
     st.integers(0, 1200).map(lambda ms: ms / 1000.0),
@@ -123,7 +123,7 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
         assert float(curves[name].apr(latency_s)) == pytest.approx(expected), name
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(cases(), st.lists(numbers(0.0, 1.5), min_size=1, max_size=5))
 def test_steps_are_the_whole_curve(case, latencies_s):
     axis, vut, units, own_s = case
@@ -142,7 +142,7 @@ def test_steps_are_the_whole_curve(case, latencies_s):
             assert float(curve.apr(latency_s)) == pytest.approx(apr[step])
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(cases(), st.sampled_from([1.0, 0.95, 0.9, 0.5, 0.1]))
 def test_the_longest_latency_is_the_last_that_holds(case, level):
     axis, vut, units, own_s = case
@@ -187,7 +187,7 @@ def test_a_unit_with_its_own_latency_keeps_it(frame_axis):
     assert fixed["U0"].apr([0.0, 5.0]).tolist() == [0.75, 0.0]
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(cases(), st.integers(0, 1))
 def test_the_expected_apr_is_the_mean_over_draws(case, which):
     axis, vut, units, own_s = case
@@ -201,7 +201,7 @@ def test_the_expected_apr_is_the_mean_over_draws(case, which):
     assert expected <= float(curve.apr(budget.best_s)) + 1e-12
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(cases(), st.integers(0, 300).map(lambda ms: ms / 1000.0))
 def test_of_a_fixed_budget_expected_and_worst_are_one(case, latency_s):
     axis, vut, units, own_s = case

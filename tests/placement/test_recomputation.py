@@ -58,7 +58,7 @@ def test_the_checker_calls_nothing_of_the_optimiser():
 
 
 @given(problem=questions(), size=st.integers(0, 4))
-@settings(deadline=None, max_examples=80)
+@settings(max_examples=80)
 def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> None:
     sets = sets_of(problem, size)
     problem = replace(problem, survive=2)
@@ -91,7 +91,7 @@ def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> N
 
 
 @given(problem=questions(), weights=st.tuples(*[st.sampled_from([0.0, 1.0, 0.3])] * 5))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_a_weighted_sum_is_that_of_the_five_values(
     problem: PlacementProblem, weights: tuple[float, ...]
 ) -> None:
@@ -106,7 +106,7 @@ def test_a_weighted_sum_is_that_of_the_five_values(
 
 
 @given(problem=questions())
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_all_poses_together_are_the_margins_of_one_set_of_them_all(
     problem: PlacementProblem,
 ) -> None:
@@ -117,7 +117,7 @@ def test_all_poses_together_are_the_margins_of_one_set_of_them_all(
 
 
 @given(problem=questions())
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_small_blocks_change_nothing(problem: PlacementProblem) -> None:
     sets = sets_of(problem, min(2, problem.table.n_poses))
     names = stage_names(problem)
@@ -129,7 +129,7 @@ def test_small_blocks_change_nothing(problem: PlacementProblem) -> None:
 
 
 @given(problem=questions())
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_no_set_is_better_than_the_simple_limits(problem: PlacementProblem) -> None:
     limits = reach.simple_limits(problem, ())
     usable = reach.usable_poses(problem)
@@ -146,7 +146,7 @@ def test_no_set_is_better_than_the_simple_limits(problem: PlacementProblem) -> N
 
 
 @given(problem=questions())
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(
     problem: PlacementProblem,
 ) -> None:
@@ -163,7 +163,7 @@ def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(
 
 
 @given(problem=questions())
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_neighbours_are_all_sets_that_differ_in_one_unit(problem: PlacementProblem) -> None:
     rows = list(reach.usable_poses(problem)[:3])
     if not rows:
@@ -186,7 +186,7 @@ def test_neighbours_are_all_sets_that_differ_in_one_unit(problem: PlacementProbl
 
 
 @given(problem=questions())
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_all_sets_are_all_that_may_be_allowed(problem: PlacementProblem) -> None:
     found = {
         frozenset(poses) for sets in counterexamples.all_sets(problem) for poses in sets.tolist()

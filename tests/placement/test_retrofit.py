@@ -141,7 +141,7 @@ def check_change(problem: PlacementProblem, poses: RetrofitPoses, change: Change
 
 
 @given(retrofit=retrofits(), budget_eur=st.sampled_from([None, 0.0, 3.0, 6.0]))
-@settings(deadline=None, max_examples=80)
+@settings(max_examples=80)
 def test_the_best_change_of_each_kind_is_that_of_brute_force(
     retrofit: tuple[PlacementProblem, RetrofitPoses], budget_eur: float | None
 ) -> None:
@@ -210,7 +210,7 @@ def value_of(change: Change | None, before: PlacementValue) -> PlacementValue:
 
 
 @given(retrofit=retrofits())
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_combined_limits_have_a_pose_for_every_unit_and_room_for_what_is_left(
     retrofit: tuple[PlacementProblem, RetrofitPoses],
 ) -> None:

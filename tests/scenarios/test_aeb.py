@@ -179,7 +179,7 @@ def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
 # Last brake time: closed forms
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(vut_speeds, vru_speeds, bodies, build_ups_s, angles_deg, coordinates_m, coordinates_m)
 def test_last_brake_time_behind_one_who_goes_ahead_is_that_to_brake_away_the_closing_speed(
     v, u, body, build_up_s, turn_deg, east_m, north_m
@@ -200,7 +200,7 @@ def test_last_brake_time_behind_one_who_goes_ahead_is_that_to_brake_away_the_clo
     )
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     vut_speeds,
     vru_speeds,
@@ -235,7 +235,7 @@ def test_last_brake_time_before_one_who_crosses_is_to_stop_or_to_pass_behind(
     )
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(vut_speeds, vru_speeds, build_ups_s, angles_deg)
 def test_last_brake_time_towards_one_who_comes_closer_lets_the_vut_stand_first(
     v, u, build_up_s, turn_deg
@@ -300,7 +300,7 @@ def test_last_brake_time_does_not_fall_between_two_time_steps(vut_speed_kmh, ons
 # Last brake time: properties and the fine-step simulation
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.one_of(encounters(), turning_encounters()), build_ups_s, numbers(0.0, 1.0))
 def test_braking_avoids_up_to_the_last_brake_time_and_not_after(encounter, build_up_s, share):
     rule = _rule(build_up_s=build_up_s)
@@ -314,7 +314,7 @@ def test_braking_avoids_up_to_the_last_brake_time_and_not_after(encounter, build
     assert has_contact(encounter, last_s + TOLERANCE_S, rule)
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(st.one_of(encounters(), turning_encounters()))
 def test_no_onset_before_the_last_brake_time_leads_to_contact(encounter):
     last_s = last_brake_time_s(encounter, RULE)
@@ -323,7 +323,7 @@ def test_no_onset_before_the_last_brake_time_leads_to_contact(encounter):
     assert (smallest_separation_m(encounter, [last_s + 0.002, 0.0], rule=RULE) <= 0.0).all()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(encounters(), numbers(0.0, 1.0))
 def test_last_brake_time_matches_a_simulation_in_small_steps(encounter, share):
     last_s = last_brake_time_s(encounter, RULE)
@@ -354,7 +354,7 @@ def test_braking_on_a_turn_counts_until_the_vut_stands_and_not_beyond():
     assert last_s > -_stop_tau_s(encounter.vut_motion.speed_mps, 0.0)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(encounters(), numbers(1.0, 6.0), numbers(0.1, 5.0))
 def test_harder_braking_may_begin_later(encounter, weak_mps2, more_mps2):
     weak = last_brake_time_s(encounter, _rule(deceleration_mps2=weak_mps2))
@@ -362,7 +362,7 @@ def test_harder_braking_may_begin_later(encounter, weak_mps2, more_mps2):
     assert hard >= weak - TOLERANCE_S
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(encounters(), numbers(0.0, 1.0), numbers(0.0, 1.0))
 def test_slower_build_up_must_begin_earlier(encounter, build_up_s, more_s):
     fast = last_brake_time_s(encounter, _rule(build_up_s=build_up_s))
@@ -370,7 +370,7 @@ def test_slower_build_up_must_begin_earlier(encounter, build_up_s, more_s):
     assert slow <= fast + TOLERANCE_S
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.one_of(encounters(), turning_encounters()), angles_deg)
 def test_last_brake_time_does_not_depend_on_where_north_is(encounter, turn_deg):
     turn = np.radians(turn_deg)
@@ -392,7 +392,7 @@ def test_last_brake_time_does_not_depend_on_where_north_is(encounter, turn_deg):
     assert _tau_s(other) == pytest.approx(_tau_s(encounter), abs=TOLERANCE_S)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(turning_encounters())
 def test_last_brake_time_of_a_left_turn_is_that_of_its_mirror_image(encounter):
     def mirrored(motion):

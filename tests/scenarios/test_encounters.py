@@ -94,7 +94,6 @@ def test_separation_is_that_of_the_bodies_corners():
     assert separation == pytest.approx(footprint_separation(*corners), abs=1e-9)
 
 
-@settings(deadline=None)
 @given(numbers(1.0, 9.0), numbers(1.0, 9.0), numbers(0.001, 0.2), st.sampled_from([0.0, 0.3]))
 def test_between_two_looks_gaps_sag_no_deeper_than_declared(middle_s, onset_s, half_s, build_up_s):
     encounter = _turning()
@@ -129,14 +128,13 @@ def test_a_vut_that_sets_off_from_rest_is_refused():
 # First contact
 
 
-@settings(deadline=None)
 @given(together, numbers(-30.0, 30.0))
 def test_bodies_built_to_touch_at_time_0_first_touch_then(encounter, later_s):
     assert first_contact_s(encounter) == pytest.approx(0.0, abs=1e-6)
     assert first_contact_s(_later(encounter, later_s, later_s)) == pytest.approx(later_s, abs=1e-6)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(together, numbers(-0.3, 0.3))
 def test_first_contact_is_the_first_of_many_looks(encounter, later_s):
     encounter = _later(encounter, 0.0, later_s)
@@ -248,7 +246,7 @@ def test_a_contact_before_the_later_one_sets_off_counts():
 # The search
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     st.lists(
         st.tuples(numbers(0.0, 10.0), numbers(0.0, 3.0), numbers(1e-4, 1.0)),

@@ -185,7 +185,7 @@ def test_a_turn_does_not_depend_on_where_it_is_and_where_north_is(path, distance
     assert yaw_deg == pytest.approx(path.yaw_deg + plain_deg, abs=1e-9)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(turn_paths())
 def test_paths_keep_the_bounds_that_they_declare(path):
     step_m = 0.05

@@ -135,7 +135,7 @@ def test_turns_of_the_protocol_have_the_lengths_and_places_computed_elsewhere(na
     )
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(turns())
 def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn):
     clothoid_m, arc_m = turn.clothoid_length_m, turn.arc_length_m

@@ -240,7 +240,6 @@ def test_lengths_are_understood_as_people_write_them() -> None:
 
 _FUZZ = settings(
     max_examples=50,
-    deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 _ODD = ["", "0", "-1", "yes", "no", "1e308", "NaN", "3|4|", "🙂", "12'3\"", "99999999999", "left"]

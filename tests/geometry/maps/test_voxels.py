@@ -80,7 +80,7 @@ def test_faces_enclose_the_volume_of_the_voxels_and_no_other(block):
     assert area == pytest.approx(exposed)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(blocks())
 def test_every_face_looks_into_the_open(block):
     dense, keys = block

@@ -186,7 +186,7 @@ def test_body_beside_the_lens_needs_no_ray_though_it_reaches_behind(camera, bloc
     assert crops[1].tolist() == [0, 0, camera.width_px, camera.height_px]  # around the lens
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     ahead_m=st.floats(-2.0, 6.0),
     left_m=st.floats(-4.0, 4.0),

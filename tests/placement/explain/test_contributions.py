@@ -19,7 +19,7 @@ def some_poses(problem: PlacementProblem, data: st.DataObject) -> list[int]:
 
 
 @given(problem=PROBLEMS, data=st.data())
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
     poses = some_poses(problem, data)
     whole = run_margins_s(problem, poses)
@@ -52,7 +52,7 @@ def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
 
 
 @given(problem=PROBLEMS, data=st.data())
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_first_confirmations_are_shared_out_in_full(problem, data):
     poses = some_poses(problem, data)
     shares = first_shares(problem, poses)
@@ -62,7 +62,7 @@ def test_first_confirmations_are_shared_out_in_full(problem, data):
 
 
 @given(problem=PROBLEMS, data=st.data())
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_a_unit_that_detects_nothing_contributes_nothing(problem, data):
     first, *others = some_poses(problem, data)
     detected = problem.table.detected(slice(None))

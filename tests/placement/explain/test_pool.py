@@ -94,7 +94,7 @@ def check_complete(problem, tolerance, n_sets):
 
 
 @given(problem=questions(), data=st.data())
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_poses_that_are_left_out_change_no_run(problem, data):
     assume(not (problem.limits.is_forced & problem.limits.is_forbidden).any())
     limits = problem.limits
@@ -108,19 +108,19 @@ def test_poses_that_are_left_out_change_no_run(problem, data):
 
 
 @given(problem=PROBLEMS, tolerance=TOLERANCES, n_sets=st.sampled_from([1, 5, 1000]))
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_the_pool_is_complete_where_all_sets_are_gone_through(problem, tolerance, n_sets):
     check_complete(problem, tolerance, n_sets)
 
 
 @given(problem=questions(), tolerance=TOLERANCES)
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_the_pool_answers_every_question(problem, tolerance):
     check_complete(problem, tolerance, 6)
 
 
 @given(problem=questions(), tolerance=TOLERANCES)
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_what_exchanges_find_is_within_the_tolerance_and_in_order(problem, tolerance):
     try:
         solution = solve_placement(problem)
@@ -144,7 +144,7 @@ def test_what_exchanges_find_is_within_the_tolerance_and_in_order(problem, toler
 
 
 @given(problem=PROBLEMS, tolerance=st.sampled_from([0.0, 0.2]))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_a_weighted_sum_is_a_first_stage_too(problem, tolerance):
     weights = (1.0, 0.3, 0.1, 0.02, 1.0e-5)
     problem = replace(problem, stage_weights=weights)
@@ -165,7 +165,7 @@ def test_a_weighted_sum_is_a_first_stage_too(problem, tolerance):
 
 
 @given(problem=PROBLEMS, data=st.data())
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_a_poor_start_is_left_behind(problem, data):
     sets = all_sets(problem)
     assume(len(sets) > 0)
@@ -175,7 +175,7 @@ def test_a_poor_start_is_left_behind(problem, data):
 
 
 @given(problem=PROBLEMS)
-@settings(deadline=None, max_examples=5)
+@settings(max_examples=5)
 def test_what_cannot_be_asked_is_said(problem):
     poses = solve_placement(problem).pose_index
     with pytest.raises(InputError, match=r"--pool: got 0; expected a number of layouts"):

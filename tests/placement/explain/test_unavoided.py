@@ -224,7 +224,7 @@ def tables(draw):
 
 
 @given(given_=tables())
-@settings(deadline=None, max_examples=80)
+@settings(max_examples=80)
 def test_outcome_and_rescue_match_brute_force(given_):
     setting, problem, candidates, chosen = given_
     with pytest.MonkeyPatch.context() as patch:

@@ -24,7 +24,7 @@ def medium_coverage() -> Coverage:
 
 
 @given(coverages())
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_cover_is_the_best_and_proven(coverage: Coverage) -> None:
     cover = find_best_cover(coverage)
     assert coverage.supply.allows(cover.poses)
@@ -70,7 +70,7 @@ def test_time_that_is_up_leaves_an_honest_gap() -> None:
 
 
 @given(coverages(has_money=True))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_with_money_the_better_greedy_choice_is_taken(coverage: Coverage) -> None:
     chosen = choose_greedily(coverage)
     assert coverage.supply.allows(chosen)

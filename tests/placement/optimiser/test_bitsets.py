@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser import PlacementProblem
@@ -15,7 +15,6 @@ from placement.optimiser.presolve import presolve
 
 
 @given(st.from_type(PlacementProblem), st.data())
-@settings(deadline=None)
 def test_values_with_each_pose_are_those_of_the_sets_one_by_one(problem, data):
     reduced = presolve(problem)
     if reduced.n_poses == 0:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser.covering_containment import first_equal, supersets
@@ -26,13 +26,11 @@ def found(sets, price=None, max_work=np.inf):
 
 
 @given(family=st.lists(st.frozensets(st.integers(0, 9)), max_size=12))
-@settings(deadline=None)
 def test_equal_sets_are_found(family):
     assert list(first_equal(to_matrix(family))) == [family.index(each) for each in family]
 
 
 @given(family=FAMILIES, prices=st.lists(st.integers(0, 2), min_size=12, max_size=12))
-@settings(deadline=None)
 def test_supersets_at_no_higher_price_are_found(family, prices):
     family = list(dict.fromkeys(family))
     expected = {

@@ -16,7 +16,7 @@ from placement.optimiser.covering_questions import CoveringBudget
 
 
 @given(instance=instances(), share=st.floats(0.0, 1.0), n_rounds=st.integers(0, 5))
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_a_cheap_cover_covers_enough_and_needs_all_its_columns(instance, share, n_rounds):
     needed = share * instance.coverable_weight
     chosen = cover_cheaply(
@@ -40,7 +40,7 @@ def test_a_cheap_cover_covers_enough_and_needs_all_its_columns(instance, share, 
     units=st.none() | st.integers(1, 5),
     share=st.none() | st.floats(0.0, 1.0),
 )
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_much_is_covered_within_the_budget_and_no_exchange_covers_more(instance, units, share):
     if units is None and share is None:
         units = 3

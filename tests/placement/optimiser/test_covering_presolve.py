@@ -27,7 +27,7 @@ def least_cost(instance):
 
 
 @given(instance=instances())
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_reducing_a_full_cover_changes_no_optimum(instance):
     reduced = presolve_full_cover(instance)
     left = reduced.instance
@@ -49,7 +49,7 @@ def test_reducing_a_full_cover_changes_no_optimum(instance):
     share=st.floats(0.0, 1.0),
     minds_cost=st.booleans(),
 )
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_reducing_a_weighted_cover_changes_no_optimum(instance, units, share, minds_cost):
     money = share * float(instance.cost.sum()) if minds_cost else np.inf
     reduced = presolve_weighted_cover(instance, minds_cost=minds_cost, money=money)

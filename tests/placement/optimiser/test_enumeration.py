@@ -12,7 +12,7 @@ ANY_PROBLEM = st.from_type(PlacementProblem)
 
 
 @given(problem=ANY_PROBLEM, data=st.data())
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_nothing_beats_the_best_of_all(problem: PlacementProblem, data: st.DataObject) -> None:
     reduced = presolve(problem)
     sets = [
@@ -40,7 +40,7 @@ def test_nothing_beats_the_best_of_all(problem: PlacementProblem, data: st.DataO
 
 
 @given(problem=ANY_PROBLEM)
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_too_many_sets_are_not_begun(problem: PlacementProblem) -> None:
     reduced = presolve(problem)
     units = np.arange(problem.limits.max_units)

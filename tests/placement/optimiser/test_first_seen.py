@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -58,7 +58,6 @@ def margins_of(windows: TimelyWindows, index: IntArray) -> FloatArray:
 
 
 @given(SEED)
-@settings(deadline=None)
 def test_all_frames_give_the_margins_of_the_confirmation_rule(seed: int) -> None:
     random = np.random.default_rng(seed)
     axis, rule = draw_axis(random), draw_rule(random)
@@ -75,7 +74,6 @@ def test_all_frames_give_the_margins_of_the_confirmation_rule(seed: int) -> None
 
 
 @given(SEED)
-@settings(deadline=None)
 def test_one_frame_of_each_window_is_looked_up_there(seed: int) -> None:
     random = np.random.default_rng(seed)
     axis, rule = draw_axis(random), draw_rule(random)
@@ -92,7 +90,6 @@ def test_one_frame_of_each_window_is_looked_up_there(seed: int) -> None:
 
 
 @given(SEED)
-@settings(deadline=None)
 def test_whatever_frame_is_asked_for_the_best_pose_promises_no_less_than_all_together(
     seed: int,
 ) -> None:

@@ -95,7 +95,7 @@ def to_gecco(instance):
 
 
 @given(instance=instances())
-@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_every_format_keeps_the_instance(instance, write, tmp_path):
     own = tmp_path / "own.npz"
     save_instance(own, instance)
@@ -344,7 +344,7 @@ def test_a_file_that_unpacks_to_too_much_is_not_unpacked(write, monkeypatch):
 
 
 @given(data=st.binary(max_size=200) | st.text("0123456789 .-\n", max_size=80).map(str.encode))
-@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_bytes_are_an_instance_or_refused_in_one_line(write, data):
     path = write(data)
     try:

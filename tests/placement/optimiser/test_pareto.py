@@ -45,7 +45,7 @@ def best_rank(problem: PlacementProblem) -> PlacementValue | None:
 
 
 @given(problem=ANY_PROBLEM, stages=ANY_STAGES)
-@settings(deadline=None, max_examples=35)
+@settings(max_examples=35)
 def test_every_point_is_the_best_that_brute_force_finds(
     problem: PlacementProblem, best_value: BestValue, stages: str
 ) -> None:
@@ -68,7 +68,7 @@ def test_every_point_is_the_best_that_brute_force_finds(
 
 
 @given(problem=questions(), stages=ANY_STAGES)
-@settings(deadline=None, max_examples=35)
+@settings(max_examples=35)
 def test_wishes_hold_at_every_point_and_refuse_those_that_cannot_meet_them(
     problem: PlacementProblem, stages: str
 ) -> None:
@@ -91,7 +91,7 @@ def test_wishes_hold_at_every_point_and_refuse_those_that_cannot_meet_them(
 
 
 @given(problem=ANY_PROBLEM, stages=ANY_STAGES)
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_models_find_the_same_points_without_enumeration(
     problem: PlacementProblem, best_value: BestValue, stages: str
 ) -> None:
@@ -107,7 +107,7 @@ def test_models_find_the_same_points_without_enumeration(
 
 
 @given(problem=ANY_PROBLEM)
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_points_agree_with_separate_solves(problem: PlacementProblem) -> None:
     for point in pareto_front(problem, max_units=3, stages="all").points:
         solution = solve_placement(with_units(problem, point.units))
@@ -117,7 +117,7 @@ def test_points_agree_with_separate_solves(problem: PlacementProblem) -> None:
 
 
 @given(problem=questions(), seconds=st.sampled_from([1e-9, 60.0]), stages=ANY_STAGES)
-@settings(deadline=None, max_examples=35)
+@settings(max_examples=35)
 def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
     problem: PlacementProblem, seconds: float, stages: str
 ) -> None:
@@ -142,7 +142,7 @@ def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
 
 
 @given(problem=questions(), stages=ANY_STAGES)
-@settings(deadline=None, max_examples=35)
+@settings(max_examples=35)
 def test_where_nothing_grows_nothing_grows(problem: PlacementProblem, stages: str) -> None:
     problem = replace(problem, goal="best", survive=0)
     try:
@@ -161,7 +161,7 @@ def test_where_nothing_grows_nothing_grows(problem: PlacementProblem, stages: st
 
 
 @given(problem=ANY_PROBLEM)
-@settings(deadline=None, max_examples=35)
+@settings(max_examples=35)
 def test_no_set_keeps_more_than_all_poses_but_one_reach(problem: PlacementProblem) -> None:
     n_poses = problem.table.n_poses
     limit = one_failed_limit(presolve(with_units(problem, n_poses)))
@@ -176,7 +176,7 @@ def test_no_set_keeps_more_than_all_poses_but_one_reach(problem: PlacementProble
 
 
 @given(problem=ANY_PROBLEM, stages=ANY_STAGES)
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_points_of_large_tables_are_solved_by_themselves_and_never_fall(
     problem: PlacementProblem, stages: str
 ) -> None:
@@ -195,7 +195,7 @@ def test_points_of_large_tables_are_solved_by_themselves_and_never_fall(
 
 
 @given(problem=ANY_PROBLEM)
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 def test_points_are_told_as_they_come(problem: PlacementProblem) -> None:
     told: list[int] = []
     front = pareto_front(problem, max_units=3, on_point=lambda point: told.append(point.units))
@@ -225,7 +225,7 @@ def test_a_front_asks_for_nothing_but_the_best(
 
 
 @given(problem=questions())
-@settings(deadline=None, max_examples=35)
+@settings(max_examples=35)
 def test_a_front_below_a_solution_is_the_front_up_to_it(problem: PlacementProblem) -> None:
     problem = with_units(replace(problem, goal="best", survive=0), 3)
     try:
@@ -241,7 +241,7 @@ def test_a_front_below_a_solution_is_the_front_up_to_it(problem: PlacementProble
 
 
 @given(problem=ANY_PROBLEM)
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 def test_nothing_is_below_one_unit_or_all_that_is_kept(problem: PlacementProblem) -> None:
     problem = with_units(problem, 2)
     solution = solve_placement(problem)

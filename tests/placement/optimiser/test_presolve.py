@@ -23,7 +23,7 @@ BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]
 
 
 @given(problem=ANY_PROBLEM)
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 def test_presolve_changes_no_best_value(problem: PlacementProblem, best_value: BestValue) -> None:
     reduced = presolve(problem)
     everywhere = best_value(problem, range(problem.table.n_poses))
@@ -31,7 +31,7 @@ def test_presolve_changes_no_best_value(problem: PlacementProblem, best_value: B
 
 
 @given(problem=ANY_PROBLEM)
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_reduced_problem_values_every_set_as_the_table_does(problem: PlacementProblem) -> None:
     reduced = presolve(problem)
     n_units = min(problem.limits.max_units, reduced.n_poses)

@@ -28,7 +28,7 @@ def allowed_sets(problem: PlacementProblem) -> list[tuple[int, ...]]:
 
 
 @given(problem=questions())
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_every_layout_costs_one_of_the_levels(problem: PlacementProblem) -> None:
     levels = price_levels_eur(problem.limits)
     assert levels is not None
@@ -43,7 +43,7 @@ def test_every_layout_costs_one_of_the_levels(problem: PlacementProblem) -> None
 
 
 @given(problem=questions(), max_sets=st.sampled_from([10_000, 5]))
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_affordable_sets_are_all_that_the_limits_allow(
     problem: PlacementProblem, max_sets: int
 ) -> None:

@@ -58,13 +58,13 @@ def check(problem: PlacementProblem) -> None:
 
 
 @given(problem=questions())
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=400)
 def test_every_question_matches_brute_force(problem: PlacementProblem) -> None:
     check(problem)
 
 
 @given(problem=questions())
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_models_answer_every_question_without_enumeration(problem: PlacementProblem) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.stages.best_of_all", lambda *_, **__: None)
@@ -73,7 +73,7 @@ def test_models_answer_every_question_without_enumeration(problem: PlacementProb
 
 
 @given(problem=questions(), solver=st.sampled_from(["greedy", "relax", "exact", "auto"]))
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_no_bound_of_the_first_stage_is_beaten(problem: PlacementProblem, solver: str) -> None:
     best = brute_force(problem)
     if best is None:
@@ -93,7 +93,7 @@ def test_no_bound_of_the_first_stage_is_beaten(problem: PlacementProblem, solver
     problem=st.from_type(PlacementProblem),
     weights=st.tuples(*[st.sampled_from([0.0, 1.0, 0.3])] * 4),
 )
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_weights_make_one_objective_of_five(
     problem: PlacementProblem, weights: tuple[float, ...]
 ) -> None:

@@ -48,7 +48,7 @@ def lp_value(coverage: Coverage, max_units: int) -> float:
 
 
 @given(coverages(max_poses=7, max_units=3))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_repaired_bound_is_never_below_the_best_however_few_steps(coverage: Coverage) -> None:
     relaxation = Relaxation(coverage)
     for max_steps in (1, 50):
@@ -58,7 +58,7 @@ def test_repaired_bound_is_never_below_the_best_however_few_steps(coverage: Cove
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_bound_is_that_of_the_linear_relaxation(seed: int) -> None:
     coverage = draw_coverage(seed)
     relaxation = Relaxation(coverage)
@@ -92,7 +92,7 @@ def test_a_start_near_the_solution_is_closer_to_it_after_few_steps() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 def test_polish_ends_at_the_linear_relaxation(seed: int) -> None:
     coverage = draw_coverage(seed, n_poses=60)
     rough = tighten(coverage, np.ones(coverage.n_rows), target=0.0, n_steps=5)

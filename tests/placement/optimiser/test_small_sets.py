@@ -32,7 +32,7 @@ def test_all_sets_above_the_need_are_found(coverage: Coverage, share: float) -> 
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.9, 1.0))
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 def test_triples_among_more_poses_than_a_block_are_all_found(seed: int, share: float) -> None:
     random = np.random.default_rng(seed)
     # A few strong poses and many weak ones: the apexes leave blocks of all shapes over.

@@ -25,7 +25,7 @@ SIZE = SyntheticSize(
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.booleans())
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 def test_cover_is_the_best_on_the_windows_themselves(
     seed: int, max_units: int, counts_runs: bool
 ) -> None:
