@@ -118,7 +118,13 @@ def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None
     return axes
 
 
-def plot_heatmap(evaluation: Evaluation, run_index: int, *, axes: Axes | None = None) -> Axes:
+def plot_heatmap(
+    evaluation: Evaluation,
+    run_index: int,
+    *,
+    width_in: float = WIDTH_IN,
+    axes: Axes | None = None,
+) -> Axes:
     """Who detects the VRU when, in one run; see :func:`plot_heatmaps`.
 
     Parameters
@@ -127,11 +133,13 @@ def plot_heatmap(evaluation: Evaluation, run_index: int, *, axes: Axes | None = 
         Of a layout.
     run_index : int
         Which run.
+    width_in : float
+        Of a new figure. [inch]
     axes : Axes, optional
         Where to draw; by default in a new figure, with a legend below.
     """
     if axes is None:
-        return plot_heatmaps(evaluation, [run_index], width_in=NARROW_IN)[0]
+        return plot_heatmaps(evaluation, [run_index], width_in=width_in)[0]
     _draw_heatmap(axes, evaluation, _heatmap_rows(evaluation, [run_index]), run_index)
     axes.set_xlabel(_TIME_LABEL, fontsize=9)
     return axes

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, cast
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from placement.certificates import build_certificate, save_certificate
 from placement.driving import build_setting, find_scene
@@ -28,15 +27,13 @@ from . import bill_of_materials, exports
 from .bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from .comparison_tables import summarise_differences
 from .explanations import summarise_explanations
-from .figures import plot_apr_by_case, plot_heatmap, to_png
 from .no_look import load_private_ground, summarise_private_ground
 from .pareto_jobs import summarise_front
-from .plan import plot_plan
 from .planning import Plan, build_plan
 from .planning_words import Planning
 from .progress import WRITING, StageProgress
 from .refinement_summary import summarise_refinement
-from .report import GREEDY, pick_heatmap_runs, write_report
+from .report import GREEDY, write_report
 from .result_folder import MARKER, check_result_folder, new_result_folder
 from .sampled_figures import plot_sampled_apr
 from .sensitivity_tables import summarise_sensitivity
@@ -148,7 +145,7 @@ def run_placement(
         )
     if refinement is not None:
         summary["refinement"] = summarise_refinement(refinement)
-    figures = {}
+    sampled_figure = None
     if planning.samples:
         judged = out_of_sample_layouts(
             setting,
@@ -170,7 +167,7 @@ def run_placement(
             },
             chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
         )
-        figures["sampled_apr"] = plot_sampled_apr(judged)
+        sampled_figure = plot_sampled_apr(judged)
     evaluations = {found.layout.name: found, GREEDY: greedy}
     evaluations |= {other.layout.name: other for other in others}
     _write_results(
@@ -178,7 +175,6 @@ def run_placement(
         summary,
         setting,
         evaluations,
-        others=[other.layout for other in others],
         command=command,
         progress=progress,
         placement=placement,
@@ -188,7 +184,7 @@ def run_placement(
             site_cost_eur=planning.site_cost_eur,
             kept_ids=plan.wishes.kept,
         ),
-        more_figures=figures,
+        sampled_figure=sampled_figure,
     )
     return summary
 
@@ -346,7 +342,7 @@ def _judge(
         summary["private_ground"] = seen[0]
         for entry, of_layout in zip(summary.get("compared", ()), seen[1:], strict=True):
             entry["private_ground"] = of_layout
-    figures = {}
+    sampled_figure = None
     if samples:
         judged = out_of_sample_layouts(
             setting,
@@ -361,7 +357,7 @@ def _judge(
         summary["sampled"] = summarise_uncertainty(
             judged, drawn, tail=1.0, seed=seed, planned_apr=planned
         )
-        figures["sampled_apr"] = plot_sampled_apr(judged)
+        sampled_figure = plot_sampled_apr(judged)
     if out is None:
         summary["seconds"] = progress.finish()
         return summary
@@ -371,10 +367,9 @@ def _judge(
         summary,
         setting,
         {verdict.layout.name: verdict for verdict in verdicts},
-        others=layouts[1:],
         command=command,
         progress=progress,
-        more_figures=figures,
+        sampled_figure=sampled_figure,
     )
     return summary
 
@@ -414,19 +409,17 @@ def _write_results(
     setting: Setting,
     evaluations: Mapping[str, Evaluation],
     *,
-    others: Sequence[Layout],
     command: str,
     progress: StageProgress,
     placement: Placement | None = None,
     bill: BillOfMaterials | None = None,
-    more_figures: Mapping[str, Axes | Figure] | None = None,
+    sampled_figure: Axes | None = None,
 ) -> None:
     """Fill the result folder; the times of all stages but the writing go into the summary."""
     progress(WRITING, 0, 0)
     summary["seconds"] = progress.seconds.copy()
     subject = next(iter(evaluations.values()))
     known = {key: value for key, value in summary.items() if value is not None}
-    heatmap_runs = pick_heatmap_runs(setting, subject)
     with new_result_folder(folder) as new:
         layout = replace(subject.layout, scene_name=setting.scene.name)
         _write_text(new / "layout.json", exports.to_json(layout))
@@ -449,24 +442,13 @@ def _write_results(
         _write_text(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
         exports.apr_table(evaluations).to_csv(new / "apr.csv", index=False)
         exports.runs_table(evaluations).to_parquet(new / "runs.parquet")
-        figures: dict[str, Axes | Figure] = {
-            "plan": plot_plan(setting, subject.layout, others=others),
-            "apr_by_case": plot_apr_by_case(evaluations),
-            **(more_figures or {}),
-        }
-        for run_id in heatmap_runs:
-            index = setting.axis.run_ids.index(run_id)
-            figures[f"heatmap_{run_id.replace('/', '_')}"] = plot_heatmap(subject, index)
-        for name, figure in figures.items():
-            (new / f"{name}.png").write_bytes(to_png(figure))
         write_report(
             new,
             known,
             setting,
             evaluations,
             command=command,
-            heatmap_runs=heatmap_runs,
-            sampled_figure=(more_figures or {}).get("sampled_apr"),
+            sampled_figure=sampled_figure,
             bill=bill,
         )
         summary["seconds"] = progress.finish()

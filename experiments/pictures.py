@@ -13,8 +13,8 @@ from geometry.arrays import FloatArray
 
 from .figures import to_png
 
-MAX_TRUE_COLOUR_BYTES = 50_000
-"""PNG files above are drawn with a palette."""
+MAX_TRUE_COLOUR_BYTES = 300_000
+"""PNG files above are drawn with a palette: looking for one takes longer than it spares bytes."""
 
 _N_COLOURS = 256
 _LARGEST_ERROR, _LARGEST_MEAN_ERROR = 32.0, 1.5  # of 255, of any one channel: not seen by eye
@@ -36,6 +36,8 @@ class Picture:
         Its size.
     width_in : float
         The width for which its letters are drawn: those of 8 pt are that high at this width.
+    narrow : Picture, optional
+        The same for a phone.
     """
 
     title: str
@@ -45,12 +47,20 @@ class Picture:
     width_px: int
     height_px: int
     width_in: float
+    narrow: "Picture | None" = None
 
 
-def build_picture(drawn: Figure | Axes, *, title: str, caption: str, alt: str) -> Picture:
+def build_picture(
+    drawn: Figure | Axes,
+    *,
+    title: str,
+    caption: str,
+    alt: str,
+    narrow: Figure | Axes | None = None,
+) -> Picture:
     """A figure, or all of the one that some axes are in, with its words.
 
-    Equal figures give equal pictures.
+    Equal figures give equal pictures. `narrow` is the same, drawn for a phone.
     """
     figure = drawn.get_figure(root=True)
     if figure is None:
@@ -65,6 +75,9 @@ def build_picture(drawn: Figure | Axes, *, title: str, caption: str, alt: str) -
         width_px=width_px,
         height_px=height_px,
         width_in=round(float(figure.get_figwidth()), 2),
+        narrow=None
+        if narrow is None
+        else build_picture(narrow, title=title, caption=caption, alt=alt),
     )
 
 

@@ -21,7 +21,6 @@ from scenarios.runs import Run
 from .figures import (
     BLUE,
     GREEN,
-    NARROW_IN,
     ORANGE,
     PINK,
     SKY,
@@ -38,7 +37,6 @@ from .round_views import blind_footprint, ground_rings, is_wide, ring_path
 _UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
 _LINE_STYLES = ("-", "--", "-.", ":")
 _LEGEND_ROW_IN = 0.17
-_MAX_NARROW_UNITS = 6  # labels of more would lie on one another
 _MAX_NAME = 18  # letters that the legend has room for
 
 
@@ -90,6 +88,7 @@ def plot_plan(
     others: Sequence[Layout] = (),
     half_size_m: float = 45.0,
     max_range_m: float = 35.0,
+    width_in: float = WIDTH_IN,
     axes: Axes | None = None,
 ) -> Axes:
     """Plan of the junction with a layout: where its units are and what ground they look at.
@@ -106,6 +105,8 @@ def plot_plan(
         Half the side of the square that is shown, around the middle of the junction. [m]
     max_range_m : float
         Fields of view end here; the camera itself sees farther. [m]
+    width_in : float
+        Of a new figure. [inch]
     axes : Axes, optional
         Where to draw; by default in a new figure.
 
@@ -115,8 +116,7 @@ def plot_plan(
         In metres, north up.
     """
     entries = _plan_legend(setting, layout, others)
-    is_crowded = len(layout.units) > _MAX_NARROW_UNITS
-    width_in, n_columns = (WIDTH_IN, 2) if is_crowded else (NARROW_IN, 1)
+    n_columns = 1 if width_in < WIDTH_IN else 2
     if axes is None:
         n_rows = -(-len(entries) // n_columns)
         axes = new_axes(width_in, width_in + 0.05 + _LEGEND_ROW_IN * n_rows)

@@ -1,8 +1,9 @@
 """One self-contained HTML page: the answer, its proof, figures, and every run."""
 
+import base64
 import math
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from .coverage_figures import coverage_rows, coverage_sentence, plot_coverage
 from .explanation_tables import report_part
 from .exports import margin_s
 from .failure_tables import failures_part
-from .figures import describe_run, plot_apr_by_case, plot_heatmap, unit_labels
+from .figures import NARROW_IN, describe_run, plot_apr_by_case, plot_heatmap, unit_labels
 from .front_tables import front_part
 from .heatmap_rows import units_in_heatmap
 from .interactive import interactive_part
@@ -65,6 +66,7 @@ FILE_NAME = "report.html"
 GREEDY = "greedy"
 _PLAN_RANGE_M = 35.0
 _MAX_UNITS_IN_WORDS = 40
+_MAX_NARROW_UNITS = 6  # labels of more would lie on one another
 
 
 def write_report(
@@ -78,8 +80,12 @@ def write_report(
     sampled_figure: Axes | Figure | None = None,
     bill: BillOfMaterials | None = None,
 ) -> Path:
-    """Write :func:`render_report`'s page to ``report.html`` in `folder`, which must exist."""
-    page = render_report(
+    """Write :func:`render_report`'s page to ``report.html`` in `folder`, which must exist.
+
+    The plan, the APR by case, the heatmaps of the first layout and the APR in sampled worlds are
+    written beside it as PNG files.
+    """
+    page, pictures = _build_report(
         summary,
         setting,
         evaluations,
@@ -88,6 +94,8 @@ def write_report(
         sampled_figure=sampled_figure,
         bill=bill,
     )
+    for name, picture in pictures.items():
+        (folder / f"{name}.png").write_bytes(base64.b64decode(picture.png))
     path = folder / FILE_NAME
     write_atomically(path, lambda file: file.write(page.encode()))
     return path
@@ -134,6 +142,29 @@ def render_report(
     InputError
         There is no evaluation, or a run is unknown.
     """
+    page, _ = _build_report(
+        summary,
+        setting,
+        evaluations,
+        command=command,
+        heatmap_runs=heatmap_runs,
+        sampled_figure=sampled_figure,
+        bill=bill,
+    )
+    return page
+
+
+def _build_report(
+    summary: Mapping[str, Any],
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    command: str,
+    heatmap_runs: Sequence[str],
+    sampled_figure: Axes | Figure | None,
+    bill: BillOfMaterials | None,
+) -> tuple[str, dict[str, Picture]]:
+    """The page, and those of its pictures that are worth a file, by name."""
     if not evaluations:
         raise InputError("evaluations", Unquoted("none"), "at least one")
     subject_name, subject = next(iter(evaluations.items()))
@@ -142,11 +173,22 @@ def render_report(
     labels = unit_labels(subject.layout)
     detailed = shown if is_comparison else {subject_name: subject}
     run_indices = _heatmap_indices(subject, setting, heatmap_runs)
-    return _template().render(
+    plans = _plans(setting, detailed, [] if is_comparison else [*shown.values()][1:])
+    apr_picture, sampled = _apr_figure(evaluations), _sampled_figure(sampled_figure, summary)
+    heatmaps: list[dict[str, Any]] = [
+        {"name": name, "figures": [_heatmap(item, index) for index in run_indices]}
+        for name, item in detailed.items()
+    ]
+    pictures = {"plan": plans[0], "apr_by_case": apr_picture}
+    for run_index, picture in zip(run_indices, heatmaps[0]["figures"], strict=True):
+        pictures[f"heatmap_{subject.axis.run_ids[run_index].replace('/', '_')}"] = picture
+    if sampled is not None:
+        pictures["sampled_apr"] = sampled
+    page = _template().render(
         title=title(summary, setting, evaluations),
         answer=[*answer(summary, shown), *added_sentences(summary)],
         layouts=[unit_table(name, item.layout) for name, item in detailed.items()],
-        plans=_plans(setting, detailed, [] if is_comparison else [*shown.values()][1:]),
+        plans=plans,
         proof=proof(summary),
         stages=stage_rows(summary),
         solver=summary.get("solver", NOTHING),
@@ -156,22 +198,19 @@ def render_report(
         explained=report_part(summary.get("explained"), labels),
         is_weighted=is_weighted(subject.axis),
         apr_table=apr_table(evaluations),
-        apr_figure=_apr_figure(evaluations),
+        apr_figure=apr_picture,
         apr_groups=apr_group_tables(evaluations),
         margins=margins_part(shown),
         failures=failures_part(subject, setting.rule, labels),
         private_ground=private_ground_part(summary.get("private_ground"), labels),
         bill=bill_part(bill or build_bill(subject.layout, setting.scene)),
-        sampled_figure=_sampled_figure(sampled_figure, summary),
+        sampled_figure=sampled,
         ground=_ground(setting, subject),
         interactive=interactive_part(
             setting, shown, first_runs=[subject.axis.run_ids[index] for index in run_indices]
         ),
         alone=[unit_apr_table(name, item) for name, item in detailed.items()],
-        heatmaps=[
-            {"name": name, "figures": [_heatmap(item, index) for index in run_indices]}
-            for name, item in detailed.items()
-        ],
+        heatmaps=heatmaps,
         rule=setting.rule,
         latency=latency_in_short(setting.rule, [item.layout for item in detailed.values()]),
         disagreement=disagreement(summary),
@@ -188,6 +227,7 @@ def render_report(
         seconds=[(stage, f"{value:.1f}") for stage, value in summary.get("seconds", {}).items()],
         versions=list(summary.get("versions", {}).items()),
     )
+    return page, pictures
 
 
 @cache
@@ -208,14 +248,18 @@ def _template() -> Template:
 def _plans(
     setting: Setting, detailed: Mapping[str, Evaluation], others: Sequence[Evaluation]
 ) -> list[Picture]:
+    draw = partial(
+        plot_plan,
+        setting,
+        others=[other.layout for other in others],
+        max_range_m=_PLAN_RANGE_M,
+    )
     return [
         build_picture(
-            plot_plan(
-                setting,
-                item.layout,
-                others=[other.layout for other in others],
-                max_range_m=_PLAN_RANGE_M,
-            ),
+            draw(item.layout),
+            narrow=draw(item.layout, width_in=NARROW_IN)
+            if len(item.layout.units) <= _MAX_NARROW_UNITS
+            else None,
             title=f"Plan of {setting.scene.name} with {name}",
             caption=(
                 "Coloured outlines: the ground in each sensor's field of view, up to "
@@ -350,6 +394,7 @@ def _heatmap(evaluation: Evaluation, run_index: int) -> Picture:
     ]
     return build_picture(
         plot_heatmap(evaluation, run_index),
+        narrow=plot_heatmap(evaluation, run_index, width_in=NARROW_IN),
         title=run,
         caption=f"Detections in each frame; the last moment to brake is at {last_moment} s.",
         alt=f"Heatmap of {run}. Last moment to brake {last_moment} s. Confirmed by: "

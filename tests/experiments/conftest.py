@@ -54,7 +54,6 @@ def small_study(small_setting, monkeypatch):
 def without_figures(monkeypatch):
     """Leaves out what takes longest to write."""
     monkeypatch.setattr(jobs, "write_report", lambda *given, **options: None)
-    monkeypatch.setattr(jobs, "to_png", lambda figure: b"")
 
 
 @pytest.fixture

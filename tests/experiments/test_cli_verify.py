@@ -24,7 +24,6 @@ def written(small_setting, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jobs, "build_setting", lambda question, scene: small_setting)
         patch.setattr(jobs, "write_report", lambda *given, **options: None)
-        patch.setattr(jobs, "to_png", lambda figure: b"")
         jobs.run_placement(
             Question(),
             Planning(budget=2, within="carlancap-12", time_limit_s=60.0),

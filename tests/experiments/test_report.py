@@ -22,7 +22,7 @@ from placement.question import Question
 from scenarios.aeb import confirmation_time_s, is_in_time
 from scenarios.runs import Refusal, build_frame_axis
 
-VOID = {"meta", "img", "br", "hr", "link", "input"}
+VOID = {"source", "meta", "img", "br", "hr", "link", "input"}
 COMMAND = "place-rsus --budget 2 --out 'a <folder>'"
 EVIL = "<script>alert(1)</script>"
 

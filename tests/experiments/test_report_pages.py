@@ -144,7 +144,8 @@ def test_letters_of_figures_are_no_smaller_than_9_pixels(browser, address):
     with open_page(browser, address, width=360) as page:
         for width_in, shown_px in page.evaluate(
             """() => [...document.querySelectorAll('figure')].map((figure) => [
-                Number(figure.style.getPropertyValue('--width-in')),
+                Number(figure.style.getPropertyValue('--phone-width-in')
+                    || figure.style.getPropertyValue('--width-in')),
                 figure.querySelector('img').getBoundingClientRect().width])"""
         ):
             assert 8.0 / 72.0 * shown_px / width_in >= 8.99  # letters of 8 pt
