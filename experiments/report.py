@@ -393,8 +393,7 @@ def _heatmap(evaluation: Evaluation, run_index: int) -> Picture:
         for name, verdict in rows.items()
     ]
     return build_picture(
-        plot_heatmap(evaluation, run_index),
-        narrow=plot_heatmap(evaluation, run_index, width_in=NARROW_IN),
+        plot_heatmap(evaluation, run_index, width_in=NARROW_IN),  # several stand side by side
         title=run,
         caption=f"Detections in each frame; the last moment to brake is at {last_moment} s.",
         alt=f"Heatmap of {run}. Last moment to brake {last_moment} s. Confirmed by: "
