@@ -26,7 +26,7 @@ from .coverage_figures import coverage_rows, coverage_sentence, plot_coverage
 from .explanation_tables import report_part
 from .exports import margin_s
 from .failure_tables import failures_part
-from .figures import NARROW_IN, describe_run, plot_apr_by_case, plot_heatmap, unit_labels
+from .figures import NARROW_IN, WIDTH_IN, describe_run, plot_apr_by_case, plot_heatmap, unit_labels
 from .front_tables import front_part
 from .heatmap_rows import units_in_heatmap
 from .interactive import interactive_part
@@ -254,11 +254,13 @@ def _plans(
         others=[other.layout for other in others],
         max_range_m=_PLAN_RANGE_M,
     )
+    are_few = all(len(item.layout.units) <= _MAX_NARROW_UNITS for item in detailed.values())
+    are_side_by_side = len(detailed) > 1 and are_few
     return [
         build_picture(
-            draw(item.layout),
+            draw(item.layout, width_in=NARROW_IN if are_side_by_side else WIDTH_IN),
             narrow=draw(item.layout, width_in=NARROW_IN)
-            if len(item.layout.units) <= _MAX_NARROW_UNITS
+            if are_few and not are_side_by_side
             else None,
             title=f"Plan of {setting.scene.name} with {name}",
             caption=(

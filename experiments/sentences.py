@@ -75,8 +75,8 @@ def answer(summary: Mapping[str, Any], shown: Mapping[str, Evaluation]) -> list[
     else:
         sentences = [
             f"{subject_name} ({count_sensors(subject.layout)}) avoids {score}; {car}",
-            *scores,
-            *(_difference(subject_name, subject, name, item) for name, item in others),
+            "; ".join(scores),
+            *_differences(subject_name, subject, others),
             *failed,
         ]
     return [f"{sentence}." for sentence in sentences if sentence]
@@ -125,15 +125,25 @@ def _one_failed(left: float, subject: Evaluation) -> str:
     return f"If any one unit fails, the others {reach}"
 
 
-def _difference(name: str, ours: Evaluation, other_name: str, theirs: Evaluation) -> str:
-    gained = int((ours.rsu_all.is_avoided & ~theirs.rsu_all.is_avoided).sum())
-    lost = int((theirs.rsu_all.is_avoided & ~ours.rsu_all.is_avoided).sum())
-    if not gained and not lost:
-        return f"{name} and {other_name} avoid the same runs"
-    return (
-        f"{name} avoids {gained} that {other_name} does not, "
-        f"and {other_name} avoids {lost} that {name} does not"
-    )
+def _differences(
+    name: str, ours: Evaluation, others: Sequence[tuple[str, Evaluation]]
+) -> list[str]:
+    """The first layout against each of the others; those that are alike in one sentence."""
+    alike, sentences = [name], []
+    for other_name, theirs in others:
+        gained = int((ours.rsu_all.is_avoided & ~theirs.rsu_all.is_avoided).sum())
+        lost = int((theirs.rsu_all.is_avoided & ~ours.rsu_all.is_avoided).sum())
+        if not gained and not lost:
+            alike.append(other_name)
+            continue
+        sentences.append(
+            f"{name} avoids {gained} that {other_name} does not, "
+            f"and {other_name} avoids {lost} that {name} does not"
+        )
+    if len(alike) > 1:
+        names = f"{', '.join(alike[:-1])} and {alike[-1]}"
+        sentences.append(f"{names} avoid the same runs")
+    return sentences
 
 
 def disagreement(summary: Mapping[str, Any]) -> str | None:

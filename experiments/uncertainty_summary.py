@@ -192,12 +192,13 @@ def uncertainty_sentences(summary: Mapping[str, Any]) -> list[str]:
 
 def uncertainty_text(summary: Mapping[str, Any]) -> str:
     """A small table for a terminal, at most 80 columns wide."""
+    has_tail = summary["tail"] < 1.0  # the mean of all is there already
     tail = f"worst {100.0 * summary['tail']:g} %"
     head = f"  {'layout':<{_NAME_WIDTH}} {'planned':>8} {'mean':>8} {'95 % interval':>18}"
     lines = [
         f"APR in {summary['samples']} fresh sampled {_worlds(summary['samples'])}, "
         f"uncertainty {summary['uncertainty']['name']}",
-        f"{head} {tail:>10} {'worst':>8}",
+        head + (f" {tail:>10}" if has_tail else "") + f" {'worst':>8}",
     ]
     for layout in summary["layouts"]:
         name = layout["name"]
@@ -207,7 +208,9 @@ def uncertainty_text(summary: Mapping[str, Any]) -> str:
         interval = f"{percent(layout['low'])} .. {percent(layout['high'])}"
         lines.append(
             f"  {name:<{_NAME_WIDTH}} {percent(planned):>8} {percent(layout['mean']):>8} "
-            f"{interval:>18} {percent(layout['cvar']):>10} {percent(layout['worst']):>8}"
+            + f"{interval:>18}"
+            + (f" {percent(layout['cvar']):>10}" if has_tail else "")
+            + f" {percent(layout['worst']):>8}"
         )
     return "\n".join(lines)
 
