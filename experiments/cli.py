@@ -297,7 +297,7 @@ def _placement_text(summary: dict[str, Any], out: Path) -> str:
 def _print(
     summary: dict[str, Any], progress: StageProgress, as_json: bool, text: Callable[[], str]
 ) -> None:
-    from .exports import to_json_text
+    from .export_formats.json_text import to_json_text
 
     progress.stop()
     click.echo(to_json_text(summary).rstrip() if as_json else text())

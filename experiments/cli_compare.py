@@ -90,7 +90,7 @@ def compare(
     warn_of_slow_rays()
     from . import jobs
     from .additions import added_text
-    from .exports import to_json_text
+    from .export_formats.json_text import to_json_text
     from .tables import comparison_table
 
     summary = jobs.run_comparison(

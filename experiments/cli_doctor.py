@@ -22,7 +22,7 @@ Exit codes: 0 all is well (extras may be missing), 1 something is not."""
 def doctor(*, as_json: bool) -> None:
     """Say what is installed here, what is missing, and what that costs."""
     from .doctor import doctor_text, examine
-    from .exports import to_json_text
+    from .export_formats.json_text import to_json_text
 
     summary = examine(cache_folder())
     click.echo(to_json_text(summary).rstrip() if as_json else doctor_text(summary))

@@ -90,7 +90,7 @@ def latency(
     """
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
-    from .exports import to_json_text
+    from .export_formats.json_text import to_json_text
     from .latency_jobs import run_latency
     from .latency_tables import latency_text
 

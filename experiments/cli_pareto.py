@@ -94,7 +94,7 @@ def pareto(
     accidents prevented (APR), and the highest that is left when any one unit fails.
     """
     progress.start(quiet=quiet)
-    from .exports import to_json_text
+    from .export_formats.json_text import to_json_text
     from .pareto_jobs import run_pareto
     from .pareto_tables import front_text
 

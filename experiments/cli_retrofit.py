@@ -83,7 +83,7 @@ def retrofit(
     """
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
-    from .exports import to_json_text
+    from .export_formats.json_text import to_json_text
     from .retrofit_jobs import run_retrofit
     from .retrofit_sentences import retrofit_text
 

@@ -46,7 +46,7 @@ def list_scenarios(
     """
     from placement.driving import drive, find_scene
 
-    from .exports import to_json_text
+    from .export_formats.json_text import to_json_text
     from .scenario_list import list_rows, scenario_table
 
     progress.start(quiet=quiet)

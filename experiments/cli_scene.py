@@ -279,7 +279,7 @@ def _print(
     as_json: bool,
     text: Callable[[dict[str, Any]], str],
 ) -> None:
-    from .exports import to_json_text
+    from .export_formats.json_text import to_json_text
 
     progress.stop()
     click.echo(to_json_text(summary).rstrip() if as_json else text(summary))

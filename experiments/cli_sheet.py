@@ -55,7 +55,7 @@ def sheet(
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
     warn_of_slow_rays()
-    from .exports import to_json_text
+    from .export_formats.json_text import to_json_text
     from .sheet_jobs import run_sheet, sheet_text
 
     summary = run_sheet(

@@ -132,7 +132,7 @@ def solve(
     from placement.optimiser.instance_files import instance_kind
 
     from . import solve_jobs
-    from .exports import to_json_text
+    from .export_formats.json_text import to_json_text
 
     if format_name in ("auto", "npz") and instance_kind(file) == KIND:
         from . import window_jobs

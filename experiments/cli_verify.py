@@ -33,7 +33,7 @@ def verify(progress: StageProgress, *, folder: Path, as_json: bool, quiet: bool)
     elsewhere they rest on the solver that the certificate names, and this says so.
     """
     progress.start(quiet=quiet)
-    from .exports import to_json_text
+    from .export_formats.json_text import to_json_text
     from .verify_jobs import run_verification
     from .verify_tables import verification_table
 

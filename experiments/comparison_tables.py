@@ -8,11 +8,11 @@ import numpy as np
 
 from placement.evaluation import Evaluation
 
-from .exports import margin_s
 from .pictures import build_picture
 from .sampled_figures import plot_differences
 from .sentences import NOTHING, count_runs, number
 from .tables import percent
+from .verdict_tables import margin_s
 
 _MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all
 _MAX_SENTENCES = 6

@@ -23,10 +23,14 @@ from placement.sampling import load_uncertainty, out_of_sample_layouts
 from placement.sensitivity import find_sensitivity
 from placement.setting import Setting
 
-from . import bill_of_materials, exports
+from . import bill_of_materials, verdict_tables
 from .bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from .comparison_tables import summarise_differences
 from .explanations import summarise_explanations
+from .export_formats.json_text import to_json_text
+from .export_formats.layout_file import to_json
+from .export_formats.maps import to_geojson
+from .export_formats.tables import to_csv
 from .no_look import load_private_ground, summarise_private_ground
 from .pareto_jobs import summarise_front
 from .planning import Plan, build_plan
@@ -422,10 +426,10 @@ def _write_results(
     known = {key: value for key, value in summary.items() if value is not None}
     with new_result_folder(folder) as new:
         layout = replace(subject.layout, scene_name=setting.scene.name)
-        _write_text(new / "layout.json", exports.to_json(layout))
-        _write_text(new / "layout.csv", exports.to_csv(layout, setting.scene))
+        _write_text(new / "layout.json", to_json(layout))
+        _write_text(new / "layout.csv", to_csv(layout, setting.scene))
         if setting.scene.crs:  # else nobody knows where on earth it lies
-            geojson = exports.to_geojson(layout, setting.scene.crs, setting.scene)
+            geojson = to_geojson(layout, setting.scene.crs, setting.scene)
             _write_text(new / "layout.geojson", geojson)
         if placement is not None:
             document = build_certificate(
@@ -440,8 +444,8 @@ def _write_results(
             save_certificate(new, document, placement.problem)
         bill = bill or build_bill(layout, setting.scene)
         _write_text(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
-        exports.apr_table(evaluations).to_csv(new / "apr.csv", index=False)
-        exports.runs_table(evaluations).to_parquet(new / "runs.parquet")
+        verdict_tables.apr_table(evaluations).to_csv(new / "apr.csv", index=False)
+        verdict_tables.runs_table(evaluations).to_parquet(new / "runs.parquet")
         write_report(
             new,
             known,
@@ -452,7 +456,7 @@ def _write_results(
             bill=bill,
         )
         summary["seconds"] = progress.finish()
-        _write_text(new / MARKER, exports.to_json_text(summary))
+        _write_text(new / MARKER, to_json_text(summary))
     progress.kept = f"the results are in {folder}"
 
 

@@ -14,7 +14,6 @@ from geometry.arrays import FloatArray
 from placement.evaluation import Verdict
 from scenarios.runs import FrameAxis
 
-from .exports import margin_s
 from .figures import (
     BLUE,
     GREEN,
@@ -26,6 +25,7 @@ from .figures import (
     build_figure,
     literal,
 )
+from .verdict_tables import margin_s
 
 MAX_COLUMNS = 4
 """Panels that fit side by side."""

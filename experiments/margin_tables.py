@@ -1,7 +1,7 @@
 """Margins to the last moment by case, speed and direction, in milliseconds and in metres."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +11,12 @@ from geometry.arrays import BoolArray, FloatArray
 from placement.evaluation import Evaluation, Verdict
 from scenarios.runs import FrameAxis
 
-from .exports import margin_s
 from .figures import describe_run
 from .margin_figures import MAX_COLUMNS, plot_margins
 from .pictures import build_picture
+from .run_groups import RunGroup, groups_by_case, groups_by_direction, groups_by_speed
 from .sentences import NOTHING, count_runs, number
+from .verdict_tables import margin_s
 
 VUT_NAME = "VUT alone"
 _MS, _MPS_PER_KMH = 1000.0, 1.0 / 3.6
@@ -129,24 +130,13 @@ def _of(measure: Callable[[FloatArray], Any], values: FloatArray) -> float:
 # ---------------------------------------------------------------- groups
 
 
-def _groupings(axis: FrameAxis) -> list[tuple[str, str, list[tuple[str, BoolArray]]]]:
+def _groupings(axis: FrameAxis) -> list[tuple[str, str, list[RunGroup]]]:
     """What runs are told apart by: words for the caption, the column's head, groups."""
-    speeds = axis.vut_speed_kmh
     return [
-        ("by case", "case", _equal(axis.cases)),
-        (
-            "by speed of the car",
-            "speed (km/h)",
-            [(f"{speed:g}", speeds == speed) for speed in np.unique(speeds)],
-        ),
-        ("by direction from which the car comes", "from", _equal(axis.approaches)),
+        ("by case", "case", groups_by_case(axis)),
+        ("by speed of the car", "speed (km/h)", groups_by_speed(axis)),
+        ("by direction from which the car comes", "from", groups_by_direction(axis)),
     ]
-
-
-def _equal(words: Sequence[str]) -> list[tuple[str, BoolArray]]:
-    """Each word with the runs that have it, in the order in which the words first appear."""
-    of_run = np.array(words)
-    return [(word, of_run == word) for word in dict.fromkeys(words)]
 
 
 def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Verdict]]:

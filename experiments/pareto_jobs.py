@@ -18,7 +18,7 @@ from placement.pipeline import obtain_table, pick_layout
 from placement.question import Question
 from placement.wishes import build_problem
 
-from .exports import to_json_text
+from .export_formats.json_text import to_json_text
 from .figures import to_png
 from .folder_files import check_folder, write_files
 from .pareto_figures import plot_front

@@ -32,7 +32,7 @@ from placement.recordings import (
 )
 from scenarios.aeb import AebRule
 
-from .exports import to_json_text
+from .export_formats.json_text import to_json_text
 from .planning import effort_of
 from .planning_words import Planning
 from .progress import WRITING, StageProgress

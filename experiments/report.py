@@ -24,7 +24,6 @@ from .bill_of_materials import BillOfMaterials, bill_part, build_bill
 from .comparison_tables import comparison_part
 from .coverage_figures import coverage_rows, coverage_sentence, plot_coverage
 from .explanation_tables import report_part
-from .exports import margin_s
 from .failure_tables import failures_part
 from .figures import NARROW_IN, WIDTH_IN, describe_run, plot_apr_by_case, plot_heatmap, unit_labels
 from .front_tables import front_part
@@ -61,6 +60,7 @@ from .sentences import (
     title,
 )
 from .uncertainty_summary import uncertainty_sentences, what_is_uncertain
+from .verdict_tables import margin_s
 
 FILE_NAME = "report.html"
 GREEDY = "greedy"

@@ -6,15 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from geometry.arrays import BoolArray
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share
 from placement.layout import Layout, layout_records
 from placement.setting import Setting
 from scenarios.runs import FrameAxis
 
-from .exports import margin_s
 from .figures import unit_labels
 from .round_views import compass_word
+from .run_groups import groups_by_direction, groups_by_speed
 from .sentences import (
     NOTHING,
     STAGES,
@@ -25,6 +24,7 @@ from .sentences import (
     runs_by_case,
 )
 from .tables import percent
+from .verdict_tables import margin_s
 
 
 def unit_table(name: str, layout: Layout) -> dict[str, Any]:
@@ -132,21 +132,9 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[dict[str, An
     """
     verdicts = _parties(evaluations)
     axis = verdicts[0][1].axis
-    of_approach = np.array(axis.approaches)
-    groupings: list[tuple[str, str, list[tuple[str, BoolArray]]]] = [
-        (
-            "speed of the car",
-            "speed (km/h)",
-            [
-                (f"{speed:g}", axis.vut_speed_kmh == speed)
-                for speed in np.unique(axis.vut_speed_kmh)
-            ],
-        ),
-        (
-            "direction from which the car comes",
-            "from",
-            [(name, of_approach == name) for name in dict.fromkeys(axis.approaches)],
-        ),
+    groupings = [
+        ("speed of the car", "speed (km/h)", groups_by_speed(axis)),
+        ("direction from which the car comes", "from", groups_by_direction(axis)),
     ]
     return [
         {

@@ -66,10 +66,10 @@ class Result:
     layout : Layout
         What was found or evaluated; of a comparison the first one.
     runs : DataFrame
-        A row per layout, sensing party and run; see :func:`experiments.exports.runs_table`.
+        A row per layout, sensing party and run; see :func:`experiments.verdict_tables.runs_table`.
     apr : DataFrame
         A row per layout, sensing party and group of runs; see
-        :func:`experiments.exports.apr_table`.
+        :func:`experiments.verdict_tables.apr_table`.
     """
 
     folder: Path

@@ -17,7 +17,7 @@ from placement.retrofit import Change, Retrofit, find_retrofit
 from placement.retrofit_poses import RetrofitPoses, build_retrofit_poses
 from placement.wishes import build_problem
 
-from .exports import to_json_text
+from .export_formats.json_text import to_json_text
 from .folder_files import check_folder, write_files
 from .planning import build_plan, grid_of
 from .planning_words import Planning

@@ -1,4 +1,4 @@
-"""Layouts in the formats of others: a module per family; :mod:`experiments.exports` has them all.
+"""Layouts in the formats of others, a module per family; ``layout_exports`` has them by name.
 
 This file only says which formats there are, so that the command line can tell without loading any
 library.

@@ -8,7 +8,7 @@ from geometry.arrays import IntArray
 from geometry.errors import InputError
 from placement.evaluation import Evaluation
 
-from ..exports import margin_s
+from ..verdict_tables import margin_s
 
 SHOWN_ABOVE = "shown above"
 LEAST_TIME = "least time to spare"

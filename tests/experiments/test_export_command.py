@@ -9,7 +9,8 @@ from export_layouts import awkward_layout, large_layout, map_scene, placeless_sc
 
 from experiments.cli_export import export as command
 from experiments.export_formats import FORMAT_NOTES
-from experiments.exports import FORMATS, left_out, to_json
+from experiments.export_formats.layout_file import to_json
+from experiments.layout_exports import FORMATS, left_out
 from geometry.errors import InputError
 
 BINARY = ["parquet", "gpkg"]

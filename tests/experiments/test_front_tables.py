@@ -7,7 +7,7 @@ import pytest
 from partial_pages import render_partial
 from small_tables import avoiding_problem
 
-from experiments.exports import to_json_text
+from experiments.export_formats.json_text import to_json_text
 from experiments.front_tables import front_part, front_rows, proof_sentences, read_front
 from experiments.pareto_figures import plot_front
 from experiments.pareto_jobs import summarise_front

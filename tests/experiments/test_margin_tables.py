@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from partial_pages import render_partial
 from strategies import frame_axes
 
-from experiments.exports import margin_s
 from experiments.margin_tables import (
     margin_m,
     margin_notes,
@@ -19,6 +18,7 @@ from experiments.margin_tables import (
     summarise_margins,
 )
 from experiments.sentences import NOTHING
+from experiments.verdict_tables import margin_s
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict

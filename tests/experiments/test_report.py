@@ -8,10 +8,10 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from experiments.exports import margin_s
 from experiments.report import pick_heatmap_runs, render_report, write_report
 from experiments.study import load_carlancap_layout
 from experiments.tables import percent
+from experiments.verdict_tables import margin_s
 from geometry.errors import InputError
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose

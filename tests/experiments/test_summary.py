@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.exports import to_json_text
+from experiments.export_formats.json_text import to_json_text
 from experiments.summary import (
     disagreeing_runs,
     summarise_comparison,

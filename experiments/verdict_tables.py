@@ -1,67 +1,15 @@
-"""Layouts and verdicts for other programs: every format by name, and tables of verdicts."""
+"""Tables of verdicts, for other programs: ratios by group, and every run's outcome."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 
 from geometry.arrays import BoolArray, FloatArray
-from geometry.scene import Scene
 from placement.evaluation import Evaluation, Verdict, apr
-from placement.layout import Layout
 from scenarios.runs import FrameAxis
 
-from .export_formats import FORMAT_NOTES
-from .export_formats.calibration import lidar_ids
-from .export_formats.carla import to_carla
-from .export_formats.collective_perception import to_cpm
-from .export_formats.json_text import to_json_text
-from .export_formats.kml import to_kml
-from .export_formats.layout_file import to_json
-from .export_formats.maps import to_geojson, to_geopackage
-from .export_formats.opencv_yaml import to_opencv
-from .export_formats.openlabel import to_openlabel
-from .export_formats.places import placed_records
-from .export_formats.ros_yaml import to_ros
-from .export_formats.tables import to_csv, to_parquet
-
-__all__ = [
-    "ALL",
-    "FORMATS",
-    "apr_table",
-    "left_out",
-    "margin_s",
-    "parties",
-    "placed_records",
-    "runs_table",
-    "to_carla",
-    "to_csv",
-    "to_geojson",
-    "to_json",
-    "to_json_text",
-]
-
 ALL = "all"
-
-FORMATS: Mapping[str, Callable[[Layout, Scene], str | bytes]] = {
-    "json": lambda layout, scene: to_json(layout),
-    "csv": to_csv,
-    "parquet": to_parquet,
-    "geojson": lambda layout, scene: to_geojson(layout, scene.crs, scene),
-    "gpkg": to_geopackage,
-    "kml": to_kml,
-    "carla": lambda layout, scene: to_carla(layout),
-    "opencv": lambda layout, scene: to_opencv(layout),
-    "ros": lambda layout, scene: to_ros(layout),
-    "openlabel": lambda layout, scene: to_openlabel(layout),
-    "cpm": to_cpm,
-}
-"""By name: layout and its scene to text, or to bytes; see ``export_formats.FORMAT_NOTES``."""
-
-
-def left_out(layout: Layout, format_name: str) -> list[str]:
-    """Units that a format has no words for: LiDARs where it is about cameras."""
-    return [] if FORMAT_NOTES[format_name].has_lidars else lidar_ids(layout)
 
 
 def parties(evaluation: Evaluation) -> dict[str, Verdict]:
