@@ -91,10 +91,10 @@ def summarise_placement(
         "goal": problem.goal,
         "candidates": problem.table.n_poses,
         "presolve": str(placement.presolve),
-        "apr": value.apr,
-        "bound": None if apr_stage is None else apr_stage.bound,
+        "apr": _settled(value.apr),
+        "bound": None if apr_stage is None else _settled(apr_stage.bound),
         "gap": None if apr_stage is None else apr_stage.gap,
-        "apr_without_worst_unit": value.apr_one_failed,
+        "apr_without_worst_unit": _settled(value.apr_one_failed),
         "spent_eur": value.cost_eur,
         "stages": [
             {
@@ -121,6 +121,11 @@ def summarise_placement(
             )
         ],
     }
+
+
+def _settled(value: float) -> float:
+    """Without what summing up many weights leaves over: all of them are 1."""
+    return round(value, 12)
 
 
 def summarise_layout(evaluation: Evaluation, rule: AebRule) -> dict[str, Any]:
