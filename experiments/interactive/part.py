@@ -13,13 +13,14 @@ from placement.evaluation import Evaluation
 from placement.setting import Setting
 
 from .ground_paths import plan_record
-from .run_choice import choose_runs
+from .run_choice import ALL_OTHERS, choose_runs
 from .run_records import is_playable, party_records, run_record
 from .script_text import to_script_json
 from .unit_records import unit_records
 from .view import view_record
 
 _PLOTLY_PACKAGE = "plotly"
+_MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
 
 
 def interactive_part(
@@ -39,7 +40,7 @@ def interactive_part(
         By display name; the first one is the subject. Of the others, all units together are a row
         of the heatmap, and sensors are in the 3-D view.
     max_runs : int
-        At most so many runs can be played.
+        At most so many runs stand out in the list; all others follow as long as they fit.
     first_runs : sequence of str
         Ids of runs that come first, as those whose heatmaps the page shows.
 
@@ -59,26 +60,32 @@ def interactive_part(
         raise InputError("evaluations", Unquoted("none"), "at least one")
     subject = next(iter(evaluations.values()))
     by_id = {run.id: run for run in setting.runs}
-    chosen = [
-        (by_id[run_id], group)
-        for index, group in choose_runs(subject, first_runs=first_runs, max_runs=max_runs)
-        for run_id in [subject.axis.run_ids[index]]
-        if run_id in by_id
-        and all(is_playable(by_id[run_id], item) for item in evaluations.values())
-    ]
-    if not chosen:
+    chosen = choose_runs(subject, first_runs=first_runs, max_runs=max_runs)
+    outstanding = {index for index, _ in chosen}
+    others = [index for index in range(subject.axis.n_runs) if index not in outstanding]
+    records: list[dict[str, Any]] = []
+    n_bytes = 0
+    for index, group in [*chosen, *((index, ALL_OTHERS) for index in others)]:
+        run = by_id.get(subject.axis.run_ids[index])
+        if run is None or not all(is_playable(run, item) for item in evaluations.values()):
+            continue
+        if group == ALL_OTHERS and n_bytes > _MAX_BYTES:
+            break
+        records.append(run_record(run, evaluations, group=group))
+        n_bytes += len(to_script_json(records[-1]))
+    if not records:
         return None
     units_m = np.array([unit.pose.position_m[:2] for unit in subject.layout.units])
     player = {
         "plan": plan_record(setting.scene, units_m),
         "units": unit_records(subject.layout),
         "parties": party_records(evaluations),
-        "runs": [run_record(run, evaluations, group=group) for run, group in chosen],
+        "runs": records,
     }
-    others = [item.layout for item in [*evaluations.values()][1:]]
-    view = view_record(setting.scene, subject.layout, others)
+    other_layouts = [item.layout for item in [*evaluations.values()][1:]]
+    view = view_record(setting.scene, subject.layout, other_layouts)
     return {
-        "n_runs": len(chosen),
+        "n_runs": len(records),
         "n_all": subject.axis.n_runs,
         "player_json": to_script_json(player),
         "view_json": to_script_json(view),

@@ -14,6 +14,7 @@ SHOWN_ABOVE = "shown above"
 LEAST_TIME = "least time to spare"
 NOT_AVOIDED = "not avoided"
 ONE_PER_CASE = "one of each case"
+ALL_OTHERS = "all others"
 
 
 def choose_runs(

@@ -16,6 +16,7 @@ from experiments.interactive import interactive_part
 from experiments.interactive.ground_paths import plan_record, road_area
 from experiments.interactive.part import packed_plotly, plotly_script
 from experiments.interactive.run_choice import (
+    ALL_OTHERS,
     LEAST_TIME,
     NOT_AVOIDED,
     ONE_PER_CASE,
@@ -236,6 +237,23 @@ def test_no_name_is_markup_to_the_library(small_setting):
     for trace in view_record(setting.scene, layout, [layout])["traces"]:
         texts = [trace["name"], *trace.get("names", []), *trace.get("text", [])]
         assert not any("<" in text for text in [*texts, *trace.get("hovertext", [])])
+
+
+def test_every_run_can_be_watched_those_that_stand_out_first(small_setting, evaluation):
+    part = interactive_part(small_setting, {"a": evaluation}, max_runs=3)
+    runs = read(part)["runs"]
+    assert {run["id"] for run in runs} == set(evaluation.axis.run_ids)
+    assert part["n_runs"] == part["n_all"] == len(runs)
+    assert ALL_OTHERS not in {run["group"] for run in runs[:3]}
+    assert {run["group"] for run in runs[3:]} == {ALL_OTHERS}
+
+
+def test_runs_that_do_not_fit_are_left_out_but_never_those_that_stand_out(
+    small_setting, evaluation, monkeypatch
+):
+    monkeypatch.setattr("experiments.interactive.part._MAX_BYTES", 1)
+    part = interactive_part(small_setting, {"a": evaluation}, max_runs=3)
+    assert (part["n_runs"], part["n_all"]) == (3, evaluation.axis.n_runs)
 
 
 def test_plan_holds_the_units_and_the_road(small_setting):
