@@ -13,16 +13,9 @@ from geometry.scene import Scene
 from geometry.scene_files import load_study_scene
 from geometry.toml_files import load_toml, take_list, take_number, take_text
 from placement.candidates import CandidatePose
-from placement.driving import build_setting
 from placement.layout import Layout, load_layout
-from placement.setting import Setting
 
 BASELINE_NAME = "carlancap-12"
-
-
-def build_study_setting() -> Setting:
-    """The study's junction, cases, braking rule and detector, every run with equal weight."""
-    return build_setting()
 
 
 @cache
