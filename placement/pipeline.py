@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 
+from geometry.errors import InputError, Unquoted
+
 from .candidates import CandidatePose
 from .detection_table import DetectionTable
 from .explain import find_refusal
@@ -129,8 +131,11 @@ def place(
     Raises
     ------
     InputError
-        Wishes cannot be met; the message says which, and how little has to give way.
+        There is no candidate, or wishes cannot be met; the message says which, and how little has
+        to give way.
     """
+    if not candidates:
+        raise InputError("candidates", Unquoted("none"), "at least one pose")
     check_wishes(wishes, setting.scene)
     report = on_progress or _ignore
     started = time.perf_counter()

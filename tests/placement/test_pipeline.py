@@ -271,6 +271,11 @@ def test_a_unit_kept_from_an_earlier_result_keeps_its_name_and_no_other_gets_it(
     assert [unit.id for unit in layout.units] == ["U1", "U3", "U4", "U2"]
 
 
+def test_without_candidates_nothing_is_placed(setting):
+    with pytest.raises(InputError, match=r"^candidates: got none; expected at least one pose$"):
+        place(setting, [], wishes=Wishes(budget_units=1))
+
+
 def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):
     with pytest.raises(InputError) as caught:
         place(setting, candidates[:1], wishes=Wishes(budget_units=2))
