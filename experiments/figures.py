@@ -20,7 +20,7 @@ from placement.evaluation import Evaluation, Verdict, apr, apr_by_case
 from placement.layout import Layout
 from scenarios.runs import FrameAxis
 
-from .heatmap_rows import units_in_heatmap
+from .heatmap_choice import units_in_heatmap
 from .tables import percent
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008): told apart with any colour vision.

@@ -1,14 +1,11 @@
 """What each command does, from layouts to a folder of results."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, cast
 
-from matplotlib.axes import Axes
-
-from placement.certificates import build_certificate, save_certificate
 from placement.driving import build_setting, find_scene
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
@@ -23,22 +20,18 @@ from placement.sampling import load_uncertainty, out_of_sample_layouts
 from placement.sensitivity import find_sensitivity
 from placement.setting import Setting
 
-from . import bill_of_materials, verdict_tables
-from .bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
+from .bill_of_materials import build_bill
 from .comparison_tables import summarise_differences
 from .explanations import summarise_explanations
-from .export_formats.json_text import to_json_text
-from .export_formats.layout_file import to_json
-from .export_formats.maps import to_geojson
-from .export_formats.tables import to_csv
 from .no_look import load_private_ground, summarise_private_ground
 from .pareto_jobs import summarise_front
 from .planning import Plan, build_plan
 from .planning_words import Planning
-from .progress import WRITING, StageProgress
+from .progress import StageProgress
 from .refinement_summary import summarise_refinement
-from .report import GREEDY, write_report
-from .result_folder import MARKER, check_result_folder, new_result_folder
+from .report import GREEDY
+from .result_folder import check_result_folder
+from .result_writing import left_as_it_was, write_results
 from .sampled_figures import plot_sampled_apr
 from .sensitivity_tables import summarise_sensitivity
 from .study import find_baseline
@@ -80,7 +73,7 @@ def run_placement(
     check_result_folder(out)
     scene = find_scene(question.scene)
     plan = build_plan(planning, scene)
-    progress.kept = _left_as_it_was(out)
+    progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
     study = find_baseline(scene)
@@ -174,7 +167,7 @@ def run_placement(
         sampled_figure = plot_sampled_apr(judged)
     evaluations = {found.layout.name: found, GREEDY: greedy}
     evaluations |= {other.layout.name: other for other in others}
-    _write_results(
+    write_results(
         out,
         summary,
         setting,
@@ -324,7 +317,7 @@ def _judge(
     drawn = load_uncertainty(uncertainty, where="--uncertainty")
     if out is not None:
         check_result_folder(out)
-        progress.kept = _left_as_it_was(out)
+        progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, find_scene(question.scene))
     layouts = _with_distinct_names(layouts)
@@ -366,7 +359,7 @@ def _judge(
         summary["seconds"] = progress.finish()
         return summary
     summary["sensitivity"] = _what_if(setting, layouts[0], seed, workers, progress)
-    _write_results(
+    write_results(
         out,
         summary,
         setting,
@@ -405,66 +398,3 @@ def _evaluate(
         workers=workers,
         on_progress=lambda done, total: progress("evaluate", done, total),
     )
-
-
-def _write_results(
-    folder: Path,
-    summary: dict[str, Any],
-    setting: Setting,
-    evaluations: Mapping[str, Evaluation],
-    *,
-    command: str,
-    progress: StageProgress,
-    placement: Placement | None = None,
-    bill: BillOfMaterials | None = None,
-    sampled_figure: Axes | None = None,
-) -> None:
-    """Fill the result folder; the times of all stages but the writing go into the summary."""
-    progress(WRITING, 0, 0)
-    summary["seconds"] = progress.seconds.copy()
-    subject = next(iter(evaluations.values()))
-    known = {key: value for key, value in summary.items() if value is not None}
-    with new_result_folder(folder) as new:
-        layout = replace(subject.layout, scene_name=setting.scene.name)
-        _write_text(new / "layout.json", to_json(layout))
-        _write_text(new / "layout.csv", to_csv(layout, setting.scene))
-        if setting.scene.crs:  # else nobody knows where on earth it lies
-            geojson = to_geojson(layout, setting.scene.crs, setting.scene)
-            _write_text(new / "layout.geojson", geojson)
-        if placement is not None:
-            document = build_certificate(
-                placement.problem,
-                placement.certificate,
-                pose_index=placement.pose_index,
-                units=summary["layout"],
-                presolve=placement.presolve,
-                seconds=placement.seconds,
-                versions=summary["versions"],
-            )
-            save_certificate(new, document, placement.problem)
-        bill = bill or build_bill(layout, setting.scene)
-        _write_text(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
-        verdict_tables.apr_table(evaluations).to_csv(new / "apr.csv", index=False)
-        verdict_tables.runs_table(evaluations).to_parquet(new / "runs.parquet")
-        write_report(
-            new,
-            known,
-            setting,
-            evaluations,
-            command=command,
-            sampled_figure=sampled_figure,
-            bill=bill,
-        )
-        summary["seconds"] = progress.finish()
-        _write_text(new / MARKER, to_json_text(summary))
-    progress.kept = f"the results are in {folder}"
-
-
-def _left_as_it_was(folder: Path) -> str:
-    if (folder / MARKER).exists():
-        return f"the earlier results in {folder} are unchanged"
-    return f"nothing was written to {folder}"
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

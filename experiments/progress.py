@@ -56,8 +56,6 @@ class StageProgress:
         self._prints_lines = False
         self._bar: Any = None
         self.is_verbose = False
-        for name in _OWN_PACKAGES:
-            logging.getLogger(name).setLevel(logging.WARNING)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show a stage; a new name ends the one before."""
@@ -114,7 +112,9 @@ class StageProgress:
         self._bar.start()
 
     def stop(self) -> None:
-        """Take the bar away."""
+        """Take the bar away; tell no more than by default from here on."""
+        for name in _OWN_PACKAGES:
+            logging.getLogger(name).setLevel(logging.WARNING)
         bar, self._bar = self._bar, None
         if bar is not None:
             bar.stop()

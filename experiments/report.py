@@ -7,7 +7,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -27,7 +26,7 @@ from .explanation_tables import report_part
 from .failure_tables import failures_part
 from .figures import NARROW_IN, WIDTH_IN, describe_run, plot_apr_by_case, plot_heatmap, unit_labels
 from .front_tables import front_part
-from .heatmap_rows import units_in_heatmap
+from .heatmap_choice import heatmap_indices, units_in_heatmap
 from .interactive import interactive_part
 from .margin_tables import margins_part
 from .pictures import Picture, build_picture
@@ -60,7 +59,6 @@ from .sentences import (
     title,
 )
 from .uncertainty_summary import uncertainty_sentences, what_is_uncertain
-from .verdict_tables import margin_s
 
 FILE_NAME = "report.html"
 GREEDY = "greedy"
@@ -126,7 +124,7 @@ def render_report(
     command : str
         Command line that makes the result again.
     heatmap_runs : sequence of str
-        Ids of the runs to draw; else see :func:`pick_heatmap_runs`.
+        Ids of the runs to draw; else see :func:`experiments.heatmap_choice.pick_heatmap_runs`.
     sampled_figure : Axes or Figure, optional
         Of the APR in sampled worlds, where they were asked for.
     bill : BillOfMaterials, optional
@@ -172,7 +170,7 @@ def _build_report(
     is_comparison = "stages" not in summary and len(evaluations) > 1
     labels = unit_labels(subject.layout)
     detailed = shown if is_comparison else {subject_name: subject}
-    run_indices = _heatmap_indices(subject, setting, heatmap_runs)
+    run_indices = heatmap_indices(subject, setting, heatmap_runs)
     plans = _plans(setting, detailed, [] if is_comparison else [*shown.values()][1:])
     apr_picture, sampled = _apr_figure(evaluations), _sampled_figure(sampled_figure, summary)
     heatmaps: list[dict[str, Any]] = [
@@ -330,50 +328,6 @@ def _sampled_figure(figure: Axes | Figure | None, summary: Mapping[str, Any]) ->
         f"{what_is_uncertain(summary['sampled'])}.",
         alt=f"{kind}. {' '.join(uncertainty_sentences(summary['sampled']))}",
     )
-
-
-def pick_heatmap_runs(setting: Setting, evaluation: Evaluation) -> tuple[str, ...]:
-    """Runs whose heatmaps are worth drawing.
-
-    Parameters
-    ----------
-    setting : Setting
-        Runs and braking rule.
-    evaluation : Evaluation
-        Of the layout that is reported.
-
-    Returns
-    -------
-    run_ids : tuple of str
-        At most three, of different cases: the study's own, at the speeds at which it shows them
-        or near, where they are driven; then of the hardest other cases the run that counts and
-        has the least time to spare.
-    """
-    axis = evaluation.axis
-    picked = {
-        axis.cases[axis.run_ids.index(run_id)]: run_id
-        for run_id in _STUDY_HEATMAPS
-        if run_id in axis.run_ids
-    }
-    margin = margin_s(evaluation.rsu_all, axis)
-    for index in np.argsort(margin, kind="stable"):
-        if axis.weight[index] > 0.0:
-            picked.setdefault(axis.cases[index], axis.run_ids[index])
-    return tuple(picked.values())[:_MAX_HEATMAPS]
-
-
-_STUDY_HEATMAPS = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
-_MAX_HEATMAPS = 3
-
-
-def _heatmap_indices(evaluation: Evaluation, setting: Setting, run_ids: Sequence[str]) -> list[int]:
-    axis = evaluation.axis
-    for run_id in run_ids:
-        if run_id not in axis.run_ids:
-            raise InputError("heatmap run", run_id, "the id of a run")
-    return [
-        axis.run_ids.index(run_id) for run_id in run_ids or pick_heatmap_runs(setting, evaluation)
-    ]
 
 
 def _heatmap(evaluation: Evaluation, run_index: int) -> Picture:

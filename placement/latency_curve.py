@@ -71,8 +71,9 @@ class LatencyCurve:
             one - up to until_s[i] itself.
         """
         last = self.last_latency_s[(self.weight > 0.0) & np.isfinite(self.last_latency_s)]
-        last = last.round(_DECIMALS) + 0.0  # no -0.0
-        until = np.append(np.unique(last[last >= 0.0]), np.inf)
+        # What is just in time with no latency counts, and its step is at 0.
+        last = np.maximum(last[is_in_time(0.0, last, latency_s=0.0)], 0.0)
+        until = np.append(np.unique(last.round(_DECIMALS)), np.inf)
         return until, self.apr(until)
 
     def longest_latency_s(self, apr: float) -> float:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import cli, jobs, planning
+from experiments import cli, jobs, planning, result_writing
 from geometry.scene_files import load_study_scene
 from placement.candidates import load_candidate_grid
 from placement.detectors import load_detector, load_planning_detector
@@ -53,7 +53,7 @@ def small_study(small_setting, monkeypatch):
 @pytest.fixture
 def without_figures(monkeypatch):
     """Leaves out what takes longest to write."""
-    monkeypatch.setattr(jobs, "write_report", lambda *given, **options: None)
+    monkeypatch.setattr(result_writing, "write_report", lambda *given, **options: None)
 
 
 @pytest.fixture

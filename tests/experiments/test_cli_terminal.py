@@ -119,3 +119,4 @@ def test_quiet_and_verbose_are_one_or_the_other(run):
     code, out, err = run("--budget", 1, "--verbose", "--quiet")
     assert (code, out) == (2, "")
     assert err == "place-rsus: --quiet, --verbose: got both; expected one of them\n"
+    assert not logging.getLogger("placement").isEnabledFor(logging.INFO)  # whatever comes next

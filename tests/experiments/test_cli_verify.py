@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import jobs
+from experiments import jobs, result_writing
 from experiments.planning_words import Planning
 from experiments.progress import StageProgress
 from placement.instance import load_problem, save_problem
@@ -23,7 +23,7 @@ def written(small_setting, tmp_path_factory):
     folder = tmp_path_factory.mktemp("placed") / "results"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jobs, "build_setting", lambda question, scene: small_setting)
-        patch.setattr(jobs, "write_report", lambda *given, **options: None)
+        patch.setattr(result_writing, "write_report", lambda *given, **options: None)
         jobs.run_placement(
             Question(),
             Planning(budget=2, within="carlancap-12", time_limit_s=60.0),

@@ -9,7 +9,7 @@ from interactive_pages import build_evaluation, build_layout
 from matplotlib.text import Text
 
 from experiments.figures import plot_heatmap
-from experiments.heatmap_rows import MAX_HEATMAP_UNITS, units_in_heatmap
+from experiments.heatmap_choice import MAX_HEATMAP_UNITS, units_in_heatmap
 from experiments.plan import plot_plan
 from experiments.plan_labels import MAX_LABELLED_UNITS
 from experiments.report_tables import MAX_UNIT_COLUMNS, unit_apr_table

@@ -8,7 +8,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from experiments.report import pick_heatmap_runs, render_report, write_report
+from experiments.heatmap_choice import pick_heatmap_runs
+from experiments.report import render_report, write_report
 from experiments.study import load_carlancap_layout
 from experiments.tables import percent
 from experiments.verdict_tables import margin_s

@@ -123,6 +123,13 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
         assert float(curves[name].apr(latency_s)) == pytest.approx(expected), name
 
 
+@pytest.mark.parametrize("last_s", [-1.0e-9, -0.4e-9, 0.0])
+def test_what_is_just_in_time_with_no_latency_has_a_step_at_zero(last_s):
+    curve = LatencyCurve(last_latency_s=np.array([last_s, -1.0]), weight=np.array([0.5, 0.5]))
+    until, apr = curve.steps()
+    assert (until.tolist(), apr.tolist()) == ([0.0, math.inf], [0.5, 0.0])
+
+
 @settings(max_examples=60)
 @given(cases(), st.lists(numbers(0.0, 1.5), min_size=1, max_size=5))
 def test_steps_are_the_whole_curve(case, latencies_s):
