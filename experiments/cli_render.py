@@ -115,7 +115,7 @@ def render(
         raise click.UsageError(f"--layout: got {got}; expected it once")
     progress.start(quiet=quiet)
     progress("lay the run", 0, 0)
-    from placement.driving import find_scene
+    from geometry.scene_folders import find_scene
     from placement.layout import check_layout
 
     from . import rendering

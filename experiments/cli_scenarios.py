@@ -44,7 +44,8 @@ def list_scenarios(
     1.2 seconds before it. With --json a list, one entry per case and approach, with one last
     moment per speed; null where braking cannot help.
     """
-    from placement.driving import drive, find_scene
+    from geometry.scene_folders import find_scene
+    from placement.driving import drive
 
     from .export_formats.json_text import to_json_text
     from .scenario_list import list_rows, scenario_table
@@ -72,7 +73,8 @@ Examples:
 @click.pass_obj
 def show(progress: StageProgress, *, question: Question, out: Path | None, quiet: bool) -> None:
     """Draw a run from above: bodies, paths, obstruction, what the VUT has in sight."""
-    from placement.driving import drive_one, find_scene
+    from geometry.scene_folders import find_scene
+    from placement.driving import drive_one
 
     from .film import save_film
 
@@ -105,7 +107,8 @@ Examples:
 def export(*, question: Question, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""
     from geometry.atomic_files import write_atomically
-    from placement.driving import drive_one, find_scene
+    from geometry.scene_folders import find_scene
+    from placement.driving import drive_one
 
     from .openscenario import to_openscenario
 

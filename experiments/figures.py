@@ -199,21 +199,17 @@ def to_png(drawn: Axes | Figure) -> bytes:
 def root_figure(drawn: Axes | Figure) -> Figure:
     """The figure that some axes are in."""
     figure = drawn.get_figure(root=True)
-    assert figure is not None  # drawn in one
+    if figure is None:
+        raise ValueError("axes that are in no figure")
     return figure
 
 
 def new_axes(width_in: float, height_in: float) -> Axes:
     """One pair of axes in a figure of its own, drawn by Agg; sizes in inches."""
-    return build_figure(width_in, height_in)[1]
-
-
-def build_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
-    """An empty figure with one pair of axes, drawn by Agg; sizes in inches."""
     dpi = _dots_per_inch(width_in)
     figure = Figure(figsize=(width_in, height_in), dpi=dpi, layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, figure.add_subplot()
+    return figure.add_subplot()
 
 
 def _dots_per_inch(width_in: float) -> float:

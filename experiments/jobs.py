@@ -6,7 +6,8 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, cast
 
-from placement.driving import build_setting, find_scene
+from geometry.scene_folders import find_scene
+from placement.driving import build_setting
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
 from placement.layout import Layout, check_layout

@@ -8,7 +8,8 @@ from typing import Any
 import pandas as pd
 
 from geometry.errors import InputError, Unquoted
-from placement.driving import build_setting, find_scene
+from geometry.scene_folders import find_scene
+from placement.driving import build_setting
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout
 from placement.latency import MAX_LATENCY_S, LatencyBudget, fixed_latency, load_latency_budget

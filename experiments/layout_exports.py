@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from geometry.scene import Scene
-from placement.driving import find_scene
+from geometry.scene_folders import find_scene
 from placement.layout import Layout, check_layout
 
 from .export_formats import FORMAT_NOTES

@@ -22,8 +22,8 @@ from .figures import (
     SKY,
     VERMILION,
     WIDTH_IN,
-    build_figure,
     literal,
+    new_axes,
 )
 from .verdict_tables import margin_s
 
@@ -107,7 +107,7 @@ def plot_margin_strip(verdict: Verdict, axis: FrameAxis, *, axes: Axes | None = 
     """
     cases, approaches = _words(axis)
     if axes is None:
-        _, axes = build_figure(WIDTH_IN, _height_in(axis))
+        axes = new_axes(WIDTH_IN, _height_in(axis))
     low_ms, high_ms = _limits_ms([verdict], axis)
     margin_ms = _MS * margin_s(verdict, axis)
     drawn_ms: FloatArray = np.where(np.isfinite(margin_ms), margin_ms, -np.inf)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.maps.feature_files import read_features
 from geometry.maps.local_frame import transform
@@ -62,58 +63,30 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     return build_private_ground(areas)
 
 
-def keep_decent(
-    candidates: Sequence[CandidatePose], scene: Scene, ground: PrivateGround, *, most: float
-) -> tuple[CandidatePose, ...]:
-    """Candidates that see no more than a share of any private area.
+def is_decent(shares: FloatArray, *, most: float) -> BoolArray:
+    """Which candidates see no more than a share of any private area.
+
+    Parameters
+    ----------
+    shares : (n_candidates, n_areas) float
+        See :func:`placement.privacy.private_shares`.
+    most : float
+        How much they may see, 0 .. 1.
 
     Raises
     ------
     InputError
-        None does.
+        None is.
     """
-    share = private_shares(scene, candidates, ground).max(axis=1)
-    kept = tuple(
-        candidate for candidate, seen in zip(candidates, share, strict=True) if seen <= most
-    )
-    if not kept:
+    share = shares.max(axis=1)
+    kept: BoolArray = share <= most
+    if not kept.any():
         raise InputError(
             "--no-look-share",
             Unquoted(percent(most)),
             f"at least {np.ceil(1000.0 * share.min()) / 1000.0:g}, what the most decent pose sees",
         )
     return kept
-
-
-def private_prices_eur(
-    candidates: Sequence[CandidatePose], scene: Scene, ground: PrivateGround, *, eur_per_m2: float
-) -> tuple[tuple[str, float], ...]:
-    """What candidates cost for the private ground in their pictures.
-
-    Parameters
-    ----------
-    candidates : sequence of CandidatePose
-        Poses to choose from.
-    scene : Scene
-        What hides ground from them.
-    ground : PrivateGround
-        The areas; each counts for the share of it that is seen.
-    eur_per_m2 : float
-        Price of a square metre. [EUR]
-
-    Returns
-    -------
-    prices_eur : tuple of (str, float)
-        Ids of those that see any, with the price. [EUR]
-    """
-    if eur_per_m2 == 0.0:
-        return ()
-    seen_m2 = private_shares(scene, candidates, ground) @ ground.area_m2
-    return tuple(
-        (candidate.id, float(eur_per_m2 * area_m2))
-        for candidate, area_m2 in zip(candidates, seen_m2, strict=True)
-        if area_m2 > 0.0
-    )
 
 
 def summarise_private_ground(

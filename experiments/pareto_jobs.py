@@ -7,8 +7,9 @@ from typing import Any, cast
 
 import pandas as pd
 
+from geometry.scene_folders import find_scene
 from placement.candidates import CandidatePose
-from placement.driving import build_setting, find_scene
+from placement.driving import build_setting
 from placement.layout import layout_records
 from placement.optimiser import Fusion, PlacementProblem
 from placement.optimiser.cost_front import cost_front

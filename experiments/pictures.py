@@ -11,7 +11,7 @@ from PIL import Image
 
 from geometry.arrays import FloatArray
 
-from .figures import to_png
+from .figures import root_figure, to_png
 
 MAX_TRUE_COLOUR_BYTES = 300_000
 """PNG files above are drawn with a palette: looking for one takes longer than it spares bytes."""
@@ -62,9 +62,7 @@ def build_picture(
 
     Equal figures give equal pictures. `narrow` is the same, drawn for a phone.
     """
-    figure = drawn.get_figure(root=True)
-    if figure is None:
-        raise ValueError("axes that are in no figure")
+    figure = root_figure(drawn)
     png = with_palette(to_png(figure))
     width_px, height_px = Image.open(BytesIO(png)).size
     return Picture(

@@ -21,10 +21,10 @@ from placement.layout import Layout, check_layout
 from placement.optimiser import Effort, PlacementValue
 from placement.optimiser.effort import SolverName
 from placement.optimiser.milp import DEFAULT_SOLVER, check_solver
-from placement.privacy import PrivateGround
+from placement.privacy import PrivateGround, private_shares
 from placement.wishes import Wishes, check_wishes
 
-from .no_look import keep_decent, load_private_ground, private_prices_eur
+from .no_look import is_decent, load_private_ground
 from .planning_words import Planning
 from .study import find_baseline, find_layout
 
@@ -106,10 +106,13 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
         most = planning.no_look_share
         if most is None:
             most = 1.0 if planning.no_look_price else 0.0
-        candidates = keep_decent(candidates, scene, private, most=most)
-        surcharges = private_prices_eur(
-            candidates, scene, private, eur_per_m2=planning.no_look_price
+        shares = private_shares(scene, candidates, private)
+        prices_eur = planning.no_look_price * (shares @ private.area_m2)
+        chosen = np.flatnonzero(is_decent(shares, most=most))
+        surcharges = tuple(
+            (candidates[row].id, float(prices_eur[row])) for row in chosen if prices_eur[row] > 0.0
         )
+        candidates = tuple(candidates[row] for row in chosen)
         if kept is not None:  # what hangs there hangs there
             candidates = tuple(_distinct([Layout(name="all", units=candidates), kept]))
     wishes = Wishes(

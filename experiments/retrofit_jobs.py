@@ -6,8 +6,9 @@ from typing import Any, cast
 
 import pandas as pd
 
+from geometry.scene_folders import find_scene
 from placement.candidates import CandidatePose
-from placement.driving import build_setting, find_scene
+from placement.driving import build_setting
 from placement.labour import Labour, load_labour
 from placement.layout import Layout, check_layout, layout_records
 from placement.optimiser import Fusion, PlacementValue, is_better

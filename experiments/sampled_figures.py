@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from geometry.errors import InputError, Unquoted
 from placement.sampling import SampledApr
 
-from .figures import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, build_figure, literal
+from .figures import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, literal, new_axes
 from .tables import percent
 
 _STRIP = 0.08  # height of a mark's row
@@ -49,7 +49,7 @@ def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) 
     if len(judged) > MAX_STAIRCASES:
         return plot_intervals(judged, axes=axes)
     if axes is None:
-        _, axes = build_figure(WIDTH_IN, 3.2)
+        axes = new_axes(WIDTH_IN, 3.2)
     for row, (item, (colour, line, mark)) in enumerate(zip(judged, _STYLES, strict=False)):
         estimate = item.estimate
         axes.ecdf(item.apr_by_sample, color=colour, linestyle=line, linewidth=1.8)
@@ -98,7 +98,7 @@ def plot_intervals(judged: Sequence[SampledApr], *, axes: Axes | None = None) ->
         the best world.
     """
     if axes is None:
-        _, axes = build_figure(WIDTH_IN, 1.0 + _ROW_IN * len(judged))
+        axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(judged))
     for row, item in enumerate(judged):
         estimate, worlds = item.estimate, item.apr_by_sample
         axes.hlines(
@@ -138,7 +138,7 @@ def plot_differences(pairs: Sequence[Mapping[str, Any]], *, axes: Axes | None = 
         Filled dot: the interval leaves out zero; open: it does not, there is no sure difference.
     """
     if axes is None:
-        _, axes = build_figure(WIDTH_IN, 1.0 + _PAIR_ROW_IN * max(len(pairs), 1))
+        axes = new_axes(WIDTH_IN, 1.0 + _PAIR_ROW_IN * max(len(pairs), 1))
     for row, pair in enumerate(pairs):
         _whisker(
             axes, row, pair["mean"], pair["low"], pair["high"],

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from geometry.errors import InputError
 
-from .figures import BLUE, VERMILION, WIDTH_IN, build_figure
+from .figures import BLUE, VERMILION, WIDTH_IN, new_axes
 from .sensitivity_words import TITLES, value_text
 
 # By name: in words, and how many of the axis' units one of ours is.
@@ -58,7 +58,7 @@ def plot_sensitivity(
     # The widest on top; where nothing is known, at the bottom.
     rows.sort(key=lambda one: _span(ends[one["name"]], planned))
     if axes is None:
-        _, axes = build_figure(WIDTH_IN, 0.9 + 0.3 * max(len(rows), 1))
+        axes = new_axes(WIDTH_IN, 0.9 + 0.3 * max(len(rows), 1))
     for row, one in enumerate(rows):
         _draw_row(axes, row, one["name"], ends[one["name"]], planned)
     axes.axvline(planned, color="black", linewidth=1.2, zorder=4, gid="planned")

@@ -6,7 +6,8 @@ from typing import Any
 
 from geometry.atomic_files import write_atomically
 from geometry.errors import InputError, Unquoted
-from placement.driving import build_setting, find_scene
+from geometry.scene_folders import find_scene
+from placement.driving import build_setting
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.tolerance import find_tolerances

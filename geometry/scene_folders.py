@@ -19,6 +19,7 @@ from .atomic_files import write_atomically
 from .errors import InputError, Unquoted
 from .frames import from_gltf_points, to_gltf_points
 from .scene import Instance, Lane, Scene, Site
+from .scene_files import load_study_scene
 from .toml_files import Table, load_toml, take, take_list, take_number, take_text
 
 FORMAT, VERSION = "place-rsus scene", 1
@@ -106,6 +107,17 @@ def save_scene(
     glb = _to_glb(scene)
     write_atomically(folder / THINGS_FILE, lambda file: file.write(glb))
     write_atomically(folder / SCENE_FILE, lambda file: file.write(text.encode()))
+
+
+def find_scene(path: str) -> Scene:
+    """A scene from where ``scene import`` has written it; no path: the study's junction.
+
+    Raises
+    ------
+    InputError
+        There is no scene.
+    """
+    return load_scene_folder(Path(path)) if path else load_study_scene()
 
 
 def load_scene_folder(path: Path) -> Scene:

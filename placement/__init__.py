@@ -10,10 +10,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from geometry.scene_folders import find_scene
+
     from .candidates import CandidateGrid, CandidatePose, build_candidates, load_candidate_grid
     from .detection_table import DetectionTable
     from .detectors import Detector, load_detector
-    from .driving import build_setting, find_scene
+    from .driving import build_setting
     from .evaluation import Evaluation, Verdict, apr, apr_by_case
     from .evaluator import evaluate_layout, evaluate_layouts
     from .layout import Certificate, Layout, Stage, load_layout

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.scene import Scene
 from geometry.toml_files import load_toml, take_list, take_number
-from scenarios.aeb import AebRule
+
+if TYPE_CHECKING:  # solvers of differential equations come with it
+    from scenarios.aeb import AebRule
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,7 +45,7 @@ class CandidatePose:
     sensor: Sensor
     latency_s: float | None = None
 
-    def latency(self, rule: AebRule) -> float:
+    def latency(self, rule: "AebRule") -> float:
         """Its own latency, or the rule's, in seconds."""
         return rule.latency_s if self.latency_s is None else self.latency_s
 

@@ -2,15 +2,13 @@
 
 import logging
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import cast
 
 from geometry.actors import pick_actor
 from geometry.errors import InputError, Unquoted
 from geometry.junction import build_junction
 from geometry.scene import Scene
-from geometry.scene_files import load_study_scene
-from geometry.scene_folders import load_scene_folder
+from geometry.scene_folders import find_scene
 from scenarios.aeb import AebRule, load_aeb_rule
 from scenarios.exposure import weigh
 from scenarios.runs import WEATHERS, Refusal, Run, build_frame_axis, build_runs
@@ -22,17 +20,6 @@ from .question import Question
 from .setting import VUT_SENSORS, Setting
 
 _log = logging.getLogger(__name__)
-
-
-def find_scene(path: str) -> Scene:
-    """A scene from where ``scene import`` has written it; no path: the study's junction.
-
-    Raises
-    ------
-    InputError
-        There is no scene.
-    """
-    return load_scene_folder(Path(path)) if path else load_study_scene()
 
 
 def build_rule(question: Question) -> AebRule:

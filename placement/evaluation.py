@@ -1,10 +1,10 @@
 """Verdicts of a layout by full perception + AEB."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from geometry.arrays import BoolArray, FloatArray, freeze
 from scenarios.aeb import AebRule, is_in_time
@@ -12,6 +12,9 @@ from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis, onset_times_s
 
 from .layout import Layout
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,11 +87,13 @@ class Evaluation:
         html: str = self.to_frame().to_html()
         return html
 
-    def to_frame(self) -> pd.DataFrame:
+    def to_frame(self) -> "pd.DataFrame":
         """Accident prevention ratios, 0 .. 1: a row for all runs and each case, a column a party.
 
         Columns: "rsu_all", "vut", "vut_and_rsus", what ``others`` has, then each unit by its id.
         """
+        import pandas as pd  # takes longer to load than all else here
+
         parties = {
             "rsu_all": self.rsu_all,
             "vut": self.vut,
@@ -152,6 +157,33 @@ def earliest_arrival_s(parties: Sequence[tuple[BoolArray, float]], axis: FrameAx
     return arrival
 
 
+def leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray]]:
+    """Smallest along the first axis, and the same without each of the rows in turn.
+
+    Parameters
+    ----------
+    times_s : (n, m) float
+        A row per party, at least one. [s]
+
+    Returns
+    -------
+    earliest_s : (m,) float
+        Smallest of all rows. [s]
+    without : iterator of (m,) float
+        One for each row: infinite without the only one; `earliest_s` itself, not a copy, without
+        one that nowhere alone is the smallest. [s]
+    """
+    earliest = times_s.min(axis=0)
+    if len(times_s) == 1:
+        return earliest, iter([np.full_like(earliest, np.inf)])
+    second = np.partition(times_s, 1, axis=0)[1]
+    alone = np.where(second > earliest, times_s.argmin(axis=0), -1)
+    return earliest, (
+        np.where(alone == row, second, earliest) if (alone == row).any() else earliest
+        for row in range(len(times_s))
+    )
+
+
 def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
     """Smallest accident prevention ratio of the units, fused, that is left when one of them fails.
 
@@ -168,12 +200,12 @@ def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
         0 .. 1; 0 for a layout of one unit.
     """
     axis = evaluation.axis
-    parties = [
-        (evaluation.units[unit.id].detected, unit.latency(rule)) for unit in evaluation.layout.units
+    arrivals = [
+        earliest_arrival_s([(evaluation.units[unit.id].detected, unit.latency(rule))], axis)
+        for unit in evaluation.layout.units
     ]
     smallest = 1.0
-    for failed in range(len(parties)):
-        arrival = earliest_arrival_s(parties[:failed] + parties[failed + 1 :], axis)
+    for arrival in leave_each_out(np.stack(arrivals))[1]:
         _, onset = onset_times_s(arrival, axis, n_confirmations=rule.n_confirmations)
         in_time = is_in_time(onset, axis.last_brake_time_s, latency_s=0.0)
         smallest = min(smallest, weight_share(in_time, axis.weight))

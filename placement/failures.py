@@ -1,18 +1,18 @@
 """What a layout still achieves when units fail: one at a time, and two at a time."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray
+from geometry.arrays import FloatArray
 from scenarios.aeb import AebRule, is_in_time
 from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis, onset_times_s
 
-from .evaluation import Evaluation, earliest_arrival_s
+from .evaluation import Evaluation, earliest_arrival_s, leave_each_out
 
 MAX_PAIR_UNITS = 12
 """With more units than these, only single failures are looked at."""
@@ -82,9 +82,15 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     `one_failed` is :func:`placement.evaluation.apr_one_failed`.
     """
     axis, units = evaluation.axis, evaluation.layout.units
-    parties = [(evaluation.units[unit.id].detected, unit.latency(rule)) for unit in units]
     ids = [unit.id for unit in units]
-    whole = _onset_s(earliest_arrival_s(parties, axis), axis, rule)
+    arrivals_s = np.stack(
+        [
+            earliest_arrival_s([(evaluation.units[unit.id].detected, unit.latency(rule))], axis)
+            for unit in units
+        ]
+    )
+    earliest_s, without = leave_each_out(arrivals_s)
+    whole = _onset_s(earliest_s, axis, rule)
     pairs: list[tuple[int, ...]] = []
     if len(units) <= MAX_PAIR_UNITS:
         pairs = [*combinations(range(len(units)), 2)]
@@ -96,8 +102,10 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
         none_failed=describe((), whole),
         one_failed=_worst_first(
             [
-                describe((index,), onset_s)
-                for index, onset_s in enumerate(_onsets_without_one_s(parties, whole, axis, rule))
+                describe(
+                    (index,), whole if other_s is earliest_s else _onset_s(other_s, axis, rule)
+                )
+                for index, other_s in enumerate(without)
             ]
         ),
         two_failed=_worst_first(
@@ -105,44 +113,13 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
                 describe(
                     pair,
                     _onset_s(
-                        earliest_arrival_s(
-                            [party for index, party in enumerate(parties) if index not in pair],
-                            axis,
-                        ),
-                        axis,
-                        rule,
+                        np.delete(arrivals_s, pair, axis=0).min(axis=0, initial=np.inf), axis, rule
                     ),
                 )
                 for pair in pairs
             ]
         ),
     )
-
-
-def _onsets_without_one_s(
-    parties: Sequence[tuple[BoolArray, float]], whole_s: FloatArray, axis: FrameAxis, rule: AebRule
-) -> Iterator[FloatArray]:
-    """Onsets of braking without each of the parties, (n_runs,) each.
-
-    One pass over the parties finds in each frame the first arrival, whose it is, and the second:
-    without a party its own first arrivals become the second ones, and all else stays.
-    """
-    first = np.full(axis.n_frames, np.inf)
-    second = np.full(axis.n_frames, np.inf)
-    whose = np.full(axis.n_frames, -1)
-    for index, party in enumerate(parties):
-        arrival = earliest_arrival_s([party], axis)
-        is_earlier = arrival < first
-        second = np.where(is_earlier, first, np.minimum(second, arrival))
-        whose[is_earlier] = index
-        first = np.minimum(first, arrival)
-    is_later = second > first
-    for index in range(len(parties)):
-        changes = is_later & (whose == index)
-        if changes.any():
-            yield _onset_s(np.where(changes, second, first), axis, rule)
-        else:
-            yield whole_s
 
 
 def _onset_s(arrival_s: FloatArray, axis: FrameAxis, rule: AebRule) -> FloatArray:

@@ -6,10 +6,9 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from geometry.catalogue import (
     SENSOR_KINDS,
@@ -25,6 +24,9 @@ from geometry.scene import Scene, containing_instance
 from geometry.sensors import CameraModel, with_fov
 
 from .candidates import CandidatePose
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SCHEMA = "place-rsus/layout/1"
 RESULT_SCHEMA = "place-rsus/result/1"
@@ -84,8 +86,10 @@ class Layout:
         html: str = self.to_frame().round(2).to_html()
         return html
 
-    def to_frame(self) -> pd.DataFrame:
+    def to_frame(self) -> "pd.DataFrame":
         """The units as a table: a row each, under its id; columns as :func:`layout_records`."""
+        import pandas as pd  # takes longer to load than all else here
+
         return pd.DataFrame(layout_records(self)).set_index("id")
 
 
@@ -139,8 +143,10 @@ class Certificate:
         html: str = self.to_frame().to_html()
         return html
 
-    def to_frame(self) -> pd.DataFrame:
+    def to_frame(self) -> "pd.DataFrame":
         """The stages as a table: objective, bound, gap and seconds, a row each under its name."""
+        import pandas as pd
+
         return pd.DataFrame([asdict(stage) for stage in self.stages]).set_index("name")
 
 

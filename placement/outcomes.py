@@ -11,6 +11,7 @@ from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis, onset_times_s
 
 from .candidates import CandidatePose
+from .evaluation import leave_each_out
 from .optimiser.problem import Fusion
 
 SURE = 0.99
@@ -85,11 +86,11 @@ def find_outcome(watched: Watched) -> Outcome:
         return onset_times_s(arrival, axis, n_confirmations=rule.n_confirmations)[1]
 
     if watched.fusion == "any":
-        earliest_s, without = _leave_each_out(arrival_s)
+        earliest_s, without = leave_each_out(arrival_s)
         onset = onset_s(earliest_s)
-        left = (onset_s(other) for other in without)
+        left = (onset if other is earliest_s else onset_s(other) for other in without)
     else:
-        onset, left = _leave_each_out(np.stack([onset_s(arrival) for arrival in arrival_s]))
+        onset, left = leave_each_out(np.stack([onset_s(arrival) for arrival in arrival_s]))
     is_avoided = is_in_time(onset, axis.last_brake_time_s, latency_s=0.0)
     apr = weight_share(is_avoided, axis.weight)
     shares = [
@@ -162,19 +163,6 @@ def find_expected_outcome(watched: Watched, *, packet_loss: float) -> Outcome:
 
 def _latencies_s(watched: Watched) -> FloatArray:
     return np.array([unit.latency(watched.rule) for unit in watched.units])
-
-
-def _leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray]]:
-    """Smallest along the first axis, and the same without each row that alone is smallest."""
-    earliest = times_s.min(axis=0)
-    if len(times_s) == 1:
-        return earliest, iter(())
-    second = np.partition(times_s, 1, axis=0)[1]
-    first = times_s.argmin(axis=0)
-    alone = np.where(second > earliest, first, -1)
-    return earliest, (
-        np.where(alone == row, second, earliest) for row in np.unique(alone[alone >= 0])
-    )
 
 
 def _probability_of_row(known: FloatArray, axis: FrameAxis, n_row: int) -> FloatArray:

@@ -2,8 +2,6 @@
 
 import io
 
-import pandas as pd
-
 from geometry.scene import Scene
 from placement.layout import Layout
 
@@ -12,6 +10,8 @@ from .places import longitude_latitude, placed_records, positions_m
 
 def to_csv(layout: Layout, scene: Scene | None = None) -> str:
     """Layout as CSV: one row per unit, in full precision; see :func:`placed_records`."""
+    import pandas as pd  # takes longer to load than all other formats
+
     records = placed_records(layout, scene)
     text: str = pd.DataFrame(records).to_csv(index=False, lineterminator="\n")
     return text
@@ -32,6 +32,8 @@ def to_parquet(layout: Layout, scene: Scene) -> bytes:
     content : bytes
         Columns as in :func:`to_csv`; with a crs longitude_deg and latitude_deg (WGS 84), too.
     """
+    import pandas as pd
+
     table = pd.DataFrame(placed_records(layout, scene))
     if scene.crs:
         lon_lat_deg = longitude_latitude(positions_m(layout), scene.crs)

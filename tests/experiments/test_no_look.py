@@ -7,7 +7,7 @@ import pytest
 from shapely import box
 
 from experiments.no_look import (
-    keep_decent,
+    is_decent,
     load_private_ground,
     private_sentences,
     summarise_private_ground,
@@ -87,7 +87,7 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
     watching = [unit for unit, share in zip(units, shares, strict=True) if share > 0.0]
     assert watching
     with pytest.raises(InputError, match=r"--no-look-share: got 0\.0 %; expected at least 0\."):
-        keep_decent(watching, scene, ground, most=0.0)
+        is_decent(private_shares(scene, watching, ground), most=0.0)
     with pytest.raises(InputError, match="--refine: got it beside --no-look"):
         build_plan(Planning(budget=1, no_look=str(garden), refine=True), scene)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from experiments.figures import build_figure, to_png
+from experiments.figures import new_axes, to_png
 from experiments.pictures import MAX_TRUE_COLOUR_BYTES, build_picture, with_palette
 
 
@@ -14,9 +14,9 @@ def test_a_picture_is_the_whole_figure_whether_asked_by_it_or_by_its_axes():
     words = {"title": "t", "caption": "c", "alt": "a"}
     pictures = []
     for which in (0, 1):
-        drawn = build_figure(3.0, 2.0)
-        drawn[1].plot([0.0, 1.0])
-        pictures.append(build_picture(drawn[which], **words))
+        axes = new_axes(3.0, 2.0)
+        axes.plot([0.0, 1.0])
+        pictures.append(build_picture((axes.figure, axes)[which], **words))
     picture, other = pictures
     assert other == picture
     image = matplotlib.image.imread(io.BytesIO(base64.b64decode(picture.png)))
@@ -26,7 +26,7 @@ def test_a_picture_is_the_whole_figure_whether_asked_by_it_or_by_its_axes():
 
 
 def test_axes_without_a_figure_are_no_picture():
-    _, axes = build_figure(3.0, 2.0)
+    axes = new_axes(3.0, 2.0)
     axes.remove()
     with pytest.raises(ValueError, match="no figure"):
         build_picture(axes, title="", caption="", alt="")
@@ -44,7 +44,7 @@ def levels_of(png):
 
 def draw_many_lines():
     """A figure of many shades in which one small mark has a colour of its own."""
-    _, axes = build_figure(6.0, 6.0)
+    axes = new_axes(6.0, 6.0)
     rng = np.random.default_rng(0)
     for colour in ("#0072B2", "#009E73", "#CC79A7"):
         axes.plot(rng.random(60), rng.random(60), color=colour, linewidth=1.0, alpha=0.7)
