@@ -41,6 +41,11 @@ def added_text(summary: Mapping[str, Any]) -> str:
     return "\n\n".join("\n".join(part) for part in parts)
 
 
+def with_additions(summary: Mapping[str, Any], table: str) -> str:
+    """A table for a terminal, below what is added to it."""
+    return "\n\n".join(text for text in (added_text(summary), table) if text)
+
+
 def _private(summary: Mapping[str, Any]) -> list[str]:
     """What cameras see of private ground; of each layout where several are compared."""
     if "private_ground" not in summary:

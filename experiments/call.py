@@ -4,11 +4,13 @@ import logging
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
+
+from .progress import StageProgress
 
 if TYPE_CHECKING:
     from placement.layout import Layout
@@ -49,6 +51,16 @@ def command_line() -> str:
     # What the system hands over need not be text.
     arguments = [argument.encode(errors="replace").decode() for argument in sys.argv[1:]]
     return shlex.join(["place-rsus", *arguments])
+
+
+def print_result(
+    result: Any, progress: StageProgress, as_json: bool, text: Callable[[], str]
+) -> None:
+    """End a command: take the bar away, print its result as JSON or as text for people."""
+    from .export_formats.json_text import to_json_text
+
+    progress.stop()
+    click.echo(to_json_text(result).rstrip() if as_json else text())
 
 
 def warn_of_slow_rays() -> None:

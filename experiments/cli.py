@@ -2,7 +2,7 @@
 
 import logging
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -11,7 +11,13 @@ import click
 from placement.question import Question
 
 from . import tables
-from .call import cache_folder, command_line, load_one_layout, warn_of_slow_rays
+from .call import (
+    cache_folder,
+    command_line,
+    load_one_layout,
+    print_result,
+    warn_of_slow_rays,
+)
 from .cli_compare import compare
 from .cli_doctor import doctor
 from .cli_export import export
@@ -144,7 +150,7 @@ def cli(
             out=folder,
             progress=progress,
         )
-        _print(summary, progress, as_json, lambda: recorded_placement_table(summary, folder))
+        print_result(summary, progress, as_json, lambda: recorded_placement_table(summary, folder))
         return
     jobs = _start(progress, quiet=quiet)
     summary = jobs.run_placement(
@@ -157,7 +163,14 @@ def cli(
         command=command_line(),
         progress=progress,
     )
-    _print(summary, progress, as_json, lambda: _placement_text(summary, out))
+    from .additions import with_additions
+
+    print_result(
+        summary,
+        progress,
+        as_json,
+        lambda: with_additions(summary, tables.placement_table(summary, out)),
+    )
 
 
 @cli.command(
@@ -206,7 +219,7 @@ def evaluate(
             out=out,
             progress=progress,
         )
-        _print(summary, progress, as_json, lambda: recording_table(summary, out))
+        print_result(summary, progress, as_json, lambda: recording_table(summary, out))
         return
     layout = load_one_layout(layout_names)
     jobs = _start(progress, quiet=quiet)
@@ -220,7 +233,14 @@ def evaluate(
         command=command_line(),
         progress=progress,
     )
-    _print(summary, progress, as_json, lambda: _evaluation_text(summary, out))
+    from .additions import with_additions
+
+    print_result(
+        summary,
+        progress,
+        as_json,
+        lambda: with_additions(summary, tables.evaluation_table(summary, out)),
+    )
 
 
 cli.add_command(compare)
@@ -277,30 +297,6 @@ def _start(progress: StageProgress, *, quiet: bool) -> Any:
     from . import jobs
 
     return jobs
-
-
-def _evaluation_text(summary: dict[str, Any], out: Path | None) -> str:
-    from .additions import added_text
-
-    texts = (added_text(summary), tables.evaluation_table(summary, out))
-    return "\n\n".join(text for text in texts if text)
-
-
-def _placement_text(summary: dict[str, Any], out: Path) -> str:
-    from .additions import added_text
-
-    return "\n\n".join(
-        text for text in (added_text(summary), tables.placement_table(summary, out)) if text
-    )
-
-
-def _print(
-    summary: dict[str, Any], progress: StageProgress, as_json: bool, text: Callable[[], str]
-) -> None:
-    from .export_formats.json_text import to_json_text
-
-    progress.stop()
-    click.echo(to_json_text(summary).rstrip() if as_json else text())
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import click
 
 from placement.question import Question
 
-from .call import command_line, warn_of_slow_rays
+from .call import command_line, print_result, warn_of_slow_rays
 from .cli_latency import latency_budget_options
 from .cli_options import (
     WholeNumber,
@@ -89,8 +89,7 @@ def compare(
     progress.start(quiet=quiet)
     warn_of_slow_rays()
     from . import jobs
-    from .additions import added_text
-    from .export_formats.json_text import to_json_text
+    from .additions import with_additions
     from .tables import comparison_table
 
     summary = jobs.run_comparison(
@@ -105,9 +104,6 @@ def compare(
         command=command_line(),
         progress=progress,
     )
-    progress.stop()
-    if as_json:
-        click.echo(to_json_text(summary).rstrip())
-        return
-    added = added_text(summary)
-    click.echo((f"{added}\n\n" if added else "") + comparison_table(summary, out))
+    print_result(
+        summary, progress, as_json, lambda: with_additions(summary, comparison_table(summary, out))
+    )

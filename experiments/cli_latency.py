@@ -10,7 +10,7 @@ import click
 
 from placement.question import Question
 
-from .call import load_one_layout, warn_of_slow_rays
+from .call import load_one_layout, print_result, warn_of_slow_rays
 from .cli_options import (
     Number,
     OneOf,
@@ -90,7 +90,6 @@ def latency(
     """
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
-    from .export_formats.json_text import to_json_text
     from .latency_jobs import run_latency
     from .latency_tables import latency_text
 
@@ -106,8 +105,7 @@ def latency(
         workers=workers,
         progress=progress,
     )
-    progress.stop()
-    click.echo(to_json_text(summary).rstrip() if as_json else latency_text(summary, out))
+    print_result(summary, progress, as_json, lambda: latency_text(summary, out))
 
 
 def latency_budget_options(

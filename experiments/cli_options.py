@@ -11,7 +11,8 @@ from click.shell_completion import CompletionItem
 
 from placement.question import DEFAULT_CASES, Question
 
-BASELINE_NAME = "carlancap-12"
+from .planning_words import BASELINE_NAME
+
 PHASES = ("aligned", "worst")
 _MAX_DIGITS = 100
 

@@ -7,7 +7,7 @@ import click
 
 from placement.question import Question
 
-from .call import cache_folder, command_line, warn_of_slow_rays
+from .call import cache_folder, command_line, print_result, warn_of_slow_rays
 from .cli_latency import latency_budget_options
 from .cli_options import (
     OneOf,
@@ -94,7 +94,6 @@ def pareto(
     accidents prevented (APR), and the highest that is left when any one unit fails.
     """
     progress.start(quiet=quiet)
-    from .export_formats.json_text import to_json_text
     from .pareto_jobs import run_pareto
     from .pareto_tables import front_text
 
@@ -112,8 +111,7 @@ def pareto(
         command=command_line(),
         progress=progress,
     )
-    progress.stop()
-    click.echo(to_json_text(summary).rstrip() if as_json else front_text(summary, out))
+    print_result(summary, progress, as_json, lambda: front_text(summary, out))
 
 
 def leave_out(command: click.Command, names: Sequence[str], *, time_limit_s: float) -> None:

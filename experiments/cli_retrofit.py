@@ -6,7 +6,7 @@ import click
 
 from placement.question import Question
 
-from .call import cache_folder, command_line, load_one_layout, warn_of_slow_rays
+from .call import cache_folder, command_line, load_one_layout, print_result, warn_of_slow_rays
 from .cli_latency import latency_budget_options
 from .cli_options import (
     Number,
@@ -83,7 +83,6 @@ def retrofit(
     """
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
-    from .export_formats.json_text import to_json_text
     from .retrofit_jobs import run_retrofit
     from .retrofit_sentences import retrofit_text
 
@@ -100,8 +99,7 @@ def retrofit(
         command=command_line(),
         progress=progress,
     )
-    progress.stop()
-    click.echo(to_json_text(summary).rstrip() if as_json else retrofit_text(summary, out))
+    print_result(summary, progress, as_json, lambda: retrofit_text(summary, out))
 
 
 leave_out(retrofit, _NOT_ASKED, time_limit_s=_TIME_LIMIT_S)

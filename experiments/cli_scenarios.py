@@ -8,6 +8,7 @@ import click
 
 from placement.question import Question
 
+from .call import print_result
 from .cli_options import json_option, one_run_options, question_options, quiet_option
 from .progress import StageProgress
 
@@ -47,14 +48,12 @@ def list_scenarios(
     from geometry.scene_folders import find_scene
     from placement.driving import drive
 
-    from .export_formats.json_text import to_json_text
     from .scenario_list import list_rows, scenario_table
 
     progress.start(quiet=quiet)
     progress("lay the cases", 0, 0)
     rows = list_rows(drive(question, find_scene(question.scene)))
-    progress.stop()
-    click.echo(to_json_text(rows).rstrip() if as_json else scenario_table(rows))
+    print_result(rows, progress, as_json, lambda: scenario_table(rows))
 
 
 @scenarios.command(

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from .call import print_result
 from .cli_options import (
     Number,
     OneOf,
@@ -279,7 +280,5 @@ def _print(
     as_json: bool,
     text: Callable[[dict[str, Any]], str],
 ) -> None:
-    from .export_formats.json_text import to_json_text
 
-    progress.stop()
-    click.echo(to_json_text(summary).rstrip() if as_json else text(summary))
+    print_result(summary, progress, as_json, lambda: text(summary))

@@ -6,7 +6,7 @@ import click
 
 from placement.question import Question
 
-from .call import load_one_layout, warn_of_slow_rays
+from .call import load_one_layout, print_result, warn_of_slow_rays
 from .cli_latency import latency_budget_options
 from .cli_options import (
     json_option,
@@ -55,11 +55,9 @@ def sheet(
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
     warn_of_slow_rays()
-    from .export_formats.json_text import to_json_text
     from .sheet_jobs import run_sheet, sheet_text
 
     summary = run_sheet(
         question, layout=layout, out=out, seed=seed, workers=workers, progress=progress
     )
-    progress.stop()
-    click.echo(to_json_text(summary).rstrip() if as_json else sheet_text(summary))
+    print_result(summary, progress, as_json, lambda: sheet_text(summary))

@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from .call import print_result
 from .cli_options import Number, OneOf, WholeNumber, input_error, json_option, quiet_option
 from .help_sections import SectionedCommand
 from .progress import StageProgress
@@ -132,7 +133,6 @@ def solve(
     from placement.optimiser.instance_files import instance_kind
 
     from . import solve_jobs
-    from .export_formats.json_text import to_json_text
 
     if format_name in ("auto", "npz") and instance_kind(file) == KIND:
         from . import window_jobs
@@ -152,9 +152,7 @@ def solve(
             gap=gap,
             progress=progress,
         )
-        progress.stop()
-        text = to_json_text(summary).rstrip() if as_json else window_jobs.window_text(summary)
-        click.echo(text)
+        print_result(summary, progress, as_json, lambda: window_jobs.window_text(summary))
         return
     try:
         summary = solve_jobs.run_solve(
@@ -175,8 +173,7 @@ def solve(
         raise click.UsageError(
             f"--out: got {out}: {error.strerror}; expected a file that can be written"
         ) from None
-    progress.stop()
-    click.echo(to_json_text(summary).rstrip() if as_json else solve_jobs.solution_text(summary))
+    print_result(summary, progress, as_json, lambda: solve_jobs.solution_text(summary))
 
 
 def _check_one_question() -> None:

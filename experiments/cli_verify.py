@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from .call import print_result
 from .cli_options import json_option, quiet_option
 from .progress import StageProgress
 
@@ -33,12 +34,10 @@ def verify(progress: StageProgress, *, folder: Path, as_json: bool, quiet: bool)
     elsewhere they rest on the solver that the certificate names, and this says so.
     """
     progress.start(quiet=quiet)
-    from .export_formats.json_text import to_json_text
     from .verify_jobs import run_verification
     from .verify_tables import verification_table
 
     summary = run_verification(folder, progress=progress)
-    progress.stop()
-    click.echo(to_json_text(summary).rstrip() if as_json else verification_table(summary))
+    print_result(summary, progress, as_json, lambda: verification_table(summary))
     if not summary["is_verified"]:
         sys.exit(_EXIT_FAILED)

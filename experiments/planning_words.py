@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+BASELINE_NAME = "carlancap-12"
+"""What a user calls the study's own layout."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Planning:

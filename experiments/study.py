@@ -15,7 +15,7 @@ from geometry.toml_files import load_toml, take_list, take_number, take_text
 from placement.candidates import CandidatePose
 from placement.layout import Layout, load_layout
 
-BASELINE_NAME = "carlancap-12"
+from .planning_words import BASELINE_NAME
 
 
 @cache

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from experiments import cli, jobs, planning, result_writing
+from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
-from placement.candidates import load_candidate_grid
+from placement.candidates import CandidatePose, load_candidate_grid
 from placement.detectors import load_detector, load_planning_detector
+from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis
@@ -72,3 +74,20 @@ def run(capsys, tmp_path, monkeypatch):
         return code, *capsys.readouterr()
 
     return run_command
+
+
+@pytest.fixture
+def layout(camera):
+    """Two units with numbers that no short decimal equals, and one at the origin."""
+    poses = (
+        Pose(position_m=[-115.1 / 3.0, 8.7 / 7.0, 7.0], yaw_deg=100.0 / 3.0, pitch_deg=-20.0 / 3.0),
+        Pose(position_m=[0.1 + 0.2, -1.0e-7, 5.5], yaw_deg=180.0, pitch_deg=-90.0),
+        Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0, pitch_deg=0.0),
+    )
+    return Layout(
+        name='two, "quoted"',
+        units=tuple(
+            CandidatePose(id=f"pole, {index}/ü", site_id=f"site-{index}", pose=pose, sensor=camera)
+            for index, pose in enumerate(poses)
+        ),
+    )

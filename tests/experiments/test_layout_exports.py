@@ -25,23 +25,6 @@ from placement.layout import Layout, layout_records, load_layout
 CRS = load_study_scene().crs
 
 
-@pytest.fixture
-def layout(camera):
-    """Two units with numbers that no short decimal equals, and one at the origin."""
-    poses = (
-        Pose(position_m=[-115.1 / 3.0, 8.7 / 7.0, 7.0], yaw_deg=100.0 / 3.0, pitch_deg=-20.0 / 3.0),
-        Pose(position_m=[0.1 + 0.2, -1.0e-7, 5.5], yaw_deg=180.0, pitch_deg=-90.0),
-        Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0, pitch_deg=0.0),
-    )
-    return Layout(
-        name='two, "quoted"',
-        units=tuple(
-            CandidatePose(id=f"pole, {index}/ü", site_id=f"site-{index}", pose=pose, sensor=camera)
-            for index, pose in enumerate(poses)
-        ),
-    )
-
-
 def test_csv_reads_back_bit_by_bit(layout, tmp_path):
     path = tmp_path / "layout.csv"
     path.write_text(to_csv(layout), encoding="utf-8")

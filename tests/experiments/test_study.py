@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from experiments.study import BASELINE_NAME, load_carlancap_layout
+from experiments.planning_words import BASELINE_NAME
+from experiments.study import load_carlancap_layout
 from geometry.scene_files import load_study_scene
 from placement.driving import build_setting
 from placement.evaluation import apr, apr_by_case, detected_share

@@ -5,28 +5,8 @@ import pandas as pd
 import pytest
 
 from experiments.verdict_tables import apr_table, margin_s, parties, runs_table
-from geometry.poses import Pose
-from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
-from placement.layout import Layout
 from scenarios.aeb import confirmation_time_s, is_in_time
-
-
-@pytest.fixture
-def layout(camera):
-    """Two units with numbers that no short decimal equals, and one at the origin."""
-    poses = (
-        Pose(position_m=[-115.1 / 3.0, 8.7 / 7.0, 7.0], yaw_deg=100.0 / 3.0, pitch_deg=-20.0 / 3.0),
-        Pose(position_m=[0.1 + 0.2, -1.0e-7, 5.5], yaw_deg=180.0, pitch_deg=-90.0),
-        Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0, pitch_deg=0.0),
-    )
-    return Layout(
-        name='two, "quoted"',
-        units=tuple(
-            CandidatePose(id=f"pole, {index}/ü", site_id=f"site-{index}", pose=pose, sensor=camera)
-            for index, pose in enumerate(poses)
-        ),
-    )
 
 
 @pytest.fixture
