@@ -12,9 +12,9 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from .city_objects import CLASS_OF_TYPE, CityObject, city_map, counted
+from .json_files import parse_json, read_text
 from .model import SourceMap
 from .surfaces import Polygon3D
-from .xml_files import check_size
 
 _VERSIONS = ("1.0", "1.1", "2.0")
 _MAX_BYTES = 300_000_000
@@ -79,42 +79,6 @@ def read_cityjson(path: Path) -> SourceMap:
         follows_authority=False,  # CityJSON has easting first, whatever the reference system says
         skipped=skipped,
     )
-
-
-def read_text(path: Path, expected: str) -> str:
-    """Text of a file in UTF-8.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, is too large, or is no UTF-8.
-    """
-    try:
-        check_size(path, _MAX_BYTES)
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), Unquoted(error), f"{expected} in UTF-8") from None
-
-
-def parse_json(text: str, where: str, expected: str) -> _Table:
-    """A JSON object.
-
-    Raises
-    ------
-    InputError
-        It is none, or is nested too deeply.
-    """
-    try:
-        document = json.loads(text)
-    except RecursionError:
-        raise InputError(where, Unquoted("JSON nested too deeply"), expected) from None
-    except ValueError as error:
-        raise InputError(where, Unquoted(error), f"{expected}: valid JSON") from None
-    if not isinstance(document, dict):
-        raise InputError(where, Unquoted(type(document).__name__), f"{expected}: an object")
-    return document
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:

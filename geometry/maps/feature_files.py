@@ -10,8 +10,8 @@ import numpy as np
 
 from ..errors import InputError, Unquoted
 from .archives import unpacked
-from .city_json import parse_json, read_text
 from .georeferences import WGS84
+from .json_files import parse_json, read_text
 from .xml_files import check_size
 
 if TYPE_CHECKING:

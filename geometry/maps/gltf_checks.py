@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError, Unquoted
-from .city_json import parse_json
+from .json_files import parse_json
 
 _MAX_COUNT = 20_000_000  # elements of one accessor: five million triangles have 15 million indices
 _MAX_NODES = 200_000

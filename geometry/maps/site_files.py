@@ -12,9 +12,9 @@ import numpy as np
 
 from ..arrays import FloatArray, float_array
 from ..errors import InputError, Unquoted
-from .city_json import read_text
 from .feature_files import read_features
 from .georeferences import WGS84, horizontal_crs
+from .json_files import read_text
 from .local_frame import transform
 
 SUFFIXES = (".csv", ".geojson", ".json")
