@@ -5,7 +5,12 @@ sensors, ``actors.load_actors()`` for bodies and ``raycast.build_caster()`` for 
 the only module that flips a sign: everything else is right-handed east-north-up, in metres.
 """
 
-from .actors import Actor, PlacedActor, Shape, load_actors
+from .actors import (
+    Actor,
+    PlacedActor,
+    Shape,
+    load_actors,
+)
 from .catalogue import load_cameras
 from .errors import InputError
 from .poses import Pose

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -11,10 +12,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import FloatArray, IntArray, float_array, freeze
+from .arrays import (
+    FloatArray,
+    IntArray,
+    float_array,
+    freeze,
+)
 from .errors import InputError, Unquoted
+from .files import (
+    Table,
+    load_toml,
+    pick,
+    take_number,
+    take_text,
+)
 from .poses import Pose
-from .toml_files import Table, load_toml, pick, take_number, take_text
+
+# ---------- bodies that move or park
+
 
 _SHAPE_DECIMALS = 6  # of a shape: distances that differ in the last bits give the same one
 
@@ -151,7 +166,7 @@ def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
     table : mapping
         Laid out as ``geometry/data/actors.toml``.
     source : Path or Traversable
-        The shapes that ``geometry.bodies`` has built from it.
+        The shapes that ``geometry.body_shapes`` has built from it.
 
     Returns
     -------
@@ -173,7 +188,7 @@ def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
     return {name: _build_actor(name, entry, arrays) for name, entry in table.items()}
 
 
-_REMEDY = "shapes built from it: python -m geometry.bodies"
+_REMEDY = "shapes built from it: python -m geometry.body_shapes"
 
 
 def fingerprint(table: Table) -> str:
@@ -215,3 +230,38 @@ def _build_actor(name: str, entry: Table, arrays: dict[str, NDArray[Any]]) -> Ac
 
 _SIZES = ("length_m", "width_m", "height_m")
 _OPTIONAL = ("cycle_m", "reference_ahead_m", "wheelbase_m", "front_axle_ahead_m")
+
+
+# ---------- bodies parked one behind the other
+
+
+def park_row(
+    actors: Sequence[Actor], *, first_bumper_m: FloatArray, yaw_deg: float, gap_m: float
+) -> tuple[PlacedActor, ...]:
+    """Place bodies nose to tail, the first one in front.
+
+    Parameters
+    ----------
+    actors : sequence of Actor
+        From the first to the last.
+    first_bumper_m : (2,) float
+        Middle of the first one's front bumper. World frame. [m]
+    yaw_deg : float
+        Where all of them look. [deg]
+    gap_m : float
+        From bumper to bumper. [m]
+
+    Returns
+    -------
+    row : tuple of PlacedActor
+        In the order given.
+    """
+    yaw = np.radians(yaw_deg)
+    backwards = -np.array([np.cos(yaw), np.sin(yaw)])
+    bumper = np.asarray(first_bumper_m, dtype=np.float64)
+    row = []
+    for actor in actors:
+        middle = np.append(bumper + 0.5 * actor.length_m * backwards, 0.0)
+        row.append(PlacedActor(actor=actor, pose=Pose(position_m=middle, yaw_deg=yaw_deg)))
+        bumper = bumper + (actor.length_m + gap_m) * backwards
+    return tuple(row)

@@ -8,9 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from .errors import InputError, Unquoted
+from .files import (
+    Table,
+    load_toml,
+    pick,
+    take,
+    take_list,
+    take_number,
+)
 from .lidar import LidarModel, load_lidars, read_lidar
 from .sensors import CameraModel
-from .toml_files import Table, load_toml, pick, take, take_list, take_number
 
 Sensor = CameraModel | LidarModel
 SENSOR_KINDS = ("camera", "lidar")

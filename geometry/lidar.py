@@ -12,7 +12,12 @@ from scipy.special import expit, logit
 
 from .arrays import FloatArray, IntArray
 from .errors import InputError
-from .toml_files import Table, load_toml, take, take_number
+from .files import (
+    Table,
+    load_toml,
+    take,
+    take_number,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,8 +8,7 @@ import numpy as np
 
 from .errors import InputError
 from .junction import build_junction
-from .scene import Scene, containing_instance
-from .scene_footprints import road_area, thing_footprint
+from .scene import Scene, containing_instance, road_area, thing_footprint
 
 _FLOATING_M = 0.5
 _SUNK_M = 3.0

@@ -9,14 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from .actors import pick_actor
+from .actors import park_row, pick_actor
 from .arrays import FloatArray, float_array
 from .errors import InputError
+from .files import (
+    Table,
+    load_toml,
+    take,
+    take_list,
+    take_number,
+    take_text,
+)
 from .frames import from_carla_points, from_carla_yaw
-from .parking import park_row
 from .poses import Pose, to_world
-from .scene import Instance, Lane, Scene, Site
-from .toml_files import Table, load_toml, take, take_list, take_number, take_text
+from .scene import (
+    Instance,
+    Lane,
+    Scene,
+    Site,
+)
 
 _FRAMES = ("carla-left-handed",)
 _POLE_SECTIONS = 10

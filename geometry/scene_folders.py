@@ -15,12 +15,24 @@ from typing import Any
 import numpy as np
 
 from .arrays import FloatArray, float_array
-from .atomic_files import write_atomically
 from .errors import InputError, Unquoted
+from .files import (
+    Table,
+    load_toml,
+    take,
+    take_list,
+    take_number,
+    take_text,
+    write_atomically,
+)
 from .frames import from_gltf_points, to_gltf_points
-from .scene import Instance, Lane, Scene, Site
+from .scene import (
+    Instance,
+    Lane,
+    Scene,
+    Site,
+)
 from .scene_files import load_study_scene
-from .toml_files import Table, load_toml, take, take_list, take_number, take_text
 
 FORMAT, VERSION = "place-rsus scene", 1
 SCENE_FILE, THINGS_FILE = "scene.toml", "things.glb"

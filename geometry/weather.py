@@ -10,7 +10,13 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
 from .errors import InputError
-from .toml_files import Table, load_toml, pick, take, take_number
+from .files import (
+    Table,
+    load_toml,
+    pick,
+    take,
+    take_number,
+)
 
 CONTRAST_AT_VISIBILITY = 0.05
 """Of the meteorological optical range: contrast that is left at the visibility (WMO-No. 8)."""

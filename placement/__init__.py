@@ -12,18 +12,31 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from geometry.scene_folders import find_scene
 
-    from .candidates import CandidateGrid, CandidatePose, build_candidates, load_candidate_grid
+    from .candidates import (
+        CandidateGrid,
+        CandidatePose,
+        build_candidates,
+        load_candidate_grid,
+    )
     from .detection_table import DetectionTable
     from .detectors import Detector, load_detector
-    from .driving import build_setting
-    from .evaluation import Evaluation, Verdict, apr, apr_by_case
+    from .evaluation import (
+        Evaluation,
+        Verdict,
+        apr,
+        apr_by_case,
+    )
     from .evaluator import evaluate_layout, evaluate_layouts
-    from .layout import Certificate, Layout, Stage, load_layout
-    from .links import Links
+    from .layout import (
+        Certificate,
+        Layout,
+        Stage,
+        load_layout,
+    )
     from .optimiser import Effort
     from .pipeline import Placement, place
     from .question import Question
-    from .setting import Setting
+    from .setting import Links, Setting, build_setting
     from .wishes import Wishes
 
 __all__ = [
@@ -60,15 +73,13 @@ _HOMES = {
     "candidates": ("CandidateGrid", "CandidatePose", "build_candidates", "load_candidate_grid"),
     "detection_table": ("DetectionTable",),
     "detectors": ("Detector", "load_detector"),
-    "driving": ("build_setting", "find_scene"),
     "evaluation": ("Evaluation", "Verdict", "apr", "apr_by_case"),
     "evaluator": ("evaluate_layout", "evaluate_layouts"),
     "layout": ("Certificate", "Layout", "Stage", "load_layout"),
-    "links": ("Links",),
     "optimiser": ("Effort",),
     "pipeline": ("Placement", "place"),
     "question": ("Question",),
-    "setting": ("Setting",),
+    "setting": ("Links", "Setting", "build_setting", "find_scene"),
     "wishes": ("Wishes",),
 }
 

@@ -12,10 +12,10 @@ import numpy as np
 from geometry.arrays import FloatArray, float_array
 from geometry.catalogue import Sensor, pick_sensor
 from geometry.errors import InputError, Unquoted
+from geometry.files import load_toml, take_list, take_number
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.scene import Scene
-from geometry.toml_files import load_toml, take_list, take_number
 
 if TYPE_CHECKING:  # solvers of differential equations come with it
     from scenarios.aeb import AebRule

@@ -6,12 +6,22 @@ which the units stand already. All values are those of the detection table.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib.resources import files
 
 import numpy as np
 
-from .exchanges import best_joining
-from .labour import Labour
-from .layout import Certificate
+from geometry.arrays import IntArray
+from geometry.errors import InputError
+from geometry.files import (
+    load_toml,
+    pick,
+    take_number,
+    take_text,
+)
+
+from .candidates import CandidateGrid, CandidatePose, is_turn_useless
+from .explain.outcomes import best_joining
+from .layout import Certificate, Layout
 from .optimiser import (
     Effort,
     Limits,
@@ -23,7 +33,158 @@ from .optimiser import (
     solve_placement,
 )
 from .optimiser.limits import are_allowed, costs_eur
-from .retrofit_poses import RetrofitPoses
+
+# ---------- what can hang at a junction that has units already
+
+
+_SAME_DEG = 1.0e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RetrofitPoses:
+    """Everything that can hang in the end.
+
+    Attributes
+    ----------
+    candidates : tuple of CandidatePose
+        The units as they hang, in the layout's order; then their re-aims; then what can be added.
+    unit_index : (n_poses,) int
+        Which unit each of them is; -1: a new one.
+    """
+
+    candidates: tuple[CandidatePose, ...]
+    unit_index: IntArray
+
+    @property
+    def n_units(self) -> int:
+        """Units that hang already."""
+        return int(self.unit_index.max()) + 1
+
+    def aims_of(self, unit: int) -> IntArray:
+        """Rows of the re-aims of a unit."""
+        rows: IntArray = np.flatnonzero(self.unit_index == unit)
+        return rows[rows >= self.n_units]
+
+
+def build_retrofit_poses(
+    layout: Layout, grid: CandidateGrid, additions: Sequence[CandidatePose]
+) -> RetrofitPoses:
+    """The units, their re-aims (same place and sensor, directions of a grid), and new poses.
+
+    Parameters
+    ----------
+    layout : Layout
+        What hangs.
+    grid : CandidateGrid
+        Only its directions.
+    additions : sequence of CandidatePose
+        What can be added; poses with the id of a unit are left out.
+
+    Raises
+    ------
+    InputError
+        Two ids are equal.
+    """
+    aims = [
+        (number, _aimed(unit, yaw_deg=yaw_deg, pitch_deg=pitch_deg))
+        for number, unit in enumerate(layout.units)
+        for yaw_deg, pitch_deg in grid.directions_deg(unit.sensor)
+        if not _looks_there(unit, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    ]
+    taken = {unit.id for unit in layout.units}
+    new = [candidate for candidate in additions if candidate.id not in taken]
+    candidates = (*layout.units, *(aim for _, aim in aims), *new)
+    ids = [candidate.id for candidate in candidates]
+    if len(set(ids)) < len(ids):
+        repeated = next(name for name in ids if ids.count(name) > 1)
+        raise InputError(f"layout {layout.name}: id", repeated, "ids unlike those of candidates")
+    numbers = [*range(len(layout.units)), *(number for number, _ in aims), *([-1] * len(new))]
+    return RetrofitPoses(candidates=candidates, unit_index=np.array(numbers, dtype=np.int64))
+
+
+def _aimed(unit: CandidatePose, *, yaw_deg: float, pitch_deg: float) -> CandidatePose:
+    pose = replace(unit.pose, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    return replace(unit, id=f"{unit.id}/aim/{yaw_deg:g}/{pitch_deg:g}", pose=pose)
+
+
+def _looks_there(unit: CandidatePose, *, yaw_deg: float, pitch_deg: float) -> bool:
+    turn_deg = (unit.pose.yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0
+    if is_turn_useless(unit.sensor, pitch_deg=pitch_deg):
+        turn_deg = 0.0
+    return max(abs(turn_deg), abs(unit.pose.pitch_deg - pitch_deg)) <= _SAME_DEG
+
+
+# ---------- what it costs to re-aim or to remove a unit that hangs already
+
+
+_FILE = "labour.toml"
+_NUMBERS = ("people", "wage_eur_per_h", "travel_h", "lift_eur", "re_aim_h", "remove_h")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Labour:
+    """People and a lift: prices without hardware.
+
+    Attributes
+    ----------
+    people : float
+        At work together.
+    wage_eur_per_h : float
+        Of each, on the way, too. [EUR/h]
+    travel_h : float
+        There and back. [h]
+    lift_eur : float
+        For the visit. [EUR]
+    re_aim_h, remove_h : float
+        At the pole. [h]
+    source : str
+        Where the numbers come from.
+    """
+
+    people: float
+    wage_eur_per_h: float
+    travel_h: float
+    lift_eur: float
+    re_aim_h: float
+    remove_h: float
+    source: str
+
+    def __post_init__(self) -> None:
+        for field in _NUMBERS:
+            if not getattr(self, field) >= 0.0:
+                raise InputError(f"labour.{field}", getattr(self, field), "at least 0")
+
+    @property
+    def re_aim_eur(self) -> float:
+        """To turn a unit on its pole, in euros."""
+        return self._visit_eur(self.re_aim_h)
+
+    @property
+    def remove_eur(self) -> float:
+        """To take a unit down, in euros."""
+        return self._visit_eur(self.remove_h)
+
+    def _visit_eur(self, at_pole_h: float) -> float:
+        return self.people * self.wage_eur_per_h * (self.travel_h + at_pole_h) + self.lift_eur
+
+
+def load_labour(name: str = "default") -> Labour:
+    """Labour prices by name, from ``data/labour.toml``.
+
+    Examples
+    --------
+    >>> load_labour().re_aim_eur
+    505.0
+    """
+    table = pick(load_toml(files(__package__) / "data" / _FILE), name, _FILE)
+    where = f"{_FILE}: {name}"
+    return Labour(
+        **{key: take_number(table, key, where) for key in _NUMBERS},
+        source=take_text(table, "source", where),
+    )
+
+
+# ---------- what to change about units that hang already
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

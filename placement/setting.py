@@ -1,15 +1,62 @@
-"""What a layout is placed in and judged by: scene, runs, braking rule, detectors, radio."""
+"""The setting in which layouts are placed and judged: scene, runs, braking, detectors, links."""
 
-from dataclasses import dataclass, field
+import logging
+from dataclasses import dataclass, field, replace
+from typing import cast
 
-from geometry.errors import InputError
+from geometry.actors import pick_actor
+from geometry.errors import InputError, Unquoted
+from geometry.junction import build_junction
 from geometry.scene import Scene
+from geometry.scene_folders import find_scene
 from geometry.sensors import CameraModel
-from scenarios.aeb import AebRule
-from scenarios.runs import FrameAxis, Refusal, Run
+from scenarios.aeb import AebRule, load_aeb_rule
+from scenarios.cases import select_cases
+from scenarios.exposure import weigh
+from scenarios.runs import (
+    WEATHERS,
+    FrameAxis,
+    Refusal,
+    Run,
+    build_frame_axis,
+    build_runs,
+)
 
-from .detectors import Detector, PlanningDetector
-from .links import Links
+from .detectors import (
+    Detector,
+    PlanningDetector,
+    load_detector,
+    load_planning_detector,
+)
+from .question import Question
+
+# ---------- how detections reach the VUT: messages get lost, and some VRUs announce themselves
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Links:
+    """Radio between RSUs, VRUs and the VUT.
+
+    Attributes
+    ----------
+    packet_loss : float
+        Probability that a message - an RSU's collective perception message (CPM) of one frame, or
+        a VRU's awareness message (VAM) - is lost. 0 .. 1
+    vam_rate : float
+        Share of the runs whose VRU carries a device that sends VAMs. 0 .. 1
+    """
+
+    packet_loss: float = 0.0
+    vam_rate: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("packet_loss", "vam_rate"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InputError(f"links.{name}", getattr(self, name), "0 .. 1")
+
+
+# ---------- what a layout is placed in and judged by: scene, runs, braking rule, detectors, radio
+
 
 VUT_SENSORS = ("camera", "lidar")
 
@@ -60,3 +107,182 @@ class Setting:
 
     def __repr__(self) -> str:
         return f"Setting({self.scene.name!r}, {len(self.runs)} runs)"
+
+
+# ---------- from a question to what is driven, and to the setting in which layouts are judged
+
+
+_log = logging.getLogger(__name__)
+
+
+def build_rule(question: Question) -> AebRule:
+    """The study's braking rule, with what the question changes."""
+    changes = {
+        name: getattr(question, name)
+        for name in ("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations")
+        if getattr(question, name) is not None
+    }
+    return replace(load_aeb_rule(), **changes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drives:
+    """What a question makes of a scene.
+
+    Attributes
+    ----------
+    runs : tuple of Run
+        What is driven.
+    refused : tuple of Refusal
+        What the junction does not carry.
+    left_out : tuple of Refusal
+        Cases none of whose speeds were asked for.
+    """
+
+    runs: tuple[Run, ...]
+    refused: tuple[Refusal, ...]
+    left_out: tuple[Refusal, ...]
+
+
+def drive(question: Question, scene: Scene) -> Drives:
+    """Lay the cases of a question on a scene's junction.
+
+    Parameters
+    ----------
+    question : Question
+        Cases, speeds, approaches, weathers, braking.
+    scene : Scene
+        The junction.
+
+    Returns
+    -------
+    drives : Drives
+        There may be no runs.
+
+    Raises
+    ------
+    InputError
+        A word of the question is unknown, or a speed is none that the protocol drives.
+    """
+    selection = select_cases(question.cases, speeds=question.speeds or None, force=question.force)
+    for beyond in selection.beyond:
+        _log.warning("--force: %s km/h are not speeds of the protocol", beyond)
+    known = tuple(build_junction(scene).arms)
+    approaches = _words(question.approaches, "--approaches", known) or known
+    weathers = _words(question.weather, "--weather", WEATHERS)
+    if not weathers:
+        raise InputError("--weather", question.weather, "one or more of " + ", ".join(WEATHERS))
+    runs, refused = build_runs(
+        scene,
+        selection.cases,
+        vut=pick_actor("vut", "vut"),
+        rule=build_rule(question),
+        approaches=approaches,
+        weathers=weathers,
+        phase=question.phase,
+    )
+    left_out = tuple(
+        Refusal(
+            case=case,
+            approach=approach,
+            speeds_kmh=case.vut_speeds_kmh,
+            reason=f"none of the speeds asked for ({question.speeds}) is one of this case",
+        )
+        for case in selection.left_out
+        for approach in approaches
+    )
+    return Drives(runs=runs, refused=refused, left_out=left_out)
+
+
+def drive_one(question: Question, scene: Scene) -> Run:
+    """The only run of a question.
+
+    Raises
+    ------
+    InputError
+        As :func:`drive`; the question names no run, or several.
+    """
+    drives = drive(question, scene)
+    if not drives.runs and (*drives.refused, *drives.left_out):
+        refusal = (*drives.refused, *drives.left_out)[0]
+        raise InputError(
+            f"{refusal.case.name} from the {refusal.approach}",
+            Unquoted(refusal.reason),
+            "a case that this approach carries",
+        )
+    if len(drives.runs) != 1:
+        ids = ", ".join(run.id for run in drives.runs)
+        raise InputError(question.cases, Unquoted(f"{len(drives.runs)} runs ({ids})"), "one run")
+    return drives.runs[0]
+
+
+def build_setting(question: Question | None = None, scene: Scene | None = None) -> Setting:
+    """All that a layout is placed in and judged by.
+
+    Parameters
+    ----------
+    question : Question, optional
+        What is driven and how much it counts; by default the study's cases, each run alike.
+    scene : Scene, optional
+        The junction, in place of the one that the question names.
+
+    Returns
+    -------
+    setting : Setting
+        At least one run.
+
+    Raises
+    ------
+    InputError
+        As :func:`drive`; no approach carries any of the cases, or one that was named; the weights
+        do not fit the runs.
+    """
+    question = question or Question()
+    scene = scene or find_scene(question.scene)
+    drives = drive(question, scene)
+    runs = drives.runs
+    driven = {run.case.name for run in runs}
+    asked = {word.strip() for word in question.cases.split(",")}
+    for refusal in drives.refused:
+        # Of a set of cases, what a junction does not carry is told; a case by name is wanted.
+        is_asked = refusal.case.name in asked or not driven
+        if is_asked and refusal.case.name not in driven:
+            raise InputError(
+                "--cases",
+                Unquoted(f"{refusal.case.name}, which no approach carries"),
+                f"a case that can be driven at {scene.name} (from the {refusal.approach}: "
+                f"{refusal.reason})",
+            )
+    detector = load_detector(question.detector, where="--detector")
+    return Setting(
+        scene=scene,
+        runs=runs,
+        axis=build_frame_axis(runs, weigh(runs, question.weights)),
+        rule=build_rule(question),
+        detector=detector,
+        planner=_planner(detector),
+        refusals=(*drives.refused, *drives.left_out),
+        links=Links(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
+        vut_sensors=_words(question.vut_sensors, "--vut-sensors", VUT_SENSORS) or ("",),
+    )
+
+
+def _planner(detector: Detector) -> PlanningDetector:
+    """What the detection table counts on: a network cannot be foretold, boxes stand in for it."""
+    if not detector.needs_pictures:
+        return cast(PlanningDetector, detector)
+    _log.warning(
+        "--detector %s: judged on rendered pictures, about a second each; poses are chosen by the "
+        "geometric detector",
+        detector.name,
+    )
+    return load_planning_detector()
+
+
+def _words(text: str, where: str, known: tuple[str, ...]) -> tuple[str, ...]:
+    """Words with commas between, each once."""
+    words = tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+    for word in words:
+        if word not in known:
+            raise InputError(where, word, "one or more of " + ", ".join(known))
+    return words

@@ -11,7 +11,13 @@ from geometry.scene import Scene
 
 from .candidates import CandidatePose
 from .detection_table import DetectionTable
-from .optimiser import Floor, Goal, Limits, PlacementProblem, apr
+from .optimiser import (
+    Floor,
+    Goal,
+    Limits,
+    PlacementProblem,
+    apr,
+)
 from .optimiser.problem import Fusion
 from .setting import Setting
 
@@ -52,7 +58,7 @@ class Wishes:
         See :class:`placement.optimiser.PlacementProblem`.
     tail : float
         Share of the sampled worlds that counts, the worst ones, see
-        :class:`placement.optimiser.measure.Measure`.
+        :class:`placement.optimiser.problem.Measure`.
     """
 
     budget_units: int | None = None

@@ -9,7 +9,13 @@ impact. ``aeb`` says when braking is too late; ``exposure`` says how much each r
 from .aeb import AebRule, load_aeb_rule
 from .cases import Case, load_cases, pick_cases
 from .exposure import weight_per_run, weight_share
-from .runs import FrameAxis, Refusal, Run, build_frame_axis, build_runs
+from .runs import (
+    FrameAxis,
+    Refusal,
+    Run,
+    build_frame_axis,
+    build_runs,
+)
 
 __all__ = [
     "AebRule",

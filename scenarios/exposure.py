@@ -1,18 +1,218 @@
-"""How much each run counts."""
+"""How much each run counts: equally, per case, by Euro NCAP's points, or by a user's CSV file."""
 
+import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
-from geometry.errors import InputError
+from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.files import load_toml, take_list, take_text
 
-from .exposure_files import weight_from_csv
-from .rating import RATING, weight_by_rating
 from .runs import Run
+
+# ---------- weights of runs from a CSV file: case, approach, weight, and weather if wanted
+
+
+_COLUMNS = ("case", "approach", "weight")
+_OPTIONAL = "weather"
+_ANY = ("", "*")
+
+
+def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
+    """Weights by a user's own exposure table.
+
+    Parameters
+    ----------
+    path : Path
+        UTF-8, separated by commas or semicolons. Columns case, approach, weight, and if wanted
+        weather; "*" or nothing in approach or weather stands for all.
+    runs : sequence of Run
+        At least one.
+
+    Returns
+    -------
+    weight : (n_runs,) float
+        The weight of a row is shared equally by the runs that it names; what no row names weighs
+        nothing. Sums to 1.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a column is missing, a row names no run, or a run again, or its
+        weight is not a number >= 0; all weights are 0.
+    """
+    weight = np.zeros(len(runs))
+    named = np.zeros(len(runs), dtype=np.int64)  # by which line
+    for line, row in _read_rows(path):
+        where = f"{path}: line {line}"
+        amount = _read_weight(row["weight"], where)
+        members = [index for index, run in enumerate(runs) if _is_named(run, row)]
+        if not members:
+            raise InputError(where, Unquoted(_words(row)), _what_is_driven(runs, row))
+        again = named[members][named[members] > 0]
+        if len(again):
+            raise InputError(
+                where, Unquoted(_words(row)), f"runs that line {again[0]} does not name already"
+            )
+        named[members] = line
+        weight[members] = amount / len(members)
+    if not weight.any():
+        raise InputError(f"{path}: weight", Unquoted("0 in all rows"), "one weight more than 0")
+    shares: FloatArray = weight / weight.sum()
+    return shares
+
+
+def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), Unquoted(error), "a CSV file in UTF-8") from None
+    lines = text.splitlines()
+    separator = ";" if lines and ";" in lines[0] else ","
+    try:
+        reader = csv.reader(lines, delimiter=separator, strict=True)
+        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except csv.Error as error:
+        raise InputError(str(path), Unquoted(error), "a CSV file") from None
+    rows = [(line, row) for line, row in rows if any(row)]
+    expected = ", ".join(_COLUMNS) + f", and {_OPTIONAL} if wanted"
+    if not rows:
+        raise InputError(str(path), Unquoted("an empty file"), f"columns {expected}")
+    header = [name.lower() for name in rows[0][1]]
+    unknown = [name for name in header if name not in (*_COLUMNS, _OPTIONAL)]
+    if unknown or len(set(header)) < len(header) or not set(_COLUMNS) <= set(header):
+        raise InputError(f"{path}: line {rows[0][0]}", Unquoted(", ".join(header)), expected)
+    for line, row in rows[1:]:
+        if len(row) != len(header):
+            raise InputError(
+                f"{path}: line {line}", Unquoted(f"{len(row)} columns"), f"{len(header)}"
+            )
+    if len(rows) == 1:
+        raise InputError(str(path), Unquoted("no rows"), "one row per case and approach")
+    return [
+        (line, {_OPTIONAL: "", **dict(zip(header, row, strict=True))}) for line, row in rows[1:]
+    ]
+
+
+def _read_weight(text: str, where: str) -> float:
+    try:
+        amount = float(text)
+    except ValueError:
+        amount = math.nan
+    if not 0.0 <= amount < math.inf:
+        raise InputError(f"{where}: weight", text, "a number, at least 0")
+    return amount
+
+
+def _is_named(run: Run, row: Mapping[str, str]) -> bool:
+    return (
+        run.case.name == row["case"]
+        and row["approach"] in (*_ANY, run.approach)
+        and row[_OPTIONAL] in (*_ANY, run.weather)
+    )
+
+
+def _words(row: Mapping[str, str]) -> str:
+    return ", ".join(repr(row[key]) for key in ("case", "approach", _OPTIONAL) if row[key])
+
+
+def _what_is_driven(runs: Sequence[Run], row: Mapping[str, str]) -> str:
+    of_case = [run for run in runs if run.case.name == row["case"]]
+    if not of_case:
+        return "a case that is driven: " + ", ".join(dict.fromkeys(run.case.name for run in runs))
+    ways = ", ".join(dict.fromkeys(f"{run.approach} by {run.weather}" for run in of_case))
+    return f"an approach and weather in which {row['case']} is driven: {ways}"
+
+
+# ---------- euro NCAP's points of 2026 as weights of runs: needs the extra `rating`
+
+
+RATING = "euroncap-rating-2026"
+
+
+def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
+    """Weights by the points that Euro NCAP gives the cases in 2026.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        At least one.
+
+    Returns
+    -------
+    weight : (n_runs,) float
+        The points that a score can earn at most (standard and extended range, robustness) are
+        shared equally by the runs that belong to it; those of scores without runs are nobody's.
+        Runs without a score, such as all in the rain, weigh nothing. Sums to 1.
+
+    Raises
+    ------
+    MissingExtraError
+        The package is not installed.
+    InputError
+        No run has points.
+    """
+    points = load_points()
+    weight = np.zeros(len(runs))
+    for (cases, weather), score in points.items():
+        members = [
+            index
+            for index, run in enumerate(runs)
+            if run.weather == weather and _family(run.case.name) in cases
+        ]
+        weight[members] = score / max(len(members), 1)
+    if not weight.any():
+        driven = ", ".join(dict.fromkeys(f"{run.case.name} ({run.weather})" for run in runs))
+        raise InputError("--weights", RATING, f"a run that has points in 2026; driven: {driven}")
+    shares: FloatArray = weight / weight.sum()
+    return shares
+
+
+@cache
+def load_points() -> dict[tuple[tuple[str, ...], str], float]:
+    """Points by cases (what our names begin with) and weather, from the installed package.
+
+    Raises
+    ------
+    MissingExtraError
+        The package is not installed.
+    InputError
+        The package does not know a score any more.
+    """
+    try:
+        from euroncap_rating_2026.crash_avoidance.data_model import TOTAL_SCORES
+    except ModuleNotFoundError:
+        raise MissingExtraError(
+            f"--weights {RATING} needs that package: pip install place-rsus[rating]"
+        ) from None
+    table = load_toml(files(__package__) / "data" / "rating_2026.toml")
+    points = {}
+    for index, entry in enumerate(take_list(table, "scores", "rating_2026.toml")):
+        where = f"rating_2026.toml: scores[{index}]"
+        name = take_text(entry, "name", where)
+        if name not in TOTAL_SCORES:
+            raise InputError(
+                where, Unquoted(f"{name!r}, unknown to the installed {RATING}"), "a score of it"
+            )
+        key = (tuple(take_list(entry, "cases", where)), take_text(entry, "weather", where))
+        points[key] = float(sum(part or 0.0 for part in TOTAL_SCORES[name].values()))
+    return points
+
+
+def _family(case_name: str) -> str:
+    return case_name.rpartition("-")[0] or case_name
+
+
+# ---------- how much each run counts
+
 
 _BY_WORD = ("run", "case", RATING)
 
@@ -27,8 +227,8 @@ def weigh(runs: Sequence[Run], how: str) -> FloatArray:
     how : str
         "run": every run the same, as in the study; "case": every case the same;
         "euroncap-rating-2026": by Euro NCAP's points, see
-        :func:`scenarios.rating.weight_by_rating`; else a CSV file, see
-        :func:`scenarios.exposure_files.weight_from_csv`.
+        :func:`scenarios.exposure.weight_by_rating`; else a CSV file, see
+        :func:`scenarios.exposure.weight_from_csv`.
 
     Returns
     -------

@@ -8,12 +8,18 @@ from typing import Any
 import numpy as np
 from scipy.constants import kmh
 
-from geometry.actors import Actor, PlacedActor, pick_actor
+from geometry.actors import Actor, PlacedActor, park_row, pick_actor
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted
+from geometry.files import (
+    Table,
+    load_toml,
+    pick,
+    take_list,
+    take_number,
+    take_text,
+)
 from geometry.frames import from_carla_points, from_carla_yaw
-from geometry.parking import park_row
-from geometry.toml_files import Table, load_toml, pick, take_list, take_number, take_text
 
 from .cases import Case, load_cases
 from .encounters import Encounter

@@ -6,7 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geometry.actors import Actor, PlacedActor
-from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, freeze
+from geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    float_array,
+    freeze,
+)
 from geometry.errors import InputError, Unquoted
 from geometry.junction import Junction, build_junction, mirrored
 from geometry.scene import Scene
@@ -14,12 +20,10 @@ from geometry.weather import load_weathers
 
 from .aeb import AebRule, confirmation_time_s, last_brake_time_s
 from .cases import Case
-from .clearance import check_clearance
 from .encounters import Encounter
-from .mirror import mirror_staging
-from .protocol import stage_by_protocol
+from .protocol import check_clearance, stage_by_protocol
 from .published import find_placement, stage_published
-from .staging import CannotCarryError, Staging
+from .staging import CannotCarryError, Staging, mirror_staging
 
 WEATHERS = tuple(load_weathers())
 PHASES = ("aligned", "worst")

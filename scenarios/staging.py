@@ -1,19 +1,30 @@
 """How a run is set up: who moves how, past what, before anybody brakes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.constants import kmh
 from scipy.optimize import brentq
 
-from geometry.actors import Actor, PlacedActor
+from geometry.actors import Actor, PlacedActor, Shape, park_row
 from geometry.arrays import FloatArray
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line
+from geometry.poses import Pose
 
-from .cases import Case
+from .cases import Case, Obstruction
 from .encounters import Encounter, first_contact_s
-from .paths import Motion, Path, StraightPath, travel_time_s
+from .paths import (
+    Motion,
+    Path,
+    StraightPath,
+    travel_time_s,
+)
+
+# ---------- how a run is set up: who moves how, past what, before anybody brakes
+
 
 _SCAN_STEP_M = 0.1
 _NEVER_PARALLEL = 1.0e-6
@@ -219,3 +230,179 @@ def _gap_to_side(
     is_from_right = (case.turn == "far") == (case.vru_direction == "same")
     gap = -coordinates[:, 1] if is_from_right else coordinates[:, 1]
     return gap, coordinates[:, 0] - case.vru_reference_m
+
+
+# ---------- parked cars and walls that hide the VRU of a case, laid beside the ways of VUT and VRU
+
+
+# Two triangles on each of a box's six sides, outward, for corners numbered as in `_build_wall`.
+_BOX_TRIANGLES = np.array(
+    [
+        [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
+        [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
+    ]
+)  # fmt: skip
+
+
+def place_beside_vut(
+    obstruction: Obstruction, *, vut: Actor, vut_line: Line, vru: Actor, vru_line: Line
+) -> tuple[PlacedActor, ...]:
+    """Cars parked along the VUT's way, on the side from which the VRU comes.
+
+    Parameters
+    ----------
+    obstruction : Obstruction
+        Bodies and gaps. Their common centreline is such that the widest keeps the side gap.
+    vut, vut_line : Actor, Line
+        The vehicle under test and its way.
+    vru, vru_line : Actor, Line
+        The VRU and its way; the line's point is where the two ways cross.
+
+    Returns
+    -------
+    bodies : tuple of PlacedActor
+        Noses as the VUT's, the first one nearest to the VRU's line.
+    """
+    side = -float(np.sign(vut_line.left @ vru_line.direction))
+    widest_m = max(actor.width_m for actor in obstruction.bodies)
+    beside_m = 0.5 * vut.width_m + obstruction.side_gap_m + 0.5 * widest_m
+    crossing_m = float(vut_line.coordinates(vru_line.point_m)[0])
+    bumper = vut_line.at(crossing_m - 0.5 * vru.width_m - obstruction.first_gap_m, side * beside_m)
+    return park_row(
+        obstruction.bodies,
+        first_bumper_m=bumper,
+        yaw_deg=vut_line.yaw_deg,
+        gap_m=obstruction.between_gap_m,
+    )
+
+
+def place_beside_vru(
+    obstruction: Obstruction, *, vut: Actor, vut_line: Line, vru: Actor, vru_line: Line
+) -> tuple[PlacedActor, ...]:
+    """Cars parked beside the VRU's way, between it and the coming VUT; noses away from the VUT's.
+
+    Parameters and result as for :func:`place_beside_vut`; the sides towards the VRU are flush.
+    """
+    bodies = []
+    rear_m = obstruction.first_gap_m
+    for actor in obstruction.bodies:
+        beside_m = 0.5 * vru.width_m + obstruction.side_gap_m + 0.5 * actor.width_m
+        middle = vru_line.at(
+            -(rear_m + 0.5 * actor.length_m), _vut_side(vut_line, vru_line) * beside_m
+        )
+        pose = Pose(position_m=np.append(middle, 0.0), yaw_deg=vru_line.turned(180.0).yaw_deg)
+        bodies.append(PlacedActor(actor=actor, pose=pose))
+        rear_m += actor.length_m + obstruction.between_gap_m
+    return tuple(bodies)
+
+
+def place_wall(
+    obstruction: Obstruction, *, vut: Actor, vut_line: Line, vru: Actor, vru_line: Line
+) -> tuple[PlacedActor, ...]:
+    """A wall beside the VRU's way, between it and the coming VUT.
+
+    Parameters and result as for :func:`place_beside_vut`; one body.
+    """
+    wall = _build_wall(*obstruction.wall_size_m)
+    beside_m = 0.5 * vru.width_m + obstruction.side_gap_m + 0.5 * wall.width_m
+    middle = vru_line.at(
+        -(obstruction.first_gap_m + 0.5 * wall.length_m), _vut_side(vut_line, vru_line) * beside_m
+    )
+    pose = Pose(position_m=np.append(middle, 0.0), yaw_deg=vru_line.yaw_deg)
+    return (PlacedActor(actor=wall, pose=pose),)
+
+
+def _vut_side(vut_line: Line, vru_line: Line) -> float:
+    """+1 if the VUT comes from the left of the VRU's way, -1 from its right."""
+    return -float(np.sign(vru_line.left @ vut_line.direction))
+
+
+@cache
+def _build_wall(length_m: float, thickness_m: float, height_m: float) -> Actor:
+    corners = np.array(
+        [
+            [x * length_m, y * thickness_m, z * height_m]
+            for z in (0.0, 1.0)
+            for y in (-0.5, 0.5)
+            for x in (-0.5, 0.5)
+        ]
+    )
+    return Actor(
+        name=f"wall {length_m:g} x {thickness_m:g} x {height_m:g} m",
+        class_name="wall",
+        length_m=length_m,
+        width_m=thickness_m,
+        height_m=height_m,
+        shapes=(Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),),
+        cycle_m=0.0,
+        reference_ahead_m=0.0,
+        wheelbase_m=0.0,
+        front_axle_ahead_m=0.0,
+    )
+
+
+# ---------- stagings seen in a mirror
+
+
+_NORTH_TO_SOUTH = np.array([1.0, -1.0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MirroredPath:
+    """A path in a mirror that swaps north and south.
+
+    Attributes
+    ----------
+    path : Path
+        What stands before the mirror.
+    """
+
+    path: Path
+
+    @property
+    def max_turn_rad_per_m(self) -> float:
+        """As before the mirror, in rad/m."""
+        return self.path.max_turn_rad_per_m
+
+    @property
+    def max_turn_change_rad_per_m2(self) -> float:
+        """As before the mirror, in rad/m^2."""
+        return self.path.max_turn_change_rad_per_m2
+
+    def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """See :meth:`scenarios.paths.Path.at`."""
+        position_m, yaw_deg = self.path.at(distance_m)
+        return position_m * _NORTH_TO_SOUTH, -yaw_deg
+
+
+def mirror_staging(staging: Staging) -> Staging:
+    """A staging in a mirror that swaps north and south.
+
+    The bodies are no mirror images: a pedestrian sets off with the same foot, and the driver's
+    side of a parked car stays.
+    """
+    encounter = staging.encounter
+    return Staging(
+        encounter=replace(
+            encounter,
+            vut_motion=_mirror_motion(encounter.vut_motion),
+            vru_motion=_mirror_motion(encounter.vru_motion),
+        ),
+        obstruction=tuple(_mirror_placed(placed) for placed in staging.obstruction),
+    )
+
+
+def _mirror_motion(motion: Motion) -> Motion:
+    return replace(motion, path=MirroredPath(path=motion.path))
+
+
+def _mirror_placed(placed: PlacedActor) -> PlacedActor:
+    pose = placed.pose
+    return replace(
+        placed,
+        pose=Pose(
+            position_m=pose.position_m * [1.0, -1.0, 1.0],
+            yaw_deg=-pose.yaw_deg,
+            pitch_deg=pose.pitch_deg,
+        ),
+    )

@@ -10,7 +10,12 @@ from scipy.special import fresnel
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.toml_files import load_toml, pick, take_number, take_text
+from geometry.files import (
+    load_toml,
+    pick,
+    take_number,
+    take_text,
+)
 
 LEFT, RIGHT = 1, -1
 _SIDES = {"far": LEFT, "near": RIGHT}  # right-hand traffic

@@ -5,9 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from placement.certificates import build_certificate
 from placement.detection_table import pack_table
-from placement.optimiser import Floor, Limits, PlacementProblem, Solution
+from placement.optimiser import (
+    Floor,
+    Limits,
+    PlacementProblem,
+    Solution,
+)
+from placement.verification.certificates import build_certificate
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 

@@ -6,8 +6,7 @@ from itertools import combinations
 import numpy as np
 from hypothesis import strategies as st
 
-from placement.optimiser.coverage import Coverage
-from placement.optimiser.supply import Supply
+from placement.optimiser.bounds import Coverage, Supply
 
 
 @st.composite

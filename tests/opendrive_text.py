@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from geometry.junction import build_junction
-from geometry.maps.model import MapJunction, SourceMap
 from geometry.maps.opendrive import read_opendrive
+from geometry.maps.source_map import MapJunction, SourceMap
 from geometry.scene import Lane, Scene
 
 LINE = "<line/>"

@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import Transformer
 
 from geometry.junction import Junction, build_junction
-from geometry.maps.model import MapJunction, SourceMap
+from geometry.maps.source_map import MapJunction, SourceMap
 from geometry.scene import Lane, Scene
 
 LAT_DEG, LON_DEG = 52.5, 13.4

@@ -11,7 +11,7 @@ prevent? This page is a script. Its figures and tables are made when the site is
 # from four approaches. Here a child crosses behind parked cars (CPNCO-50), a cyclist comes out of
 # the side road (CBNA), and the car comes from the north or the west.
 import placement
-from experiments import figures, plan
+from experiments.figures import evaluation, plan
 
 setting = placement.build_setting(
     placement.Question(cases="CPNCO-50,CBNA", approaches="north,west", speeds="30,45,60")
@@ -41,7 +41,7 @@ plan.plot_plan(setting, found.layout).figure
 
 # %%
 # How much is prevented, case by case.
-figures.plot_apr_by_case({"found": judged}).figure
+evaluation.plot_apr_by_case({"found": judged}).figure
 
 # %%
 # As a table of pandas:

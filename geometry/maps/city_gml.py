@@ -11,11 +11,16 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
-from .city_objects import CLASS_OF_TYPE, CityObject, city_map, counted
+from ..untrusted_files import local_name, read_xml
+from .city_objects import (
+    CLASS_OF_TYPE,
+    CityObject,
+    city_map,
+    counted,
+)
 from .georeferences import crs_name, horizontal_crs
-from .model import SourceMap
-from .surfaces import Polygon3D
-from .xml_files import local_name, read_xml
+from .solids import Polygon3D
+from .source_map import SourceMap
 
 _EXPECTED = "CityGML"
 _OTHER_TYPES = (

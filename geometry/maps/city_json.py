@@ -11,10 +11,15 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
-from .city_objects import CLASS_OF_TYPE, CityObject, city_map, counted
-from .json_files import parse_json, read_text
-from .model import SourceMap
-from .surfaces import Polygon3D
+from ..untrusted_files import parse_json, read_text
+from .city_objects import (
+    CLASS_OF_TYPE,
+    CityObject,
+    city_map,
+    counted,
+)
+from .solids import Polygon3D
+from .source_map import SourceMap
 
 _VERSIONS = ("1.0", "1.1", "2.0")
 _MAX_BYTES = 300_000_000

@@ -8,10 +8,9 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
-from .extrusion import extrude
 from .georeferences import georeference
-from .model import Skipped, SourceMap, Thing
-from .surfaces import Polygon3D, surface_mesh
+from .solids import Polygon3D, extrude, surface_mesh
+from .source_map import Skipped, SourceMap, Thing
 from .thing_kinds import kind_from_name, kind_of_class, thing_defaults
 
 MAX_TRIANGLES = 5_000_000

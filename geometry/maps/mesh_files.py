@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..scene import CLASS_NAMES
+from ..untrusted_files import check_gltf, check_size
 from .city_objects import MAX_TRIANGLES, counted, unique_id
-from .gltf_checks import check_gltf
-from .model import SourceMap, Thing
-from .surfaces import is_closed, volume_m3
+from .solids import is_closed, volume_m3
+from .source_map import SourceMap, Thing
 from .thing_kinds import kind_from_name
-from .xml_files import check_size
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254}

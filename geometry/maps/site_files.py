@@ -12,10 +12,9 @@ import numpy as np
 
 from ..arrays import FloatArray, float_array
 from ..errors import InputError, Unquoted
-from .feature_files import read_features
-from .georeferences import WGS84, horizontal_crs
-from .json_files import read_text
-from .local_frame import transform
+from ..untrusted_files import read_text
+from .georeferences import WGS84, horizontal_crs, transform
+from .gis_files import read_features
 
 SUFFIXES = (".csv", ".geojson", ".json")
 _MAX_SITES = 50_000

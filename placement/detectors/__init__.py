@@ -5,6 +5,7 @@ probability, ``network`` shows rendered pictures to an ONNX file, which ``onnx_m
 ``onnx_exports`` recognises and ``letterbox`` fits images to; ``files`` finds detectors by name.
 """
 
+from .box_rule import GeometricDetector
 from .evidence import (
     VRU_CLASSES,
     Detections,
@@ -15,8 +16,12 @@ from .evidence import (
     is_matched,
     vru_class,
 )
-from .files import DETECTOR_NAMES, load_detector, load_min_iou, load_planning_detector
-from .geometric import GeometricDetector
+from .loading import (
+    DETECTOR_NAMES,
+    load_detector,
+    load_min_iou,
+    load_planning_detector,
+)
 from .response import ResponseDetector
 
 __all__ = [

@@ -1,14 +1,428 @@
 """An exported neural network that looks at rendered pictures."""
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
-from geometry.errors import InputError, Unquoted
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.image_boxes import clip_boxes, iou
 
 from .evidence import VRU_CLASSES, Detections, Evidence
-from .onnx_model import OnnxModel, load_onnx_model, vru_boxes
+from .onnx_exports import (
+    Array,
+    Export,
+    onnx_setting,
+    recognise_export,
+)
+
+# ---------- an image in the middle of a larger grey one, as networks of a fixed size want it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Letterbox:
+    """An image scaled without distortion and padded around.
+
+    Attributes
+    ----------
+    pixels : (h, w, 3) uint8
+        RGB.
+    scale : (2,) float
+        Pixels per pixel of the given image, across and down.
+    offset_px : (2,) float
+        Padding on the left and on top. [px]
+    """
+
+    pixels: NDArray[np.uint8]
+    scale: FloatArray
+    offset_px: FloatArray
+
+    def to_image(self, boxes_px: FloatArray) -> FloatArray:
+        """Boxes (n, 4) of the letterbox in pixels of the given image."""
+        corners = (boxes_px.reshape(-1, 2, 2) - self.offset_px) / self.scale
+        return corners.reshape(-1, 4)
+
+
+def letterbox(
+    image: NDArray[np.uint8], *, width_px: int, height_px: int, scale: float
+) -> Letterbox:
+    """Scale an image and put it into the middle of a grey one.
+
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+        RGB.
+    width_px, height_px : int
+        Of the result.
+    scale : float
+        At most what lets the image fit.
+
+    Returns
+    -------
+    letterbox : Letterbox
+        The image, and the way back.
+    """
+    height, width = image.shape[:2]
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    if size != (width, height):
+        image = np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BILINEAR))
+    left, top = (width_px - size[0]) // 2, (height_px - size[1]) // 2
+    pixels = np.full((height_px, width_px, 3), onnx_setting("fill"), dtype=np.uint8)
+    pixels[top : top + size[1], left : left + size[0]] = image
+    return Letterbox(
+        pixels=pixels,
+        scale=np.array([size[0] / width, size[1] / height]),
+        offset_px=np.array([left, top], dtype=np.float64),
+    )
+
+
+# ---------- exported image detectors: an ONNX file, recognised by what it takes and gives
+
+
+_IMAGE = "one image input, (1, 3, height, width) or (3, height, width), RGB"
+_PIXEL_TYPES: dict[str, type[np.generic]] = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(uint8)": np.uint8,
+}
+_SIDE_INPUTS = ("pixel_mask", "orig_target_sizes")  # of DETR and RT-DETR: known without asking
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImageBoxes:
+    """What a network finds in an image, surest first.
+
+    Attributes
+    ----------
+    boxes_px : (n, 4) float
+        Inside the image. [px]
+    class_ids : (n,) int
+        As the network numbers its classes.
+    confidence : (n,) float
+        0 .. 1.
+    kinds : mapping
+        From class to "person", "bicycle" or "cyclist"; the other classes are left out.
+    """
+
+    boxes_px: FloatArray
+    class_ids: IntArray
+    confidence: FloatArray
+    kinds: Mapping[int, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScoredBoxes:
+    """Boxes of one kind.
+
+    Attributes
+    ----------
+    boxes_px : (n, 4) float
+        Boxes. [px]
+    confidence : (n,) float
+        0 .. 1.
+    """
+
+    boxes_px: FloatArray
+    confidence: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VruBoxes:
+    """Boxes of vulnerable road users in an image.
+
+    Attributes
+    ----------
+    persons : ScoredBoxes
+        Persons, on bicycles too.
+    cyclists : ScoredBoxes
+        See :func:`vru_boxes`.
+    """
+
+    persons: ScoredBoxes
+    cyclists: ScoredBoxes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Session:
+    """A file at the runtime, whatever it computes."""
+
+    path: Path
+    session: Any
+    image_input: str
+    side_inputs: tuple[str, ...]
+    has_batch: bool
+    height_px: int | None  # None: free
+    width_px: int | None
+    pixel_type: type[np.generic]
+    class_names: str | None
+
+    def run(self, pixels: NDArray[np.uint8], *, is_imagenet: bool) -> dict[str, Array]:
+        """Outputs for an image (h, w, 3), by name."""
+        image = pixels.astype(self.pixel_type)
+        if self.pixel_type is not np.uint8:
+            image = pixels.astype(np.float32) / np.float32(255.0)
+            if is_imagenet:
+                image = (image - onnx_setting("imagenet_mean")) / onnx_setting("imagenet_std")
+            image = image.astype(self.pixel_type)
+        chw = np.ascontiguousarray(image.transpose(2, 0, 1))
+        height, width = pixels.shape[:2]
+        sides = {
+            "pixel_mask": np.ones((1, height, width), dtype=np.int64),
+            "orig_target_sizes": np.array([[width, height]], dtype=np.int64),
+        }
+        feed = {self.image_input: chw[None] if self.has_batch else chw}
+        feed |= {name: sides[name] for name in self.side_inputs}
+        names = [output.name for output in self.session.get_outputs()]
+        try:
+            values = self.session.run(names, feed)
+        except Exception as error:  # onnxruntime's own errors share no other base
+            raise InputError(str(self.path), _first_line(error), "a network that runs") from None
+        return {name: np.asarray(value) for name, value in zip(names, values, strict=True)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OnnxModel:
+    """A detector from an ONNX file; it may be used by several threads at once.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    """
+
+    path: Path
+    _session: _Session
+    _export: Export
+
+    def detect(self, image: NDArray[np.uint8]) -> ImageBoxes:
+        """Find what the network knows.
+
+        Parameters
+        ----------
+        image : (h, w, 3) uint8
+            RGB.
+
+        Returns
+        -------
+        found : ImageBoxes
+            In pixels of `image`.
+
+        Raises
+        ------
+        InputError
+            The image has another shape or type, or the network fails.
+        """
+        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+            got = Unquoted(f"{image.dtype} of shape {image.shape}")
+            raise InputError("image", got, "uint8 of shape (height, width, 3)")
+        fitted = _fit(image, self._session, self._export.stride_px)
+        outputs = self._session.run(fitted.pixels, is_imagenet=self._export.is_imagenet)
+        boxes, class_ids, confidence = self._export.read(outputs)
+        # What is no number is kept, and told.
+        is_sure = ~(confidence < onnx_setting("min_confidence"))
+        boxes = boxes[is_sure].astype(np.float64)
+        class_ids = class_ids[is_sure].astype(np.int64)
+        confidence = confidence[is_sure].astype(np.float64)
+        if not (np.isfinite(boxes).all() and np.isfinite(confidence).all()):
+            raise InputError(str(self.path), Unquoted("a box that is not a number"), "finite boxes")
+        if self._export.is_relative:
+            height, width = fitted.pixels.shape[:2]
+            boxes = boxes * [width, height, width, height]
+        height, width = image.shape[:2]
+        boxes = clip_boxes(fitted.to_image(boxes), width_px=width, height_px=height)
+        order = np.argsort(-confidence, kind="stable")
+        order = order[(boxes[order, :2] < boxes[order, 2:]).all(axis=1)]  # some lie in the padding
+        if not self._export.is_suppressed:
+            kept = suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))
+            order = order[kept]
+        return ImageBoxes(
+            boxes_px=boxes[order],
+            class_ids=class_ids[order],
+            confidence=confidence[order],
+            kinds=self._export.kinds,
+        )
+
+
+def load_onnx_model(path: Path, *, classes: str | None = None, threads: int = 1) -> OnnxModel:
+    """Detector from an ONNX file.
+
+    A grey image is shown to the network once, to see what it gives. YOLOX is not told from
+    YOLOv5, but wants blue first, 0 .. 255, and gives steps of its grid for pixels: its boxes
+    come out wrong.
+
+    Parameters
+    ----------
+    path : Path
+        The file, as exported from torchvision, YOLO (v5, v8 and later, end to end) or DETR.
+    classes : str, optional
+        "coco80" or "coco91"; by default as the number of classes tells, 91 where the file gives
+        labels only. Class names in the file's metadata come first.
+    threads : int
+        That the runtime may use.
+
+    Returns
+    -------
+    model : OnnxModel
+        Ready.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is no detector.
+    MissingExtraError
+        onnxruntime is not installed.
+    """
+    if not path.is_file():
+        raise InputError(str(path), Unquoted("no such file"), "an ONNX file")
+    session = _open(path, threads)
+    side = onnx_setting("probe_px")
+    shape = (session.height_px or side, session.width_px or side, 3)
+    grey = np.full(shape, onnx_setting("fill"), dtype=np.uint8)
+    export = recognise_export(
+        session.run(grey, is_imagenet=False),
+        path=path,
+        names=session.class_names,
+        classes=classes,
+    )
+    return OnnxModel(path=path, _session=session, _export=export)
+
+
+def vru_boxes(found: ImageBoxes) -> VruBoxes:
+    """Persons and cyclists in an image.
+
+    A network that knows persons and bicycles finds a cyclist as either or both: the box around a
+    person and a bicycle that overlap is a cyclist, as sure as the less sure of them; so is each of
+    them alone, for the other may be missed. A detection is matched with one VRU: boxes too many
+    do no harm.
+
+    Parameters
+    ----------
+    found : ImageBoxes
+        Of one image.
+
+    Returns
+    -------
+    boxes : VruBoxes
+        By kind.
+    """
+    persons, bicycles, riders = (_of_kind(found, kind) for kind in ("person", "bicycle", "cyclist"))
+    overlap = iou(persons.boxes_px[:, None], bicycles.boxes_px[None]) > 0.0
+    rider, ridden = np.nonzero(overlap)
+    a, b = persons.boxes_px[rider], bicycles.boxes_px[ridden]
+    joined = ScoredBoxes(
+        boxes_px=np.concatenate([np.minimum(a, b)[:, :2], np.maximum(a, b)[:, 2:]], axis=1),
+        confidence=np.minimum(persons.confidence[rider], bicycles.confidence[ridden]),
+    )
+    parts = (joined, riders, persons, bicycles)
+    cyclists = ScoredBoxes(
+        boxes_px=np.concatenate([part.boxes_px for part in parts]),
+        confidence=np.concatenate([part.confidence for part in parts]),
+    )
+    return VruBoxes(persons=persons, cyclists=cyclists)
+
+
+def suppress(boxes_px: FloatArray, class_ids: IntArray, *, max_iou: float) -> IntArray:
+    """Boxes that no surer one of their class overlaps by much (greedy non-maximum suppression).
+
+    Parameters
+    ----------
+    boxes_px : (n, 4) float
+        Surest first. [px]
+    class_ids : (n,) int
+        Boxes of different classes do not compete.
+    max_iou : float
+        More than this is much.
+
+    Returns
+    -------
+    kept : (m,) int
+        Into `boxes_px`, in its order.
+    """
+    is_left: BoolArray = np.ones(len(boxes_px), dtype=bool)
+    for index in range(len(boxes_px)):
+        if is_left[index]:
+            later = index + 1 + np.flatnonzero(is_left[index + 1 :])
+            later = later[class_ids[later] == class_ids[index]]
+            is_left[later[iou(boxes_px[later], boxes_px[index]) > max_iou]] = False
+    return np.flatnonzero(is_left)
+
+
+def _fit(image: NDArray[np.uint8], session: _Session, stride_px: int) -> Letterbox:
+    """Image as the network wants it: scaled to fixed sides, padded to the grid along free ones."""
+    height, width = image.shape[:2]
+    sides = ((session.width_px, width), (session.height_px, height))
+    scale = min((fixed / side for fixed, side in sides if fixed is not None), default=1.0)
+    across, down = (
+        math.ceil(side * scale / stride_px) * stride_px if fixed is None else fixed
+        for fixed, side in sides
+    )
+    return letterbox(image, width_px=across, height_px=down, scale=scale)
+
+
+def _of_kind(found: ImageBoxes, kind: str) -> ScoredBoxes:
+    ids = [class_id for class_id, name in found.kinds.items() if name == kind]
+    mask = np.isin(found.class_ids, ids)
+    return ScoredBoxes(boxes_px=found.boxes_px[mask], confidence=found.confidence[mask])
+
+
+def _open(path: Path, threads: int) -> _Session:
+    try:
+        import onnxruntime
+    except ModuleNotFoundError:
+        raise MissingExtraError(
+            "an .onnx detector needs onnxruntime: pip install place-rsus[perception] "
+            "(in a checkout: uv run --extra perception place-rsus ..)"
+        ) from None
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.use_deterministic_compute = True
+    options.log_severity_level = 4  # what goes wrong is said once, by us
+    try:
+        session = onnxruntime.InferenceSession(
+            str(path), options, providers=["CPUExecutionProvider"]
+        )
+    except Exception as error:  # onnxruntime's own errors share no other base
+        raise InputError(str(path), _first_line(error), "an ONNX file") from None
+    inputs = session.get_inputs()
+    images = [entry for entry in inputs if entry.name not in _SIDE_INPUTS]
+    shape = list(images[0].shape) if len(images) == 1 else []
+    has_batch = len(shape) == 4
+    is_image = len(shape) in (3, 4) and _may_be(shape[-3], 3)
+    is_image = is_image and (not has_batch or _may_be(shape[0], 1))
+    if not is_image or images[0].type not in _PIXEL_TYPES:
+        got = ", ".join(f"{entry.name} {entry.type} {tuple(entry.shape)}" for entry in inputs)
+        raise InputError(str(path), Unquoted(f"inputs {got or 'none'}"), _IMAGE)
+    height, width = (side if isinstance(side, int) and side > 0 else None for side in shape[-2:])
+    return _Session(
+        path=path,
+        session=session,
+        image_input=images[0].name,
+        side_inputs=tuple(entry.name for entry in inputs if entry.name in _SIDE_INPUTS),
+        has_batch=has_batch,
+        height_px=height,
+        width_px=width,
+        pixel_type=_PIXEL_TYPES[images[0].type],
+        class_names=session.get_modelmeta().custom_metadata_map.get("names"),
+    )
+
+
+def _may_be(side: object, expected: int) -> bool:
+    """Whether a declared size is the expected one, or free."""
+    return not isinstance(side, int) or side in (expected, -1)
+
+
+def _first_line(error: Exception) -> Unquoted:
+    return Unquoted(str(error).strip().split("\n")[0] or type(error).__name__)
+
+
+# ---------- an exported neural network that looks at rendered pictures
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

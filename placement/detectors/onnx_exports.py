@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, softmax
 
 from geometry.errors import InputError, Unquoted
-from geometry.toml_files import load_toml, pick, take
+from geometry.files import load_toml, pick, take
 
 Array = NDArray[Any]
 Outputs = Mapping[str, Array]

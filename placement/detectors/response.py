@@ -5,7 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
+from geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    float_array,
+)
 from geometry.errors import InputError
 from geometry.image_boxes import box_height_px
 

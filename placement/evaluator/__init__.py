@@ -9,9 +9,13 @@ every frame, for roadside cameras and for the one that ``vut_camera`` places on 
 
 from .evaluate import evaluate_layout, evaluate_layouts
 from .perceive import perceive_from_roadside, perceive_from_vut
-from .render import STATIC, VRU, VUT, View
-from .surroundings import Surroundings, build_surroundings, render_frame
-from .vut_camera import VutCamera, load_vut_camera
+from .render import (
+    STATIC,
+    VRU,
+    VUT,
+    View,
+)
+from .surroundings import Surroundings, VutCamera, build_surroundings, load_vut_camera, render_frame
 
 __all__ = [
     "STATIC",

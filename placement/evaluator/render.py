@@ -14,8 +14,18 @@ from scipy.spatial import ConvexHull
 from geometry.actors import PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.image_boxes import mask_box
-from geometry.poses import Pose, body_rotation, camera_rotation, to_world
-from geometry.raycast import FloatRays, RayCaster, build_caster, ray_lengths_m
+from geometry.poses import (
+    Pose,
+    body_rotation,
+    camera_rotation,
+    to_world,
+)
+from geometry.raycast import (
+    FloatRays,
+    RayCaster,
+    build_caster,
+    ray_lengths_m,
+)
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, pixel_rays
 

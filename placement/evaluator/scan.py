@@ -20,8 +20,7 @@ from geometry.weather import Weather
 from ..detectors import VRU_CLASSES
 from .perceive import distances_m
 from .render import Solid
-from .surroundings import Surroundings, relative_road_poses
-from .vut_camera import VutCamera
+from .surroundings import Surroundings, VutCamera, relative_road_poses
 
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
 _SIGHTS_AT_ONCE = 256

@@ -2,12 +2,22 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
 
 import numpy as np
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, IntArray
+from geometry.catalogue import pick_camera
 from geometry.errors import InputError
+from geometry.files import (
+    load_toml,
+    pick,
+    take_number,
+    take_text,
+)
+from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose, body_rotation, wrap_deg
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
@@ -15,7 +25,16 @@ from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
 from ..detectors import VRU_CLASSES, vru_class
-from .render import Solid, View, build_body, build_lens, build_static, render_view
+from .render import (
+    Solid,
+    View,
+    build_body,
+    build_lens,
+    build_static,
+    render_view,
+)
+
+# ---------- everything that can be seen in the frames of some runs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -235,3 +254,63 @@ def _road_poses(position_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
 
 def _obstruction_key(run: Run) -> tuple[object, ...]:
     return tuple(parked.key for parked in run.obstruction)
+
+
+# ---------- the VUT's own camera
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VutCamera:
+    """A camera on the VUT, level and facing ahead.
+
+    Attributes
+    ----------
+    camera : CameraModel
+        What is mounted.
+    ahead_per_half_length : float
+        Distance ahead of the VUT's middle, as a share of half its length.
+    up_per_half_height : float
+        Height above the road, as a share of half the VUT's height.
+    """
+
+    camera: CameraModel
+    ahead_per_half_length: float
+    up_per_half_height: float
+
+    def pose_on(self, vut: Actor) -> Pose:
+        """Where it is in the body frame of a vehicle.
+
+        Parameters
+        ----------
+        vut : Actor
+            The vehicle.
+
+        Returns
+        -------
+        pose : Pose
+            Body frame of `vut`.
+        """
+        ahead_m = self.ahead_per_half_length * 0.5 * vut.length_m
+        up_m = self.up_per_half_height * 0.5 * vut.height_m
+        return Pose(position_m=np.array([ahead_m, 0.0, up_m]), yaw_deg=0.0)
+
+
+@cache
+def load_vut_camera() -> VutCamera:
+    """The study's camera, from ``data/vut_camera.toml``."""
+    where = "vut_camera.toml"
+    table = load_toml(files("placement") / "data" / where)
+    return VutCamera(
+        camera=pick_camera(take_text(table, "camera", where), f"{where}: camera"),
+        ahead_per_half_length=take_number(table, "ahead_per_half_length", where),
+        up_per_half_height=take_number(table, "up_per_half_height", where),
+    )
+
+
+@cache
+def load_vut_lidar() -> LidarModel:
+    """The study's LiDAR, at the camera's place, from ``data/vut_camera.toml``."""
+    where = "vut_camera.toml"
+    table = load_toml(files("placement") / "data" / where)
+    lidar: LidarModel = pick(load_lidars(), take_text(table, "lidar", where), f"{where}: lidar")
+    return lidar

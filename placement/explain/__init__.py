@@ -7,14 +7,11 @@ smallest set of ``demands`` that no layout meets and asks ``relaxing`` how littl
 both by the ``oracle``; ``wording`` says it in the words of the command line.
 """
 
-from .conflicts import Conflict, find_conflicts
+from .conflicts import Conflict, build_separation, find_conflicts, find_refusal
 from .contributions import Contribution, find_contributions
-from .demands import Demand, Separation
-from .hiding import Reason
+from .demands import Demand, Relaxation, Separation, relax
 from .pool import Pool, PooledSet, find_pool
-from .relaxing import Relaxation, relax
-from .unavoided import Rescue, Unavoided, find_unavoided
-from .wording import build_separation, find_refusal
+from .unavoided import Reason, Rescue, Unavoided, find_unavoided
 
 __all__ = [
     "Conflict",

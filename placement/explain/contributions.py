@@ -5,10 +5,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    freeze,
+)
 from scenarios.aeb import confirmation_mask
 
-from ..optimiser import PlacementProblem, PlacementValue, placement_value, run_margins_s
+from ..optimiser import (
+    PlacementProblem,
+    PlacementValue,
+    placement_value,
+    run_margins_s,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
+from math import comb
 from typing import Literal
 
 import numpy as np
@@ -16,12 +18,335 @@ from ..optimiser import (
     is_feasible,
     placement_value,
 )
-from ..optimiser.bitsets import set_values
-from ..optimiser.limits import COST_TOLERANCE_EUR
-from .every_set import Listed, list_every_set
-from .exchange import list_by_exchange
-from .rows import exceeds_clearly, first_column, threshold_of
-from .undominated import presolve_undominated
+from ..optimiser.bitsets import set_values, values_with_each
+from ..optimiser.greedy import extend_greedily, forced_units
+from ..optimiser.limits import COST_TOLERANCE_EUR, are_allowed, is_allowed
+from .feasible_sets import presolve_undominated
+from .set_values import (
+    LACKING,
+    QuickRows,
+    descending,
+    exceeds_clearly,
+    first_column,
+    is_within,
+    site_counts,
+    threshold_of,
+    ties_or_beats,
+)
+
+# ---------- all sets of poses gone through, K - 1 units at a time together with every pose
+
+
+_MAX_CONTENDERS = 20_000  # sets whose margins are told
+_PART_SETS = 1 << 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Listed:
+    """Sets of poses of a reduced problem, the best first.
+
+    Attributes
+    ----------
+    sets : tuple of (n_units,) int
+        Poses of the reduced problem.
+    rows : (n_sets, N_COLUMNS) float
+        What they are worth, see :func:`placement.optimiser.bitsets.set_values`.
+    n_within : int
+        Sets that were counted.
+    pose_count : (n_poses,) int
+        How many of these have each pose.
+    site_count : (n_sites,) int
+        How many of them have a unit at each site.
+    best : float
+        The best value of the first stage among them.
+    """
+
+    sets: tuple[IntArray, ...]
+    rows: FloatArray
+    n_within: int
+    pose_count: IntArray
+    site_count: IntArray
+    best: float
+
+
+def list_every_set(
+    reduced: ReducedProblem, threshold: float, *, n_sets: int, max_prefixes: int
+) -> Listed | None:
+    """The best sets of poses, and how often each pose appears in all within a threshold.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        What to choose from.
+    threshold : float
+        Of the first stage.
+    n_sets : int
+        How many to list.
+    max_prefixes : int
+        Give up if more sets than this have to be looked at together with every pose.
+
+    Returns
+    -------
+    listed : Listed or None
+        None: given up, for too many sets, or too many that only their margins tell apart.
+    """
+    most = reduced.limits.max_units
+    if sum(comb(reduced.n_poses, size) for size in range(most)) > max_prefixes:
+        return None
+    walk = _Walk(reduced, threshold, n_sets=n_sets)
+    for size in range(most):
+        for prefix in combinations(range(reduced.n_poses - 1), size):
+            walk.look_at(np.array(prefix, dtype=np.int64))
+            if walk.n_contenders > _MAX_CONTENDERS:
+                return None
+    return walk.listed()
+
+
+class _Walk:
+    """Counts of all sets so far, and those that may be among the best."""
+
+    def __init__(self, reduced: ReducedProblem, threshold: float, *, n_sets: int) -> None:
+        limits = reduced.limits
+        self.reduced, self.threshold, self.n_sets = reduced, threshold, n_sets
+        self.quick = QuickRows(reduced)
+        # What a set may lack and still grow.
+        self.growing = replace(
+            limits,
+            is_forced=np.zeros_like(limits.is_forced),
+            is_forced_site=np.zeros_like(limits.is_forced_site),
+        )
+        self.pose_count = np.zeros(reduced.n_poses, dtype=np.int64)
+        self.site_count = np.zeros(limits.n_sites, dtype=np.int64)
+        self.n_within = 0
+        self.best = -np.inf
+        self.contenders: list[tuple[IntArray, FloatArray]] = []  # by size: sets, quick rows
+        self.worst: FloatArray | None = None  # quick row of the last set that could be listed
+
+    @property
+    def n_contenders(self) -> int:
+        """Sets that may be among the best."""
+        return sum(len(sets) for sets, _ in self.contenders)
+
+    def look_at(self, prefix: IntArray) -> None:
+        """All sets of these units and one more, with a higher index."""
+        reduced = self.reduced
+        if len(prefix) and not are_allowed(self.growing, prefix[None, :])[0]:
+            return
+        last = int(prefix[-1]) + 1 if len(prefix) else 0
+        rows = self.quick.with_each(prefix)[last:]
+        reaches = (rows[:, LACKING] == 0.0) & is_within(
+            rows[:, first_column(reduced)], self.threshold
+        )
+        joined = np.flatnonzero(reaches) + last
+        sets = np.column_stack([np.tile(prefix, (len(joined), 1)), joined])
+        is_allowed = are_allowed(reduced.limits, sets)
+        sets, rows = sets[is_allowed], rows[joined - last][is_allowed]
+        if not len(sets):
+            return
+        self.n_within += len(sets)
+        self.best = max(self.best, float(rows[:, first_column(reduced)].max()))
+        np.add.at(self.pose_count, sets.ravel(), 1)
+        self.site_count += site_counts(reduced, sets)
+        if self.worst is not None:
+            may_be_listed = ties_or_beats(rows, self.worst)
+            sets, rows = sets[may_be_listed], rows[may_be_listed]
+        if len(sets):
+            self.contenders.append((sets, rows))
+            if self.n_contenders > 2 * self.n_sets:
+                self._drop_the_worst()
+
+    def _drop_the_worst(self) -> None:
+        """Keep what may be among the best: ties with the last one that would be listed stay."""
+        rows = np.concatenate([rows for _, rows in self.contenders])
+        if len(rows) <= self.n_sets:
+            return
+        self.worst = rows[descending(rows)[self.n_sets - 1]]
+        kept: dict[int, tuple[IntArray, FloatArray]] = {}
+        for sets, own in self.contenders:
+            stays = ties_or_beats(own, self.worst)
+            sets, own = sets[stays], own[stays]
+            size = sets.shape[1]
+            if size in kept:
+                sets = np.concatenate([kept[size][0], sets])
+                own = np.concatenate([kept[size][1], own])
+            kept[size] = sets, own
+        self.contenders = list(kept.values())
+
+    def listed(self) -> Listed:
+        """The best of all sets."""
+        self._drop_the_worst()
+        sets: list[IntArray] = []
+        rows = []
+        for of_size, _ in self.contenders:
+            for part in np.array_split(of_size, -(-len(of_size) // _PART_SETS) or 1):
+                rows.append(set_values(self.reduced, part))
+            sets += list(of_size)
+        values = np.concatenate(rows)
+        order = descending(values)[: self.n_sets]
+        return Listed(
+            sets=tuple(sets[index] for index in order),
+            rows=values[order],
+            n_within=self.n_within,
+            pose_count=self.pose_count,
+            site_count=self.site_count,
+            best=self.best,
+        )
+
+
+# ---------- good sets of poses by exchanging units one for one
+
+
+_FEW_SETS = 100  # up to so many are quicker one by one than by a look at all poses
+
+
+def list_by_exchange(
+    reduced: ReducedProblem,
+    start: IntArray,
+    *,
+    tolerance: float,
+    n_sets: int,
+    max_looks: int,
+) -> Listed:
+    """The best sets that exchanges lead to.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        What to choose from.
+    start : (n_units,) int
+        A set that meets limits and floors.
+    tolerance : float
+        By how much a set may be worse than the best in the first stage; relative where few units
+        or little money come first.
+    n_sets : int
+        How many to list.
+    max_looks : int
+        When to stop: looks at a set with one unit taken away, together with every pose.
+
+    Returns
+    -------
+    listed : Listed
+        Every set listed has been exchanged itself, unless the looks were used up. Beside `start`,
+        the best pose of each site, with what greedy choice adds to it, is a beginning.
+    """
+    search = _Exchange(reduced, tolerance=tolerance, n_sets=n_sets, max_looks=max_looks)
+    search.offer(start[None, :])
+    search.exchange_all()
+    for pose in _best_of_each_site(reduced):
+        if search.n_looks >= max_looks:
+            break
+        seed = np.unique(np.append(forced_units(reduced), pose))
+        units = extend_greedily(reduced, seed)
+        search.n_looks += len(units) - len(seed)
+        if is_allowed(reduced.limits, units):
+            search.offer(np.sort(units)[None, :])
+            search.exchange_all()
+    return search.listed()
+
+
+def _best_of_each_site(reduced: ReducedProblem) -> IntArray:
+    """The best single pose of every site, the best site first."""
+    usable = np.flatnonzero(~reduced.limits.is_forbidden)
+    rows = QuickRows(reduced).with_each(np.empty(0, dtype=np.int64))[usable]
+    ordered = usable[descending(rows)]
+    _, first = np.unique(reduced.limits.site_index[ordered], return_index=True)
+    return ordered[np.sort(first)]
+
+
+class _Exchange:
+    """The best sets so far."""
+
+    def __init__(
+        self, reduced: ReducedProblem, *, tolerance: float, n_sets: int, max_looks: int
+    ) -> None:
+        self.reduced, self.tolerance = reduced, tolerance
+        self.n_sets, self.max_looks = n_sets, max_looks
+        self.column = first_column(reduced)
+        self.quick = QuickRows(reduced)
+        self.rows: dict[tuple[int, ...], FloatArray] = {}
+        self.exchanged: set[tuple[int, ...]] = set()
+        self.best = -np.inf
+        self.n_looks = 0
+
+    @property
+    def threshold(self) -> float:
+        """What a set must reach in the first stage."""
+        return threshold_of(self.reduced, self.best, self.tolerance)
+
+    def offer(self, sets: IntArray) -> None:
+        """Take sets, (n, n_units), if they are among the best."""
+        if len(sets):
+            self._take(sets, set_values(self.reduced, sets))
+
+    def exchange_all(self) -> None:
+        """Exchange units of the sets listed until nothing new is listed, or looks are used up."""
+        while self.n_looks < self.max_looks:
+            key = next((key for key in self.rows if key not in self.exchanged), None)
+            if key is None:
+                return
+            self.exchanged.add(key)
+            units = np.array(key, dtype=np.int64)
+            if len(units) < self.reduced.limits.max_units:
+                self._look_at(units)
+            for position in range(len(units)):
+                left = np.delete(units, position)
+                if len(left) and are_allowed(self.reduced.limits, left[None, :])[0]:
+                    self.offer(left[None, :])
+                self._look_at(left)
+
+    def _look_at(self, left: IntArray) -> None:
+        """All sets of these units and one more."""
+        reduced = self.reduced
+        self.n_looks += 1
+        rows = self.quick.with_each(left)
+        comes_close = (rows[:, LACKING] == 0.0) & is_within(rows[:, self.column], self.threshold)
+        comes_close[left] = False
+        joined = np.flatnonzero(comes_close)
+        sets = np.sort(np.column_stack([np.tile(left, (len(joined), 1)), joined]), axis=1)
+        allowed = are_allowed(reduced.limits, sets)
+        joined, sets = joined[allowed], sets[allowed]
+        if len(sets) > _FEW_SETS:
+            self._take(sets, values_with_each(reduced, left)[joined])
+        else:
+            self.offer(sets)
+
+    def _take(self, sets: IntArray, rows: FloatArray) -> None:
+        meets = rows[:, LACKING] == 0.0
+        sets, rows = sets[meets], rows[meets]
+        if not len(sets):
+            return
+        self.best = max(self.best, float(rows[:, self.column].max()))
+        for index in descending(rows)[: self.n_sets]:
+            self.rows[tuple(sets[index].tolist())] = rows[index]
+        within = {
+            key: row
+            for key, row in self.rows.items()
+            if bool(is_within(float(row[self.column]), self.threshold))
+        }
+        keys = list(within)
+        order = descending(np.array(list(within.values())))[: self.n_sets]
+        self.rows = {keys[index]: within[keys[index]] for index in order}
+
+    def listed(self) -> Listed:
+        """The best sets."""
+        sets = tuple(np.array(key, dtype=np.int64) for key in self.rows)
+        pose_count = np.zeros(self.reduced.n_poses, dtype=np.int64)
+        site_count = np.zeros(self.reduced.limits.n_sites, dtype=np.int64)
+        for units in sets:
+            pose_count[units] += 1
+            site_count += site_counts(self.reduced, units[None, :])
+        return Listed(
+            sets=sets,
+            rows=np.array(list(self.rows.values())),
+            n_within=len(sets),
+            pose_count=pose_count,
+            site_count=site_count,
+            best=self.best,
+        )
+
+
+# ---------- other sets of poses that are as good as the best one
+
 
 Scope = Literal["all", "found"]
 

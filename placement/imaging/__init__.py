@@ -7,8 +7,14 @@ glare, ``imager`` exposes.
 ``cloud`` scans the same mesh with a LiDAR.
 """
 
-from .cloud import PointCloud, scan_cloud
-from .picture import Backdrop, Picture, build_backdrop, draw_picture, render_picture
+from .picture import (
+    Backdrop,
+    Picture,
+    build_backdrop,
+    draw_picture,
+    render_picture,
+)
+from .point_cloud import PointCloud, scan_cloud
 
 __all__ = [
     "Backdrop",

@@ -10,10 +10,26 @@ import numpy as np
 
 from geometry.arrays import float_array
 from geometry.errors import InputError
+from geometry.files import (
+    Table,
+    load_toml,
+    take,
+    take_number,
+)
 from geometry.raycast import FloatRays
-from geometry.toml_files import Table, load_toml, take, take_number
 
+from .ground import (
+    PAINT,
+    ROAD,
+    SKY,
+    GroundMap,
+    grain_at,
+    soft_noise_at,
+)
 from .mesh import Index, Thing
+
+# ---------- what surfaces send back
+
 
 _WHERE = "materials.toml"
 
@@ -233,3 +249,298 @@ def _albedo(values: Any, shape: tuple[int, ...], name: str) -> FloatRays:
 
 def _numbers(table: Table, name: str) -> dict[str, float]:
     return {key: take_number(table, key, f"{_WHERE}: {name}") for key in table}
+
+
+# ---------- patterns by position: what a spot of ground, facade, wall or post looks like
+
+
+_GRAIN_PER_M = (48.0, 384.0)  # texels of the grain, coarsest and finest
+_PATCH_M = 0.06  # size of the patches' texels
+_TEXELS = np.float32(2.7)  # of noise per window
+
+
+def coat_ground(
+    hits: Hits, ground: GroundMap, materials: Materials, *, wetness: float
+) -> tuple[Coat, FloatRays]:
+    """Road, paint, kerb, pavement, grass.
+
+    Parameters
+    ----------
+    hits : Hits
+        On the ground.
+    ground : GroundMap
+        Where road and paint are.
+    materials : Materials
+        What they look like.
+    wetness : float
+        Of the weather, 0 .. 1.
+
+    Returns
+    -------
+    coat : Coat
+        Of the hits.
+    sky_share : (n,) float32
+        Share of the sky's light that what stands around leaves.
+    """
+    east, north = np.ascontiguousarray(hits.points_m[:, 0]), hits.points_m[:, 1].copy()
+    layers = ground.sample(east, north)
+    road, pixel = layers[:, ROAD], hits.pixel_m
+    # About a texel per pixel; noise finer than a pixel would sparkle.
+    per_m = np.clip(np.exp2(np.floor(-np.log2(pixel))), *_GRAIN_PER_M).astype(np.float32)
+    grain = grain_at(ground.grain, east, north, per_m)
+    grain *= np.minimum(np.float32(1.0 / _GRAIN_PER_M[0]) / pixel, 1.0)
+    patches = soft_noise_at(ground.patches, east, north, texel_m=_PATCH_M)
+    albedo, pattern = materials.albedo, materials.pattern
+    colour = np.empty((len(east), 3), dtype=np.float32)
+    colour[...] = albedo["asphalt"]
+    wear = 1.0 - np.float32(materials.markings["wear"]) * np.clip(0.5 + 0.4 * patches, 0.0, 1.0)
+    painted = np.flatnonzero(layers[:, PAINT] < pixel)
+    share = cover(layers[painted, PAINT], pixel[painted]) * wear[painted]
+    under = colour[painted]
+    blend(under, albedo["paint"], share)
+    colour[painted] = under
+    beside = np.flatnonzero(road > -pixel)
+    if len(beside):
+        at, size = road[beside], pixel[beside]
+        spot = colour[beside]
+        blend(spot, albedo["kerb"], 1.0 - cover(at, size))
+        blend(spot, albedo["pavement"], 1.0 - cover(at - np.float32(pattern["kerb_m"]), size))
+        joints = _joints(east[beside], north[beside], pattern["slab_m"], size)
+        spot *= 1.0 - 0.25 * (joints * (at > pattern["kerb_m"]))[:, None]
+        verge = 1.0 - cover(at - np.float32(pattern["pavement_m"]), size + np.float32(0.1))
+        blend(spot, albedo["verge"] * (1.0 + 0.25 * patches[beside, None]), verge)
+        colour[beside] = spot
+    colour *= (1.0 + np.float32(0.07) * patches + np.float32(0.10) * grain).clip(0.5, 1.6)[:, None]
+    colour *= np.float32(1.0 - wetness * materials.gloss["wet_darkening"])
+    coat = Coat(
+        albedo=colour,
+        # Puddles: water lies where the patches are low.
+        mirror=np.float32(wetness * materials.gloss["water"])
+        * np.clip(1.2 - 0.5 * patches, 0.2, 2.0),
+        rough=np.float32(materials.gloss["wet_roughness"]) * (patches + 0.5 * grain),
+        glow=np.zeros_like(colour),
+    )
+    return coat, layers[:, SKY]
+
+
+def _joints(u: FloatRays, v: FloatRays, pitch_m: float, pixel_m: FloatRays) -> FloatRays:
+    """Share of each pixel that is joint in a square grid."""
+    half = np.float32(0.006)
+    share = np.zeros_like(u)
+    for axis in (u, v):
+        away = np.abs(axis / np.float32(pitch_m) - np.rint(axis / np.float32(pitch_m)))
+        distance = away * np.float32(pitch_m) - half
+        # A joint narrower than a pixel darkens it by its width only.
+        share += cover(distance, pixel_m) * np.minimum(2.0 * half / pixel_m, 1.0)
+    return np.minimum(share, 1.0)
+
+
+def coat_facade(hits: Hits, ground: GroundMap, materials: Materials, *, has_lamps: bool) -> Coat:
+    """Storeys of windows over a plinth; some are lit where lamps are.
+
+    Parameters
+    ----------
+    hits : Hits
+        On buildings.
+    ground : GroundMap
+        Has the noise.
+    materials : Materials
+        What facades look like.
+    has_lamps : bool
+        Of the weather.
+
+    Returns
+    -------
+    coat : Coat
+        Of the hits.
+    """
+    along, up = _wall_coordinates(hits)
+    pattern, albedo, pixel = materials.pattern, materials.albedo, hits.pixel_m
+    dirt = soft_noise_at(ground.patches, along, up, texel_m=0.04)
+    coat = _plain(albedo["facade"], 1.0 + 0.035 * dirt)
+    blend(coat.albedo, albedo["plinth"], cover(up - 0.6, pixel))
+    column = np.floor(along / np.float32(pattern["window_pitch_m"]))
+    storey = np.floor(up / np.float32(pattern["storey_m"]))
+    across = along - (column + np.float32(0.5)) * np.float32(pattern["window_pitch_m"])
+    above = up - storey * np.float32(pattern["storey_m"])
+    sill, top = pattern["window_sill_m"], pattern["window_top_m"]
+    edge = np.maximum(
+        np.abs(across) - np.float32(0.5 * pattern["window_width_m"]),
+        np.abs(above - np.float32(0.5 * (sill + top))) - np.float32(0.5 * (top - sill)),
+    )
+    is_wall = np.abs(hits.normals[:, 2]) < 0.5
+    away: FloatRays = np.where(is_wall, edge, np.float32(9.0)).astype(np.float32)
+    blend(coat.albedo, albedo["frame"], cover(away - np.float32(0.07), pixel))
+    glass: FloatRays = np.maximum(away, np.float32(0.03) - np.abs(across))
+    share = cover(glass, pixel)
+    blend(coat.albedo, albedo["pane"], share)
+    coat.mirror[...] = share * np.float32(materials.gloss["pane"])
+    if has_lamps:
+        # One value of noise per window.
+        chance = grain_at(ground.grain, column + 7.0 * storey, storey, np.full_like(along, _TEXELS))
+        is_lit = chance > np.float32(_normal_quantile(1.0 - pattern["lit_window_share"]))
+        light = materials.lit_window_colour * np.float32(pattern["lit_window_cdpm2"])
+        coat.glow[...] = (share * is_lit)[:, None] * light
+    return coat
+
+
+def coat_wall(hits: Hits, ground: GroundMap, materials: Materials) -> Coat:
+    """Concrete panels with a coping."""
+    along, up = _wall_coordinates(hits)
+    pitch = np.float32(materials.pattern["wall_panel_m"])
+    dirt = soft_noise_at(ground.patches, along, up, texel_m=0.03)
+    coat = _plain(materials.albedo["wall"], 1.0 + 0.10 * dirt)
+    away = np.abs(along / pitch - np.rint(along / pitch)) * pitch - np.float32(0.012)
+    thin = np.minimum(np.float32(0.024) / hits.pixel_m, 1.0)
+    coat.albedo[...] *= 1.0 - 0.45 * (cover(away, hits.pixel_m) * thin)[:, None]
+    is_top = (np.abs(hits.normals[:, 2]) > 0.5).astype(np.float32)
+    blend(coat.albedo, materials.albedo["coping"], is_top)
+    return coat
+
+
+def coat_plain(hits: Hits, ground: GroundMap, albedo: FloatRays) -> Coat:
+    """One colour with a little dirt: posts, plants."""
+    along, up = _wall_coordinates(hits)
+    return _plain(albedo, 1.0 + 0.06 * soft_noise_at(ground.patches, along, up, texel_m=0.05))
+
+
+def _plain(albedo: FloatRays, factor: FloatRays) -> Coat:
+    coat = blank_coat(len(factor))
+    coat.albedo[...] = np.clip(factor, 0.5, 1.5)[:, None] * albedo
+    return coat
+
+
+def _wall_coordinates(hits: Hits) -> tuple[FloatRays, FloatRays]:
+    """Along an upright face, and up."""
+    normals, points = hits.normals, hits.points_m
+    level: FloatRays = np.sqrt(normals[:, 0] * normals[:, 0] + normals[:, 1] * normals[:, 1])
+    np.maximum(level, np.float32(1e-6), out=level)
+    along: FloatRays = points[:, 1] * normals[:, 0] - points[:, 0] * normals[:, 1]
+    along /= level
+    return along, points[:, 2].copy()
+
+
+def _normal_quantile(share: float) -> float:
+    from statistics import NormalDist
+
+    return NormalDist().inv_cdf(share)
+
+
+# ---------- vehicles and people: colours by position in the body's own frame
+
+
+_WHEEL_M = 0.335  # radius of ordinary tyres
+_RIM_SHARE = 0.60
+
+
+def coat_vehicle(hits: Hits, things: Things, materials: Materials) -> Coat:
+    """Lacquer, glass, wheels, lamps, plates.
+
+    Parameters
+    ----------
+    hits : Hits
+        On vehicles.
+    things : Things
+        Where they stand.
+    materials : Materials
+        What they look like.
+
+    Returns
+    -------
+    coat : Coat
+        Of the hits.
+    """
+    x, y, z, facing = _into_body(hits, things)
+    length, width, height = things.size_m[hits.thing].T
+    side = np.abs(y)
+    front, rear = facing[:, 0] > 0.3, facing[:, 0] < -0.3
+    is_upright, level = facing[:, 2] < 0.84, z / height
+    is_van = height > 1.8
+    albedo = materials.albedo
+    coat = blank_coat(len(x))
+    coat.albedo[...] = things.colours[hits.thing, 0]
+    coat.mirror[...] = materials.gloss["lacquer"]
+    is_beside = np.abs(facing[:, 1]) > 0.6
+    pane_low = np.where(is_van, np.float32(0.60), np.float32(0.675))
+    pane = is_upright & (level > pane_low) & (level < 0.925)
+    # Beside: pillars, and a van's closed rear; ahead and behind: a frame of lacquer.
+    pillar = np.abs(x + np.float32(0.06) * length) < 0.05
+    closed = is_van & (x < 0.16 * length)
+    pane &= np.where(is_beside, ~(pillar | closed), side < 0.385 * width)
+    pane &= is_beside | front | (rear & ~is_van)
+    for name, where in (
+        ("pane", pane),
+        ("trim", level < 0.155),
+        ("trim", front & (side < 0.30 * width) & (level > 0.22) & (level < 0.40)),
+        ("plate", (front | rear) & (side < 0.26) & (level > 0.27) & (level < 0.345)),
+        (
+            "head-lamp",
+            front & (x > 0.36 * length) & (side > 0.26 * width) & (level > 0.40) & (level < 0.50),
+        ),
+        (
+            "tail-lamp",
+            rear & (x < -0.4 * length) & (side > 0.30 * width) & (level > 0.47) & (level < 0.62),
+        ),
+    ):
+        coat.albedo[where] = albedo[name]
+    is_dull = level < 0.155
+    for axle in things.axles_m[hits.thing].T:
+        from_hub = np.hypot(x - axle, z - np.float32(_WHEEL_M))
+        is_wheel = (from_hub < _WHEEL_M + 0.012) & (side > 0.5 * width - 0.32)
+        coat.albedo[is_wheel] = albedo["tyre"]
+        coat.albedo[is_wheel & (from_hub < _RIM_SHARE * _WHEEL_M)] = albedo["rim"]
+        is_dull |= is_wheel
+    coat.mirror[is_dull] = 0.0
+    return coat
+
+
+def coat_pedestrian(hits: Hits, things: Things, materials: Materials) -> Coat:
+    """Shoes, trousers, top, hands, face, hair: by height."""
+    x, y, z, _ = _into_body(hits, things)
+    _, width, height = things.size_m[hits.thing].T
+    level, albedo = z / height, materials.albedo
+    coat = blank_coat(len(x))
+    coat.albedo[...] = things.colours[hits.thing, 0]
+    is_leg = level < 0.50
+    # Arms hang beside the hips: sleeves down to the wrists, then hands.
+    is_arm = (np.abs(y) > 0.36 * width) & (level > 0.34)
+    coat.albedo[is_leg & ~is_arm] = things.colours[hits.thing, 1][is_leg & ~is_arm]
+    coat.albedo[is_arm & (level < 0.435)] = albedo["skin"]
+    coat.albedo[level < 0.045] = albedo["shoes"]
+    coat.albedo[level > 0.835] = albedo["skin"]
+    is_hair = (level > 0.945) | ((level > 0.875) & (x < 0.012 * height))
+    coat.albedo[is_hair] = albedo["hair"]
+    return coat
+
+
+def coat_cyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
+    """Bicycle, shoes, trousers, top, hands, face, helmet."""
+    x, y, z, _ = _into_body(hits, things)
+    side, albedo = np.abs(y), materials.albedo
+    is_bicycle = (z < 0.86) & ((side < 0.055) | (x > 0.30))
+    is_tyre = is_bicycle & (np.minimum(np.abs(x - 0.59), np.abs(x + 0.62)) < 0.37) & (side < 0.03)
+    coat = blank_coat(len(x))
+    coat.albedo[...] = things.colours[hits.thing, 0]
+    is_leg = (z < 1.06) & (x < 0.30)
+    coat.albedo[is_leg] = things.colours[hits.thing, 1][is_leg]
+    coat.albedo[(z < 0.32) & (side > 0.055)] = albedo["shoes"]
+    coat.albedo[is_bicycle] = albedo["bicycle"]
+    coat.albedo[is_tyre] = albedo["tyre"]
+    coat.albedo[(x > 0.30) & (z > 0.86) & (z < 1.2)] = albedo["bicycle"]
+    coat.albedo[(x > 0.30) & (side > 0.165) & (z > 1.04) & (z < 1.2)] = albedo["skin"]
+    coat.albedo[z > 1.52] = albedo["skin"]
+    coat.albedo[z > 1.695] = albedo["helmet"]
+    return coat
+
+
+def _into_body(hits: Hits, things: Things) -> tuple[FloatRays, FloatRays, FloatRays, FloatRays]:
+    """Ahead, left and up in the body's frame, and the normals there."""
+    offset = hits.points_m - things.middle_m[hits.thing]
+    cos, sin = things.ahead[hits.thing].T
+    facing = np.empty_like(hits.normals)
+    facing[:, 0] = cos * hits.normals[:, 0] + sin * hits.normals[:, 1]
+    facing[:, 1] = cos * hits.normals[:, 1] - sin * hits.normals[:, 0]
+    facing[:, 2] = hits.normals[:, 2]
+    x = cos * offset[:, 0] + sin * offset[:, 1]
+    y = cos * offset[:, 1] - sin * offset[:, 0]
+    return x, y, offset[:, 2], facing

@@ -3,14 +3,15 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from geometry.actors import PlacedActor
-from geometry.arrays import IntArray
+from geometry.arrays import FloatArray, IntArray
+from geometry.files import take, take_number
 from geometry.poses import Pose, camera_rotation
 from geometry.raycast import FloatRays
 from geometry.scene import Scene
@@ -18,15 +19,293 @@ from geometry.sensors import CameraModel
 from geometry.weather import Weather
 from scenarios.runs import Run
 
-from .air import add_glare, add_rain
-from .edges import find_edges, smooth_pixels
+from .camera import develop, load_imager, white_luminance
 from .ground import GroundMap, build_ground_map
-from .imager import develop, load_imager, white_luminance
-from .lamps import Lamp, StreetLamp, build_headlights, build_street_lamps
-from .materials import build_things, load_materials
-from .mesh import Mesh, build_frame_mesh, build_static_mesh, vut_pose
-from .shading import Shot, shade_rays, tile_rays
-from .sky import build_sky
+from .light import (
+    Lamp,
+    Sky,
+    StreetLamp,
+    build_headlights,
+    build_sky,
+    build_street_lamps,
+    illuminance,
+    load_lamp_table,
+)
+from .materials import (
+    Coat,
+    Hits,
+    Materials,
+    Things,
+    build_things,
+    coat_cyclist,
+    coat_facade,
+    coat_ground,
+    coat_pedestrian,
+    coat_plain,
+    coat_vehicle,
+    coat_wall,
+    load_materials,
+)
+from .mesh import (
+    ROUND,
+    FrameMesh,
+    Index,
+    Mesh,
+    build_frame_mesh,
+    build_static_mesh,
+    vut_pose,
+)
+from .rain_and_glare import add_glare, add_rain
+
+# ---------- some rows of a picture
+
+
+_OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
+_LEAST_MIRROR = 0.012  # share; less is not worth a ray
+_GRAZING = np.float32(0.02)  # cosine: no pixel is longer on a surface
+# Schlick: towards grazing angles everything is mirrored; of glass, 24 times what is head-on.
+_GRAZING_GAIN = np.float32(24.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shot:
+    """All that a picture is made from.
+
+    Attributes
+    ----------
+    R_world_camera : (3, 3) float
+        Where the camera looks.
+    camera : CameraModel
+        Intrinsics.
+    mesh : FrameMesh
+        What there is; its origin is at the camera.
+    things : Things
+        Of the mesh, as arrays.
+    materials : Materials
+        What they look like.
+    ground : GroundMap
+        The road plane.
+    sky : Sky
+        Sun, sky and air.
+    lamps : tuple of Lamp
+        Those that are on.
+    weather : Weather
+        Wetness, lamps.
+    """
+
+    R_world_camera: FloatArray
+    camera: CameraModel
+    mesh: FrameMesh
+    things: Things
+    materials: Materials
+    ground: GroundMap
+    sky: Sky
+    lamps: tuple[Lamp, ...]
+    weather: Weather
+
+
+def shade_rays(shot: Shot, ways: FloatRays) -> tuple[FloatRays, Index, FloatRays]:
+    """Draw what some rays see.
+
+    Parameters
+    ----------
+    shot : Shot
+        What is drawn.
+    ways : (n, 3) float32
+        From the camera, one metre deep; axes as the world's.
+
+    Returns
+    -------
+    radiance : (n, 3) float32
+        Linear red, green, blue. [cd/m^2]
+    instance : (n,) int32
+        Things; -1 for sky.
+    depth_m : (n,) float32
+        Infinite for sky. [m]
+    """
+    camera, mesh, sky = shot.camera, shot.mesh, shot.sky
+    length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
+    near = np.float32(camera.near_m) / length  # rays start where drawing starts
+    depth, triangle = mesh.caster.first_triangle(near[:, None] * ways, ways)
+    depth = depth + near
+    is_hit = triangle >= 0
+    instance = np.full(len(ways), -1, dtype=np.int32)
+    radiance = np.empty((len(ways), 3), dtype=np.float32)
+    nothing = np.flatnonzero(~is_hit)
+    radiance[nothing] = sky.luminance(ways[nothing, 2] / length[nothing])
+    met = np.flatnonzero(is_hit)
+    instance[met] = mesh.triangle_thing.take(triangle[met])
+    kinds = _kinds(shot)[instance]
+    for kind in np.unique(kinds[met]).tolist():
+        index = np.flatnonzero(is_hit & (kinds == kind))
+        ahead = ways[index] / length[index, None]
+        distance = depth[index] * length[index]
+        hits = _look(shot, ahead, distance, triangle[index], is_round=_CLASSES[kind] in ROUND)
+        light = _shade(shot, _CLASSES[kind], hits, ahead)
+        sky.fade(light, distance)
+        radiance[index] = light
+    return radiance, instance, depth
+
+
+_CLASSES = (
+    "ground",
+    "building",
+    "wall",
+    "vegetation",
+    "lamp post",
+    "traffic light",
+    "parked vehicle",
+    "vehicle",
+    "pedestrian",
+    "cyclist",
+)
+
+
+def _kinds(shot: Shot) -> NDArray[np.int8]:
+    return np.array([_CLASSES.index(thing.class_name) for thing in shot.mesh.things], dtype=np.int8)
+
+
+def tile_rays(shot: Shot, rows: slice, columns: slice) -> FloatRays:
+    """Ways through the middles of a tile's pixels, one metre deep, (n, 3)."""
+    camera = shot.camera
+    focal = camera.focal_length_px
+    across = (np.arange(columns.start, columns.stop) + 0.5 - 0.5 * camera.width_px) / focal
+    down = (np.arange(rows.start, rows.stop) + 0.5 - 0.5 * camera.height_px) / focal
+    rotation = shot.R_world_camera
+    right = (across[:, None] * rotation[:, 0]).astype(np.float32)
+    ahead = (down[:, None] * rotation[:, 1] + rotation[:, 2]).astype(np.float32)
+    return (ahead[:, None] + right[None]).reshape(-1, 3)
+
+
+def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRays:
+    """Ways through points of the image, one metre deep, (n, 3)."""
+    camera = shot.camera
+    in_camera = np.empty((len(columns_px), 3), dtype=np.float32)
+    in_camera[:, 0] = (columns_px - 0.5 * camera.width_px) / camera.focal_length_px
+    in_camera[:, 1] = (rows_px - 0.5 * camera.height_px) / camera.focal_length_px
+    in_camera[:, 2] = 1.0
+    ways: FloatRays = in_camera @ shot.R_world_camera.T.astype(np.float32)
+    return ways
+
+
+def _look(
+    shot: Shot, ahead: FloatRays, distance: FloatRays, triangle: IntArray, *, is_round: bool
+) -> Hits:
+    """Points, normals and the size of pixels there."""
+    mesh = shot.mesh
+    local = ahead * distance[:, None]
+    flat = mesh.normals[:, 0].take(triangle, axis=0)
+    normals = _round_normals(mesh, triangle, local) if is_round else flat
+    cosine = np.einsum("ij,ij->i", normals, ahead)
+    normals[cosine > 0.0] *= -1.0
+    pixel = distance * np.float32(1.0 / shot.camera.focal_length_px)
+    pixel /= np.sqrt(np.maximum(np.abs(cosine), _GRAZING))
+    return Hits(
+        points_m=local + mesh.origin_m.astype(np.float32),
+        normals=normals,
+        thing=mesh.triangle_thing.take(triangle),
+        distance_m=distance,
+        pixel_m=pixel,
+    )
+
+
+def _round_normals(mesh: FrameMesh, triangle: IntArray, points: FloatRays) -> FloatRays:
+    """Normals at points in triangles, between those of the corners."""
+    corners, normals = mesh.corners_m.take(triangle, axis=0), mesh.normals.take(triangle, axis=0)
+    a, b, c = np.swapaxes(corners, 0, 1)
+    whole = np.cross(b - a, c - a)
+    area = np.maximum(np.einsum("ij,ij->i", whole, whole), np.float32(1e-20))
+    offset = points - a
+    share_b = np.einsum("ij,ij->i", np.cross(offset, c - a), whole) / area
+    share_c = np.einsum("ij,ij->i", np.cross(b - a, offset), whole) / area
+    shares = np.clip(np.stack([1.0 - share_b - share_c, share_b, share_c], axis=1), 0.0, 1.0)
+    mean = np.einsum("ij,ijk->ik", shares, normals)
+    length = np.linalg.norm(mean, axis=1, keepdims=True)
+    between: FloatRays = np.where(
+        length > 1e-3, mean / np.maximum(length, np.float32(1e-3)), normals[:, 0]
+    )
+    return between
+
+
+def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> FloatRays:
+    """Luminance of surfaces towards the camera, (n, 3), in cd/m^2."""
+    sky_share = None
+    if class_name == "ground":
+        coat, sky_share = coat_ground(
+            hits, shot.ground, shot.materials, wetness=shot.weather.wetness
+        )
+    else:
+        coat = _coat(shot, class_name, hits)
+    light = illuminance(
+        hits,
+        caster=shot.mesh.caster,
+        origin_m=shot.mesh.origin_m.astype(np.float32),
+        sky=shot.sky,
+        lamps=shot.lamps,
+        sky_share=sky_share,
+        ground_albedo=_ground_albedo(),
+    )
+    light *= coat.albedo
+    light *= np.float32(1.0 / np.pi)
+    light += coat.glow
+    _add_mirrored(shot, light, coat, hits, ahead)
+    return light
+
+
+def _coat(shot: Shot, class_name: str, hits: Hits) -> Coat:
+    materials, ground = shot.materials, shot.ground
+    match class_name:
+        case "building":
+            return coat_facade(hits, ground, materials, has_lamps=shot.weather.has_lamps)
+        case "wall":
+            return coat_wall(hits, ground, materials)
+        case "pedestrian":
+            return coat_pedestrian(hits, shot.things, materials)
+        case "cyclist":
+            return coat_cyclist(hits, shot.things, materials)
+        case "vehicle" | "parked vehicle":
+            return coat_vehicle(hits, shot.things, materials)
+    return coat_plain(hits, ground, materials.albedo[class_name.replace(" ", "-")])
+
+
+def _add_mirrored(shot: Shot, light: FloatRays, coat: Coat, hits: Hits, ahead: FloatRays) -> None:
+    """What glass, lacquer and water mirror: sky, or things without their own shadows."""
+    cosine = np.einsum("ij,ij->i", hits.normals, ahead)  # negative
+    away = 1.0 + cosine
+    share = coat.mirror * (1.0 + _GRAZING_GAIN * away**5)
+    mirrors = np.flatnonzero(share > _LEAST_MIRROR)
+    if not len(mirrors):
+        return
+    normals = hits.normals[mirrors]
+    ways = ahead[mirrors] - 2.0 * cosine[mirrors, None] * normals
+    ways[:, 2] += coat.rough[mirrors]
+    starts = hits.points_m[mirrors] - shot.mesh.origin_m.astype(np.float32)
+    starts += np.float32(_OFF_SURFACE_M) * normals
+    distance, triangle = shot.mesh.caster.first_triangle(starts, ways)
+    seen = shot.sky.luminance(ways[:, 2])
+    things = np.flatnonzero(triangle >= 0)
+    met = triangle[things]
+    facing = shot.mesh.normals[met, 0]
+    upness = facing[:, 2:]
+    sun = np.maximum(facing @ shot.sky.to_sun.astype(np.float32), 0.0)[:, None]
+    lux = (0.5 + 0.5 * upness) * shot.sky.sky_lux.astype(np.float32)
+    lux += _ground_albedo() * (0.5 - 0.5 * upness) * shot.sky.sky_lux.astype(np.float32)
+    lux += sun * shot.sky.sun_lux.astype(np.float32)
+    albedo = shot.things.mean_albedo[shot.mesh.triangle_thing[met]]
+    lux *= albedo * np.float32(1.0 / np.pi)
+    shot.sky.fade(lux, distance[things])
+    seen[things] = lux
+    light[mirrors] += np.minimum(share[mirrors], 0.9)[:, None] * seen
+
+
+@cache
+def _ground_albedo() -> float:
+    table = take(load_lamp_table(), "sky", "lamps.toml")
+    return take_number(table, "ground_albedo", "lamps.toml: sky")
+
+
+# ---------- pictures of a frame: colours, instances and depths, one ray per pixel
+
 
 _EDGES = 12_000  # pixels that are smoothed at a time
 _TILE_PX = (90, 480)  # rows, columns drawn at a time: fit into a cache, and are near few lamps
@@ -236,3 +515,73 @@ def draw_picture(
         depth_m=depth_m,
         names=tuple(thing.name for thing in mesh.things),
     )
+
+
+# ---------- pixels on edges, seen by several rays: no stairs along kerbs, roofs and shadows
+
+
+_CONTRAST = 0.35  # between neighbours, of their mean: more is an edge
+# Four points of a square, turned so that no two share a row or a column.
+_OFFSETS_PX = ((0.125, 0.375), (-0.375, 0.125), (0.375, -0.125), (-0.125, -0.375))
+
+
+def find_edges(radiance: FloatRays, tile_px: tuple[int, int]) -> IntArray:
+    """Pixels that differ much from one beside or below.
+
+    Parameters
+    ----------
+    radiance : (h, w, 3) float32
+        The image. [cd/m^2]
+    tile_px : tuple of int
+        Rows and columns of a tile.
+
+    Returns
+    -------
+    pixels : (n,) int
+        Row * w + column, tile by tile.
+    """
+    green = np.ascontiguousarray(radiance[..., 1])
+    is_edge = np.zeros(green.shape, dtype=bool)
+    for one, other in (
+        (np.s_[:, :-1], np.s_[:, 1:]),
+        (np.s_[:-1], np.s_[1:]),
+    ):
+        a, b = green[one], green[other]
+        differs = np.abs(a - b) > np.float32(0.5 * _CONTRAST) * (a + b)
+        is_edge[one] |= differs
+        is_edge[other] |= differs
+    rows, columns = np.nonzero(is_edge)
+    order = np.lexsort((columns // tile_px[1], rows // tile_px[0]))
+    pixels: IntArray = (rows * green.shape[1] + columns)[order]
+    return pixels
+
+
+def smooth_pixels(shot: Shot, pixels: IntArray, radiance: FloatRays) -> FloatRays:
+    """Luminance of pixels as the mean over several rays.
+
+    Parameters
+    ----------
+    shot : Shot
+        What is drawn.
+    pixels : (n,) int
+        Row * w + column.
+    radiance : (n, 3) float32
+        What the rays through their middles saw. [cd/m^2]
+
+    Returns
+    -------
+    mean : (n, 3) float32
+        Over these and four rays more. [cd/m^2]
+    """
+    rows, columns = np.divmod(pixels, shot.camera.width_px)
+    ways = [
+        pixel_rays(
+            shot,
+            (columns + (0.5 + across)).astype(np.float32),
+            (rows + (0.5 + down)).astype(np.float32),
+        )
+        for across, down in _OFFSETS_PX
+    ]
+    more, _, _ = shade_rays(shot, np.concatenate(ways))
+    mean: FloatRays = (radiance + more.reshape(len(ways), -1, 3).sum(axis=0)) / (1.0 + len(ways))
+    return mean

@@ -9,10 +9,10 @@ margin, cost; solve.py calls it all, large.py for tables that no model takes. fe
 which wish cannot be met.
 """
 
-from .effort import Effort
 from .feasibility import UnmetError
 from .greedy import solve_greedy
 from .limits import Limits, cost_eur, is_allowed
+from .milp import Effort
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
     Floor,

@@ -9,9 +9,14 @@ from threadpoolctl import threadpool_limits
 
 from geometry.arrays import IntArray
 
+from .bounds import (
+    Coverage,
+    ValueArray,
+    can_matter,
+    gains,
+)
 from .branch_and_bound import branch_and_bound
-from .coverage import Coverage, ValueArray, can_matter, gains
-from .lazy_greedy import lazy_greedy, round_shares, search_around
+from .greedy import lazy_greedy, round_shares, search_around
 from .multipliers import Columns, generate_columns, worthiest
 from .relaxation import polish
 
@@ -35,7 +40,7 @@ class Cover:
         No feasible set is worth more.
     multipliers : (n_rows,) float
         Which prove a limit by themselves, that of the root: see
-        :func:`placement.optimiser.coverage.prove`.
+        :func:`placement.optimiser.bounds.prove`.
     root_limit : float
         That limit; `limit` is lower if branching has proven more.
     n_poses_left : int

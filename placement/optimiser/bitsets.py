@@ -9,9 +9,13 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .limits import cost_eur, costs_eur
-from .measure import Measure
-from .presolve import ReducedProblem, WordArray, pack_words, unpack_words
-from .problem import TOLERANCE
+from .presolve import (
+    ReducedProblem,
+    WordArray,
+    pack_words,
+    unpack_words,
+)
+from .problem import TOLERANCE, Measure
 
 N_COLUMNS = 8
 """Columns of the values by which sets of poses are compared, from left to right."""

@@ -16,8 +16,13 @@ from threadpoolctl import threadpool_limits
 
 from geometry.arrays import FloatArray, IntArray
 
-from .coverage import Bound, Coverage, ValueArray, can_matter
-from .lazy_greedy import fill, swap
+from .bounds import (
+    Bound,
+    Coverage,
+    ValueArray,
+    can_matter,
+)
+from .greedy import fill, swap
 from .multipliers import tighten
 
 _ROOT_STEPS = 300

@@ -7,17 +7,36 @@ cuts.py take minutes.
 """
 
 import time
-from itertools import chain, combinations
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import chain, combinations, pairwise
 from math import comb
 
 import numpy as np
+from numpy.typing import NDArray
 
-from geometry.arrays import FloatArray, IntArray
+from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .bitsets import best_row, best_set, exceeds, set_values, union_apr, unions_of
-from .limits import are_allowed
+from .bitsets import (
+    best_row,
+    best_set,
+    exceeds,
+    set_values,
+    union_apr,
+    unions_of,
+)
+from .bounds import Coverage, ValueArray
+from .limits import (
+    COST_TOLERANCE_EUR,
+    Limits,
+    are_allowed,
+    costs_eur,
+)
 from .presolve import ReducedProblem
 from .problem import TOLERANCE
+
+# ---------- all layouts that could still be better, gone through one by one
+
 
 MAX_UNITS = 3
 _PART_SETS = 1 << 14
@@ -145,3 +164,293 @@ def _triples(table: FloatArray, max_sets: int) -> IntArray | None:
         which, thirds = np.nonzero(is_in[seconds] & is_in[first])
         triples.append(np.column_stack([np.full(len(thirds), first), seconds[which], thirds]))
     return np.concatenate(triples)
+
+
+# ---------- all sets of up to three poses that are worth more than a need: exact, no solver
+
+
+MAX_POSES = 6000  # the table of pairs takes 4 bytes each: 144 MB
+_SLACK = 2.0e-6  # relative: the table of pairs, in float32, errs by less
+_FIRST_ROWS = 8
+_BLOCK_SETS = 1 << 15
+_BATCH_TRIPLES = 1 << 25
+_MAX_SETS = 10_000_000
+_BLOCK_SECONDS = 64
+_SAMPLE = 4096
+
+PairArray = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SmallSets:
+    """Sets that are worth more than a need.
+
+    Attributes
+    ----------
+    sets : (n_sets, n_units) int
+        Feasible, poses ascending in each, all that there are.
+    values : (n_sets,) float
+        f of each.
+    n_looked_at : int
+        Sets that were looked at one by one.
+    """
+
+    sets: IntArray
+    values: FloatArray
+    n_looked_at: int
+
+
+def best_sets(
+    coverage: Coverage, need: float, *, max_triples: float = 1e9, workers: int = 1
+) -> SmallSets | None:
+    """Find every feasible set of ``max_units`` poses, at most three, worth more than a need.
+
+    Parameters
+    ----------
+    coverage : Coverage
+        What to choose from, up to 6000 poses.
+    need : float
+        What a set must be worth more than: an incumbent's value less a tolerance. A tolerance
+        below the rounding of the values, 6e-8 of them in float32, asks for float64 values.
+    max_triples : float
+        Give up if so many are left after the first apex; their number is counted before they are
+        gone through, some ten million a second.
+    workers : int
+        Threads.
+
+    Returns
+    -------
+    found : SmallSets or None
+        None: given up, or ten million sets are worth more.
+
+    Raises
+    ------
+    ValueError
+        More than three units or 6000 poses.
+    """
+    n_units = coverage.supply.max_units
+    if not 1 <= n_units <= MAX_UNITS or coverage.n_poses > MAX_POSES:
+        raise ValueError(
+            f"got {n_units} units and {coverage.n_poses} poses; "
+            f"expected 1 to {MAX_UNITS} units and up to {MAX_POSES} poses"
+        )
+    values = np.maximum(coverage.values, coverage.floor)
+    single = values.sum(axis=1, dtype=np.float64)
+    order = np.argsort(-single, kind="stable")
+    best = float(values.max(axis=0, initial=0.0).sum(dtype=np.float64))
+    rough, rough_need = values[order].astype(np.float32), need - _SLACK * best
+    if n_units == 1:
+        candidates = np.flatnonzero(single[order] > rough_need)[:, None]
+    else:
+        pairs = _pair_values(rough, workers)
+        if n_units == 2:
+            candidates = np.argwhere(np.triu(pairs > rough_need, k=1))
+        else:
+            counts = _count_triples(pairs, rough_need)
+            if counts.sum() > max_triples:
+                return None
+            found: list[IntArray] = [np.empty((0, 3), dtype=np.int64)]
+            batch = np.cumsum(counts) // _BATCH_TRIPLES  # of each apex
+            for number in np.unique(batch):
+                triples = _triples_small_sets(
+                    pairs, rough_need, np.flatnonzero(batch == number), workers
+                )
+                found.append(_thinned(values[order], triples, rough_need, workers))
+                if sum(map(len, found)) > _MAX_SETS:
+                    return None
+            candidates = np.concatenate(found)
+    sets = np.sort(order[candidates], axis=1)
+    sets = sets[coverage.supply.allows_each(sets)]
+    worth = np.concatenate(
+        [np.zeros(0)]
+        + [
+            values[sets[first : first + _BLOCK_SETS]].max(axis=1).sum(axis=1, dtype=np.float64)
+            for first in range(0, len(sets), _BLOCK_SETS)
+        ]
+    )
+    is_enough = worth > need
+    return SmallSets(sets=sets[is_enough], values=worth[is_enough], n_looked_at=len(candidates))
+
+
+def _pair_values(values: ValueArray, workers: int) -> PairArray:
+    """F of every pair, (n_poses, n_poses); f of one pose on the diagonal."""
+    n_poses = len(values)
+    pairs = np.empty((n_poses, n_poses), dtype=np.float32)
+
+    def work(pose: int) -> None:
+        later = slice(pose, n_poses)
+        pairs[pose, later] = np.maximum(values[later], values[pose]).sum(axis=1, dtype=np.float64)
+        pairs[later, pose] = pairs[pose, later]
+
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(work, range(n_poses)))
+    return pairs
+
+
+def _partners(pairs: PairArray, need: float, apex: int) -> tuple[IntArray, IntArray]:
+    """Later poses, the one that adds most to the apex first; and up to where each finds a third.
+
+    The a-th and the b-th of them, a < b, add enough together if b is less than the a-th limit.
+    """
+    gain = pairs[apex, apex + 1 :] - pairs[apex, apex]
+    order = np.argsort(-gain)
+    falling = -gain[order]
+    limit = np.searchsorted(falling, -falling - np.float32(need - pairs[apex, apex]), side="left")
+    return order + apex + 1, limit
+
+
+def _count_triples(pairs: PairArray, need: float) -> IntArray:
+    """Triples that the apex of their best pose leaves over, by that pose."""
+    counts = np.zeros(max(len(pairs) - 2, 0), dtype=np.int64)
+    for apex in range(len(counts)):
+        _, limit = _partners(pairs, need, apex)
+        counts[apex] = np.maximum(limit - np.arange(1, len(limit) + 1), 0).sum()
+    return counts
+
+
+def _triples_small_sets(pairs: PairArray, need: float, apexes: IntArray, workers: int) -> IntArray:
+    """Triples whose best pose is one of some, that all three apexes leave over, (n, 3)."""
+    single = np.diagonal(pairs)
+
+    def work(apex: int) -> list[IntArray]:
+        partners, limit = _partners(pairs, need, apex)
+        # Seen from j, i and k must add enough to it: f({j, k}) > need + f({j}) - f({i, j}).
+        least = (need + single - pairs[apex])[partners]
+        found = []
+        for first in range(0, len(partners), _BLOCK_SECONDS):
+            last = int(limit[first])
+            if last <= first + 1:
+                break
+            seconds, thirds = slice(first, first + _BLOCK_SECONDS), slice(first + 1, last)
+            block = pairs.take(partners[seconds], axis=0).take(partners[thirds], axis=1)
+            is_enough = block > least[seconds, None]
+            is_enough &= block > least[thirds]
+            second, third = np.nonzero(is_enough)
+            second, third = second + first, third + first + 1
+            counts = (third > second) & (third < limit[second])
+            second, third = partners[second[counts]], partners[third[counts]]
+            found.append(np.column_stack([np.full(len(second), apex), second, third]))
+        return found
+
+    with ThreadPoolExecutor(workers) as pool:
+        parts = [part for found in pool.map(work, apexes.tolist()) for part in found]
+    return np.concatenate([np.empty((0, 3), dtype=np.int64), *parts])
+
+
+def _thinned(values: FloatArray, sets: IntArray, need: float, workers: int) -> IntArray:
+    """Sets that are worth more than a need, looked at a few rows at a time.
+
+    What a set falls short of the best of all poses adds up row by row; most have fallen short by
+    too much after the rows in which sets differ most.
+    """
+    if len(sets) == 0:
+        return sets
+    best = values.max(axis=0)
+    short = (best - values).astype(np.float32)
+    allowed = np.float32(best.sum(dtype=np.float64) - need)
+    sample = sets[:: max(1, len(sets) // _SAMPLE)]
+    order = np.argsort(-short[sample].min(axis=1).mean(axis=0), kind="stable")
+    bounds = [0]
+    while bounds[-1] < len(order):
+        bounds.append(min(len(order), max(_FIRST_ROWS, 2 * bounds[-1])))
+    parts = [np.ascontiguousarray(short[:, order[first:last]]) for first, last in pairwise(bounds)]
+
+    def work(first: int) -> IntArray:
+        left = sets[first : first + _BLOCK_SETS]
+        so_far = np.zeros(len(left), dtype=np.float32)
+        for part in parts:
+            least = part.take(left[:, 0], axis=0)
+            for pose in left.T[1:]:
+                np.minimum(least, part.take(pose, axis=0), out=least)
+            so_far += least.sum(axis=1)
+            is_left = so_far <= allowed
+            left, so_far = left[is_left], so_far[is_left]
+        return left
+
+    with ThreadPoolExecutor(workers) as pool:
+        return np.concatenate(list(pool.map(work, range(0, len(sets), _BLOCK_SETS))))
+
+
+# ---------- all sets that little money buys, gone through one by one
+
+
+_MAX_GROWN = 20_000_000  # sets that are looked at for their price alone
+
+
+def best_affordable(
+    reduced: ReducedProblem, *, least_apr: float, max_sets: int
+) -> tuple[IntArray | None, bool]:
+    """Best of all sets within limits of money, where they are few.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        What to choose from; the APR is its first objective.
+    least_apr : float
+        Of a set that is at hand: those with less are not looked at further.
+    max_sets : int
+        Give up if there are more sets to go through.
+
+    Returns
+    -------
+    units : (n,) int or None
+        The best set; None: given up, or none has that APR.
+    is_complete : bool
+        Whether all sets were gone through.
+    """
+    sizes = affordable_sets(reduced.limits, max_sets=max_sets)
+    if sizes is None:
+        return None, False
+    best: IntArray | None = None
+    best_value = np.empty(0)
+    for sets in sizes:
+        for part in np.array_split(sets, max(1, -(-len(sets) // _PART_SETS))):
+            part = part[union_apr(reduced, unions_of(reduced, part)) >= least_apr - TOLERANCE]
+            if not len(part):
+                continue
+            values = set_values(reduced, part)
+            row = best_row(values)
+            if best is None or exceeds(values[row], best_value):
+                best, best_value = part[row], values[row]
+    return best, True
+
+
+def affordable_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
+    """All sets within limits, by their size.
+
+    Returns
+    -------
+    sizes : list of (n_sets, n_units) int
+        Sets of 1, 2, .. poses, ascending; None if there are more sets than asked for, or too many
+        to find out.
+    """
+    poses = np.flatnonzero(~limits.is_forbidden)
+    grown: IntArray = poses[:, None]
+    grown = grown[_may_grow(limits, grown)]
+    sizes: list[IntArray] = []
+    n_sets = 0
+    for n_units in range(1, limits.max_units + 1):
+        sets = grown[are_allowed(limits, grown)]
+        n_sets += len(sets)
+        if n_sets > max_sets:
+            return None
+        sizes.append(sets)
+        if n_units == limits.max_units or not len(grown):
+            break
+        if len(grown) * len(poses) > _MAX_GROWN:
+            return None
+        # A later pose than the last one: every set comes up once.
+        first, later = np.nonzero(poses[None, :] > grown[:, -1:])
+        grown = np.column_stack([grown[first], poses[later]])
+        grown = grown[_may_grow(limits, grown)]
+    return sizes
+
+
+def _may_grow(limits: Limits, sets: IntArray) -> BoolArray:
+    """Which sets fit into sites and money; what is forced may still be missing."""
+    sites = limits.site_index[sets]
+    n_beside = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
+    fits: BoolArray = (n_beside <= limits.site_capacity[sites]).all(axis=1)
+    if limits.budget_eur is not None:
+        fits &= costs_eur(limits, sets) <= limits.budget_eur + COST_TOLERANCE_EUR
+    return fits

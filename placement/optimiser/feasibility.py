@@ -8,9 +8,8 @@ from geometry.errors import InputError, Unquoted
 
 from .bitsets import left_after_failures, union_margins_s
 from .limits import COST_TOLERANCE_EUR, Limits, cost_eur
-from .measure import Measure
 from .presolve import ReducedProblem
-from .problem import TOLERANCE, PlacementProblem
+from .problem import TOLERANCE, Measure, PlacementProblem
 from .search import Search
 
 

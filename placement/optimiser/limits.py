@@ -6,7 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    freeze,
+)
 from geometry.errors import InputError, Unquoted
 
 COST_TOLERANCE_EUR = 1.0e-6

@@ -5,14 +5,18 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from geometry.errors import InputError
 
-if TYPE_CHECKING:  # it takes a second to import: done where a model is stated
+if TYPE_CHECKING:
     import cvxpy as cp
+
+
+# ---------- one way to call a mixed-integer solver through cvxpy, and to read what it has proven
+
 
 DEFAULT_SOLVER = "HIGHS"
 # What each solver that may be named calls a limit on its time.
@@ -122,3 +126,42 @@ def run_solver(
     is_found = is_found and all(variable.value is not None for variable in problem.variables())
     bound = float(problem.value) if is_finished else np.inf
     return Answer(is_found=is_found, is_finished=is_finished, bound=bound)
+
+
+# ---------- how hard the optimiser tries
+
+
+SolverName = Literal["auto", "exact", "relax", "greedy"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effort:
+    """How hard to try.
+
+    Attributes
+    ----------
+    solver : {"auto", "exact", "relax", "greedy"}
+        "greedy": search only, bounded by what all poses together reach; "relax": the bounds of
+        relaxations, too; "exact": mixed-integer models and enumeration, too, until the time is up;
+        "auto": the same, but relaxations alone where the instance is too large for models.
+    time_limit_s : float
+        For all stages together; presolve and the first layout are finished in any case. When it is
+        up, the best layout found is kept and the gaps say what is not proven. [s]
+    gap : float
+        Relative gap at which a stage counts as settled.
+    milp_solver : str
+        Name of the mixed-integer solver in cvxpy.
+    """
+
+    solver: SolverName = "auto"
+    time_limit_s: float = 60.0
+    gap: float = 0.0
+    milp_solver: str = DEFAULT_SOLVER
+
+    def __post_init__(self) -> None:
+        if self.solver not in ("auto", "exact", "relax", "greedy"):
+            raise InputError("--solver", self.solver, "one of auto, exact, relax, greedy")
+        if not self.time_limit_s > 0.0:
+            raise InputError("--time-limit", self.time_limit_s, "seconds, more than 0")
+        if not 0.0 <= self.gap < 1.0:
+            raise InputError("--gap", self.gap, "a share, 0 <= gap < 1")

@@ -19,11 +19,9 @@ import scipy.sparse as sp
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .limits import COST_TOLERANCE_EUR, Limits
-from .measure import Measure
 from .milp import DEFAULT_SOLVER, run_solver
 from .presolve import ReducedProblem
-from .problem import TOLERANCE
-from .requirements import Requirement
+from .problem import TOLERANCE, Measure, Requirement
 
 if TYPE_CHECKING:  # it takes a second to import: done where a model is stated
     import cvxpy as cp

@@ -9,7 +9,12 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 
-from .coverage import Bound, Coverage, ValueArray, prove
+from .bounds import (
+    Bound,
+    Coverage,
+    ValueArray,
+    prove,
+)
 
 _DEFLECTION = 0.7  # of the last direction that is kept
 _CUT = 0.7

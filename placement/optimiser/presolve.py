@@ -14,9 +14,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from scenarios.aeb import is_in_time
 
 from .limits import COST_TOLERANCE_EUR, Limits
-from .measure import Measure
-from .problem import Goal, PlacementProblem
-from .requirements import Requirement
+from .problem import Goal, Measure, PlacementProblem, Requirement
 
 WordArray = NDArray[np.uint64]
 

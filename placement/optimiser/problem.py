@@ -6,15 +6,132 @@ from itertools import combinations
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    freeze,
+)
 from geometry.errors import InputError, Unquoted
 from scenarios.aeb import AebRule, is_in_time
 from scenarios.runs import confirmation_times_s
 
 from ..detection_table import DetectionTable
-from .limits import COST_TOLERANCE_EUR, Limits, cost_eur, is_allowed
-from .measure import Measure, build_measure
+from .limits import (
+    COST_TOLERANCE_EUR,
+    Limits,
+    cost_eur,
+    is_allowed,
+)
+
+# ---------- how much is avoided
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measure:
+    """Accident prevention ratio of what is avoided.
+
+    Attributes
+    ----------
+    weight : (n_runs,) float
+        Weights of the runs that can be avoided; all runs together weigh 1, or what counts does.
+    sample_index : (n_runs,) int
+        Sampled world of each run; all 0 where nothing was sampled.
+    sample_weight : (n_samples,) float
+        What all runs of each world weigh together, also those that nothing avoids.
+    tail : float
+        Share of the worlds that counts, the worst ones: 1 is the expectation, up to
+        1 / n_samples the worst world alone.
+
+    Notes
+    -----
+    With a tail, this is the conditional value at risk of Rockafellar and Uryasev (2000): the mean
+    over the worst share, in which one world may count in part.
+    """
+
+    weight: FloatArray
+    sample_index: IntArray
+    sample_weight: FloatArray
+    tail: float = 1.0
+
+    @property
+    def is_mean(self) -> bool:
+        """Whether this is a plain weighted sum of runs."""
+        return self.tail == 1.0
+
+    def of(self, is_avoided: BoolArray) -> FloatArray:
+        """Ratio of each set of avoided runs: (..., n_runs) -> (...,)."""
+        if self.is_mean:
+            share: FloatArray = is_avoided @ self.weight
+            return share
+        n_samples = len(self.sample_weight)
+        by_sample = np.zeros((*is_avoided.shape[:-1], n_samples))
+        for sample in range(n_samples):
+            mine = self.sample_index == sample
+            by_sample[..., sample] = is_avoided[..., mine] @ self.weight[mine]
+        ratio = by_sample / self.sample_weight
+        order = np.argsort(ratio, axis=-1, kind="stable")
+        worst_first = np.take_along_axis(ratio, order, axis=-1)
+        ends = np.minimum(np.cumsum(self.sample_weight[order], axis=-1), self.tail)
+        parts = np.diff(ends, axis=-1, prepend=0.0)
+        result: FloatArray = (parts * worst_first).sum(axis=-1) / self.tail
+        return result
+
+    @property
+    def limit(self) -> float:
+        """Ratio where all runs that can be avoided are."""
+        return float(self.of(np.ones(len(self.weight), dtype=bool)))
+
+    def of_runs(self, runs: IntArray) -> "Measure":
+        """The same where all other runs are out of reach."""
+        return Measure(
+            weight=self.weight[runs],
+            sample_index=self.sample_index[runs],
+            sample_weight=self.sample_weight,
+            tail=self.tail,
+        )
+
+
+def build_measure(
+    weight: FloatArray, sample_index: ArrayLike | None = None, *, tail: float = 1.0
+) -> Measure:
+    """Measure of runs with weights.
+
+    Parameters
+    ----------
+    weight : (n_runs,) float
+        Of the runs.
+    sample_index : (n_runs,) int, optional
+        Sampled world of each run, 0, 1, ..; by default there is one.
+    tail : float
+        See :class:`Measure`.
+
+    Raises
+    ------
+    InputError
+        The tail is not in 0 < tail <= 1, or the samples are not numbered 0, 1, .. with weight.
+    """
+    if not 0.0 < tail <= 1.0:
+        raise InputError("tail", tail, "a share of the samples, 0 < share <= 1")
+    samples = np.zeros(len(weight)) if sample_index is None else np.array(sample_index)
+    samples = samples.astype(np.int64)
+    if samples.shape != np.shape(weight) or (samples.size and samples.min() < 0):
+        raise InputError("sample_index", Unquoted("other samples"), "one, from 0, for each run")
+    total = np.bincount(samples, weights=weight)
+    if not (total > 0.0).all():
+        raise InputError("sample_index", Unquoted("a sample without weight"), "runs in each sample")
+    return Measure(
+        weight=freeze(np.array(weight, dtype=np.float64)),
+        sample_index=freeze(samples),
+        sample_weight=freeze(total / total.sum()),
+        tail=float(tail),
+    )
+
+
+# ---------- the placement problem on a detection table, and what a set of poses is worth in it
+
 
 Fusion = Literal["any", "single"]
 Goal = Literal["best", "fewest", "cheapest"]
@@ -108,7 +225,7 @@ class PlacementProblem:
     sample_index : (n_runs,) int, optional
         Sampled world of each run.
     tail : float
-        See :class:`placement.optimiser.measure.Measure`: how the APR sums up the sampled worlds.
+        See :class:`placement.optimiser.problem.Measure`: how the APR sums up the sampled worlds.
     """
 
     table: DetectionTable
@@ -281,3 +398,56 @@ def is_better(value: PlacementValue, other: PlacementValue) -> bool:
         if abs(mine - theirs) > TOLERANCE:
             return mine > theirs
     return value.cost_eur < other.cost_eur - COST_TOLERANCE_EUR
+
+
+# ---------- what a set of poses must reach: floors, and the stages that are settled already
+
+
+_TIME_TOLERANCE_S = 1.0e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Requirement:
+    """A value that must be reached; more poses never reach less of it.
+
+    Attributes
+    ----------
+    measure : Measure
+        What is counted, over the runs of the reduced problem.
+    least : float
+        What must be reached, in the measure's unit; times seconds where margins are summed.
+    min_margin_s : float
+        Runs avoided with less than this do not count; minus infinity: just avoided. [s]
+    n_failures : int
+        It must still be reached when any so many units fail.
+    sums_margins : bool
+        Count the weights times the margins instead of the weights.
+    """
+
+    measure: Measure
+    least: float
+    min_margin_s: float = -np.inf
+    n_failures: int = 0
+    sums_margins: bool = False
+
+    @property
+    def needs_all(self) -> bool:
+        """Whether only avoiding every run that weighs anything reaches it."""
+        weight = self.measure.weight[self.measure.weight > 0.0]
+        if self.sums_margins or not self.measure.is_mean or not len(weight):
+            return False
+        return bool(self.least > weight.sum() - weight.min() / 2.0)
+
+    def reached(self, margin_s: FloatArray) -> FloatArray:
+        """What sets with these margins reach: (n_sets, n_runs) -> (n_sets,), failures aside."""
+        in_time: BoolArray = margin_s > -np.inf
+        in_time &= margin_s >= self.min_margin_s - _TIME_TOLERANCE_S
+        if self.sums_margins:
+            total: FloatArray = np.where(in_time, margin_s, 0.0) @ self.measure.weight
+            return total
+        return self.measure.of(in_time)
+
+    def __repr__(self) -> str:
+        return (
+            f"Requirement({self.least:g}, margin {self.min_margin_s:g} s, {self.n_failures} fail)"
+        )

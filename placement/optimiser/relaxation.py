@@ -10,7 +10,7 @@ value; reaching a level needs a pose that has that value or more:
 where w[l] is the step from the next level below. A value stands in one constraint only, so that
 the matrix is as sparse as the values. The small quadratic term makes x unique, which OSQP's
 steps and a sweep over K like. What OSQP returns proves nothing by itself: its multipliers do, once
-:func:`placement.optimiser.coverage.prove` has put them into the Lagrangian bound.
+:func:`placement.optimiser.bounds.prove` has put them into the Lagrangian bound.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from scipy import sparse
 
 from geometry.arrays import FloatArray, IntArray
 
-from .coverage import Bound, Coverage, prove
+from .bounds import Bound, Coverage, prove
 from .multipliers import Tightened, worthiest
 
 _REGULARISATION = 1.0e-3  # of the largest step

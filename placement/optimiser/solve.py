@@ -10,13 +10,22 @@ import numpy as np
 from geometry.arrays import IntArray
 
 from ..layout import Certificate, Stage, relative_gap
-from .effort import Effort
 from .feasibility import check_floors, check_limits, check_reach
 from .greedy import to_full
-from .large import is_large, look_out, margin_limits_s, of_pool
-from .milp import DEFAULT_SOLVER, check_solver
+from .large import (
+    is_large,
+    look_out,
+    margin_limits_s,
+    of_pool,
+)
+from .milp import DEFAULT_SOLVER, Effort, check_solver
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import PlacementProblem, PlacementValue, apr_failed, placement_value
+from .problem import (
+    PlacementProblem,
+    PlacementValue,
+    apr_failed,
+    placement_value,
+)
 from .search import Search
 from .stages import Stages
 

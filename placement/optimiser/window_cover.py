@@ -19,13 +19,24 @@ from threadpoolctl import threadpool_limits
 from geometry.arrays import FloatArray, IntArray
 
 from .best_cover import choose_greedily, search_near
+from .bounds import (
+    Coverage,
+    Supply,
+    ValueArray,
+    can_matter,
+    prove,
+)
 from .branch_and_bound import branch_and_bound
-from .coverage import Coverage, ValueArray, can_matter, prove
-from .first_seen import TimelyWindows, first_seen_values, hardest_frames
-from .lazy_greedy import round_shares
-from .multipliers import Columns, Tightened, generate_columns, tighten, worthiest
+from .greedy import round_shares
+from .large import TimelyWindows, first_seen_values, hardest_frames
+from .multipliers import (
+    Columns,
+    Tightened,
+    generate_columns,
+    tighten,
+    worthiest,
+)
 from .relaxation import polish
-from .supply import Supply
 
 _POOL_POSES = 5000
 _EXCHANGE_POSES = 1000
@@ -55,7 +66,7 @@ class WindowCover:
     frames : (n_rows, largest n_windows) int
         Frame that each window was asked for.
     multipliers : (n_rows,) float
-        With the values of `frames`, :func:`placement.optimiser.coverage.prove` gives `root_limit`.
+        With the values of `frames`, :func:`placement.optimiser.bounds.prove` gives `root_limit`.
     root_limit : float
         What the multipliers prove; `limit` is lower if branching has proven more.
     pool : (n,) int

@@ -13,10 +13,8 @@ from scenarios.runs import FrameAxis, confirmation_times_s
 
 from ..detection_table import DetectionTable, pack_table
 from ..evaluation import Verdict
-from .drives import Drive
-from .folder_format import RecordingFormat, load_format
-from .lines import Label
-from .motion import is_same_direction, last_brake_time_s
+from .drives import Drive, is_same_direction, last_brake_time_s
+from .files import Label, RecordingFormat, load_format
 from .read import Found, Recording
 
 RECORDED = "recorded"

@@ -10,8 +10,18 @@ from typing import NamedTuple
 from geometry.errors import InputError, Unquoted
 
 from .drives import Drive, cut_drives, with_class
-from .folder_format import VRU_CLASSES, FrameKey, RecordingFormat, load_format
-from .lines import Box, Label, World, read_detections, read_labels, read_world
+from .files import (
+    VRU_CLASSES,
+    Box,
+    FrameKey,
+    Label,
+    RecordingFormat,
+    World,
+    load_format,
+    read_detections,
+    read_labels,
+    read_world,
+)
 
 NO_WORLD = "frames without WorldData"
 OTHER_LABELS = "labels of other classes"

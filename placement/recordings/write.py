@@ -9,7 +9,12 @@ from uuid import uuid4
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted
 
-from .folder_format import VRU_CLASSES, FrameKey, RecordingFormat, load_format
+from .files import (
+    VRU_CLASSES,
+    FrameKey,
+    RecordingFormat,
+    load_format,
+)
 
 CONFIDENCE = 1.0
 """Of every detection that is written."""

@@ -1,4 +1,4 @@
-"""Poses between those of a grid: what :mod:`placement.refine` is made of.
+"""Poses between those of a grid: what :mod:`placement.refinement.refine` is made of.
 
 ``stage_values`` says what a set of poses is worth in the order of the problem's stages, ``rows``
 makes detection rows of new poses on rays that are cast once per mount position, ``bench`` holds the

@@ -3,33 +3,268 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from geometry.errors import InputError
+from geometry.sensors import CameraModel
 
-from ..candidates import CandidatePose
-from ..layout import Certificate
+from ..candidates import CandidatePose, is_turn_useless
+from ..layout import Certificate, Stage, relative_gap
 from ..optimiser import (
     Effort,
     PlacementProblem,
+    PlacementValue,
     ReducedProblem,
     Solution,
+    apr_failed,
     is_feasible,
+    placement_value,
     presolve,
     solve_placement,
 )
 from ..optimiser.bitsets import N_COLUMNS
 from ..optimiser.greedy import improve, to_full
+from ..optimiser.limits import COST_TOLERANCE_EUR
+from ..optimiser.problem import TOLERANCE
 from ..pipeline import Placement
 from ..setting import Setting
-from .bench import add_poses, grid_bench, promising_rows
-from .directions import turn
-from .moves import Move, rename
-from .proposals import aimed, around, build_places
-from .rows import RowBuilder
-from .stage_values import certify, improves, stage_values
-from .weak_spots import find_weak_spots
+from .poses import Bench, Move, RowBuilder, add_poses, grid_bench, promising_rows, rename
+from .proposals import Places, aimed, around, build_places, find_weak_spots, moved
+
+# ---------- what a set of poses is worth in each stage of a problem, in its order
+
+
+_MINIMISED = ("units", "cost_eur")
+
+
+class StageValue(NamedTuple):
+    """One objective of a set of poses.
+
+    Attributes
+    ----------
+    name : str
+        Name of the stage, as in certificates.
+    value : float
+        In the stage's own unit; the larger the better, but for "units" and "cost_eur".
+    """
+
+    name: str
+    value: float
+
+
+def stage_values(problem: PlacementProblem, pose_index: Sequence[int]) -> tuple[StageValue, ...]:
+    """Objectives of a set of poses in the order in which they are optimised.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        Its goal, failures to survive and weights decide which stages there are.
+    pose_index : sequence of int
+        Rows of its table.
+    """
+    value = placement_value(problem, pose_index)
+    stages = []
+    if problem.goal == "fewest":
+        stages.append(StageValue("units", float(len(pose_index))))
+    elif problem.goal == "cheapest":
+        stages.append(StageValue("cost_eur", value.cost_eur))
+    if problem.survive:
+        left = apr_failed(problem, pose_index, problem.survive)
+        stages.append(StageValue("apr_survived", left))
+    if problem.stage_weights is not None:
+        gains = np.dot(problem.stage_weights[:-1], value[:-1])
+        weighted = float(gains - problem.stage_weights[-1] * value.cost_eur)
+        return (*stages, StageValue("weighted", weighted))
+    names = PlacementValue._fields[:-1] if problem.goal == "cheapest" else PlacementValue._fields
+    return (*stages, *(StageValue(name, getattr(value, name)) for name in names))
+
+
+def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool:
+    """Whether the first difference that exceeds rounding noise favours `values`.
+
+    Examples
+    --------
+    >>> improves([StageValue("units", 2.0)], [StageValue("units", 3.0)])
+    True
+    """
+    for mine, theirs in zip(values, others, strict=True):
+        tolerance = COST_TOLERANCE_EUR if mine.name == "cost_eur" else TOLERANCE
+        if abs(mine.value - theirs.value) > tolerance:
+            return (mine.value > theirs.value) != (mine.name in _MINIMISED)
+    return False
+
+
+def certify(values: Sequence[StageValue], certificate: Certificate, solver: str) -> Certificate:
+    """The bounds of a certificate, beside a set of poses that is as good as its layout or better.
+
+    Parameters
+    ----------
+    values : sequence of StageValue
+        Of a set within the certificate's problem. A bound holds for all sets that are as good in
+        the stages before as the certificate's layout, so for those that are as good as this one.
+    certificate : Certificate
+        Of that problem.
+    solver : str
+        What to say of the solver, in its place.
+    """
+    stages = []
+    for own, proven in zip(values, certificate.stages, strict=True):
+        closest = min if own.name in _MINIMISED else max
+        bound = closest(own.value, proven.bound)
+        gap = relative_gap(own.value, bound)
+        stages.append(
+            Stage(
+                name=own.name,
+                objective=own.value,
+                bound=own.value if gap == 0.0 else bound,
+                gap=gap,
+                seconds=proven.seconds,
+            )
+        )
+    return Certificate(stages=tuple(stages), solver=solver)
+
+
+# ---------- chosen units turned and zoomed step by step, large and small, where they hang
+
+
+STEPS_DEG = (8.0, 4.0, 2.0, 1.0, 0.5)
+"""Of yaw and pitch; and, in per cent, of the field of view of a varifocal lens."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Turned:
+    """Where the search ended.
+
+    Attributes
+    ----------
+    bench : Bench
+        The one that it began with, and all poses that were tried behind.
+    rows : tuple of int
+        The best set in it.
+    """
+
+    bench: Bench
+    rows: tuple[int, ...]
+
+
+def turn(
+    grid: PlacementProblem,
+    bench: Bench,
+    rows: Sequence[int],
+    *,
+    places: Places,
+    build_rows: RowBuilder,
+    end_s: float,
+) -> Turned:
+    """Compass search over yaw, pitch and field of view, one unit after the other.
+
+    Parameters
+    ----------
+    grid : PlacementProblem
+        The grid's problem.
+    bench : Bench
+        Poses at hand.
+    rows : sequence of int
+        The set to begin with, in the bench.
+    places : Places
+        Which of the units may be turned.
+    build_rows : RowBuilder
+        For the same mount position it should not cast rays again.
+    end_s : float
+        When to stop, on the monotonic clock. [s]
+
+    Returns
+    -------
+    turned : Turned
+        No step of any unit alone improves it, unless time was up; it is never worse than before in
+        the order of the stages.
+
+    Notes
+    -----
+    Compass search [1]_ shrinks its step where none improves. What a set is worth is a step function
+    here - runs are avoided or not, frames come every tenth of a second -, so that a larger step may
+    improve where smaller ones change nothing: all steps are tried at once.
+
+    References
+    ----------
+    .. [1] T. Kolda, R. Lewis, V. Torczon, "Optimization by direct search", SIAM Review 45, 2003,
+       section 3.
+    """
+    best = list(rows)
+    values = stage_values(bench.problem(grid), best)
+    position, n_settled = 0, 0
+    while n_settled < len(best) and time.monotonic() < end_s:
+        bench, found = _best_step(grid, bench, best, position, values, places, build_rows)
+        if found is not None:
+            best[position], values = found
+            n_settled = 0
+        else:
+            n_settled += 1
+            position = (position + 1) % len(best)
+    return Turned(bench=bench, rows=tuple(best))
+
+
+def _best_step(
+    grid: PlacementProblem,
+    bench: Bench,
+    rows: Sequence[int],
+    position: int,
+    values: Sequence[StageValue],
+    places: Places,
+    build_rows: RowBuilder,
+) -> tuple[Bench, tuple[int, tuple[StageValue, ...]] | None]:
+    """Try the steps of one unit each way; the row of the best one, if that is an improvement."""
+    unit, origin = bench.candidates[rows[position]], int(bench.origin[rows[position]])
+    if not places.is_free[origin]:
+        return bench, None
+    steps = _steps(unit, origin, places)
+    bench = add_poses(
+        bench, grid, [(origin, pose) for pose in steps], places=places, build_rows=build_rows
+    )
+    known = {candidate.id: row for row, candidate in enumerate(bench.candidates)}
+    # Only those in question: a problem on the whole bench takes longer to put together.
+    others = [row for index, row in enumerate(rows) if index != position]
+    tried = [known[pose.id] for pose in steps if known[pose.id] not in others]
+    problem = bench.only(np.array([*others, *tried], dtype=np.int64)).problem(grid)
+    best: tuple[int, tuple[StageValue, ...]] | None = None
+    for index, row in enumerate(tried):
+        units = [*range(len(others)), len(others) + index]
+        own = stage_values(problem, units)
+        if improves(own, values if best is None else best[1]) and is_feasible(problem, units):
+            best = row, own
+    return bench, best
+
+
+def _steps(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
+    """Neighbours of a pose, each id once."""
+    sensor = unit.sensor
+    has_zoom = isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None
+    poses = []
+    for step_deg, turn_sign, tilt_sign, zoom_sign in product(STEPS_DEG, *[(-1, 0, 1)] * 3):
+        if zoom_sign and (turn_sign or tilt_sign or not has_zoom):
+            continue
+        pitch_deg = unit.pose.pitch_deg + tilt_sign * step_deg
+        if turn_sign and is_turn_useless(sensor, pitch_deg=pitch_deg):
+            continue
+        zoom = (1.0 + 0.01 * step_deg) ** zoom_sign
+        pose = moved(
+            places,
+            origin,
+            height_m=float(unit.pose.position_m[2]),
+            yaw_deg=unit.pose.yaw_deg + turn_sign * step_deg,
+            pitch_deg=pitch_deg,
+            fov_deg=zoom * sensor.horizontal_fov_deg,
+        )
+        if pose is not None and pose.id != unit.id:
+            poses.append(pose)
+    return list({pose.id: pose for pose in poses}.values())
+
+
+# ---------- the best set so far, the poses at hand, and the steps that look for better ones
+
 
 # Called with the stage, and how much of how much is done; 0 of 0 where that is not known.
 StageProgress = Callable[[str, int, int], None]

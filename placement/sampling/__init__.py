@@ -7,18 +7,26 @@ lost; ``tables`` stacks their detection tables for the optimiser, ``fresh`` judg
 worlds that it was not chosen in, ``risk`` sums up what comes out.
 """
 
-from .files import DEFAULT_UNCERTAINTY, UNCERTAINTY_NAMES, load_uncertainty
-from .fresh import SampledApr, out_of_sample, out_of_sample_layouts
-from .risk import MeanEstimate, cvar, estimate_mean
-from .samples import Sample, draw_samples
+from .out_of_sample import (
+    MeanEstimate,
+    SampledApr,
+    cvar,
+    estimate_mean,
+    out_of_sample,
+    out_of_sample_layouts,
+)
 from .tables import SampledTable, sampled_table
 from .uncertainty import (
+    DEFAULT_UNCERTAINTY,
+    UNCERTAINTY_NAMES,
     LatencyJitter,
     MountingErrors,
     StandingTraffic,
     Uncertainty,
     VehicleKind,
+    load_uncertainty,
 )
+from .worlds import Sample, draw_samples
 
 __all__ = [
     "DEFAULT_UNCERTAINTY",

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from geometry.actors import Actor
-from geometry.atomic_files import write_atomically
+from geometry.files import write_atomically
 from geometry.lidar import LidarModel, load_lidar_detection
 from geometry.scene import Scene
 from geometry.weather import pick_weather

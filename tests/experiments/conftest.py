@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import cli, jobs, planning, result_writing
+from experiments.cli import main
+from experiments.jobs import placement, planning
+from experiments.results import writing
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose, load_candidate_grid
@@ -47,7 +49,7 @@ def small_study(small_setting, monkeypatch):
         yaw_step_deg=90.0,
         pitches_deg=np.array([-20.0]),
     )
-    monkeypatch.setattr(jobs, "build_setting", lambda question, scene: small_setting)
+    monkeypatch.setattr(placement, "build_setting", lambda question, scene: small_setting)
     monkeypatch.setattr(planning, "load_candidate_grid", lambda: grid)
     return small_setting
 
@@ -55,7 +57,7 @@ def small_study(small_setting, monkeypatch):
 @pytest.fixture
 def without_figures(monkeypatch):
     """Leaves out what takes longest to write."""
-    monkeypatch.setattr(result_writing, "write_report", lambda *given, **options: None)
+    monkeypatch.setattr(writing, "write_report", lambda *given, **options: None)
 
 
 @pytest.fixture
@@ -68,7 +70,7 @@ def run(capsys, tmp_path, monkeypatch):
     def run_command(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()
         with pytest.raises(SystemExit) as ended:
-            cli.main([str(argument) for argument in arguments])
+            main.main([str(argument) for argument in arguments])
         code = ended.value.code
         assert isinstance(code, int)
         return code, *capsys.readouterr()

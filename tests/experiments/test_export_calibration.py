@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from vcd import core, scl
 
-from experiments.export_formats.calibration import calibrations
-from experiments.export_formats.opencv_yaml import to_opencv
-from experiments.export_formats.openlabel import to_openlabel
-from experiments.export_formats.ros_yaml import camera_names, to_ros
-from experiments.export_formats.yaml_text import yaml_number, yaml_text
+from experiments.export.calibration import calibrations
+from experiments.export.opencv import to_opencv
+from experiments.export.openlabel import to_openlabel
+from experiments.export.ros import camera_names, to_ros
+from experiments.export.yaml_text import yaml_number, yaml_text
 from geometry.errors import InputError
 from geometry.poses import camera_rotation, to_world
 from geometry.sensors import CameraModel, project_points

@@ -7,10 +7,10 @@ import pytest
 from click.testing import CliRunner
 from export_layouts import awkward_layout, large_layout, map_scene, placeless_scene
 
-from experiments.cli_export import export as command
-from experiments.export_formats import FORMAT_NOTES
-from experiments.export_formats.layout_file import to_json
-from experiments.layout_exports import FORMATS, left_out
+from experiments.cli.export import export as command
+from experiments.export import FORMAT_NOTES
+from experiments.export.formats import FORMATS, left_out
+from experiments.export.json import to_json
 from geometry.errors import InputError
 
 BINARY = ["parquet", "gpkg"]

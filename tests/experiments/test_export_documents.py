@@ -13,15 +13,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from experiments.export_formats.collective_perception import to_cpm
-from experiments.export_formats.layout_file import to_json
-from experiments.study import load_carlancap_layout
+from experiments.export.collective_perception import to_cpm
+from experiments.export.json import to_json
+from experiments.study.layout import load_carlancap_layout
 from geometry.actors import load_actors
 from geometry.errors import InputError
 from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
-from placement.layout import RESERVED_IDS, SCHEMA, Layout, layout_records, load_layout
+from placement.layout import (
+    RESERVED_IDS,
+    SCHEMA,
+    Layout,
+    layout_records,
+    load_layout,
+)
 
 
 @pytest.fixture(scope="module")

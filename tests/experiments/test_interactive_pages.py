@@ -15,8 +15,8 @@ from interactive_pages import (
 )
 from PIL import Image
 
-from experiments.interactive import interactive_part
-from experiments.interactive.script_text import unpack_bits
+from experiments.report.interactive.part import interactive_part
+from experiments.report.interactive.records import unpack_bits
 
 FRAME = "document.getElementById('player-frame')"
 

@@ -8,12 +8,10 @@ import pytest
 from interactive_pages import build_evaluation, build_layout
 from matplotlib.text import Text
 
-from experiments.figures import plot_heatmap
-from experiments.heatmap_choice import MAX_HEATMAP_UNITS, units_in_heatmap
-from experiments.plan import plot_plan
-from experiments.plan_labels import MAX_LABELLED_UNITS
-from experiments.report_tables import MAX_UNIT_COLUMNS, unit_apr_table
-from experiments.tables import evaluation_table, percent
+from experiments.figures.evaluation import MAX_HEATMAP_UNITS, plot_heatmap, units_in_heatmap
+from experiments.figures.plan import MAX_LABELLED_UNITS, plot_plan
+from experiments.report.tables import MAX_UNIT_COLUMNS, unit_apr_table
+from experiments.results.text import evaluation_table, percent
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import apr

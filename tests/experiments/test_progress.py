@@ -10,7 +10,12 @@ import time
 
 import pytest
 
-from experiments.progress import Interrupted, StageProgress, ending_on_signals, signals_held
+from experiments.progress import (
+    Interrupted,
+    StageProgress,
+    ending_on_signals,
+    signals_held,
+)
 
 STUCK = """
 import time

@@ -9,14 +9,13 @@ import pytest
 from browser_pages import open_page, start_browser
 from interactive_pages import EVIL, build_evaluation, build_layout, with_evil_names
 
-from experiments import jobs, planning
-from experiments.planning_words import Planning
+from experiments.jobs import placement, planning
 from experiments.progress import StageProgress
-from experiments.report import write_report
-from experiments.study import load_carlancap_layout
+from experiments.report.page import write_report
+from experiments.study.layout import load_carlancap_layout
 from placement.candidates import load_candidate_grid
 from placement.layout import Layout, layout_records
-from placement.question import Question
+from placement.question import Planning, Question
 
 KINDS = ("placement", "comparison", "missed", "many")
 """Of an optimised layout, of two, of one that misses runs, and of one of 200 units."""
@@ -47,18 +46,18 @@ def addresses(small_setting, tmp_path_factory):
     turned = replace(units[0].pose, yaw_deg=units[0].pose.yaw_deg + 180.0)
     away = Layout(name="away", units=(replace(units[0], pose=turned),))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jobs, "build_setting", lambda question, scene: small_setting)
+        patch.setattr(placement, "build_setting", lambda question, scene: small_setting)
         patch.setattr(planning, "load_candidate_grid", lambda: grid)
         question = Question()
-        jobs.run_placement(
+        placement.run_placement(
             question,
             Planning(budget=2, time_limit_s=60.0),
             out=folder / "placement",
             cache_folder=None,
             **common,
         )
-        jobs.run_evaluation(question, layout=away, out=folder / "missed", **common)
-        jobs.run_comparison(
+        placement.run_evaluation(question, layout=away, out=folder / "missed", **common)
+        placement.run_comparison(
             question, layouts=[few, away], samples=3, out=folder / "comparison", **common
         )
     name = EVIL.replace("\u2028", "")

@@ -12,15 +12,15 @@ import jsonschema
 import numpy as np
 import pytest
 
-from experiments import jobs
-from experiments.export_formats.layout_file import to_json
-from experiments.result_files import load_result
-from experiments.study import load_carlancap_layout
+from experiments.export.json import to_json
+from experiments.jobs import placement
+from experiments.results.reading import load_result
+from experiments.study.layout import load_carlancap_layout
 from geometry.frames import to_geographic
 from geometry.scene_files import load_study_scene
-from placement.assumptions import load_assumptions
+from placement.explain.sensitivity import load_assumptions
 from placement.layout import RESULT_SCHEMA, Layout
-from placement.links import Links
+from placement.setting import Links
 from scenarios.runs import build_frame_axis
 
 DOCUMENT = json.loads(
@@ -102,10 +102,14 @@ def test_every_key_of_the_schema_is_in_the_documentation_and_no_other():
 def short(monkeypatch):
     """Few worlds, assumptions and units to compare with: whether a layout is good is no matter."""
     study = load_carlancap_layout()
-    monkeypatch.setattr(jobs, "find_baseline", lambda scene: replace(study, units=study.units[:2]))
-    monkeypatch.setattr(jobs, "MIN_FRESH_WORLDS", 3)
+    monkeypatch.setattr(
+        placement, "find_baseline", lambda scene: replace(study, units=study.units[:2])
+    )
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
     few = [item for item in load_assumptions() if item.name in ("latency_s", "height_m")]
-    monkeypatch.setattr(jobs, "find_sensitivity", partial(jobs.find_sensitivity, assumptions=few))
+    monkeypatch.setattr(
+        placement, "find_sensitivity", partial(placement.find_sensitivity, assumptions=few)
+    )
 
 
 @pytest.fixture
@@ -188,7 +192,7 @@ def test_weights_weathers_and_announcements_are_in_the_schema(
         axis=build_frame_axis(runs, weight / weight.sum()),
         links=Links(packet_loss=0.1, vam_rate=0.5),
     )
-    monkeypatch.setattr(jobs, "build_setting", lambda question, scene: setting)
+    monkeypatch.setattr(placement, "build_setting", lambda question, scene: setting)
     summary = written(run, tmp_path / "out", "--budget", 1)
     assert messages(summary) == []
     assert summary["evaluation"]["rsu_all"]["by_case"]["CBLA"] is None

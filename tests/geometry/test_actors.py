@@ -17,9 +17,9 @@ from geometry.actors import (
     read_actors,
 )
 from geometry.errors import InputError
+from geometry.files import load_toml
 from geometry.poses import Pose
 from geometry.raycast import build_caster
-from geometry.toml_files import load_toml
 
 DATA = files("geometry") / "data"
 NAMES = tuple(load_actors())
@@ -306,7 +306,7 @@ def test_shapes_of_another_description_are_refused():
         read_actors(table, DATA / "actors.npz")
     assert str(caught.value) == (
         f"{DATA / 'actors.npz'}: got shapes of another actors.toml; "
-        "expected shapes built from it: python -m geometry.bodies"
+        "expected shapes built from it: python -m geometry.body_shapes"
     )
 
 
@@ -315,5 +315,5 @@ def test_missing_shapes_say_how_to_build_them(tmp_path):
         read_actors({}, tmp_path / "actors.npz")
     assert str(caught.value) == (
         f"{tmp_path / 'actors.npz'}: got no such file; "
-        "expected shapes built from it: python -m geometry.bodies"
+        "expected shapes built from it: python -m geometry.body_shapes"
     )

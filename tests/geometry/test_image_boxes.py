@@ -4,7 +4,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import boxes_px, numbers
 
-from geometry.image_boxes import box_height_px, clip_boxes, iou, mask_box
+from geometry.image_boxes import (
+    box_height_px,
+    clip_boxes,
+    iou,
+    mask_box,
+)
 
 SIZE_PX = 40
 

@@ -5,7 +5,12 @@ import pytest
 from junctions import ARMS, LANE_M, MOUTH_M, SQUARE_M, build_scene, lanes_of, protocol_scene, turned
 
 from geometry.errors import InputError
-from geometry.junction import Line, build_junction, lane_length_m, lane_line
+from geometry.junction import (
+    Line,
+    build_junction,
+    lane_length_m,
+    lane_line,
+)
 from geometry.scene import Lane
 from geometry.scene_files import load_study_scene
 

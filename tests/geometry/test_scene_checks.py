@@ -5,10 +5,9 @@ import pytest
 import trimesh
 from junctions import protocol_scene
 
-from geometry.scene import Instance, Site
+from geometry.scene import Instance, Site, thing_footprint
 from geometry.scene_checks import check_scene
 from geometry.scene_files import load_study_scene
-from geometry.scene_footprints import thing_footprint
 
 
 def with_things(*things, sites=True):

@@ -1,7 +1,14 @@
 import pytest
 
 from geometry.errors import InputError
-from geometry.toml_files import load_toml, pick, take, take_list, take_number, take_text
+from geometry.files import (
+    load_toml,
+    pick,
+    take,
+    take_list,
+    take_number,
+    take_text,
+)
 
 
 def _message(function, *arguments) -> str:

@@ -7,7 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from geometry.weather import CONTRAST_AT_VISIBILITY, Weather, load_weathers, pick_weather
+from geometry.weather import (
+    CONTRAST_AT_VISIBILITY,
+    Weather,
+    load_weathers,
+    pick_weather,
+)
 
 CLEAR = Weather(
     name="clear",

@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 from junctions import build_scene, lanes_of
 
-from experiments.scenario_list import list_rows, scenario_table
+from experiments.cli.scenarios import list_rows, scenario_table
 from geometry.errors import InputError
 from geometry.scene_files import load_study_scene
 from placement.detectors import load_planning_detector
-from placement.driving import build_rule, build_setting, drive, drive_one
-from placement.links import Links
 from placement.question import Question
+from placement.setting import (
+    Links,
+    build_rule,
+    build_setting,
+    drive,
+    drive_one,
+)
 from scenarios.aeb import load_aeb_rule
 from scenarios.cases import load_case_sets
 

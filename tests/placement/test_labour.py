@@ -1,7 +1,7 @@
 import pytest
 
 from geometry.errors import InputError
-from placement.labour import Labour, load_labour
+from placement.retrofit import Labour, load_labour
 
 
 def test_a_visit_is_people_on_the_way_and_at_the_pole_and_a_lift() -> None:

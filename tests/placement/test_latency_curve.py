@@ -14,8 +14,14 @@ from geometry.errors import InputError
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict
-from placement.latency import LatencyBudget, LatencyPart, fixed_latency, load_latency_budget
-from placement.latency_curve import LatencyCurve, apr_by_latency
+from placement.latency import (
+    LatencyBudget,
+    LatencyCurve,
+    LatencyPart,
+    apr_by_latency,
+    fixed_latency,
+    load_latency_budget,
+)
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 

@@ -11,7 +11,12 @@ from geometry.scene_files import load_study_scene
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.detectors import load_detector, load_planning_detector
 from placement.layout import check_layout
-from placement.optimiser import is_better, is_feasible, placement_value, solve_greedy
+from placement.optimiser import (
+    is_better,
+    is_feasible,
+    placement_value,
+    solve_greedy,
+)
 from placement.pipeline import obtain_table, pick_layout, place
 from placement.setting import Setting
 from placement.wishes import Wishes, build_problem, check_wishes

@@ -14,7 +14,6 @@ from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from placement.candidates import CandidateGrid, CandidatePose
-from placement.labour import Labour
 from placement.layout import Layout
 from placement.optimiser import (
     Limits,
@@ -24,8 +23,14 @@ from placement.optimiser import (
     placement_value,
     run_margins_s,
 )
-from placement.retrofit import Change, combined_limits, find_retrofit
-from placement.retrofit_poses import RetrofitPoses, build_retrofit_poses
+from placement.retrofit import (
+    Change,
+    Labour,
+    RetrofitPoses,
+    build_retrofit_poses,
+    combined_limits,
+    find_retrofit,
+)
 
 RE_AIM_EUR = 2.0
 

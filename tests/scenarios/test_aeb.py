@@ -28,7 +28,12 @@ from scenarios.aeb import (
     load_aeb_rule,
     smallest_separation_m,
 )
-from scenarios.paths import Motion, StraightPath, TurnPath, travel_time_s
+from scenarios.paths import (
+    Motion,
+    StraightPath,
+    TurnPath,
+    travel_time_s,
+)
 from scenarios.turns import pick_turn
 
 RULE = load_aeb_rule()

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from strategies import KMH, numbers
 
 from geometry.errors import InputError
-from scenarios.braking import (
+from scenarios.aeb import (
     braking_distance_m,
     braking_speed_mps,
     load_aeb_rule,

@@ -9,7 +9,7 @@ from strategies import build_encounter, encounters, numbers
 from geometry.actors import load_actors
 from geometry.errors import InputError
 from geometry.footprints import footprint_corners, footprint_separation
-from scenarios.braking import braking_distance_m, load_aeb_rule
+from scenarios.aeb import braking_distance_m, load_aeb_rule
 from scenarios.encounters import (
     GRAZING_M,
     Cells,

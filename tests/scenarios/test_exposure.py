@@ -5,8 +5,13 @@ import numpy as np
 import pytest
 
 from geometry.errors import InputError, MissingExtraError
-from scenarios import rating
-from scenarios.exposure import weigh, weight_per_case, weight_per_run, weight_share
+from scenarios import exposure
+from scenarios.exposure import (
+    weigh,
+    weight_per_case,
+    weight_per_run,
+    weight_share,
+)
 
 
 def run(case, approach="north", weather="day", speed_kmh=20):
@@ -156,7 +161,7 @@ def test_points_are_those_of_the_package_shared_by_the_runs_of_a_case_and_weathe
 
 
 def test_every_score_of_the_mapping_is_one_of_the_package(scores):
-    points = rating.load_points()
+    points = exposure.load_points()
     assert set(points.values()) <= set(scores.values())
     vru = [name for name in scores if name[:2] in ("CP", "CB") and "SfS" not in name]
     left_out = {"CPMRCm", "CPMRCs", "CPMFC", "CBDA"}  # reversing, forward creep, dooring
@@ -181,6 +186,6 @@ def test_runs_without_points_alone_cannot_be_weighed(scores):
 
 def test_a_missing_package_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "euroncap_rating_2026.crash_avoidance.data_model", None)
-    rating.load_points.cache_clear()
+    exposure.load_points.cache_clear()
     with pytest.raises(MissingExtraError, match=r"pip install place-rsus\[rating\]"):
         weigh(DRIVEN, "euroncap-rating-2026")

@@ -7,8 +7,8 @@ from junctions import build_scene, lanes_of, protocol_scene
 from geometry.actors import pick_actor
 from geometry.junction import build_junction, mirrored
 from scenarios.aeb import load_aeb_rule
+from scenarios.cases import select_cases
 from scenarios.runs import build_runs
-from scenarios.selection import select_cases
 
 OTHER_SIDE = {"east": "east", "north": "south", "west": "west", "south": "north"}
 

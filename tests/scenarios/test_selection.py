@@ -1,7 +1,7 @@
 import pytest
 
 from geometry.errors import InputError
-from scenarios.selection import select_cases
+from scenarios.cases import select_cases
 
 
 def speeds(selection):

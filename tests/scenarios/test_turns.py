@@ -10,7 +10,13 @@ from scipy.optimize import brentq
 from strategies import numbers
 
 from geometry.errors import InputError
-from scenarios.turns import LEFT, RIGHT, Turn, load_turns, pick_turn
+from scenarios.turns import (
+    LEFT,
+    RIGHT,
+    Turn,
+    load_turns,
+    pick_turn,
+)
 
 # Lengths and places of the protocol's turns, computed apart from this code (numerical integration,
 # four decimals) from the numbers of Euro NCAP AEB/LSS VRU v4.5.1. Frame: origin at the middle of a

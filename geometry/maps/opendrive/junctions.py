@@ -1,14 +1,21 @@
-"""Junctions: which a file has, and which roads begin and end at them."""
+"""Junctions: which a file has, the roads that end at them, and the road surface they cover."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 from xml.etree.ElementTree import Element
 
-from ...errors import InputError
-from .attributes import numbered, take_id
-from .lanes import RoadEnds
-from .omissions import Omissions
+import numpy as np
+
+from ...arrays import FloatArray
+from ...errors import InputError, Unquoted
+from ..source_map import MapJunction, MapLane
+from .attributes import Omissions, numbered, take_id
+from .lanes import RoadEnds, SampledSection, lane_kind
 from .roads import NO_JUNCTION, Road, RoadLink
+
+# ---------- junctions: which a file has, and which roads begin and end at them
+
 
 _WITHOUT_SURFACE = {
     "direct": "its roads join without connecting roads: it has no surface of its own",
@@ -115,3 +122,222 @@ def junction_name(record: JunctionRecord, roads: Mapping[str, Road]) -> str:
         return record.name
     names = [roads[road].name for road in record.incoming if road in roads]
     return " / ".join(dict.fromkeys(name for name in names if name))
+
+
+# ---------- outlines of junctions: the road surface that their connecting roads cover
+
+
+_ARM_KINDS = ("driving", "parking")  # where a car parked at the corner hides who crosses
+_AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; what follows may move it by a little
+_MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction
+_MOUTH_M = 15.0  # of a lane, which is no part of the junction
+_WAY_WIDTH_M = 1.0  # to a lane's end outside: other ends that it passes stay at the outline
+_CLOSE_GAPS_M = 0.05  # hairlines between strips that touch
+_SIMPLIFY_M = 0.02
+_GRID_M = 0.001  # on a grid, overlays of nearly equal edges cannot fail
+_MIN_WIDTH_M = 0.05
+_PIECE_POINTS = 40
+_MAX_POINTS = 200_000  # of the surface of one junction
+_MIN_AREA_M2 = 1.0
+
+
+def build_junctions(
+    records: Mapping[str, JunctionRecord],
+    roads: Mapping[str, Road],
+    sampled: Mapping[str, Sequence[SampledSection]],
+    lanes: Sequence[MapLane],
+    omissions: Omissions,
+    where: str,
+) -> tuple[list[MapJunction], list[MapLane]]:
+    """Junctions with their outlines.
+
+    Parameters
+    ----------
+    records : mapping of str to JunctionRecord
+        By id.
+    roads : mapping of str to Road
+        By id.
+    sampled : mapping of str to sequence of SampledSection
+        Of these roads.
+    lanes : sequence of MapLane
+        Of the roads between junctions.
+    omissions : Omissions
+        Where to note junctions without surface, and lanes that end far from theirs.
+    where : str
+        File, for messages.
+
+    Returns
+    -------
+    junctions : list of MapJunction
+        The union of the driving lanes of their connecting roads, without holes; the ends of driving
+        and parking lanes that lead there lie on the outline.
+    lanes : list of MapLane
+        Those given, but without junctions that are not there, or far off.
+
+    Raises
+    ------
+    InputError
+        The roads of a junction take more points than can be.
+    """
+    members: dict[str, list[str]] = {}
+    for road in roads.values():
+        members.setdefault(road.junction, []).append(road.id)
+    tips = _tips_by_junction(lanes)
+    junctions = []
+    apart: set[tuple[str, str]] = set()
+    for record in records.values():
+        if not record.has_surface:
+            continue
+        pieces = [section for road in members.get(record.id, []) for section in sampled[road]]
+        n_points = sum(len(section.s_m) * len(section.lanes) for section in pieces)
+        if n_points > _MAX_POINTS:
+            got = Unquoted(f"roads of {n_points:,} points")
+            raise InputError(f"{where}: junction {record.id}", got, f"at most {_MAX_POINTS:,}")
+        with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
+            surface = _surface(pieces)
+        if surface is None:
+            omissions.add(
+                "junctions without surface",
+                f"junction {record.id}",
+                "it has no connecting road with a driving lane",
+            )
+            apart |= {(record.id, lane.id) for lane, _ in tips.get(record.id, [])}
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            surface, far = _fit(surface, tips.get(record.id, []))
+        for lane in far:
+            omissions.add(
+                "lanes that end far from their junction",
+                f"lane {lane.id} at junction {record.id}",
+                f"its outline is more than {_MAX_REACH_M:g} m away: it does not end there",
+            )
+        apart |= {(record.id, lane.id) for lane in far}
+        outline = np.asarray(surface.simplify(_SIMPLIFY_M).exterior.coords)[:-1]
+        middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+        points = np.concatenate([section.points_m for section in pieces])
+        nearest = np.hypot(*(points[:, :2] - middle).T).argmin()
+        junctions.append(
+            MapJunction(
+                id=record.id,
+                name=junction_name(record, roads),
+                outline_m=outline,
+                height_m=float(points[nearest, 2]),
+            )
+        )
+    there = {junction.id for junction in junctions}
+
+    def known(junction: str, lane: MapLane) -> str:
+        return junction if junction in there and (junction, lane.id) not in apart else ""
+
+    return junctions, [
+        replace(
+            lane,
+            from_junction=known(lane.from_junction, lane),
+            to_junction=known(lane.to_junction, lane),
+        )
+        for lane in lanes
+    ]
+
+
+def _tips_by_junction(lanes: Sequence[MapLane]) -> dict[str, list[tuple[MapLane, FloatArray]]]:
+    """Lanes of arms that end or begin at each junction, as lines that lead away from it."""
+    tips: dict[str, list[tuple[MapLane, FloatArray]]] = {}
+    for lane in lanes:
+        if lane.kind in _ARM_KINDS:
+            line = lane.centreline_m[:, :2]
+            if lane.from_junction:
+                tips.setdefault(lane.from_junction, []).append((lane, line))
+            if lane.to_junction:
+                tips.setdefault(lane.to_junction, []).append((lane, line[::-1]))
+    return tips
+
+
+def _surface(sections: Sequence[SampledSection]) -> Any:
+    """Union of the strips of driving lanes, its largest part without holes; None: there is none."""
+    import shapely
+
+    rings = [
+        ring
+        for section in sections
+        for lane in section.lanes.values()
+        if lane_kind(lane.record.type) == "driving" and lane.width_m.max() > _MIN_WIDTH_M
+        for ring in _rings(section.beside(lane.inner_m), section.beside(lane.outer_m))
+    ]
+    if not rings:
+        return None
+    strips = shapely.make_valid(np.array([shapely.Polygon(ring) for ring in rings]))
+    # Strips that only touch in rounded numbers would stay apart.
+    wide = shapely.buffer(strips, _CLOSE_GAPS_M, join_style="mitre", cap_style="flat")
+    union = shapely.union_all(wide, grid_size=_GRID_M)
+    return _largest(union.buffer(-_CLOSE_GAPS_M, join_style="mitre"))
+
+
+def _rings(inner_m: FloatArray, outer_m: FloatArray) -> list[FloatArray]:
+    """Outlines (k, 2) of a strip in short pieces: what winds over itself stays cheap to mend."""
+    last = len(inner_m) - 1
+    return [
+        np.concatenate(
+            [
+                inner_m[begin : begin + _PIECE_POINTS + 1],
+                outer_m[begin : begin + _PIECE_POINTS + 1][::-1],
+            ]
+        )[:, :2]
+        for begin in range(0, last, _PIECE_POINTS)
+    ]
+
+
+def _largest(shape: Any) -> Any:
+    """Largest polygon of a shape, its holes filled; None where there is none to speak of."""
+    import shapely
+
+    parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
+    filled = [shapely.Polygon(part.exterior) for part in parts if not part.is_empty]
+    largest = max(filled, key=lambda part: part.area, default=None)
+    return largest if largest is not None and largest.area > _MIN_AREA_M2 else None
+
+
+def _fit(surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]) -> tuple[Any, list[MapLane]]:
+    """Move an outline to the ends of the lanes that lead to it.
+
+    Returns
+    -------
+    surface : Polygon
+        Without the mouths of lanes that end inside, and with ways to those that end outside.
+    far : list of MapLane
+        Those too far outside.
+    """
+    import shapely
+
+    inside = []
+    for lane, line in tips:
+        tip = shapely.Point(line[0])
+        if surface.exterior.distance(tip) > _AT_OUTLINE_M and surface.contains(tip):
+            mouth = shapely.LineString(_first_metres(line, _MOUTH_M))
+            inside.append(mouth.buffer(0.5 * lane.width_m, cap_style="flat"))
+    if inside:
+        rest = _largest(
+            shapely.difference(
+                surface, shapely.union_all(inside, grid_size=_GRID_M), grid_size=_GRID_M
+            )
+        )
+        surface = surface if rest is None else rest
+    far, ways = [], []
+    for lane, line in tips:
+        tip = shapely.Point(line[0])
+        distance_m = surface.exterior.distance(tip)
+        if distance_m > _MAX_REACH_M:
+            far.append(lane)
+        elif distance_m > _AT_OUTLINE_M and not surface.contains(tip):
+            way = np.asarray(shapely.shortest_line(tip, surface).coords)
+            way[1] += (way[1] - way[0]) / np.hypot(*(way[1] - way[0])) * _WAY_WIDTH_M
+            ways.append(shapely.LineString(way).buffer(0.5 * _WAY_WIDTH_M, cap_style="flat"))
+    if ways:
+        surface = _largest(shapely.union_all([surface, *ways], grid_size=_GRID_M))
+    return surface, far
+
+
+def _first_metres(line: FloatArray, length_m: float) -> FloatArray:
+    steps = np.hypot(*np.diff(line, axis=0).T)
+    reached = np.append(0.0, np.cumsum(steps))
+    n_points = max(int(np.searchsorted(reached, length_m, side="right")), 2)
+    return line[:n_points]

@@ -1,15 +1,246 @@
-"""Lanes of roads, joined along their lane sections."""
+"""Lanes of roads: sampled as points, joined along their sections, short stubs taken in."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...arrays import FloatArray
-from ..model import MapLane
-from .roads import Road
-from .sampling import SampledSection
-from .tables import lane_kinds
+from ...errors import InputError, Unquoted
+from ..source_map import MapLane
+from .attributes import lane_kinds
+from .reference_line import MAX_COORDINATE_M, PiecewiseCubic, evaluate
+from .roads import LaneRecord, LaneSection, Road
+
+# ---------- roads as points
+
+
+MAX_POINTS = 5_000_000  # of a file
+_CHORD_ERROR_M = 0.02  # below the 3 cm that are asked for: bounds of bends are sampled
+_MAX_STEP_M = 5.0
+_MAX_PIECE_POINTS = 100_000  # the longest road that is straight takes 20 000
+_MAX_EDGE_M = 10_000.0
+_MAX_HEIGHT_M = 10_000.0
+_MAX_TURN_RAD = 200.0  # of one piece: some thirty rounds
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SampledLane:
+    """A lane of a section as points.
+
+    Attributes
+    ----------
+    record : LaneRecord
+        What it is.
+    inner_m, outer_m : (n,) float
+        Where its edges are, to the left of the reference line. [m]
+    """
+
+    record: LaneRecord
+    inner_m: FloatArray
+    outer_m: FloatArray
+
+    @property
+    def width_m(self) -> FloatArray:
+        """Full width at the stations, not below 0, (n,)."""
+        side = 1.0 if self.record.number > 0 else -1.0
+        width: FloatArray = np.maximum(side * (self.outer_m - self.inner_m), 0.0)
+        return width
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SampledSection:
+    """A lane section as points.
+
+    Attributes
+    ----------
+    s_m : (n,) float
+        Stations, from its begin to its end. [m]
+    points_m : (n, 3) float
+        Of the reference line. [m]
+    left : (n, 2) float
+        Unit vectors to the left of it.
+    lanes : dict of int to SampledLane
+        By number.
+    """
+
+    s_m: FloatArray
+    points_m: FloatArray
+    left: FloatArray
+    lanes: dict[int, SampledLane]
+
+    def beside(self, t_m: FloatArray) -> FloatArray:
+        """Points (n, 3) some metres to the left of the reference line."""
+        points = self.points_m.copy()
+        points[:, :2] += t_m[:, None] * self.left
+        return points
+
+
+def sample_road(road: Road, bends: FloatArray | None = None) -> tuple[SampledSection, ...]:
+    """Sample all lane sections of a road.
+
+    Parameters
+    ----------
+    road : Road
+        What to sample.
+    bends : (n_pieces, 3) float, optional
+        Of its reference line, where known.
+
+    Returns
+    -------
+    sections : tuple of SampledSection
+        Stations at most 5 m apart along any lane, chords at most 3 cm from the curve.
+
+    Raises
+    ------
+    InputError
+        A curve turns so fast that this takes more points than can be.
+    """
+    bends = road.line.bends() if bends is None else bends
+    return tuple(_sample_section(road, section, bends) for section in road.sections)
+
+
+def _sample_section(road: Road, section: LaneSection, bends: FloatArray) -> SampledSection:
+    starts, lengths = _intervals(road, section)
+    inside = starts + 0.5 * lengths
+    n_edges = 1 + len(section.left) + len(section.right)
+    _check_count(road, len(starts) * n_edges)
+    center = road.offset.rebased(starts, inside)
+    edges = {0: center}
+    for side, sign in ((section.left, 1.0), (section.right, -1.0)):
+        has_widths = any(len(lane.width.starts_m) for lane in side)
+        inner = center
+        for lane in side:
+            if has_widths or not len(lane.border.starts_m):
+                inner = inner + sign * lane.width.rebased(starts, inside)
+            else:
+                inner = _border(lane, starts, inside, center, sign)
+            edges[lane.number] = inner
+    elevation = road.elevation.rebased(starts, inside)
+
+    n_steps = _count_steps(road, lengths, inside, np.stack([*edges.values()]), elevation, bends)
+    _check_count(road, float(n_steps.sum()) * n_edges)
+    first = np.cumsum(n_steps) - n_steps
+    interval = np.repeat(np.arange(len(starts)), n_steps)
+    ds = (np.arange(len(interval)) - first[interval]) * (lengths / n_steps)[interval]
+    interval, ds = np.append(interval, len(starts) - 1), np.append(ds, lengths[-1])
+
+    s_m = starts[interval] + ds
+    points, heading = road.line.at(s_m, inside[interval])
+    t_m = {number: evaluate(cubic[interval], ds) for number, cubic in edges.items()}
+    inner_of = {
+        lane.number: numbers
+        for side in (section.left, section.right)
+        for lane, numbers in zip(side, [0, *(lane.number for lane in side[:-1])], strict=False)
+    }
+    if np.abs(points).max() > MAX_COORDINATE_M:
+        raise InputError(
+            f"{road.where} planView", float(np.abs(points).max()), f"at most {MAX_COORDINATE_M:g} m"
+        )
+    height = evaluate(elevation[interval], ds) + road.base_m
+    if np.abs(height).max() > _MAX_HEIGHT_M:
+        raise InputError(
+            f"{road.where} elevationProfile",
+            float(np.abs(height).max()),
+            f"heights of at most {_MAX_HEIGHT_M:g} m",
+        )
+    return SampledSection(
+        s_m=s_m,
+        points_m=np.column_stack([points, height]),
+        left=np.stack([-np.sin(heading), np.cos(heading)], axis=1),
+        lanes={
+            lane.number: SampledLane(
+                record=lane, inner_m=t_m[inner_of[lane.number]], outer_m=t_m[lane.number]
+            )
+            for lane in (*section.left, *section.right)
+        },
+    )
+
+
+def _check_count(road: Road, n_points: float) -> None:
+    if n_points > MAX_POINTS:
+        raise InputError(
+            road.where, Unquoted(f"{n_points:,.0f} points to draw it"), f"at most {MAX_POINTS:,}"
+        )
+
+
+def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray]:
+    """Begins and lengths of stretches in which nothing but one formula holds, (n,) each."""
+    cubics: list[PiecewiseCubic] = [road.offset, road.elevation]
+    for lane in (*section.left, *section.right):
+        cubics += [lane.width, lane.border]
+    inner = np.concatenate([road.line.starts_m, *(cubic.starts_m for cubic in cubics)])
+    inner = inner[(inner > section.start_m) & (inner < section.end_m)]
+    starts = np.unique(np.append(inner, section.start_m))
+    return starts, np.diff(np.append(starts, max(section.end_m, section.start_m)))
+
+
+def _border(
+    lane: LaneRecord, starts: FloatArray, inside: FloatArray, center: FloatArray, sign: float
+) -> FloatArray:
+    """Outer edge from <border>: a t coordinate, or as some write it a distance on either side."""
+    border = lane.border.rebased(starts, inside)
+    ds = inside - starts
+    is_beyond = sign * (evaluate(border, ds) - evaluate(center, ds)) < 0.0
+    return np.where(is_beyond[:, None], -border, border)
+
+
+def _count_steps(
+    road: Road,
+    lengths: FloatArray,
+    inside: FloatArray,
+    edges: FloatArray,
+    elevation: FloatArray,
+    bends: FloatArray,
+) -> NDArray[np.int64]:
+    """Steps per interval, (n,) int.
+
+    A chord of h metres leaves a curve by h^2 / 8 times its second derivative at most, here that of
+    p(s) + t(s) n(s): the bend of the line, widened outwards, what t adds, and the elevation.
+    """
+    piece = np.maximum(np.searchsorted(road.line.starts_m, inside, side="right") - 1, 0)
+    curvature, change, stride = bends[piece].T
+    a, b, c, d = np.moveaxis(edges, -1, 0)  # (n_edges, n) each
+    t, slope = np.zeros(len(lengths)), np.zeros(len(lengths))
+    for ds in (0.0 * lengths, 0.5 * lengths, lengths):
+        t = np.maximum(t, np.abs(a + ds * (b + ds * (c + ds * d))).max(axis=0))
+        slope = np.maximum(slope, np.abs(b + ds * (2.0 * c + 3.0 * ds * d)).max(axis=0))
+    second = np.maximum(np.abs(2.0 * c), np.abs(2.0 * c + 6.0 * d * lengths)).max(axis=0)
+    rise = np.maximum(
+        np.abs(2.0 * elevation[:, 2]),
+        np.abs(2.0 * elevation[:, 2] + 6.0 * elevation[:, 3] * lengths),
+    )
+    turn = curvature * stride * lengths
+    if turn.max() > _MAX_TURN_RAD:
+        where = road.line.wheres[piece[int(turn.argmax())]]
+        raise InputError(
+            where,
+            Unquoted(f"a curve that turns by {turn.max():.3g} rad"),
+            f"at most {_MAX_TURN_RAD:g} rad",
+        )
+    if t.max() > _MAX_EDGE_M:
+        raise InputError(
+            f"{road.where}: edge of a lane", float(t.max()), f"at most {_MAX_EDGE_M:g} m off"
+        )
+    widening = 1.0 + curvature * t
+    bend = stride * (stride * curvature * widening + 2.0 * curvature * slope + change * t)
+    by_chord = lengths * np.sqrt((bend + second + rise) / (8.0 * _CHORD_ERROR_M))
+    by_step = lengths * (stride * widening + slope) / _MAX_STEP_M
+    n_steps = np.ceil(np.maximum(np.maximum(by_chord, by_step), 1.0) - 1.0e-9)
+    if n_steps.max() > _MAX_PIECE_POINTS:
+        where = road.line.wheres[piece[int(n_steps.argmax())]]
+        raise InputError(
+            where,
+            Unquoted(f"bends that take {n_steps.max():.3g} points to follow"),
+            f"a curve, or widths along it, that at most {_MAX_PIECE_POINTS:,} follow",
+        )
+    counts: NDArray[np.int64] = n_steps.astype(np.int64)
+    return counts
+
+
+# ---------- lanes of roads, joined along their lane sections
+
 
 _MIN_WIDTH_M = 0.05  # below it there is no lane yet, or none any more
 _SAME_POINT_M = 0.005
@@ -141,3 +372,93 @@ def _runs(
         at_start = min(chain) == 0 and begin == 0
         at_end = max(chain) == len(sections) - 1 and end == len(points)
         yield line[is_new], mean_width_m, bool(at_start), bool(at_end)
+
+
+# ---------- very short roads at the mouth of a junction
+
+
+_STUB_M = 5.0
+_SAME_POINT_M_STUBS = 0.5
+_MAX_IN_A_ROW = 8
+
+
+def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
+    """Join lanes that are very short, and lead to a junction at one end, to the ones beyond.
+
+    Parameters
+    ----------
+    lanes : sequence of MapLane
+        Of all roads.
+
+    Returns
+    -------
+    lanes : list of MapLane
+        A stub's points and junction go over to the lane of its kind that goes on within half a
+        metre, which keeps its id.
+    """
+    joined = list(lanes)
+    for _ in range(_MAX_IN_A_ROW):
+        n_before = len(joined)
+        joined = _join_once(joined)
+        if len(joined) == n_before:
+            break
+    return joined
+
+
+def _join_once(lanes: Sequence[MapLane]) -> list[MapLane]:
+    from scipy.spatial import cKDTree
+
+    stubs = [
+        index
+        for index, lane in enumerate(lanes)
+        if bool(lane.from_junction) != bool(lane.to_junction) and _length_m(lane) < _STUB_M
+    ]
+    if not stubs:
+        return list(lanes)
+    trees = [cKDTree(np.array([lane.centreline_m[end] for lane in lanes])) for end in (0, -1)]
+    result: dict[int, MapLane] = dict(enumerate(lanes))
+    touched: set[int] = set()
+    for index in stubs:
+        stub = lanes[index]
+        leads_out = bool(stub.from_junction)
+        tip = stub.centreline_m[-1 if leads_out else 0]
+        distance_m, near = trees[0 if leads_out else 1].query(tip, k=min(4, len(lanes)))
+        for gap_m, other in zip(np.atleast_1d(distance_m), np.atleast_1d(near), strict=True):
+            lane = lanes[int(other)]
+            is_free = not (lane.from_junction if leads_out else lane.to_junction)
+            if (
+                gap_m > _SAME_POINT_M_STUBS
+                or other == index
+                or lane.kind != stub.kind
+                or not is_free
+            ):
+                continue
+            if touched & {index, int(other)}:
+                break  # the next round comes to it
+            pieces = [stub, lane] if leads_out else [lane, stub]
+            result[int(other)] = _joined(lane, pieces)
+            del result[index]
+            touched |= {index, int(other)}
+            break
+    return list(result.values())
+
+
+def _joined(lane: MapLane, pieces: Sequence[MapLane]) -> MapLane:
+    lengths = [_length_m(piece) for piece in pieces]
+    return replace(
+        lane,
+        width_m=float(np.average([piece.width_m for piece in pieces], weights=lengths)),
+        centreline_m=_chain(pieces[0].centreline_m, pieces[1].centreline_m),
+        from_junction=pieces[0].from_junction,
+        to_junction=pieces[1].to_junction,
+    )
+
+
+def _chain(first_m: FloatArray, second_m: FloatArray) -> FloatArray:
+    """Both lines as one; of the two points at the joint the second line's stays."""
+    chained: FloatArray = np.concatenate([first_m[:-1], second_m])
+    return chained
+
+
+def _length_m(lane: MapLane) -> float:
+    return float(np.hypot(*np.diff(lane.centreline_m[:, :2], axis=0).T).sum())

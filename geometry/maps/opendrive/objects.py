@@ -1,7 +1,9 @@
-"""Objects beside and on the roads: what hides things, what could carry sensors."""
+"""Objects on and beside the roads: buildings, trees, crosswalks, parking spaces."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import islice
 from xml.etree.ElementTree import Element
 
@@ -9,15 +11,315 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
-from ..model import POLE_KINDS, Pole, Thing
-from .attributes import numbered, take_number_or
-from .bodies import build_body
-from .copies import Copy, Sweep, place, read_outlines, read_places
-from .crosswalks import crosswalk_line
-from .kinds import object_kind
-from .omissions import Omissions
-from .parking import Space, read_space
+from ..source_map import POLE_KINDS, MapLane, Pole, Thing
+from .attributes import Omissions, load_facts, numbered, take_number_or
+from .junctions import JunctionRecord
+from .object_places import (
+    Copy,
+    Outline,
+    Sweep,
+    box_corners,
+    place,
+    read_outlines,
+    read_places,
+)
+from .object_shapes import build_body
 from .roads import Road
+
+# ---------- what an object or a signal is, from its type and its name
+
+
+_MAX_CHARACTERS = 100  # of a name that is looked at
+_MAX_WORDS = 3  # that are read as one
+_SAYS_NOTHING = ("", "none", "obstacle", "unknown", "undefined", "object", "other", "misc")
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+
+
+def object_kind(element: Element) -> str | None:
+    """Kind of an object; None: none that matters here.
+
+    Returns
+    -------
+    kind : str or None
+        "crosswalk", "parking space", "tree", "vegetation", "building", "wall", "parked vehicle", or
+        one of ``POLE_KINDS``; "obstacle" where the standard's type says no more than that.
+    """
+    object_type, name = element.get("type", ""), element.get("name", "")
+    if has_word((object_type, name), load_facts()["flat"]["words"]):
+        return None
+    if element.find("parkingSpace") is not None:
+        return "parking space"
+    plain = "".join(words(object_type))
+    for kind, types in load_facts()["object_types"].items():
+        if plain in types and element.get("dynamic", "no") != "yes":
+            return str(kind)
+    for text in (
+        (object_type,) if plain not in _SAYS_NOTHING else (name, element.get("subtype", ""))
+    ):
+        for kind, listed in load_facts()["object_words"].items():
+            if has_word((text,), listed):
+                return str(kind)
+    return "obstacle" if plain == "obstacle" else None
+
+
+def signal_kind(element: Element) -> str | None:
+    """Kind of a signal.
+
+    Returns
+    -------
+    kind : str or None
+        "traffic light", "crosswalk" (painted), "sign"; None: other paint.
+    """
+    facts = load_facts()["signals"]
+    texts = (element.get("name", ""), element.get("type", ""), element.get("subtype", ""))
+    number = element.get("type", "").strip()
+    is_dynamic = element.get("dynamic", "no").strip().lower() in ("yes", "true", "1")
+    if number in facts["crosswalk_types"] and not is_dynamic:
+        return "crosswalk"
+    if has_word(texts, facts["painted_words"]):
+        return None
+    if (is_dynamic and number in facts["light_types"]) or has_word(texts, facts["light_words"]):
+        return "traffic light"
+    return "sign"
+
+
+def words(text: str) -> list[str]:
+    """Words of a name, written small: "streetLamp_3" has street and lamp."""
+    return [word.lower() for word in _WORD.findall(text[:_MAX_CHARACTERS])]
+
+
+def has_word(texts: Iterable[str], wanted: Sequence[str]) -> bool:
+    """One of the texts has a word of the list, or several that together are one."""
+    return any(phrase in wanted for text in texts for phrase in _phrases(text))
+
+
+@lru_cache(maxsize=4096)
+def _phrases(text: str) -> frozenset[str]:
+    found = words(text)
+    return frozenset(
+        "".join(found[begin:end]).removesuffix(plural)
+        for begin in range(len(found))
+        for end in range(begin + 1, min(begin + _MAX_WORDS, len(found)) + 1)
+        for plural in ("", "s")
+    )
+
+
+# ---------- crosswalks as lines: from kerb to kerb
+
+
+_CLEARLY_LONGER = 1.3  # of two sides: below it, people cross more nearly across the road
+_MIN_LENGTH_M = 0.5
+
+
+def crosswalk_line(
+    road: Road, one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float
+) -> FloatArray | None:
+    """Line on which pedestrians cross.
+
+    Parameters
+    ----------
+    road : Road
+        That the object belongs to.
+    one : Copy or Sweep
+        Where.
+    outlines : sequence of Outline
+        What it has there.
+    turn_rad : float
+        Of its length against the road. [rad]
+
+    Returns
+    -------
+    line_m : (2, 2) float or None
+        Through the middle of its smallest box, the long way; where that is nearly a square, across
+        the road. Two corners are the line itself. None: it has no extent. [m]
+    """
+    copy = one.start if isinstance(one, Sweep) else one
+    _, heading = place(road, copy)
+    outer = next((outline for outline in outlines if outline.is_outer), None)
+    if outer is not None:
+        corners = outer.points_m
+    else:
+        box = box_corners(copy, turn_rad)
+        if box is None:
+            return None
+        corners = road.place(box[:, 0], box[:, 1])[0][:, :2]
+    if len(corners) == 2:
+        return corners if np.hypot(*(corners[1] - corners[0])) > _MIN_LENGTH_M else None
+    return _long_way(corners, np.array([-np.sin(heading), np.cos(heading)]))
+
+
+def signal_crosswalk(
+    element: Element, road: Road, s_m: float, t_m: float, length_m: float, where: str
+) -> FloatArray:
+    """Line (2, 2) across the road of a crosswalk that is written as a painted signal."""
+    points, heading = road.place(np.array([s_m]), np.array([t_m]))
+    # Around the other way is the same line: whole and half turns are of no matter.
+    angle = heading[0] + take_number_or(element, "hOffset", where, 0.0) + 0.5 * np.pi
+    across = np.array([np.cos(angle), np.sin(angle)])
+    line: FloatArray = points[0, :2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * across
+    return line
+
+
+def cross_paths(
+    records: Mapping[str, JunctionRecord], roads: Mapping[str, Road]
+) -> list[FloatArray]:
+    """Lines of the paths on which pedestrians cross junctions (OpenDRIVE 1.8, <crossPath>)."""
+    lines = []
+    for record in records.values():
+        for path in record.element.findall("crossPath"):
+            road = roads.get(path.get("crossingRoad", ""))
+            if road is not None:
+                ends, _ = road.place(np.array([0.0, road.length_m]), np.zeros(2))
+                if np.hypot(*(ends[1] - ends[0])[:2]) > _MIN_LENGTH_M:
+                    lines.append(ends[:, :2])
+    return lines
+
+
+def _long_way(corners_m: FloatArray, across_road: FloatArray) -> FloatArray | None:
+    import shapely
+
+    with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
+        box = shapely.MultiPoint(corners_m).minimum_rotated_rectangle
+    if box.geom_type != "Polygon":
+        return None
+    ring = np.asarray(box.exterior.coords)[:4]
+    sides = np.array([ring[1] - ring[0], ring[2] - ring[1]])
+    lengths = np.hypot(*sides.T)
+    longer = int(lengths.argmax())
+    if lengths[longer] < _CLEARLY_LONGER * lengths[1 - longer]:
+        longer = int(np.abs(sides @ across_road / lengths).argmax())
+    if lengths[longer] < _MIN_LENGTH_M:
+        return None
+    middle = ring.mean(axis=0)
+    line: FloatArray = middle + 0.5 * np.array([[-1.0], [1.0]]) * sides[longer]
+    return line
+
+
+# ---------- parking spaces, taken together as rows along the road
+
+
+_SAME_ROW_T_M = 1.0
+_SAME_ROW_GAP_M = 1.5
+_STEP_M = 2.0
+_MIN_SIZE_M = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Space:
+    """A parking space, as its box along the road.
+
+    Attributes
+    ----------
+    first_m, last_m : float
+        Where it begins and ends along the road. [m]
+    right_m, left_m : float
+        And beside it, to the left of the reference line. [m]
+    """
+
+    first_m: float
+    last_m: float
+    right_m: float
+    left_m: float
+
+    @property
+    def t_m(self) -> float:
+        """Of its middle, to the left of the reference line, in metres."""
+        return 0.5 * (self.right_m + self.left_m)
+
+
+def read_space(one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float) -> Space | None:
+    """One parking space, or a strip of them; None: it has no extent.
+
+    Parameters
+    ----------
+    one : Copy or Sweep
+        Where.
+    outlines : sequence of Outline
+        What it has there.
+    turn_rad : float
+        Of its length against the road. [rad]
+    """
+    if isinstance(one, Sweep):
+        start, end = one.start, one.end
+        if start.width_m is None:
+            return None
+        t_m, half_m = 0.5 * (start.t_m + end.t_m), 0.5 * start.width_m
+        corners = np.array([[start.s_m, t_m - half_m], [end.s_m, t_m + half_m]])
+    else:
+        outer = next((outline for outline in outlines if outline.is_outer), None)
+        if outer is not None:
+            corners = outer.road_m
+        else:
+            box = box_corners(one, turn_rad)
+            if box is None:
+                return None
+            corners = box
+    (first_m, right_m), (last_m, left_m) = corners.min(axis=0), corners.max(axis=0)
+    if min(last_m - first_m, left_m - right_m) < _MIN_SIZE_M:
+        return None
+    return Space(
+        first_m=float(first_m),
+        last_m=float(last_m),
+        right_m=float(right_m),
+        left_m=float(left_m),
+    )
+
+
+def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
+    """Parking lanes of a road: spaces that lie side by side, or one behind the other.
+
+    Parameters
+    ----------
+    road : Road
+        That the spaces belong to.
+    spaces : sequence of Space
+        In any order.
+
+    Returns
+    -------
+    lanes : list of MapLane
+        As wide as the spaces reach across; in the direction of the traffic on their side.
+    """
+    rows: list[list[Space]] = []
+    open_rows: list[list[Space]] = []  # those that may still go on
+    for space in sorted(spaces, key=lambda space: space.first_m):
+        reach_m = space.first_m - _SAME_ROW_GAP_M
+        open_rows = [row for row in open_rows if row[-1].last_m >= reach_m]
+        for row in open_rows:
+            if abs(row[-1].t_m - space.t_m) <= _SAME_ROW_T_M:
+                row.append(space)
+                break
+        else:
+            rows.append([space])
+            open_rows.append(rows[-1])
+    return [
+        lane
+        for index, row in enumerate(rows)
+        if (lane := _build_row(road, row, f"{road.id}/parking {index + 1}")) is not None
+    ]
+
+
+def _build_row(road: Road, row: Sequence[Space], name: str) -> MapLane | None:
+    first_m = max(min(space.first_m for space in row), 0.0)
+    last_m = min(max(space.last_m for space in row), road.length_m)
+    if last_m - first_m < _MIN_SIZE_M:
+        return None
+    s_m = np.linspace(first_m, last_m, max(2, int(np.ceil((last_m - first_m) / _STEP_M)) + 1))
+    middles = np.array([0.5 * (space.first_m + space.last_m) for space in row])
+    order = np.argsort(middles)
+    t_m = np.interp(s_m, middles[order], np.array([space.t_m for space in row])[order])
+    points, _ = road.place(s_m, t_m)
+    follows = (float(t_m.mean()) < 0.0) != road.keeps_left
+    return MapLane(
+        id=name,
+        kind="parking",
+        width_m=float(np.mean([space.left_m - space.right_m for space in row])),
+        centreline_m=points if follows else points[::-1],
+    )
+
+
+# ---------- objects beside and on the roads: what hides things, what could carry sensors
+
 
 _MAX_PLACES = 100_000  # of all objects of a file
 _MAX_VERTICES = 5_000_000

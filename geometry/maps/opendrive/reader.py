@@ -11,22 +11,14 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ...errors import InputError, Unquoted
-from ..model import SourceMap
-from ..xml_files import local_name, read_xml
-from .attributes import numbered
-from .crosswalks import cross_paths
-from .header import Offset, read_crs, read_offset
-from .junctions import find_road_ends, read_junction_records
-from .lanes import build_lanes
-from .objects import read_objects
-from .omissions import Omissions
-from .outlines import build_junctions
-from .parking import build_rows
-from .poles import merge_poles
+from ...untrusted_files import local_name, read_xml
+from ..source_map import SourceMap
+from .attributes import Offset, Omissions, numbered, read_crs, read_offset
+from .junctions import build_junctions, find_road_ends, read_junction_records
+from .lanes import MAX_POINTS, SampledSection, build_lanes, join_stubs, sample_road
+from .objects import build_rows, cross_paths, read_objects
 from .roads import NO_JUNCTION, Road, read_road
-from .sampling import MAX_POINTS, SampledSection, sample_road
-from .signals import read_signals
-from .stubs import join_stubs
+from .signals import merge_poles, read_signals
 
 
 def read_opendrive(path: Path) -> SourceMap:

@@ -1,16 +1,128 @@
 """The reference line of a road: its planView, evaluated at arc lengths."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fresnel
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
-from . import curves
-from .attributes import numbered, take_number
-from .header import Offset
+from .attributes import Offset, numbered, take_number
+
+# ---------- shapes of the pieces of a reference line, each in its own frame: it starts at 0 along x
+
+
+_ARC_BELOW_RAD = 1.0e-9  # a clothoid that turns by so much more or less than an arc is one
+_N_ARC_LENGTH = 2049
+
+
+def arc(s_m: FloatArray, curvature: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (n, 2) and headings (n,) of circular arcs; of straight lines where curvature is 0.
+
+    Parameters
+    ----------
+    s_m : (n,) float
+        Arc lengths. [m]
+    curvature : (n,) float
+        Positive turns to the left. [1/m]
+    """
+    half = 0.5 * curvature * s_m
+    chord = s_m * np.sinc(half / np.pi)
+    return np.stack([chord * np.cos(half), chord * np.sin(half)], axis=1), 2.0 * half
+
+
+def spiral(
+    s_m: FloatArray, start_curvature: FloatArray, curvature_slope: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Points (n, 2) and headings (n,) of clothoids.
+
+    Parameters
+    ----------
+    s_m : (n,) float
+        Arc lengths. [m]
+    start_curvature : (n,) float
+        [1/m]
+    curvature_slope : (n,) float
+        By how much curvature grows per metre. [1/m^2]
+
+    References
+    ----------
+    .. [1] Abramowitz, Stegun, section 7.3: completing the square in the heading
+       k0 s + k' s^2 / 2 leaves the Fresnel integrals C and S.
+    """
+    points, heading = arc(s_m, start_curvature + 0.5 * curvature_slope * s_m)
+    bent = np.abs(curvature_slope) * s_m**2 > _ARC_BELOW_RAD
+    if bent.any():
+        s, k0, slope = s_m[bent], start_curvature[bent], curvature_slope[bent]
+        scale = np.sqrt(np.abs(slope) / np.pi)
+        begin, end = scale * k0 / slope, scale * (s + k0 / slope)
+        (sine_0, cosine_0), (sine_1, cosine_1) = fresnel(begin), fresnel(end)
+        along = (cosine_1 - cosine_0) / scale
+        across = np.sign(slope) * (sine_1 - sine_0) / scale
+        turn = -0.5 * k0**2 / slope
+        points[bent] = np.stack(
+            [
+                along * np.cos(turn) - across * np.sin(turn),
+                along * np.sin(turn) + across * np.cos(turn),
+            ],
+            axis=1,
+        )
+    return points, heading
+
+
+def polynomial(p: FloatArray, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (n, 2) and headings (n,) of a pair of cubics.
+
+    Parameters
+    ----------
+    p : (n,) float
+        Parameter.
+    u, v : (4,) or (n, 4) float
+        Coefficients a, b, c, d of both coordinates.
+    """
+    points = np.stack([_cubic(p, u), _cubic(p, v)], axis=1)
+    du, dv = _slope(p, u), _slope(p, v)
+    # Where the curve starts with a standstill its second derivative says where it leads.
+    stands = du**2 + dv**2 < 1.0e-18
+    du = np.where(stands, 2.0 * u[..., 2] + 6.0 * u[..., 3] * p, du)
+    dv = np.where(stands, 2.0 * v[..., 2] + 6.0 * v[..., 3] * p, dv)
+    return points, np.arctan2(dv, du)
+
+
+def graph_parameter(s_m: FloatArray, v: FloatArray, length_m: float) -> FloatArray:
+    """Where on its u axis a curve v(u) has a given length, (n,).
+
+    Parameters
+    ----------
+    s_m : (n,) float
+        Arc lengths, 0 .. `length_m`. [m]
+    v : (4,) float
+        Coefficients a, b, c, d.
+    length_m : float
+        Of the whole curve. [m]
+    """
+    grid = np.linspace(0.0, length_m, _N_ARC_LENGTH)
+    speed = np.hypot(1.0, _slope(grid, v))
+    steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
+    u: FloatArray = np.interp(s_m, np.append(0.0, np.cumsum(steps)), grid)
+    return u
+
+
+def _cubic(p: FloatArray, k: FloatArray) -> FloatArray:
+    values: FloatArray = k[..., 0] + p * (k[..., 1] + p * (k[..., 2] + p * k[..., 3]))
+    return values
+
+
+def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
+    slopes: FloatArray = k[..., 1] + p * (2.0 * k[..., 2] + 3.0 * p * k[..., 3])
+    return slopes
+
+
+# ---------- the reference line of a road: its planView, evaluated at arc lengths
+
 
 SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
 MAX_COORDINATE_M = 1.0e8
@@ -79,20 +191,18 @@ class ReferenceLine:
             parameters = self.parameters[which]
             name = SHAPES[wanted]
             if name in ("line", "arc"):
-                points[mask], turns[mask] = curves.arc(s, parameters[:, 0])
+                points[mask], turns[mask] = arc(s, parameters[:, 0])
             elif name == "spiral":
-                points[mask], turns[mask] = curves.spiral(s, parameters[:, 0], parameters[:, 1])
+                points[mask], turns[mask] = spiral(s, parameters[:, 0], parameters[:, 1])
             else:
                 p = s * parameters[:, 8]
                 if name == "poly3":
                     for one in np.unique(which):
                         here = which == one
-                        p[here] = curves.graph_parameter(
+                        p[here] = graph_parameter(
                             s[here], self.parameters[one, 4:8], float(self.lengths_m[one])
                         )
-                points[mask], turns[mask] = curves.polynomial(
-                    p, parameters[:, :4], parameters[:, 4:8]
-                )
+                points[mask], turns[mask] = polynomial(p, parameters[:, :4], parameters[:, 4:8])
         return points, turns
 
     def bends(self) -> FloatArray:
@@ -218,3 +328,110 @@ def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...
         raise InputError(f"{where}.pRange", p_range, "normalized or arcLength")
     per_metre = 1.0 / length_m if p_range == "normalized" else 1.0
     return (*(take_number(shape, key, where) for key in keys), per_metre)
+
+
+# ---------- piecewise cubic polynomials along a road: offsets, widths, elevations
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PiecewiseCubic:
+    """a + b ds + c ds^2 + d ds^3 with ds counted from where a piece begins; 0 before the first.
+
+    Attributes
+    ----------
+    starts_m : (n,) float
+        Where the pieces begin, ascending. [m]
+    coefficients : (n, 4) float
+        a, b, c, d.
+    """
+
+    starts_m: FloatArray
+    coefficients: FloatArray
+
+    def rebased(self, starts_m: FloatArray, inside_m: FloatArray) -> FloatArray:
+        """Coefficients counted from other points.
+
+        Parameters
+        ----------
+        starts_m : (k,) float
+            From which to count. [m]
+        inside_m : (k,) float
+            Points that say which piece is meant: where two meet, the one or the other. [m]
+
+        Returns
+        -------
+        coefficients : (k, 4) float
+            Of the same polynomials (Taylor's shift).
+        """
+        if not len(self.starts_m):
+            return np.zeros((len(starts_m), 4))
+        piece = np.searchsorted(self.starts_m, inside_m, side="right") - 1
+        a, b, c, d = self.coefficients[np.maximum(piece, 0)].T
+        h = starts_m - self.starts_m[np.maximum(piece, 0)]
+        shifted = np.stack(
+            [
+                a + h * (b + h * (c + h * d)),
+                b + h * (2.0 * c + 3.0 * h * d),
+                c + 3.0 * h * d,
+                d,
+            ],
+            axis=1,
+        )
+        return np.where((piece >= 0)[:, None], shifted, 0.0)
+
+    def at(self, s_m: FloatArray) -> FloatArray:
+        """Values, (k,)."""
+        values: FloatArray = self.rebased(s_m, s_m)[:, 0]
+        return values
+
+
+def evaluate(coefficients: FloatArray, ds_m: FloatArray) -> FloatArray:
+    """Values of one cubic per point, (n,): coefficients (n, 4) at ds_m (n,)."""
+    a, b, c, d = coefficients.T
+    values: FloatArray = a + ds_m * (b + ds_m * (c + ds_m * d))
+    return values
+
+
+def read_cubics(
+    parent: Element | None, tag: str, where: str, *, start_key: str = "s", first_m: float = 0.0
+) -> PiecewiseCubic:
+    """Read a list of elements with attributes a, b, c, d.
+
+    Parameters
+    ----------
+    parent : Element, optional
+        Who has them; none: no pieces.
+    tag : str
+        Of the elements.
+    where : str
+        For messages.
+    start_key : str
+        Attribute that says where a piece begins.
+    first_m : float
+        Where that counts from. [m]
+
+    Returns
+    -------
+    cubic : PiecewiseCubic
+        In ascending order; of several that begin at one point the last one holds.
+
+    Raises
+    ------
+    InputError
+        A number is missing or not finite.
+    """
+    rows = [
+        (
+            first_m + take_number(element, start_key, here),
+            *(take_number(element, key, here) for key in "abcd"),
+        )
+        for element, here in numbered(parent, tag, where)
+    ]
+    return build_cubics(rows)
+
+
+def build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
+    """From rows of start, a, b, c, d."""
+    table = np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64).reshape(-1, 5)
+    is_last = np.append(np.diff(table[:, 0]) > 0.0, True)[: len(table)]
+    return PiecewiseCubic(starts_m=table[is_last, 0], coefficients=table[is_last, 1:])

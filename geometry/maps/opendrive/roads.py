@@ -7,10 +7,8 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
-from .attributes import numbered, take_id, take_number
-from .cubics import PiecewiseCubic, read_cubics
-from .header import Offset
-from .reference_line import ReferenceLine, read_reference_line
+from .attributes import Offset, numbered, take_id, take_number
+from .reference_line import PiecewiseCubic, ReferenceLine, read_cubics, read_reference_line
 
 NO_JUNCTION = "-1"
 _MAX_LENGTH_M = 100_000.0

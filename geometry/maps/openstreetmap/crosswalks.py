@@ -6,10 +6,8 @@ import numpy as np
 import shapely
 
 from ...arrays import FloatArray
-from .defaults import DEFAULTS
-from .elements import Elements
+from .elements import DEFAULTS, Elements, Notes
 from .network import Network, known_runs
-from .notes import Notes
 
 _PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
 

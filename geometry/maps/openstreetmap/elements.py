@@ -1,21 +1,34 @@
-"""Nodes, ways and relations of a file, as they stand there."""
+"""Nodes, ways, relations and areas of a file as they stand there, and notes on what is left out."""
 
 import bz2
 import gzip
 import zlib
 from array import array
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from shapely import Polygon, STRtree, make_valid
 
 from ...arrays import FloatArray, IntArray
 from ...errors import InputError, Unquoted
-from ..xml_files import check_size
-from .defaults import DEFAULTS
-from .pbf_checks import check_pbf
+from ...files import load_toml
+from ...untrusted_files import check_pbf, check_size
+from ..source_map import Skipped
+
+# ---------- what OpenStreetMap leaves open, from ``data/openstreetmap.toml``
+
+
+DEFAULTS: dict[str, Any] = load_toml(files("geometry.maps") / "data" / "openstreetmap.toml")
+"""Sizes where a tag is missing or makes no sense, each with its source in the file."""
+
+
+# ---------- nodes, ways and relations of a file, as they stand there
+
 
 Tags = dict[str, str]
 
@@ -260,3 +273,186 @@ def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
     found = np.minimum(np.searchsorted(node_ids, wanted), len(node_ids) - 1)
     rows: IntArray = np.where(node_ids[found] == wanted, found, -1).astype(np.int64)
     return rows
+
+
+# ---------- what was not taken, or not as it stands: gathered while reading, told once per reason
+
+
+@dataclass(slots=True)
+class Notes:
+    """Elements by the reason for which they were left out.
+
+    Attributes
+    ----------
+    reasons : dict of (str, str) to list of str
+        Kind of element in the plural and reason -> ids.
+    """
+
+    reasons: dict[tuple[str, str], list[str]] = field(default_factory=dict)
+
+    def add(self, kinds: str, element: str, why: str) -> None:
+        """Keep an element in mind: "walls", "way 5", "it has no length"."""
+        elements = self.reasons.setdefault((kinds, why), [])
+        if element not in elements[-1:]:
+            elements.append(element)
+
+    def skipped(self) -> tuple[Skipped, ...]:
+        """One entry per reason, with a count where there is more than one element."""
+        return tuple(
+            Skipped(
+                what=elements[0]
+                if len(elements) == 1
+                else f"{len(elements)} {kinds} ({elements[0]}, ..)",
+                why=why,
+            )
+            for (kinds, why), elements in self.reasons.items()
+        )
+
+
+# ---------- areas of a map: closed ways, and rings joined from the ways of multipolygons
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Area:
+    """An area with its courtyards.
+
+    Attributes
+    ----------
+    id : str
+        "w5", or of a multipolygon's second ring "r7.1".
+    tags : dict
+        What is known of it.
+    outer_m : (n, 2) float
+        Closed. [m]
+    holes_m : tuple of (k, 2) float
+        [m]
+    """
+
+    id: str
+    tags: Tags
+    outer_m: FloatArray
+    holes_m: tuple[FloatArray, ...] = ()
+
+    @property
+    def polygon(self) -> Polygon:
+        """The same for shapely; not always a valid one."""
+        return Polygon(self.outer_m, self.holes_m)
+
+
+def find_areas(
+    elements: Elements, positions_m: FloatArray, keys: Sequence[str], notes: Notes
+) -> Iterator[Area]:
+    """Areas that have one of some tags.
+
+    Parameters
+    ----------
+    elements : Elements
+        What the file has.
+    positions_m : (n, 2) float
+        Of its nodes. [m]
+    keys : sequence of str
+        One of them must be there: "building".
+    notes : Notes
+        Told of outlines that are not whole.
+
+    Yields
+    ------
+    area : Area
+    """
+    by_id = {way.id: way for way in elements.ways}
+    used: set[int] = set()
+    for relation in elements.relations:
+        if relation.tags.get("type") != "multipolygon":
+            continue
+        outers = [by_id[ref] for ref, role in relation.members if role != "inner" and ref in by_id]
+        tags = relation.tags
+        if not any(key in tags for key in keys):
+            # As it used to be: the outer way has the tags.
+            tags = next((way.tags for way in outers if any(k in way.tags for k in keys)), {})
+        if tags:
+            used.update(way.id for way in outers if any(key in way.tags for key in keys))
+            yield from _multipolygon(relation, tags, by_id, positions_m, notes)
+    for way in elements.ways:
+        if way.id in used or not any(key in way.tags for key in keys):
+            continue
+        if not way.is_closed or (way.rows < 0).any():
+            notes.add("outlines", f"way {way.id}", "an outline that is not whole")
+            continue
+        yield Area(id=f"w{way.id}", tags=way.tags, outer_m=positions_m[way.rows])
+
+
+def _multipolygon(
+    relation: Relation,
+    tags: Tags,
+    by_id: Mapping[int, Way],
+    positions_m: FloatArray,
+    notes: Notes,
+) -> Iterator[Area]:
+    rings: dict[bool, list[FloatArray]] = {}
+    for is_inner in (False, True):
+        members = [
+            by_id.get(ref) for ref, role in relation.members if (role == "inner") == is_inner
+        ]
+        ways = [way for way in members if way is not None]
+        rows, is_whole = join_rings(ways)
+        rings[is_inner] = [positions_m[ring] for ring in rows]
+        if len(ways) < len(members) or not is_whole:
+            notes.add("outlines", f"relation {relation.id}", "an outline that is not whole")
+    holes: dict[int, list[FloatArray]] = defaultdict(list)
+    outers = [make_valid(Polygon(ring)) for ring in rings[False]]
+    if outers and rings[True]:
+        tree = STRtree(outers)
+        for ring in rings[True]:
+            found = tree.query(Polygon(ring).representative_point(), predicate="within")
+            if len(found):
+                holes[int(found[0])].append(ring)
+    for number, ring in enumerate(rings[False]):
+        name = f"r{relation.id}.{number}" if number else f"r{relation.id}"
+        yield Area(id=name, tags=tags, outer_m=ring, holes_m=tuple(holes[number]))
+
+
+def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
+    """Rings of node rows from ways that may each be a part of one.
+
+    Parameters
+    ----------
+    ways : sequence of Way
+        In any order and direction.
+
+    Returns
+    -------
+    rings : list of (n,) int
+        Closed ones.
+    is_whole : bool
+        Every way is part of one.
+    """
+    rings, is_whole = [], True
+    open_ways: dict[int, Way] = {}
+    at_end: dict[int, list[int]] = defaultdict(list)
+    for number, way in enumerate(ways):
+        if len(way.rows) < 2 or (way.rows < 0).any():
+            is_whole = False
+        elif way.is_closed:
+            rings.append(way.rows)
+        else:
+            open_ways[number] = way
+            at_end[int(way.rows[0])].append(number)
+            at_end[int(way.rows[-1])].append(number)
+    while open_ways:
+        _, way = open_ways.popitem()
+        parts = [way.rows]
+        begin, tip = int(way.rows[0]), int(way.rows[-1])
+        while tip != begin:
+            following = next((one for one in at_end[tip] if one in open_ways), None)
+            if following is None:
+                break
+            rows = open_ways.pop(following).rows
+            rows = rows if rows[0] == tip else rows[::-1]
+            parts.append(rows[1:])
+            tip = int(rows[-1])
+        ring = np.concatenate(parts)
+        if tip == begin and len(ring) >= 4:
+            rings.append(ring)
+        else:
+            is_whole = False
+    return rings, is_whole

@@ -2,7 +2,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import count
 
 import numpy as np
@@ -11,14 +11,322 @@ from shapely import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
-from ..model import MapJunction
-from .arms import Arm, group_arms, place_mouths
-from .clusters import Clusters, find_clusters, is_fork
-from .defaults import DEFAULTS
-from .elements import Elements
-from .network import Network, Street, trace_streets
-from .notes import Notes
-from .strips import surface
+from ..source_map import MapJunction
+from .elements import DEFAULTS, Elements, Notes, Tags
+from .network import (
+    End,
+    Network,
+    Street,
+    axis_points,
+    surface,
+    trace_streets,
+)
+
+# ---------- where streets end at a junction: how far from its nodes, and which of them are one arm
+
+
+_STEP_M = 0.5
+_SAME_ARM_COSINE = np.cos(np.radians(25.0))  # as geometry.junction groups lanes
+_SAME_ARM_GAP_M = 12.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Arm:
+    """A street that leaves a junction.
+
+    Attributes
+    ----------
+    street : Street
+        Away from the junction, from its node.
+    index : int
+        Of the street, among all.
+    is_begin : bool
+        The street as it is listed begins here; otherwise it ends here and is turned round.
+    mouth_m : float
+        How far from its node lanes begin. [m]
+    """
+
+    street: Street
+    index: int
+    is_begin: bool
+    mouth_m: float = 0.0
+
+    @property
+    def direction(self) -> FloatArray:
+        """Unit vector away from the junction where the arm begins, (2,)."""
+        begin_m = min(self.mouth_m, max(self.street.length_m - 5.0, 0.0))
+        (near, far), _ = axis_points(self.street, [begin_m, begin_m + 10.0])
+        unit: FloatArray = (far - near) / max(float(np.hypot(*(far - near))), 1e-9)
+        return unit
+
+    @property
+    def mouth_point_m(self) -> FloatArray:
+        """Where the street crosses the outline, (2,)."""
+        (point,), _ = axis_points(self.street, [self.mouth_m])
+        return np.asarray(point)
+
+    @property
+    def half_width_m(self) -> float:
+        """Of its carriageway at the mouth, in metres."""
+        return 0.5 * self.street.sections[self.street.part_at(self.mouth_m)].width_m
+
+
+def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
+    """Find how far from a junction's nodes its arms begin.
+
+    Parameters
+    ----------
+    arms : sequence of Arm
+        Of one junction.
+    inside : sequence of Street
+        Those between its nodes.
+
+    Returns
+    -------
+    arms : list of Arm
+        They begin where their carriageways have left those of the others, and a corner farther;
+        the carriageways of one arm side by side.
+    """
+    limits = DEFAULTS["junction"]
+    directions = [arm.direction for arm in arms]
+    surfaces = [
+        surface(arm.street, 0.0, min(arm.street.length_m, limits["max_mouth_m"] + 5.0))
+        for arm in arms
+    ]
+    middle = [surface(street, 0.0, street.length_m) for street in inside]
+    placed = []
+    for index, arm in enumerate(arms):
+        others = [
+            other_surface
+            for other, other_surface in enumerate(surfaces)
+            if other != index
+            and not (
+                directions[index] @ directions[other] >= _SAME_ARM_COSINE
+                and _is_one_road(arm, arms[other])
+            )
+        ]
+        clear_m = _clear_from_m(arm.street, shapely.union_all([*middle, *others]))
+        mouth_m = min(clear_m + limits["corner_m"], limits["max_mouth_m"])
+        placed.append(replace(arm, mouth_m=mouth_m))
+    aligned = list(placed)
+    for group in group_arms(placed):
+        if len(group) > 1:
+            mean = np.mean([placed[index].direction for index in group], axis=0)
+            ahead = {index: float(placed[index].mouth_point_m @ mean) for index in group}
+            for index in group:
+                mouth_m = placed[index].mouth_m + max(ahead.values()) - ahead[index]
+                aligned[index] = replace(
+                    placed[index], mouth_m=min(mouth_m, limits["max_mouth_m"] + 10.0)
+                )
+    return aligned
+
+
+def group_arms(arms: Sequence[Arm]) -> list[list[int]]:
+    """Indices of streets that lead the same way side by side, and so are one arm."""
+    directions = [arm.direction for arm in arms]
+    points = [arm.mouth_point_m for arm in arms]
+    group = list(range(len(arms)))
+    for index, arm in enumerate(arms):
+        for other in range(index):
+            mean = directions[index] + directions[other]
+            across_m = abs(float((points[other] - points[index]) @ [-mean[1], mean[0]]))
+            reach_m = arm.half_width_m + arms[other].half_width_m + _SAME_ARM_GAP_M
+            if (
+                group[other] != group[index]
+                and directions[index] @ directions[other] >= _SAME_ARM_COSINE
+                and across_m <= reach_m * np.hypot(*mean)
+            ):
+                group = [group[other] if number == group[index] else number for number in group]
+    return [
+        [index for index, number in enumerate(group) if number == wanted]
+        for wanted in dict.fromkeys(group)
+    ]
+
+
+def _is_one_road(one: Arm, other: Arm) -> bool:
+    """Leading the same way they are the carriageways of a road, which may overlap."""
+    edges = [one.street.parts[0], other.street.parts[0]]
+    is_pair = all(edge.is_oneway for edge, _ in edges) and edges[0][1] != edges[1][1]
+    return is_pair or (edges[0][0].name != "" and edges[0][0].name == edges[1][0].name)
+
+
+def _clear_from_m(street: Street, others: BaseGeometry) -> float:
+    """How far along a street its cross-section first touches no other surface, in metres."""
+    limit_m = DEFAULTS["junction"]["max_mouth_m"]
+    stations = np.arange(0.0, limit_m, _STEP_M)
+    half = np.array([0.5 * street.sections[street.part_at(one)].width_m for one in stations])
+    half -= 0.05  # neighbours may touch
+    middle, across = axis_points(street, stations)
+    ends = [middle + sign * half[:, None] * across for sign in (1.0, -1.0)]
+    shapely.prepare(others)
+    is_touching = shapely.intersects(shapely.linestrings(np.stack(ends, axis=1)), others)
+    is_touching[0] = True  # where the streets meet
+    clear = np.flatnonzero(~is_touching)
+    return float(stations[clear[0]]) if len(clear) else limit_m
+
+
+# ---------- which nodes belong to which junction
+
+
+_FORK_DEG = 60.0  # two one-way roads that lie closer to one another than this are one road's
+
+
+@dataclass(slots=True)
+class Clusters:
+    """Nodes of junctions, joined step by step.
+
+    Attributes
+    ----------
+    of_row : dict of int to int
+        Junction's number by node row.
+    members : dict of int to list of int
+        Node rows by junction's number.
+    """
+
+    of_row: dict[int, int] = field(default_factory=dict)
+    members: dict[int, list[int]] = field(default_factory=dict)
+
+    def add(self, row: int, number: int | None = None) -> None:
+        """A node becomes part of a junction, by default of a new one."""
+        if row not in self.of_row:
+            self.of_row[row] = row if number is None else number
+            self.members.setdefault(self.of_row[row], []).append(row)
+
+    def join(self, one: int, other: int) -> None:
+        """Make one junction of two."""
+        if one != other:
+            for row in self.members[other]:
+                self.of_row[row] = one
+            self.members[one] += self.members.pop(other)
+
+    def drop(self, number: int) -> None:
+        """Forget a junction."""
+        for row in self.members.pop(number):
+            del self.of_row[row]
+
+
+def find_clusters(network: Network, node_tags: Mapping[int, Tags]) -> Clusters:
+    """Nodes where roads meet, those of one junction together.
+
+    Parameters
+    ----------
+    network : Network
+        The roads.
+    node_tags : dict of int to dict
+        By row.
+
+    Returns
+    -------
+    clusters : Clusters
+        Nodes with three or more ends of roads, or of roads and yards where signals stand; on the
+        ground; where a road only forks into its carriageways or ramps there is none. Nodes are
+        joined along short ways, and all of a roundabout.
+    """
+    clusters = Clusters()
+    for row, ends in network.ends.items():
+        if _is_meeting(network, ends, node_tags.get(row, {})) and not is_fork(network, ends):
+            clusters.add(row)
+    _join_roundabouts(network, clusters)
+    _join_near(network, clusters)
+    return clusters
+
+
+def _is_meeting(network: Network, ends: tuple[End, ...], tags: Tags) -> bool:
+    edges = [network.edges[index] for index, _ in ends]
+    if all(edge.level != 0 for edge in edges):
+        return False
+    n_full = sum(not edge.is_service for edge in edges)
+    has_signals = tags.get("highway") == "traffic_signals" and n_full > 0
+    return n_full >= 3 or (has_signals and len(edges) >= 3)
+
+
+def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
+    """A node where one road splits into its two carriageways, or into road and ramp."""
+    ends = tuple(end for end in ends if not network.edges[end[0]].is_service)
+    if len(ends) != 3 or any(network.edges[index].is_roundabout for index, _ in ends):
+        return False
+    for stem in ends:
+        one, other = (end for end in ends if end != stem)
+        edge, other_edge = network.edges[one[0]], network.edges[other[0]]
+        if not (edge.is_oneway and other_edge.is_oneway):
+            continue
+        bearings = [network.bearing_deg(end) for end in (stem, one, other)]
+        apart = [abs((b - bearings[0] + 180.0) % 360.0 - 180.0) for b in bearings[1:]]
+        between = abs((bearings[1] - bearings[2] + 180.0) % 360.0 - 180.0)
+        if between > _FORK_DEG or min(apart) < 90.0:
+            continue
+        stem_edge = network.edges[stem[0]]
+        is_split = not stem_edge.is_oneway and one[1] != other[1]
+        is_ramp = one[1] == other[1] and any(
+            e.tags["highway"].endswith("_link") or e.tags["highway"] == "motorway"
+            for e in (edge, other_edge, stem_edge)
+        )
+        if is_split or is_ramp:
+            return True
+    return False
+
+
+def _join_roundabouts(network: Network, clusters: Clusters) -> None:
+    """Nodes of one ring, and of what touches it, become one junction."""
+    limit_m = DEFAULTS["junction"]["max_roundabout_m"]
+    rings = Clusters()
+    for edge in network.edges:
+        if edge.is_roundabout and not edge.is_service:
+            begin, end = int(edge.rows[0]), int(edge.rows[-1])
+            rings.add(begin)
+            rings.add(end)
+            rings.join(rings.of_row[begin], rings.of_row[end])
+    for rows in rings.members.values():
+        size_m = float(np.hypot(*np.ptp(network.positions_m[rows], axis=0)))
+        numbers = sorted({clusters.of_row[row] for row in rows if row in clusters.of_row})
+        if numbers and size_m <= limit_m:
+            for number in numbers[1:]:
+                clusters.join(numbers[0], number)
+            for row in rows:
+                clusters.add(row, numbers[0])
+
+
+def _join_near(network: Network, clusters: Clusters) -> None:
+    limits = DEFAULTS["junction"]
+    links = []
+    for street in trace_streets(network, clusters.of_row.__contains__):
+        begin, end = int(street.rows[0]), int(street.rows[-1])
+        if begin not in clusters.of_row or end not in clusters.of_row:
+            continue
+        is_wide = is_between_carriageways(network, street)
+        if street.length_m <= limits["join_carriageways_m" if is_wide else "join_m"]:
+            links.append((street.length_m, begin, end))
+    for _, begin, end in sorted(links):
+        one, other = clusters.of_row[begin], clusters.of_row[end]
+        if one == other:
+            continue
+        rows = clusters.members[one] + clusters.members[other]
+        if np.hypot(*np.ptp(network.positions_m[rows], axis=0)) <= limits["max_size_m"] or any(
+            network.edges[index].is_roundabout for row in rows for index, _ in network.ends[row]
+        ):
+            clusters.join(one, other)
+
+
+def is_between_carriageways(network: Network, street: Street) -> bool:
+    """It links the two one-way carriageways of another street, across its median."""
+    names = []
+    for row in (int(street.rows[0]), int(street.rows[-1])):
+        edges = [network.edges[index] for index, _ in network.ends[row]]
+        names.append({edge.name for edge in edges if edge.is_oneway and edge.name})
+    return bool(names[0] & names[1] - {street.parts[0][0].name})
+
+
+def direction_at(points_m: FloatArray, over_m: float = 10.0) -> FloatArray:
+    """Unit vector along the first metres of a line, (2,)."""
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T)))
+    ahead = np.array([np.interp(over_m, along, points_m[:, axis]) for axis in (0, 1)])
+    vector = ahead - points_m[0]
+    unit: FloatArray = vector / max(float(np.hypot(*vector)), 1e-9)
+    return unit
+
+
+# ---------- junctions of a network: which streets are their arms, their outlines and names
+
 
 _MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
 

@@ -1,254 +1,474 @@
-"""Lanes of streets: cross-sections along the line of the street."""
+"""Lanes of a road from its tags: how many in each direction, how wide, what lies beside them."""
 
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-import numpy as np
-from scipy.spatial import cKDTree
+from .elements import DEFAULTS, Notes, Tags
+from .tags import is_yes, parse_count, parse_length_m, side_value
 
-from ...arrays import FloatArray
-from ..model import MapLane
-from .cross_section import Strip
-from .defaults import DEFAULTS
-from .junctions import Reach
-from .strips import axis_points, has_no_knot, stations_between
-
-_BESIDE_END_M = 12.0  # between the end of one carriageway and the lane it leads into
-_MIN_LENGTH_M = 0.5
-_SAME_POINT_M = 0.5  # pieces of a lane whose ends are as near as this are one after the other
-_SAME_WAY = 0.5  # cosine of the angle between them
-_BEND_M = 15.0
+# ---------- how many lanes a road has in each direction, from its tags
 
 
-@dataclass(slots=True)
-class _Piece:
-    """A lane over some parts of a street, with where its middle lies at breaks.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaneCounts:
+    """Lanes of a road.
 
     Attributes
     ----------
-    strips : list of Strip
-        Of each part.
-    spans_m : list of (float, float)
-        Stations of each part. [m]
-    ends_left_m : list of (float, float)
-        Its middle, to the left of the street, where each part begins and ends. [m]
-    levels : list of int
-        Layer of each part.
-    id : str
-        Of the lane.
+    n_forward, n_backward : int
+        In each direction, as the way's nodes run and against them.
+    is_shared : bool
+        The only lane is for both directions: both counts are 1 and mean the same lane.
+    has_centre : bool
+        There is a lane in the middle for turning from both directions.
+    is_counted : bool
+        Tags say how many lanes there are.
     """
 
-    id: str
-    strips: list[Strip] = field(default_factory=list)
-    spans_m: list[tuple[float, float]] = field(default_factory=list)
-    ends_left_m: list[tuple[float, float]] = field(default_factory=list)
-    levels: list[int] = field(default_factory=list)
+    n_forward: int
+    n_backward: int
+    is_shared: bool = False
+    has_centre: bool = False
+    is_counted: bool = False
 
 
-def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
-    """Lanes of all streets.
+def is_oneway(tags: Tags) -> bool:
+    """A road on which cars drive one way only, as its nodes run or against them."""
+    text = tags.get("oneway", "").strip().lower()
+    if text in ("yes", "true", "1", "-1", "reverse"):
+        return True
+    if text:  # no, alternating, reversible
+        return False
+    return tags.get("junction") in ("roundabout", "circular") or tags["highway"] == "motorway"
+
+
+def runs_backward(tags: Tags) -> bool:
+    """A one-way road on which cars drive against the order of its nodes."""
+    return tags.get("oneway", "").strip().lower() in ("-1", "reverse")
+
+
+def count_lanes(tags: Tags, *, element: str, notes: Notes) -> LaneCounts:
+    """Lanes of a road in each direction.
 
     Parameters
     ----------
-    reaches : sequence of Reach
-        Streets and where on them lanes begin and end.
-
-    Returns
-    -------
-    lanes : tuple of MapLane
-        One per lane and stretch between junctions; where the number of lanes of a direction
-        changes, all of them end, and those that follow begin at the same points.
+    tags : dict
+        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
+    element : str
+        For notes: "way 5".
+    notes : Notes
+        Told of what makes no sense.
     """
-    lanes = [lane for reach in reaches for lane in _street_lanes(reach)]
-    return tuple(_lead_on(lanes))
+    highest = int(DEFAULTS["cross_section"]["max_lanes"])
+    usual = DEFAULTS["roads"][tags["highway"]]
 
+    def number(key: str, at_most: int = highest) -> int | None:
+        if key not in tags:
+            return None
+        count = parse_count(tags[key], highest=at_most)
+        if count is None and tags[key].strip() != "0":
+            notes.add("ways", element, f"{key} makes no sense; the usual number of lanes taken")
+        return count
 
-def _street_lanes(reach: Reach) -> Iterator[MapLane]:
-    street = reach.street
-    spans = [
-        (max(low, reach.begin_m), min(high, reach.end_m))
-        for low, high in zip(street.breaks_m[:-1], street.breaks_m[1:], strict=True)
-    ]
-    parts = [index for index, (low, high) in enumerate(spans) if high - low > 1e-3]
-    open_pieces: dict[tuple[str, str, int], _Piece] = {}
-    done: list[_Piece] = []
-    for at, index in enumerate(parts):
-        edge, _ = street.parts[index]
-        strips = street.sections[index].strips
-        before = street.sections[parts[at - 1]].strips if at else ()
-        after = street.sections[parts[at + 1]].strips if at + 1 < len(parts) else ()
-        following: dict[tuple[str, str, int], _Piece] = {}
-        for strip in strips:
-            begin_m, is_continued = _at_break(strip, strips, before)
-            end_m, _ = _at_break(strip, strips, after)
-            piece = open_pieces.pop(_key(strip), None) if is_continued else None
-            if piece is None:
-                name = f"{edge.id} {strip.kind} {strip.place} {strip.number}"
-                piece = _Piece(name)
-            piece.strips.append(strip)
-            piece.spans_m.append(spans[index])
-            piece.ends_left_m.append((begin_m, end_m))
-            piece.levels.append(edge.level)
-            following[_key(strip)] = piece
-        done += open_pieces.values()
-        open_pieces = following
-    done += open_pieces.values()
-    for piece in done:
-        lane = _lane(piece, reach)
-        if lane is not None:
-            yield lane
+    def listed(key: str) -> int | None:
+        text = tags.get(key)
+        return min(text.count("|") + 1, highest) if text and "|" in text else None
 
-
-def _key(strip: Strip) -> tuple[str, str, int]:
-    return strip.kind, strip.place, strip.number
-
-
-def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tuple[float, bool]:
-    """Where a lane's middle lies at a break, left of the street, and whether it just goes on."""
-    here, there = (
-        sorted(
-            (one for one in side if (one.kind, one.place) == (strip.kind, strip.place)),
-            key=lambda one: one.number,
+    total = number("lanes", 2 * highest)
+    if is_oneway(tags):
+        count = total or listed("turn:lanes") or listed("turn:lanes:forward")
+        is_counted = count is not None
+        return LaneCounts(
+            n_forward=min(count or usual["oneway_lanes"], highest),
+            n_backward=0,
+            is_counted=is_counted,
         )
-        for side in (own, others)
-    )
-    if not there:
-        return strip.left_m, False
-    if strip.kind != "driving":
-        match = [one for one in there if one.number == strip.number]
-        same = match[0].left_m if match else strip.left_m
-        return 0.5 * (strip.left_m + same), bool(match)
-    number = min(strip.number, len(here) - 1, len(there) - 1)
-    left_m = 0.5 * (here[number].left_m + there[number].left_m)
-    return left_m, len(here) == len(there)
-
-
-def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
-    taper = DEFAULTS["cross_section"]["taper"]
-    stations: list[float] = []
-    lefts: list[float] = []
-    for strip, (low, high), ends in zip(
-        piece.strips, piece.spans_m, piece.ends_left_m, strict=True
-    ):
-        half = 0.5 * (high - low)
-        for station, left, sign in ((low, ends[0], 1.0), (high, ends[1], -1.0)):
-            shift = abs(left - strip.left_m)
-            run = min(max(taper * shift, 1.0), half)
-            pair = [(station, left), (station + sign * run, strip.left_m)]
-            for one, beside in pair if sign > 0.0 else pair[::-1]:
-                stations.append(one)
-                lefts.append(beside)
-    begin_m, end_m = piece.spans_m[0][0], piece.spans_m[-1][1]
-    if end_m - begin_m < _MIN_LENGTH_M:
-        return None
-    is_level = np.ptp(lefts) < 1e-9
-    heights = _heights(piece)
-    extra = [] if is_level else list(stations)
-    extra += [station for station, _ in heights] if any(piece.levels) else []
-    at = stations_between(reach.street, begin_m, end_m, extra)
-    middle, across = axis_points(reach.street, at)
-    line = middle + np.interp(at, stations, lefts)[:, None] * across
-    is_kept = has_no_knot(line, middle)
-    at, line = at[is_kept], line[is_kept]
-    if len(line) < 2 or np.hypot(*(line[-1] - line[0])) < 1e-3:
-        return None
-    widths = [strip.width_m for strip in piece.strips]
-    lengths = [high - low for low, high in piece.spans_m]
-    is_forward = piece.strips[0].is_forward
-    points = np.column_stack([line, np.interp(at, *np.transpose(heights))])
-    from_junction = reach.from_junction if begin_m <= reach.begin_m + 1e-6 else ""
-    to_junction = reach.to_junction if end_m >= reach.end_m - 1e-6 else ""
-    if not is_forward:
-        points = points[::-1]
-        from_junction, to_junction = to_junction, from_junction
-    return MapLane(
-        id=piece.id,
-        kind=piece.strips[0].kind,
-        width_m=float(np.average(widths, weights=lengths)),
-        centreline_m=points,
-        from_junction=from_junction,
-        to_junction=to_junction,
+    has_centre = is_yes(tags.get("lanes:both_ways")) or "turn:lanes:both_ways" in tags
+    if has_centre and total is not None:
+        total = max(total - 1, 0) or None
+    forward = number("lanes:forward") or listed("turn:lanes:forward")
+    backward = number("lanes:backward") or listed("turn:lanes:backward")
+    if total == 1 and forward is None and backward is None:
+        return LaneCounts(n_forward=1, n_backward=1, is_shared=True, is_counted=True)
+    is_counted = any(count is not None for count in (total, forward, backward))
+    if total is not None and (forward is None) != (backward is None):
+        rest = max(total - (forward or backward or 0), 1)
+        forward, backward = forward or rest, backward or rest
+    elif total is not None and forward is None:
+        # An odd lane is somebody's turning lane; nothing says whose.
+        forward, backward = total - total // 2, total // 2
+    if not is_counted and tags.get("lane_markings") == "no":
+        forward = backward = 1
+    is_shared = not is_counted and usual["is_shared"]
+    return LaneCounts(
+        n_forward=min(forward or usual["lanes"], highest),
+        n_backward=min(backward or usual["lanes"], highest),
+        is_shared=is_shared,
+        has_centre=has_centre and not is_shared,
+        is_counted=is_counted,
     )
 
 
-def _heights(piece: _Piece) -> list[tuple[float, float]]:
-    """Stations and heights: bridges and tunnels are as high as their layer, with short ramps."""
-    heights: list[tuple[float, float]] = []
-    step_m = DEFAULTS["cross_section"]["level_m"]
-    for index, ((low, high), level) in enumerate(zip(piece.spans_m, piece.levels, strict=True)):
-        before = piece.levels[max(index - 1, 0)]
-        after = piece.levels[min(index + 1, len(piece.levels) - 1)]
-        run = min(10.0, 0.5 * (high - low))
-        heights += [
-            (low, 0.5 * step_m * (before + level)),
-            (low + run, step_m * level),
-            (high - run, step_m * level),
-            (high, 0.5 * step_m * (level + after)),
-        ]
-    return heights
+# ---------- what lies beside the driving lanes of a road: parked cars, cyclists, pedestrians
 
 
-def _lead_on(lanes: Sequence[MapLane]) -> list[MapLane]:
-    """Let lanes of carriageways that part or merge begin where the one before them ends."""
-    led = list(lanes)
-    loose: dict[bool, list[int]] = defaultdict(list)  # by whether the begin is meant
-    driving = [index for index, lane in enumerate(lanes) if lane.kind == "driving"]
-    if not driving:
-        return led
-    tips = {
-        is_begin: np.array([_tip(lanes[index], is_begin=is_begin) for index in driving])
-        for is_begin in (True, False)
-    }
-    trees = {is_begin: cKDTree(tips[is_begin]) for is_begin in (True, False)}
-    for is_begin in (True, False):
-        distance = np.atleast_1d(trees[not is_begin].query(tips[is_begin])[0])
-        for at, index in enumerate(driving):
-            name = lanes[index].from_junction if is_begin else lanes[index].to_junction
-            if not name and distance[at] > _SAME_POINT_M:
-                loose[is_begin].append(at)
-    pairs = []
-    for end in loose[False]:
-        for begin in trees[True].query_ball_point(tips[False][end], _BESIDE_END_M):
-            one, other = lanes[driving[end]], lanes[driving[begin]]
-            if begin in loose[True] and _ahead(one, False) @ _ahead(other, True) > _SAME_WAY:
-                east, north, _ = tips[True][begin] - tips[False][end]
-                gap = float(np.hypot(east, north))
-                pairs.append((gap, end, begin))
-    moved: dict[tuple[int, bool], FloatArray] = {}
-    for _, end, begin in sorted(pairs):
-        if (end, False) in moved:
-            continue
-        if (begin, True) not in moved:
-            moved[begin, True] = 0.5 * (tips[False][end] + tips[True][begin])
-        moved[end, False] = moved[begin, True]
-    for (at, is_begin), point in moved.items():
-        index = driving[at]
-        points = led[index].centreline_m
-        line = _bent(points if is_begin else points[::-1], point)
-        led[index] = replace(led[index], centreline_m=line if is_begin else line[::-1])
-    return led
+Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
+
+_ON_CARRIAGEWAY = ("lane", "half_on_kerb", "shoulder", "yes")
+_BESIDE_CARRIAGEWAY = ("street_side", "on_kerb")
+_OLD_ORIENTATIONS = ("parallel", "diagonal", "perpendicular")
+_CYCLE_LANES = ("lane", "opposite_lane")
+_CYCLE_TRACKS = ("track", "opposite_track")
 
 
-def _tip(lane: MapLane, *, is_begin: bool) -> FloatArray:
-    tip: FloatArray = lane.centreline_m[0 if is_begin else -1]
-    return tip
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Roadside:
+    """Beside one side of the driving lanes, from these outwards.
+
+    Attributes
+    ----------
+    inner : tuple of (str, float, bool)
+        On the carriageway: kind, width [m], whether it runs as the way does.
+    outer : tuple of (str, float, bool)
+        Behind the kerb.
+    """
+
+    inner: tuple[Part, ...]
+    outer: tuple[Part, ...]
 
 
-def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
-    """Unit vector in driving direction at an end of a lane, (2,)."""
-    points = lane.centreline_m[:, :2]
-    step = points[1] - points[0] if is_begin else points[-1] - points[-2]
-    unit: FloatArray = step / max(float(np.hypot(*step)), 1e-9)
-    return unit
+def roadside_strips(
+    tags: Tags, *, side: str, keeps_left: bool, element: str, notes: Notes
+) -> Roadside:
+    """Parked cars, cyclists and pedestrians on one side of a road.
+
+    Parameters
+    ----------
+    tags : dict
+        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
+    side : {"left", "right"}
+        Seen along the way.
+    keeps_left : bool
+        Traffic keeps left.
+    element : str
+        For notes: "way 5".
+    notes : Notes
+        Told of widths that make no sense.
+    """
+    is_near = side == ("left" if keeps_left else "right")  # the side of traffic along the way
+    is_forward = is_near or is_oneway(tags)
+    inner: list[Part] = []
+    outer: list[Part] = []
+
+    def width(key: str, usual_m: float) -> float:
+        keys = (f"{key}:{side}:width", f"{key}:both:width", f"{key}:width")
+        text = next((tags[one] for one in keys if one in tags), None)
+        if text is None:
+            return usual_m
+        width_m = parse_length_m(text)
+        if width_m is None or not 0.5 <= width_m <= 15.0:
+            notes.add("ways", element, f"{key} width makes no sense; the usual one taken")
+            return usual_m
+        return width_m
+
+    usual = DEFAULTS["cross_section"]
+    cycleway = _cycleway(tags, side, is_near=is_near)
+    is_against = cycleway in ("opposite_lane", "opposite_track") or (
+        tags.get(f"cycleway:{side}:oneway") == "-1"
+    )
+    cycles_forward = is_forward and not (is_against and is_oneway(tags))
+    if cycleway in _CYCLE_LANES:
+        inner.append(("cycling", width("cycleway", usual["cycle_lane_width_m"]), cycles_forward))
+    position, orientation = _parking(tags, side)
+    if position in (*_ON_CARRIAGEWAY, *_BESIDE_CARRIAGEWAY):
+        usual_m = usual.get(f"{orientation}_parking_width_m", usual["parallel_parking_width_m"])
+        part = ("parking", width("parking", usual_m), is_forward)
+        (inner if position in _ON_CARRIAGEWAY else outer).append(part)
+    if cycleway in _CYCLE_TRACKS:
+        outer.append(("cycling", width("cycleway", usual["cycle_track_width_m"]), cycles_forward))
+    if _has_sidewalk(tags, side):
+        outer.append(("walking", width("sidewalk", usual["sidewalk_width_m"]), is_forward))
+    return Roadside(inner=tuple(inner), outer=tuple(outer))
 
 
-def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
-    """A line that begins at another point and comes back to itself within some metres."""
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m[:, :2], axis=0).T)))
-    run = min(_BEND_M, float(along[-1]))
-    stations = np.unique(np.append(along, run))
-    line = np.column_stack([np.interp(stations, along, points_m[:, axis]) for axis in range(3)])
-    share = np.clip(1.0 - stations / run, 0.0, 1.0)
-    bent: FloatArray = line + share[:, None] * (begin_m - points_m[0])
-    return bent
+def _cycleway(tags: Tags, side: str, *, is_near: bool) -> str:
+    named = side_value(tags, "cycleway", side)
+    if named is not None:
+        return named
+    plain = tags.get("cycleway", "")
+    if is_oneway(tags):
+        # Along a one-way road the plain tag means the side of its traffic, "opposite" the other.
+        return plain if plain.startswith("opposite") != is_near else ""
+    return plain
+
+
+def _parking(tags: Tags, side: str) -> tuple[str, str]:
+    """Where cars park on a side, and how."""
+    position = side_value(tags, "parking", side)
+    if position is not None:
+        restriction = tags.get(
+            f"parking:{side}:restriction", tags.get("parking:both:restriction", "")
+        )
+        if restriction in ("no_stopping", "no_parking", "no_standing"):
+            return "no", ""
+        orientation = tags.get(
+            f"parking:{side}:orientation", tags.get("parking:both:orientation", "parallel")
+        )
+        return position, orientation
+    old = side_value(tags, "parking:lane", side) or ""
+    if old in _OLD_ORIENTATIONS:
+        where = tags.get(f"parking:lane:{side}:{old}", tags.get(f"parking:lane:both:{old}", ""))
+        old_positions = {
+            "street_side": "street_side",
+            "on_kerb": "on_kerb",
+            "lay_by": "street_side",
+        }
+        return old_positions.get(where, "lane"), old
+    return "no", ""
+
+
+def _has_sidewalk(tags: Tags, side: str) -> bool:
+    named = side_value(tags, "sidewalk", side)
+    if named is not None:
+        return named == "yes"
+    return tags.get("sidewalk") in ("both", "yes", side)
+
+
+# ---------- lanes of a road side by side, from its tags
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Strip:
+    """One lane in a cross-section.
+
+    Attributes
+    ----------
+    kind : str
+        One of :data:`geometry.maps.source_map.LANE_KINDS`.
+    place : str
+        Tells strips of a kind apart: "forward", "backward" for driving lanes, "left", "right" for
+        others.
+    number : int
+        Among those of its kind and place; 0: next to the kerb.
+    width_m : float
+        [m]
+    left_m : float
+        Of its middle, to the left of the way. [m]
+    is_forward : bool
+        Traffic runs as the way does.
+    """
+
+    kind: str
+    place: str
+    number: int
+    width_m: float
+    left_m: float
+    is_forward: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CrossSection:
+    """What lies side by side along a way; its carriageway's middle is the way.
+
+    Attributes
+    ----------
+    strips : tuple of Strip
+        From left to right.
+    width_m : float
+        From kerb to kerb, parked cars and cycle lanes on the carriageway included. [m]
+    """
+
+    strips: tuple[Strip, ...]
+    width_m: float
+
+    def lanes(self, *, is_forward: bool) -> tuple[Strip, ...]:
+        """Driving lanes of one direction, from the kerb to the axis."""
+        lanes = [s for s in self.strips if s.kind == "driving" and s.is_forward == is_forward]
+        return tuple(sorted(lanes, key=lambda strip: strip.number))
+
+    def turned_round(self) -> "CrossSection":
+        """The same, along the way in the opposite order of nodes."""
+        strips = tuple(
+            replace(
+                strip,
+                place=_OPPOSITE[strip.place],
+                left_m=-strip.left_m,
+                is_forward=not strip.is_forward,
+            )
+            for strip in self.strips[::-1]
+        )
+        return replace(self, strips=strips)
+
+
+_OPPOSITE = {"forward": "backward", "backward": "forward", "left": "right", "right": "left"}
+
+
+def build_cross_section(
+    tags: Tags, *, element: str, keeps_left: bool, notes: Notes
+) -> CrossSection:
+    """What lies side by side along a road.
+
+    Parameters
+    ----------
+    tags : dict
+        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
+    element : str
+        For notes: "way 5".
+    keeps_left : bool
+        Traffic keeps left.
+    notes : Notes
+        Told of what makes no sense in the tags; defaults stand in for it.
+    """
+    limits = DEFAULTS["cross_section"]
+    left, right = (
+        roadside_strips(tags, side=side, keeps_left=keeps_left, element=element, notes=notes)
+        for side in ("left", "right")
+    )
+    counts = count_lanes(tags, element=element, notes=notes)
+    beside_m = sum(width for _, width, _ in (*left.inner, *right.inner))
+    widths, counts = _lane_widths(tags, counts, beside_m, element=element, notes=notes)
+    driving = _driving(widths, counts, keeps_left=keeps_left)
+    # From the left kerb to the right one, then what lies behind the kerbs.
+    driving_m = sum(width for _, _, width in driving)
+    carriageway_m = driving_m + beside_m
+    strips: list[Strip] = []
+    for side, parts in (("left", left), ("right", right)):
+        sign = 1.0 if side == "left" else -1.0
+        edge_m = 0.5 * carriageway_m
+        numbers: dict[str, int] = {}
+        # The kerb first, then inwards; then from the kerb outwards.
+        inwards = edge_m
+        for kind, width_m, is_forward in reversed(parts.inner):
+            strips.append(
+                _strip(kind, side, numbers, width_m, sign * (inwards - 0.5 * width_m), is_forward)
+            )
+            inwards -= width_m
+        for kind, width_m, is_forward in parts.outer:
+            strips.append(
+                _strip(kind, side, numbers, width_m, sign * (edge_m + 0.5 * width_m), is_forward)
+            )
+            edge_m += width_m
+    at_m = 0.5 * carriageway_m - sum(width for _, width, _ in left.inner)
+    for place, number, width_m in driving:
+        middle_m = at_m - 0.5 * width_m
+        at_m -= width_m
+        for direction in {"both": ("forward", "backward"), "centre": ()}.get(place, (place,)):
+            is_forward = direction == "forward"
+            aside_m, free_m = 0.0, width_m
+            if place == "both":
+                # Cars of both directions keep to their side even there; so ends of lanes differ.
+                aside_m = 0.5 * limits["shared_apart_m"]
+                free_m = max(width_m - 2.0 * aside_m, limits["min_lane_width_m"])
+            strips.append(
+                Strip(
+                    kind="driving",
+                    place=direction,
+                    number=number,
+                    width_m=free_m,
+                    left_m=middle_m + (aside_m if is_forward == keeps_left else -aside_m),
+                    is_forward=is_forward,
+                )
+            )
+    strips.sort(key=lambda strip: -strip.left_m)
+    return CrossSection(strips=tuple(strips), width_m=carriageway_m)
+
+
+def _strip(
+    kind: str,
+    side: str,
+    numbers: dict[str, int],
+    width_m: float,
+    left_m: float,
+    is_forward: bool,
+) -> Strip:
+    numbers[kind] = numbers.get(kind, -1) + 1
+    return Strip(
+        kind=kind,
+        place=side,
+        number=numbers[kind],
+        width_m=width_m,
+        left_m=left_m,
+        is_forward=is_forward,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Widths:
+    """Widths of lanes in metres, each from left to right in its driving direction."""
+
+    forward: Sequence[float]
+    backward: Sequence[float]
+    centre_m: float
+
+
+def _driving(
+    widths: _Widths, counts: LaneCounts, *, keeps_left: bool
+) -> list[tuple[str, int, float]]:
+    """Driving lanes from left to right: direction, number from the kerb, width."""
+    if counts.is_shared:
+        return [("both", 0, widths.forward[0])]
+    n_forward, n_backward = len(widths.forward), len(widths.backward)
+    centre = [("centre", 0, widths.centre_m)] if counts.has_centre else []
+    if keeps_left:
+        forward = [("forward", i, widths.forward[i]) for i in range(n_forward)]
+        backward = [("backward", i, widths.backward[i]) for i in range(n_backward)]
+        return [*forward, *centre, *reversed(backward)]
+    forward = [("forward", n_forward - 1 - i, widths.forward[i]) for i in range(n_forward)]
+    backward = [("backward", n_backward - 1 - i, widths.backward[i]) for i in range(n_backward)]
+    return [*reversed(backward), *centre, *forward]
+
+
+def _lane_widths(
+    tags: Tags, counts: LaneCounts, beside_m: float, *, element: str, notes: Notes
+) -> tuple[_Widths, LaneCounts]:
+    limits = DEFAULTS["cross_section"]
+    narrow_m, wide_m = limits["min_lane_width_m"], limits["max_lane_width_m"]
+    usual_m = DEFAULTS["roads"][tags["highway"]]["lane_width_m"]
+    centre_m = limits["centre_lane_width_m"] if counts.has_centre else 0.0
+    forward = _listed_widths(tags, "forward", counts.n_forward, is_alone=not counts.n_backward)
+    backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
+    if not counts.is_shared and forward is not None and backward is not None:
+        return _Widths(forward, backward, centre_m), counts
+    total_m = _total_width_m(tags, element=element, notes=notes)
+    if total_m is not None:
+        free_m = total_m - beside_m - centre_m
+        fitting = counts
+        if not counts.is_counted and counts.n_forward == counts.n_backward == 1:
+            # Nothing says how many lanes there are: one where two cars could not pass.
+            fitting = replace(counts, is_shared=free_m < 2.0 * narrow_m)
+        n_lanes = 1 if fitting.is_shared else counts.n_forward + counts.n_backward
+        if narrow_m <= free_m / n_lanes <= wide_m:
+            return _even(free_m / n_lanes, centre_m, fitting), fitting
+        notes.add("ways", element, "its width does not fit its lanes; usual widths taken")
+    return _even(usual_m, centre_m, counts), counts
+
+
+def _even(width_m: float, centre_m: float, counts: LaneCounts) -> _Widths:
+    return _Widths([width_m] * counts.n_forward, [width_m] * counts.n_backward, centre_m)
+
+
+def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) -> list[float] | None:
+    """Widths of each lane in metres, where they are listed and as many as there are lanes."""
+    if not count:
+        return []
+    text = tags.get(f"width:lanes:{direction}") or (tags.get("width:lanes") if is_alone else None)
+    if text is None:
+        return None
+    limits = DEFAULTS["cross_section"]
+    widths = [parse_length_m(part) for part in text.split("|")]
+    known = [
+        width
+        for width in widths
+        if width and limits["min_lane_width_m"] <= width <= limits["max_lane_width_m"]
+    ]
+    return known if len(known) == len(widths) == count else None
+
+
+def _total_width_m(tags: Tags, *, element: str, notes: Notes) -> float | None:
+    for key in ("width:carriageway", "width", "est_width"):
+        if key in tags:
+            width_m = parse_length_m(tags[key])
+            if width_m is not None and 1.0 < width_m < 100.0:
+                return width_m
+            notes.add("ways", element, f"{key} makes no sense; usual widths taken")
+    return None

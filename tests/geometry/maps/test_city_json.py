@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from geometry.maps.city_json import read_cityjson
-from geometry.maps.surfaces import is_closed, volume_m3
+from geometry.maps.solids import is_closed, volume_m3
 from geometry.maps.thing_kinds import kind_of_class
 
 # A house of 6 m x 8 m x 5 m in millimetres.

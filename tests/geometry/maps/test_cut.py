@@ -8,9 +8,15 @@ from hypothesis import strategies as st
 from geometry.errors import InputError
 from geometry.junction import build_junction
 from geometry.maps.cut import build_scene, cut_out
-from geometry.maps.extrusion import extrude
-from geometry.maps.local_frame import frame_at, transform
-from geometry.maps.model import MapJunction, MapLane, Pole, SourceMap, Thing
+from geometry.maps.georeferences import frame_at, transform
+from geometry.maps.solids import extrude
+from geometry.maps.source_map import (
+    MapJunction,
+    MapLane,
+    Pole,
+    SourceMap,
+    Thing,
+)
 
 SQUARE_M = 8.0 * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 UTM = "EPSG:25832"

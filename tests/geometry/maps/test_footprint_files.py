@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from shapely.geometry import GeometryCollection, LineString, MultiPolygon, Point, Polygon, box
 
 from geometry.errors import InputError
-from geometry.maps import feature_files
-from geometry.maps.footprint_files import read_footprints
-from geometry.maps.surfaces import is_closed, volume_m3
+from geometry.maps import gis_files
+from geometry.maps.gis_files import read_footprints
+from geometry.maps.solids import is_closed, volume_m3
 from geometry.maps.thing_kinds import kind_of_class, thing_defaults
 
 X, Y = 390_000.0, 5_819_000.0
@@ -256,7 +256,7 @@ def test_what_is_not_what_its_ending_says_is_refused(tmp_path, name):
 
 
 def test_too_many_features_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(feature_files, "MAX_FEATURES", 1)
+    monkeypatch.setattr(gis_files, "MAX_FEATURES", 1)
     path = write(tmp_path, {"h": [2.0] * 2}, [HOUSE, YARD])
     with pytest.raises(InputError, match="more than 1 features"):
         read_footprints(path)

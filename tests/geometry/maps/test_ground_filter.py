@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from geometry.maps.ground_filter import LowestPoints, fill_gaps, filter_ground
+from geometry.maps.point_clouds import LowestPoints, fill_gaps, filter_ground
 
 
 @given(

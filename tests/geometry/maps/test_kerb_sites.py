@@ -4,10 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from geometry.maps.extrusion import extrude
-from geometry.maps.kerb_sites import SETBACK_M, kerb_sites, tidy_sites
-from geometry.maps.model import MapLane, Thing
 from geometry.maps.site_files import SiteWish
+from geometry.maps.sites import SETBACK_M, kerb_sites, tidy_sites
+from geometry.maps.solids import extrude
+from geometry.maps.source_map import MapLane, Thing
 
 SQUARE = np.array([[-8, -8], [8, -8], [8, 8], [-8, 8]], dtype=float)
 

@@ -16,7 +16,7 @@ from opendrive_text import (
     to_road,
 )
 
-from geometry.maps.model import SourceMap
+from geometry.maps.source_map import SourceMap
 
 
 def _off_outline_m(source: SourceMap) -> float:

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from opendrive_text import cubic, document, geometry, read_text, road
 
-from geometry.maps.model import Thing
-from geometry.maps.opendrive.solids import build_band, build_prism
+from geometry.maps.opendrive.object_shapes import build_band, build_prism
+from geometry.maps.source_map import Thing
 
 _SLOPE = cubic("elevation", 0.0, 5.0, 0.1)
 

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from opendrive_text import cubic, document, read_text, road
 
-from geometry.maps.model import POLE_KINDS, Pole
-from geometry.maps.opendrive.poles import merge_poles
+from geometry.maps.opendrive.signals import merge_poles
+from geometry.maps.source_map import POLE_KINDS, Pole
 
 
 def _signal(name: str = "", *, s: float = 50.0, t: float = -6.0, inside: str = "", **more) -> str:

@@ -10,8 +10,8 @@ import pytest
 from osm_text import OsmText, arm_lanes, arms_of, as_drawn, crossing
 
 from geometry.junction import distance_to_outline_m
-from geometry.maps.model import MapLane, SourceMap
 from geometry.maps.openstreetmap import read_openstreetmap
+from geometry.maps.source_map import MapLane, SourceMap
 
 EAST, NORTH, WEST, SOUTH = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)
 FOUR = (EAST, NORTH, WEST, SOUTH)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from osm_text import OsmText, as_drawn
 
-from geometry.maps.model import SourceMap, Thing
 from geometry.maps.openstreetmap import read_openstreetmap
+from geometry.maps.source_map import SourceMap, Thing
 
 SQUARE = [(10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0), (10.0, 10.0)]
 INNER = [(13.0, 13.0), (17.0, 13.0), (17.0, 17.0), (13.0, 17.0), (13.0, 13.0)]

@@ -11,7 +11,7 @@ from geometry.errors import InputError
 from geometry.maps import point_clouds
 from geometry.maps.point_clouds import read_point_cloud
 from geometry.maps.point_files import open_points
-from geometry.maps.surfaces import volume_m3
+from geometry.maps.solids import volume_m3
 from geometry.raycast import build_caster
 
 ORIGIN = np.array([390_000.0, 5_819_000.0, 35.0])

@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from geometry.errors import InputError
 from geometry.maps import voxels
-from geometry.maps.surfaces import volume_m3
+from geometry.maps.solids import volume_m3
 
 SHAPE = (6, 5, 4)
 FIRST = 1000

@@ -8,8 +8,13 @@ from strategies import boxes_px
 
 from geometry.errors import InputError, MissingExtraError
 from geometry.image_boxes import iou
-from placement.detectors.letterbox import letterbox
-from placement.detectors.onnx_model import ImageBoxes, load_onnx_model, suppress, vru_boxes
+from placement.detectors.network import (
+    ImageBoxes,
+    letterbox,
+    load_onnx_model,
+    suppress,
+    vru_boxes,
+)
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")

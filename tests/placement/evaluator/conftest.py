@@ -7,18 +7,22 @@ import numpy as np
 import pytest
 import trimesh
 
-from geometry.actors import Actor, PlacedActor, Shape, pick_actor
+from geometry.actors import (
+    Actor,
+    PlacedActor,
+    Shape,
+    pick_actor,
+)
 from geometry.scene import Instance, Scene
 from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel
 from placement.detectors import GeometricDetector
 from placement.setting import Setting
 from scenarios.aeb import Encounter, load_aeb_rule
-from scenarios.cases import load_cases
+from scenarios.cases import load_cases, select_cases
 from scenarios.exposure import weight_per_run
 from scenarios.paths import Motion, StraightPath
 from scenarios.runs import Run, build_frame_axis, build_runs
-from scenarios.selection import select_cases
 
 Box = tuple[Sequence[float], Sequence[float]]  # lowest and highest corner
 

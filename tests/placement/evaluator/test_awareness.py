@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from geometry.actors import pick_actor
-from placement.evaluator.awareness import VamRule, known_frames, load_vam_rule, sent_frames
-from placement.links import Links
+from placement.evaluator.evaluate import (
+    VamRule,
+    known_frames,
+    load_vam_rule,
+    sent_frames,
+)
+from placement.setting import Links
 
 RULE = load_vam_rule()
 

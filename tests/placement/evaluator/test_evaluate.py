@@ -14,7 +14,7 @@ from placement.evaluator.evaluate import evaluate_layout, evaluate_layouts
 from placement.evaluator.perceive import perceive_from_roadside
 from placement.evaluator.surroundings import build_surroundings
 from placement.layout import Layout
-from placement.links import Links
+from placement.setting import Links
 from scenarios.aeb import is_in_time, load_aeb_rule
 from scenarios.runs import build_frame_axis
 

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placement.candidates import CandidatePose
-from placement.evaluator import judge as judge_module
-from placement.evaluator.judge import Judge
+from placement.evaluator import evaluate as judge_module
+from placement.evaluator.evaluate import Judge
 from scenarios.aeb import has_contact, is_in_time, load_aeb_rule
 from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis, confirmation_times_s

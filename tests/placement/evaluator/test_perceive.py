@@ -10,8 +10,7 @@ from geometry.raycast import open3d_problem
 from geometry.sensors import project_points
 from placement.evaluator import perceive
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
-from placement.evaluator.surroundings import build_surroundings, render_frame
-from placement.evaluator.vut_camera import VutCamera
+from placement.evaluator.surroundings import VutCamera, build_surroundings, render_frame
 
 HOUSES = (
     ((8.0, 8.0, 0.0), (16.0, 16.0, 6.0)),

@@ -17,8 +17,7 @@ from geometry.raycast import build_caster
 from placement.detectors import VRU_CLASSES
 from placement.evaluator import scan
 from placement.evaluator.scan import scan_from_roadside, scan_from_vut
-from placement.evaluator.surroundings import build_surroundings
-from placement.evaluator.vut_camera import load_vut_camera, load_vut_lidar
+from placement.evaluator.surroundings import build_surroundings, load_vut_camera, load_vut_lidar
 
 STUDY = load_lidars()["carla-ncap-lidar"]
 SURE = replace(STUDY, reference_range_m=1.0e6)  # whatever it hits comes back

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from placement.evaluator.vut_camera import load_vut_camera
+from placement.evaluator.surroundings import load_vut_camera
 
 
 def test_study_camera_is_where_the_generator_mounts_it(vut):

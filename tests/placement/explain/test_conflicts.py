@@ -10,9 +10,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems import problems, questions
 
-from placement.explain import Demand, Separation, find_conflicts, relax
+from placement.explain import (
+    Demand,
+    Separation,
+    find_conflicts,
+    relax,
+)
 from placement.explain.demands import Wish
-from placement.optimiser import PlacementProblem, cost_eur, floor_value, is_feasible
+from placement.optimiser import (
+    PlacementProblem,
+    cost_eur,
+    floor_value,
+    is_feasible,
+)
 
 Poses = tuple[int, ...]
 

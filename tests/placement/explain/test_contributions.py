@@ -9,7 +9,12 @@ from problems import problems
 from placement.detection_table import pack_table
 from placement.explain import find_contributions
 from placement.explain.contributions import first_shares
-from placement.optimiser import PlacementProblem, apr, placement_value, run_margins_s
+from placement.optimiser import (
+    PlacementProblem,
+    apr,
+    placement_value,
+    run_margins_s,
+)
 
 PROBLEMS = problems()
 

@@ -11,8 +11,8 @@ from problems import problems, questions
 
 from geometry.errors import InputError
 from placement.explain import find_pool
+from placement.explain.feasible_sets import presolve_undominated
 from placement.explain.pool import sites_in_order
-from placement.explain.undominated import presolve_undominated
 from placement.optimiser import (
     PlacementProblem,
     apr_failed,

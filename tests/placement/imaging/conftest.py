@@ -13,8 +13,8 @@ from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel
 from geometry.weather import Weather, load_weathers
 from scenarios.aeb import load_aeb_rule
+from scenarios.cases import select_cases
 from scenarios.runs import Run, build_runs
-from scenarios.selection import select_cases
 
 
 @pytest.fixture(scope="session")

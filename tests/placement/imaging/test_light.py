@@ -7,10 +7,15 @@ from hypothesis import strategies as st
 
 from geometry.raycast import build_caster
 from geometry.weather import load_weathers
-from placement.imaging.lamps import HeadLamp, StreetLamp, load_lamp_table
-from placement.imaging.light import illuminance
+from placement.imaging.light import (
+    LUMINANCE,
+    HeadLamp,
+    StreetLamp,
+    build_sky,
+    illuminance,
+    load_lamp_table,
+)
 from placement.imaging.materials import Hits
-from placement.imaging.sky import LUMINANCE, build_sky
 
 NOTHING = build_caster(np.zeros((0, 3)), np.zeros((0, 3), dtype=int))
 HERE = np.zeros(3, dtype=np.float32)

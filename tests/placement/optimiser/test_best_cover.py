@@ -6,8 +6,7 @@ from coverages import best_value, coverages
 from hypothesis import given, settings
 
 from placement.optimiser.best_cover import choose_greedily, find_best_cover, sweep_covers
-from placement.optimiser.coverage import Coverage, prove
-from placement.optimiser.supply import Supply
+from placement.optimiser.bounds import Coverage, Supply, prove
 
 
 def medium_coverage() -> Coverage:

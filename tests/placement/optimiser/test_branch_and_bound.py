@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geometry.arrays import IntArray
+from placement.optimiser.bounds import Coverage
 from placement.optimiser.branch_and_bound import branch_and_bound
-from placement.optimiser.coverage import Coverage
 
 NOTHING: IntArray = np.empty(0, dtype=np.int64)
 

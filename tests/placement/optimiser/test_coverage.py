@@ -4,8 +4,13 @@ from coverages import best_value, coverages, feasible_sets, value_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placement.optimiser.coverage import Coverage, can_matter, gains, prove
-from placement.optimiser.supply import Supply
+from placement.optimiser.bounds import (
+    Coverage,
+    Supply,
+    can_matter,
+    gains,
+    prove,
+)
 
 SEED = st.integers(0, 2**32 - 1)
 

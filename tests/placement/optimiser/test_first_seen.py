@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from placement.optimiser.first_seen import (
+from placement.optimiser.large import (
     TimelyWindows,
     first_seen_index,
     first_seen_values,

@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geometry.arrays import IntArray
-from placement.optimiser.coverage import Coverage, gains
-from placement.optimiser.lazy_greedy import (
+from placement.optimiser.bounds import Coverage, Supply, gains
+from placement.optimiser.greedy import (
     fill,
     lazy_greedy,
     round_shares,
@@ -14,7 +14,6 @@ from placement.optimiser.lazy_greedy import (
     swap,
     swap_gains,
 )
-from placement.optimiser.supply import Supply
 
 SEED = st.integers(0, 2**32 - 1)
 

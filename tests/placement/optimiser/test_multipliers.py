@@ -6,8 +6,8 @@ from coverages import best_value, coverages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placement.optimiser.coverage import Coverage, prove
-from placement.optimiser.lazy_greedy import lazy_greedy
+from placement.optimiser.bounds import Coverage, Supply, prove
+from placement.optimiser.greedy import lazy_greedy
 from placement.optimiser.multipliers import (
     PoolSizes,
     first_multipliers,
@@ -16,7 +16,6 @@ from placement.optimiser.multipliers import (
     worthiest,
 )
 from placement.optimiser.relaxation import polish
-from placement.optimiser.supply import Supply
 
 SEED = st.integers(0, 2**32 - 1)
 SMALL_POOL = PoolSizes(n_first=5, n_more=4, n_most=20, n_rounds=30)

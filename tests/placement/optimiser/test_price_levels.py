@@ -9,12 +9,8 @@ from problems import questions
 from small_tables import avoiding_problem
 
 from placement.optimiser import PlacementProblem, cost_eur, is_allowed
-from placement.optimiser.affordable import affordable_sets
-from placement.optimiser.price_levels import (
-    level_at_least_eur,
-    level_beyond_eur,
-    price_levels_eur,
-)
+from placement.optimiser.cost_front import level_at_least_eur, level_beyond_eur, price_levels_eur
+from placement.optimiser.enumeration import affordable_sets
 
 
 def allowed_sets(problem: PlacementProblem) -> list[tuple[int, ...]]:

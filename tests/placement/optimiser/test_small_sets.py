@@ -6,9 +6,8 @@ from coverages import coverages, feasible_sets, value_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placement.optimiser.coverage import Coverage
-from placement.optimiser.small_sets import best_sets
-from placement.optimiser.supply import Supply
+from placement.optimiser.bounds import Coverage, Supply
+from placement.optimiser.enumeration import best_sets
 
 
 @given(coverages(max_poses=10, max_units=3), st.floats(0.3, 1.05))

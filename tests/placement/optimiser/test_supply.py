@@ -4,8 +4,7 @@ from coverages import coverages, feasible_sets
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placement.optimiser.coverage import Coverage
-from placement.optimiser.supply import Supply
+from placement.optimiser.bounds import Coverage, Supply
 
 SEED = st.integers(0, 2**32 - 1)
 

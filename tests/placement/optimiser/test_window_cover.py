@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.synthetic import SyntheticSize, build_synthetic_instance
-from placement.optimiser.coverage import Coverage, prove
-from placement.optimiser.first_seen import first_seen_values, timely_windows
-from placement.optimiser.supply import Supply
+from experiments.bench.optimiser import SyntheticSize, build_synthetic_instance
+from placement.optimiser.bounds import Coverage, Supply, prove
+from placement.optimiser.large import first_seen_values, timely_windows
 from placement.optimiser.window_cover import find_window_cover
 from scenarios.aeb import AebRule
 

@@ -12,11 +12,10 @@ from placement.recordings.drives import (
     TOO_SHORT,
     UNSEEN,
     cut_drives,
+    is_same_direction,
     with_class,
 )
-from placement.recordings.folder_format import FrameKey, load_format
-from placement.recordings.lines import World
-from placement.recordings.motion import is_same_direction
+from placement.recordings.files import FrameKey, World, load_format
 
 FORM = load_format()
 

@@ -3,11 +3,11 @@ import re
 import pytest
 
 from geometry.errors import InputError
-from placement.recordings.folder_format import load_format
-from placement.recordings.lines import (
+from placement.recordings.files import (
     Detection,
     Label,
     World,
+    load_format,
     read_detections,
     read_labels,
     read_world,

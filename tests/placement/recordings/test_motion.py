@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placement.recordings.folder_format import load_format
-from placement.recordings.motion import closing_speed_mps, is_same_direction, last_brake_time_s
+from placement.recordings.drives import closing_speed_mps, is_same_direction, last_brake_time_s
+from placement.recordings.files import load_format
 from scenarios.aeb import load_aeb_rule
 
 speeds_mps = st.floats(5.0, 20.0)

@@ -9,8 +9,8 @@ from placement.candidates import CandidateGrid, build_candidates
 from placement.layout import check_layout, layout_from_records, layout_records
 from placement.optimiser import is_feasible, placement_value
 from placement.pipeline import place
-from placement.refine import RefinementEffort, refine
-from placement.refinement.stage_values import improves, stage_values
+from placement.refinement.refine import RefinementEffort, refine
+from placement.refinement.search import improves, stage_values
 from placement.visibility import build_detection_table
 from placement.wishes import Wishes
 

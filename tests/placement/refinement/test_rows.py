@@ -8,7 +8,7 @@ from geometry.poses import Pose
 from geometry.sensors import with_fov
 from placement.candidates import CandidatePose
 from placement.detectors import load_planning_detector
-from placement.refinement.rows import RayRows
+from placement.refinement.poses import RayRows
 from placement.visibility import build_detection_table
 from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis

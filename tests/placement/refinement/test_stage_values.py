@@ -8,8 +8,19 @@ from problems import problems, questions
 
 from geometry.errors import InputError
 from placement.layout import Certificate, Stage
-from placement.optimiser import Effort, PlacementValue, is_better, placement_value, solve_placement
-from placement.refinement.stage_values import StageValue, certify, improves, stage_values
+from placement.optimiser import (
+    Effort,
+    PlacementValue,
+    is_better,
+    placement_value,
+    solve_placement,
+)
+from placement.refinement.search import (
+    StageValue,
+    certify,
+    improves,
+    stage_values,
+)
 
 
 @given(questions(), st.booleans())

@@ -9,8 +9,12 @@ from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_from_roadside
 from placement.sampling import Uncertainty, draw_samples
-from placement.sampling.drawing import build_drawn_table, link_frames, lose_messages
-from placement.sampling.tables import build_sample_tables
+from placement.sampling.tables import (
+    build_drawn_table,
+    build_sample_tables,
+    link_frames,
+    lose_messages,
+)
 
 DRAWN = Uncertainty(draws_detections=True)
 

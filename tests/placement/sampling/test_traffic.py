@@ -10,9 +10,14 @@ from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line, build_junction
 from geometry.scene_files import load_study_scene
 from placement.sampling import StandingTraffic, VehicleKind, draw_samples
-from placement.sampling.luck import Luck
-from placement.sampling.traffic import build_street, clear_of_ways, stop_line_m
-from placement.sampling.ways import build_ways, group_key
+from placement.sampling.random_streams import Luck
+from placement.sampling.traffic import (
+    build_street,
+    build_ways,
+    clear_of_ways,
+    group_key,
+    stop_line_m,
+)
 from scenarios.cases import load_cases
 from scenarios.runs import build_runs
 

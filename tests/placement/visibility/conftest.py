@@ -13,11 +13,10 @@ from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose
 from scenarios.aeb import Encounter, load_aeb_rule
-from scenarios.cases import load_cases
+from scenarios.cases import load_cases, select_cases
 from scenarios.exposure import weight_per_run
 from scenarios.paths import Motion, StraightPath
 from scenarios.runs import Run, build_frame_axis, build_runs
-from scenarios.selection import select_cases
 
 
 def _build_scene(*boxes) -> Scene:

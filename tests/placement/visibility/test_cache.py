@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geometry import atomic_files
+from geometry import files
 from geometry.actors import PlacedActor
 from geometry.lidar import load_lidar_detection, load_lidars
 from geometry.poses import Pose
@@ -13,7 +13,12 @@ from geometry.weather import load_weathers
 from placement.detection_table import pack_table
 from placement.detectors import GeometricDetector, load_planning_detector
 from placement.visibility import build as build_module
-from placement.visibility import cache, load_table, save_table, table_fingerprint
+from placement.visibility import (
+    cache,
+    load_table,
+    save_table,
+    table_fingerprint,
+)
 
 LIDAR = load_lidars()["carla-ncap-lidar"]
 THIN_FOG = replace(load_weathers()["fog"], visibility_m=51.0)
@@ -204,7 +209,7 @@ def test_an_interruption_leaves_nothing_half_written(stored, monkeypatch, error)
     def stop(*names):
         raise error
 
-    monkeypatch.setattr(atomic_files.Path, "replace", stop)
+    monkeypatch.setattr(files.Path, "replace", stop)
     with pytest.raises(error):
         save_table(path, table, fingerprint=FINGERPRINT)
     assert list(path.parent.iterdir()) == []

@@ -5,7 +5,7 @@ from scipy.spatial.distance import pdist
 
 from geometry.actors import load_actors
 from placement.visibility.build import N_POINTS
-from placement.visibility.surface import build_surface
+from placement.visibility.casting import build_surface
 
 BODIES = (("adult", 0), ("adult", 2), ("child", 3), ("cyclist", 1))
 

@@ -1,0 +1,1 @@
+"""Speed as ratios to named references: ``python -m experiments.bench``."""

@@ -1,0 +1,168 @@
+"""What map files give, from import to placement: ``python -m experiments.bench.imports FOLDER``.
+
+Writes ``imports.md`` and a plan of each junction: arms, lanes, things, sites, runs, APR, seconds.
+Files without roads - buildings, city models - are put beside a junction of another file, into the
+quadrant between its north and its east arm: where they really stand, nobody says.
+"""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from geometry.errors import InputError
+from geometry.junction import build_junction
+from geometry.maps.importing import (
+    SUFFIXES,
+    ImportOptions,
+    ReadingOptions,
+    import_scene,
+    read_map,
+    read_maps,
+)
+from geometry.maps.junctions import choose_junction
+from geometry.maps.source_map import SourceMap
+from placement.evaluation import apr
+from placement.evaluator import evaluate_layout
+from placement.pipeline import place
+from placement.question import Planning, Question
+from placement.setting import build_setting
+
+from ..figures.evaluation import to_png
+from ..figures.scene import plot_scene_plan
+from ..jobs.planning import build_plan
+
+_WORKERS = 2
+_NO_MAPS = ("_16mm.json", "_8mm.json", ".boundary.geojson")  # calibrations, outlines
+_BESIDE_M = 14.0  # from the middle of the junction to the corner of the houses
+_HEADS = (
+    *("file", "junction", "arms", "lanes", "things", "sites", "of them kerb", "runs"),
+    *("APR of the car", "APR of the units", "proven", "read and cut (s)", "place and judge (s)"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Task:
+    """Files that make one scene."""
+
+    name: str
+    paths: tuple[Path, ...]
+    offset_m: tuple[float, float] | None = None
+
+
+@click.command()
+@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option(
+    "--beside",
+    default="X-Intersection_NCAP.xodr",
+    show_default=True,
+    metavar="NAME",
+    help="Road map in FOLDER beside whose junction files without roads are put.",
+)
+@click.option("--budget", default=2, show_default=True, help="Units to place.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True)
+def main(folder: Path, beside: str, budget: int, out: Path) -> None:
+    """Import every map file below FOLDER, place units at its largest junction, judge them."""
+    pictures = out / "imports"
+    pictures.mkdir(parents=True, exist_ok=True)
+    rows, notes = [], []
+    for task in _tasks(folder, beside):
+        try:
+            rows.append(_run(task, budget, pictures))
+        except InputError as error:
+            notes.append(f"* {task.name}: {error}".replace(f"{folder}/", ""))
+        click.echo(f"{task.name}: {rows[-1] if rows and rows[-1][0] == task.name else notes[-1]}")
+    command = f"uv run python -m experiments.bench.imports FOLDER --budget {budget}"
+    text = _page(rows, notes, command)
+    (out / "imports.md").write_text(text, encoding="utf-8")
+
+
+def _tasks(folder: Path, beside: str) -> Iterator[_Task]:
+    files = sorted(
+        path
+        for path in folder.rglob("*")
+        if path.name.lower().endswith(SUFFIXES) and not path.name.endswith(_NO_MAPS)
+    )
+    roads = next((path for path in files if path.name == beside), None)
+    for path in files:
+        try:
+            source = read_map(path)
+        except InputError:
+            yield _Task(name=path.name, paths=(path,))  # its import says why
+            continue
+        if source.lanes or not source.things or roads is None:
+            yield _Task(name=path.name, paths=(path,))
+        else:
+            yield _Task(
+                name=f"{path.name} beside {roads.stem}",
+                paths=(roads, path),
+                offset_m=_beside(source, roads),
+            )
+
+
+def _beside(source: SourceMap, roads: Path) -> tuple[float, float]:
+    """What moves the most south-western thing to the north-east of a junction."""
+    maps, junctions = read_maps([roads], ReadingOptions())
+    middle = choose_junction(maps[0], junctions).junction.position_m
+    corners = np.array([thing.vertices_m.min(axis=0) for thing in source.things])
+    corner = corners[np.argmin(corners[:, :2].sum(axis=1))]
+    east, north = (middle + _BESIDE_M - corner[:2]).tolist()
+    return east, north
+
+
+def _run(task: _Task, budget: int, pictures: Path) -> list[str]:
+    began_s = time.perf_counter()
+    imported = import_scene(
+        task.paths, ImportOptions(reading=ReadingOptions(offset_m=task.offset_m))
+    )
+    cut_s = time.perf_counter() - began_s
+    scene = imported.scene
+    stem = task.name.replace(" ", "-").replace(".", "-")
+    (pictures / f"{stem}.png").write_bytes(to_png(plot_scene_plan(scene)))
+    began_s = time.perf_counter()
+    setting = build_setting(Question(), scene)
+    plan = build_plan(Planning(budget=budget), scene)
+    placement = place(
+        setting, plan.candidates, wishes=plan.wishes, effort=plan.effort, workers=_WORKERS
+    )
+    evaluation = evaluate_layout(placement.layout, setting, workers=_WORKERS)
+    arms = build_junction(scene).arms
+    n_lanes = sum(len(arm.entry_lanes) + len(arm.exit_lanes) for arm in arms.values())
+    return [
+        task.name,
+        imported.chosen.junction.name or imported.chosen.junction.id,
+        f"{len(arms)}: {', '.join(arms)}",
+        str(n_lanes),
+        str(sum(thing.class_name != "ground" for thing in scene.instances)),
+        str(len(scene.sites)),
+        str(sum(site.kind == "kerb" for site in scene.sites)),
+        str(setting.axis.n_runs),
+        f"{100.0 * apr(evaluation.vut, setting.axis):.1f} %",
+        f"{100.0 * apr(evaluation.rsu_all, setting.axis):.1f} %",
+        "yes" if placement.certificate.is_proven else "no",
+        f"{cut_s:.1f}",
+        f"{time.perf_counter() - began_s:.1f}",
+    ]
+
+
+def _page(rows: Sequence[Sequence[str]], notes: Sequence[str], command: str) -> str:
+    lines = [
+        "# Maps that others made, from file to placement",
+        "",
+        f"Made by `{command}`, at the largest junction of each file, the study's cases, the "
+        "default camera; plans in `imports/`.",
+        "",
+        "| " + " | ".join(_HEADS) + " |",
+        "|" + " --- |" * len(_HEADS),
+        *("| " + " | ".join(row) + " |" for row in rows),
+    ]
+    if notes:
+        lines += ["", "Without a placement:", "", *notes]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

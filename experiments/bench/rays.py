@@ -1,0 +1,198 @@
+"""Benchmark of the detection table's rays against bare Embree."""
+
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.raycast import (
+    FloatRays,
+    Open3dCaster,
+    RayCaster,
+    caster_name,
+)
+from placement.candidates import CandidatePose
+from placement.setting import Setting
+from placement.visibility.build import N_POINTS
+from placement.visibility.casting import (
+    World,
+    build_static_mesh,
+    build_world,
+    cast_sight,
+    find_obstructions,
+)
+
+# ---------- times of two pieces of work, measured in turn, and their ratio
+
+
+REPEATS = 5
+
+
+def in_turn(ours: Callable[[], object], theirs: Callable[[], object]) -> tuple[list[float], ...]:
+    """Seconds of both, A B A B .., after one run of each that does not count."""
+    seconds: tuple[list[float], list[float]] = ([], [])
+    for repeat in range(REPEATS + 1):
+        for kept, work in zip(seconds, (ours, theirs), strict=True):
+            began_s = time.perf_counter()
+            work()
+            if repeat > 0:
+                kept.append(time.perf_counter() - began_s)
+    return seconds
+
+
+def ratio(ours_s: list[float], theirs_s: list[float]) -> float:
+    """Median of the ratios pair by pair."""
+    return statistics.median(a / b for a, b in zip(ours_s, theirs_s, strict=True))
+
+
+# ---------- benchmark of the detection table's rays against bare Embree
+
+
+N_MOUNTS = 24
+_WORKERS = os.cpu_count() or 1
+_MAX_DISTANCE_M = 60.0
+
+
+class Recorder:
+    """A caster that keeps the rays it is asked for."""
+
+    def __init__(self, caster: RayCaster) -> None:
+        self._caster = caster
+        self.rays: list[tuple[FloatRays, FloatRays]] = []
+
+    def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        """See :class:`geometry.raycast.RayCaster`."""
+        self.rays.append((np.array(origins_m), np.array(vectors_m)))
+        return self._caster.is_blocked(origins_m, vectors_m)
+
+    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+        """See :class:`geometry.raycast.RayCaster`."""
+        self.rays.append((np.array(origins_m), np.array(vectors_m)))
+        return self._caster.first_hit(origins_m, vectors_m)
+
+    def first_triangle(
+        self, origins_m: FloatRays, vectors_m: FloatRays
+    ) -> tuple[FloatRays, IntArray]:
+        """See :class:`geometry.raycast.RayCaster`."""
+        return self._caster.first_triangle(origins_m, vectors_m)
+
+
+def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> dict[str, Any]:
+    """The table's rays, against the same rays handed to bare Embree in one call per scene."""
+    world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=0)
+    mounts = list({tuple(c.pose.position_m): c for c in candidates}.values())[:N_MOUNTS]
+
+    def cast(cast_world: World, workers: int) -> None:
+        with ThreadPoolExecutor(workers) as pool:
+            for future in [
+                pool.submit(
+                    cast_sight,
+                    cast_world,
+                    mount.pose.position_m,
+                    near_m=mount.sensor.near_m,
+                    max_distance_m=_MAX_DISTANCE_M,
+                )
+                for mount in mounts
+            ]:
+                future.result()
+
+    statics = [Recorder(static) for static in world.static]
+    bodies = [Recorder(body) for body in world.bodies]
+    vut = Recorder(world.vut_body)
+    cast(replace(world, static=tuple(statics), bodies=tuple(bodies), vut_body=vut), 1)
+    meshes = [
+        *(
+            (*build_static_mesh(setting.scene, obstruction, world.origin_m), static)
+            for obstruction, static in zip(
+                find_obstructions(setting.runs).values(), statics, strict=True
+            )
+        ),
+        *(
+            (shape.vertices_m, shape.triangles, body)
+            for surface, body in zip(world.surfaces, bodies, strict=True)
+            for shape in (surface.actor.shapes[surface.shape_index],)
+        ),
+        (world.vut.shapes[0].vertices_m, world.vut.shapes[0].triangles, vut),
+    ]
+    bare = [
+        bare_embree(vertices, np.asarray(triangles), recorder.rays)
+        for vertices, triangles, recorder in meshes
+        if recorder.rays
+    ]
+
+    def cast_bare() -> None:
+        for run in bare:
+            run()
+
+    with threadpool_limits(1):
+        ours_s, bare_s = in_turn(lambda: cast(world, _WORKERS), cast_bare)
+        with one_thread():
+            ours_on_one_s, bare_on_one_s = in_turn(lambda: cast(world, 1), cast_bare)
+    n_rays = sum(len(origins) for _, _, recorder in meshes for origins, _ in recorder.rays)
+    return {
+        "rays cast": n_rays,
+        "rays: million per second, ours": n_rays / statistics.median(ours_s) / 1e6,
+        "rays: ours / bare Embree, one thread (at most 1.5)": ratio(ours_on_one_s, bare_on_one_s),
+        "rays: ours / bare Embree, all processors": ratio(ours_s, bare_s),
+    }
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Open3D on one thread; embreex is so anyway."""
+    all_threads, Open3dCaster.n_threads = Open3dCaster.n_threads, 1
+    try:
+        yield
+    finally:
+        Open3dCaster.n_threads = all_threads
+
+
+def bare_embree(
+    vertices_m: FloatArray,
+    triangles: Any,
+    rays: list[tuple[FloatRays, FloatRays]],
+    *,
+    query: Literal["any hit", "first hit"] = "any hit",
+) -> Callable[[], object]:
+    """The library's own query, with everything prepared that can be.
+
+    Parameters
+    ----------
+    vertices_m, triangles
+        Mesh.
+    rays : list of pair of (n, 3) float32
+        Origins and vectors; all are cast in one call.
+    query : str
+        Whether anything is hit on the way, or where the first hit is.
+    """
+    origins = np.concatenate([origin for origin, _ in rays])
+    vectors = np.concatenate([vector for _, vector in rays])
+    vertices = np.ascontiguousarray(vertices_m, dtype=np.float32)
+    if caster_name() == "open3d":
+        import open3d
+
+        scene = open3d.t.geometry.RaycastingScene()
+        to_tensor: Any = open3d.core.Tensor
+        scene.add_triangles(to_tensor(vertices), to_tensor(triangles.astype(np.uint32)))
+        tensor = to_tensor(np.hstack([origins, vectors]))
+        if query == "first hit":
+            return lambda: scene.cast_rays(tensor, nthreads=Open3dCaster.n_threads)
+        return lambda: scene.test_occlusions(
+            tensor, tnear=0.0, tfar=1.0, nthreads=Open3dCaster.n_threads
+        )
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    embree = EmbreeScene()
+    mesh = TriangleMesh(embree, vertices, triangles.astype(np.int32))
+    ends = np.full(len(origins), 1.0 if query == "any hit" else 1.0e6, dtype=np.float32)
+    name = "OCCLUDED" if query == "any hit" else "DISTANCE"
+    return lambda: (mesh, embree.run(origins, vectors, dists=ends, query=name))

@@ -1,0 +1,152 @@
+"""``place-rsus doctor``: what is installed, what is missing, what that costs."""
+
+import os
+import platform
+import sys
+import textwrap
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import click
+
+from geometry.raycast import caster_name, open3d_problem
+from placement.optimiser.milp import installed_solvers
+
+from ..progress import cache_folder
+from .options import json_option
+
+# ---------- what is installed here, what is missing, and what that costs
+
+
+# Import name of what an extra brings; extra; what is not there without it.
+_EXTRAS = (
+    ("requests", "online", "scene import --bbox: fetching OpenStreetMap"),
+    ("scenariogeneration", "openscenario", "scenarios export: OpenSCENARIO files"),
+    ("onnxruntime", "perception", "--detector FILE.onnx: detectors on rendered pictures"),
+    ("euroncap-rating-2026", "rating", "--weights euroncap-rating-2026: Euro NCAP's points"),
+)
+_LIBRARIES = (
+    *("numpy", "scipy", "cvxpy", "highspy", "osqp", "trimesh", "embreex", "pandas", "matplotlib"),
+    *("geopandas", "osmium", "laspy", "pyproj"),
+)
+
+
+def examine(cache_folder: Path) -> dict[str, Any]:
+    """Look at the installation.
+
+    Parameters
+    ----------
+    cache_folder : Path
+        Where detection tables are kept.
+
+    Returns
+    -------
+    summary : dict
+        ``{"version", "python", "platform", "processors", "rays": {"by", "problem"}, "libraries":
+        {name: version or None}, "extras": [{"package", "extra", "version", "without"}],
+        "milp_solvers": [..], "cache": {"folder", "files", "bytes", "is_writable"}, "is_well"}``.
+        Well: everything that is not an extra is there, and the cache can be written.
+    """
+    libraries = {name: _version(name) for name in _LIBRARIES}
+    cache = _examine_cache(cache_folder)
+    return {
+        "version": _version("place-rsus"),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processors": os.cpu_count(),
+        "rays": {"by": caster_name(), "problem": open3d_problem()},
+        "libraries": libraries,
+        "extras": [
+            {"package": package, "extra": extra, "version": _version(package), "without": without}
+            for package, extra, without in _EXTRAS
+        ],
+        "milp_solvers": installed_solvers(),
+        "cache": cache,
+        "is_well": all(libraries.values()) and bool(cache["is_writable"]),
+    }
+
+
+def doctor_text(summary: dict[str, Any]) -> str:
+    """The same in words, at most 80 columns wide."""
+    lines = [
+        f"place-rsus {summary['version'] or '(not installed)'}, Python {summary['python']}, "
+        f"{summary['processors']} processors",
+        f"  {summary['platform']}"[:80],
+        "",
+        f"rays are cast by {summary['rays']['by']}",
+    ]
+    if summary["rays"]["problem"]:
+        lines += _wrapped(summary["rays"]["problem"])
+        lines += _wrapped("embreex casts the same rays: nothing is lost")
+    lines += ["", "libraries:"]
+    lines += [
+        f"  {name:<22} {found or 'MISSING: place-rsus does not work without it'}"
+        for name, found in summary["libraries"].items()
+    ]
+    lines += ["", "extras:"]
+    for entry in summary["extras"]:
+        if entry["version"]:
+            lines.append(f"  {entry['package']:<22} {entry['version']}")
+        else:
+            lines.append(f"  {entry['package']:<22} not installed (place-rsus[{entry['extra']}])")
+            lines += _wrapped(f"without it: no {entry['without']}", indent="    ")
+    lines += ["", "mixed-integer solvers: " + ", ".join(summary["milp_solvers"])]
+    cache = summary["cache"]
+    state = "" if cache["is_writable"] else "; it cannot be written to: tables are made anew"
+    lines += _wrapped(
+        f"detection tables: {cache['files']} in {cache['folder']}, "
+        f"{cache['bytes'] / 2**20:,.0f} MiB{state}",
+        indent="",
+    )
+    return "\n".join(lines)
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _examine_cache(folder: Path) -> dict[str, Any]:
+    tables = sorted(folder.glob("table-*.npz")) if folder.is_dir() else []
+    existing = folder
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    return {
+        "folder": str(folder),
+        "files": len(tables),
+        "bytes": sum(path.stat().st_size for path in tables),
+        "is_writable": existing.is_dir() and os.access(existing, os.W_OK),
+    }
+
+
+def _wrapped(text: str, indent: str = "  ") -> list[str]:
+    return textwrap.wrap(text, 80, initial_indent=indent, subsequent_indent=indent)
+
+
+# ---------- ``place-rsus doctor``: what is installed, what is missing, what that costs
+
+
+_EXIT_FAILED = 1
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  place-rsus doctor
+  place-rsus doctor --json | jq .extras
+
+Exit codes: 0 all is well (extras may be missing), 1 something is not."""
+)
+@json_option
+def doctor(*, as_json: bool) -> None:
+    """Say what is installed here, what is missing, and what that costs."""
+    pass
+    from ..export.json import to_json_text
+
+    summary = examine(cache_folder())
+    click.echo(to_json_text(summary).rstrip() if as_json else doctor_text(summary))
+    if not summary["is_well"]:
+        sys.exit(_EXIT_FAILED)

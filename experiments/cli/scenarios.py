@@ -1,0 +1,233 @@
+"""``place-rsus scenarios``: look at what is driven, without placing anything."""
+
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from placement.question import Question
+from placement.setting import Drives
+
+from ..progress import StageProgress, print_result
+from .options import (
+    json_option,
+    one_run_options,
+    question_options,
+    quiet_option,
+)
+
+# ---------- cases by approach, as rows and as a table for a terminal
+
+
+_WIDTH = 80
+
+
+def list_rows(drives: Drives) -> list[dict[str, Any]]:
+    """One row per case and approach.
+
+    Parameters
+    ----------
+    drives : Drives
+        Runs, and what cannot be driven.
+
+    Returns
+    -------
+    rows : list of dict
+        ``{"case", "approach", "speeds_kmh", "n_runs", "last_brake_time_s", "reason"}``: one last
+        brake time per speed, relative to the impact, None where braking cannot help; the reason
+        is None where every speed is driven.
+    """
+    rows: dict[tuple[str, str], dict[str, Any]] = {}
+    # By case in the order asked for: what is refused stands beside what is driven.
+    order = {run.case.name: None for run in drives.runs}
+
+    def row(case: str, approach: str) -> dict[str, Any]:
+        empty: dict[str, Any] = {
+            "case": case,
+            "approach": approach,
+            "speeds_kmh": [],
+            "n_runs": 0,
+            "last_brake_time_s": [],
+            "reason": None,
+        }
+        order.setdefault(case)
+        return rows.setdefault((case, approach), empty)
+
+    for run in drives.runs:
+        entry = row(run.case.name, run.approach)
+        entry["n_runs"] += 1
+        if run.vut_speed_kmh not in entry["speeds_kmh"]:
+            last_s = run.last_brake_time_s
+            entry["speeds_kmh"].append(run.vut_speed_kmh)
+            entry["last_brake_time_s"].append(last_s if np.isfinite(last_s) else None)
+    for refusal in (*drives.refused, *drives.left_out):
+        entry = row(refusal.case.name, refusal.approach)
+        is_partly = set(refusal.speeds_kmh) != set(refusal.case.vut_speeds_kmh)
+        speeds = ", ".join(f"{speed:g}" for speed in refusal.speeds_kmh)
+        reason = f"at {speeds} km/h: {refusal.reason}" if is_partly else refusal.reason
+        entry["reason"] = reason if entry["reason"] is None else f"{entry['reason']}; {reason}"
+    cases = list(order)
+    return sorted(rows.values(), key=lambda entry: cases.index(entry["case"]))
+
+
+def scenario_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The rows as a table, at most 80 columns wide."""
+    lines = [f"{'case':<13} {'from':<11} {'km/h':<8} {'runs':>4}  last moment to brake (s)"]
+    previous = ""
+    for entry in rows:
+        case = entry["case"] if entry["case"] != previous else ""
+        previous = entry["case"]
+        lines.append(
+            f"{case:<13} {entry['approach']:<11} {_span(entry['speeds_kmh'], 'g'):<8} "
+            f"{entry['n_runs']:>4}  {_last_moments(entry)}".rstrip()
+        )
+        if entry["reason"] is not None:
+            lines += textwrap.wrap(
+                f"not driven: {entry['reason']}",
+                _WIDTH,
+                initial_indent=" " * 14,
+                subsequent_indent=" " * 16,
+            )
+    n_runs = sum(entry["n_runs"] for entry in rows)
+    n_cases = len({entry["case"] for entry in rows})
+    lines.append(f"{n_runs} runs of {n_cases} case" + ("s" if n_cases != 1 else ""))
+    return "\n".join(lines)
+
+
+def _last_moments(entry: Mapping[str, Any]) -> str:
+    times = entry["last_brake_time_s"]
+    known = sorted(time for time in times if time is not None)
+    text = _span(known[::-1], ".2f")
+    if len(known) < len(times):
+        return f"{text}, {len(times) - len(known)} x never".removeprefix(", ")
+    return text
+
+
+def _span(values: Sequence[float], form: str) -> str:
+    if not values:
+        return ""
+    low, high = f"{values[0]:{form}}", f"{values[-1]:{form}}"
+    return low if low == high else f"{low} to {high}" if form != "g" else f"{low}-{high}"
+
+
+# ---------- ``place-rsus scenarios``: look at what is driven, without placing anything
+
+
+@click.group(
+    epilog="""\b
+Examples:
+  place-rsus scenarios list                     every case, on every approach
+  place-rsus scenarios list --cases study --json
+  place-rsus scenarios show CPNCO-50 --approach east --speed 40
+  place-rsus scenarios show CPTAfs-50 --approach north --speed 20 --out a.gif
+  place-rsus scenarios export CBNA --approach west --speed 60 --out a.xosc"""
+)
+def scenarios() -> None:
+    """What is driven at the junction: list it, look at it, export it."""
+
+
+@scenarios.command(
+    "list",
+    epilog="""\b
+Examples:
+  place-rsus scenarios list --cases protocol-4.5.1 --approaches east,west""",
+)
+@question_options(cases="all", has_weights=False)
+@json_option
+@quiet_option
+@click.pass_obj
+def list_scenarios(
+    progress: StageProgress, *, question: Question, as_json: bool, quiet: bool
+) -> None:
+    """Cases by approach: speeds, runs, the last moment to brake, and why not.
+
+    The last moment is the time at which braking must have begun, relative to the impact: -1.2 is
+    1.2 seconds before it. With --json a list, one entry per case and approach, with one last
+    moment per speed; null where braking cannot help.
+    """
+    from geometry.scene_folders import find_scene
+    from placement.setting import drive
+
+    pass
+
+    progress.start(quiet=quiet)
+    progress("lay the cases", 0, 0)
+    rows = list_rows(drive(question, find_scene(question.scene)))
+    print_result(rows, progress, as_json, lambda: scenario_table(rows))
+
+
+@scenarios.command(
+    epilog="""\b
+Examples:
+  place-rsus scenarios show CPNCO-50 --approach east --speed 40
+  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif"""
+)
+@one_run_options()
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Film strip (.png, .svg, .pdf) or animation (.gif); default: a .png in results/scenarios.",
+)
+@quiet_option
+@click.pass_obj
+def show(progress: StageProgress, *, question: Question, out: Path | None, quiet: bool) -> None:
+    """Draw a run from above: bodies, paths, obstruction, what the VUT has in sight."""
+    from geometry.scene_folders import find_scene
+    from placement.setting import drive_one
+
+    from ..figures.film import save_film
+
+    scene = find_scene(question.scene)
+    run = drive_one(question, scene)
+    path = out or Path("results", "scenarios", run.id.replace("/", "_") + ".png")
+    progress.start(quiet=quiet)
+    progress("draw", 0, 0)
+    _write(
+        path,
+        lambda: save_film(
+            path,
+            scene,
+            run,
+            on_progress=lambda done, total: progress("draw", done, total),
+        ),
+        makes_folder=out is None,
+    )
+    progress.stop()
+    click.echo(f"Written to {path}.")
+
+
+@scenarios.command(
+    epilog="""\b
+Examples:
+  place-rsus scenarios export CPNA-25 --approach east --speed 10 --out a.xosc"""
+)
+@one_run_options()
+@click.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+def export(*, question: Question, out: Path | None) -> None:
+    """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""
+    from geometry.files import write_atomically
+    from geometry.scene_folders import find_scene
+    from placement.setting import drive_one
+
+    from ..export.openscenario import to_openscenario
+
+    scene = find_scene(question.scene)
+    text = to_openscenario(drive_one(question, scene), road_network=scene.road_network)
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        _write(out, lambda: write_atomically(out, lambda file: file.write(text.encode())))
+
+
+def _write(path: Path, write: Callable[[], Any], *, makes_folder: bool = False) -> None:
+    try:
+        if makes_folder:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        write()
+    except OSError as error:
+        raise click.UsageError(
+            f"--out: got {path}: {error.strerror}; expected a file that can be written"
+        ) from None

@@ -1,0 +1,282 @@
+"""``place-rsus scene``: scenes out of maps, looked at and checked."""
+
+import sys
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..progress import StageProgress, print_result
+from .options import (
+    Number,
+    OneOf,
+    input_error,
+    json_option,
+    option_name,
+    quiet_option,
+)
+
+_EXIT_FAILED = 1
+
+
+class Point(click.ParamType[tuple[float, float]]):
+    """Two numbers with a comma between."""
+
+    name = "point"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """What the help shows for a value."""
+        return "X,Y"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, float]:
+        """The value, checked."""
+        words = str(value).split(",")
+        try:
+            numbers = [float(word) for word in words]
+        except ValueError:
+            numbers = []
+        if len(numbers) != 2 or not all(abs(number) < float("inf") for number in numbers):
+            raise input_error(option_name(param), value, "two numbers: X,Y")
+        return numbers[0], numbers[1]
+
+
+_READING_OPTIONS = (
+    click.option(
+        "--unit",
+        type=OneOf(("m", "km", "cm", "mm", "ft", "in")),
+        help="Of meshes whose format does not say (OBJ, PLY, STL).",
+    ),
+    click.option(
+        "--up",
+        type=OneOf(("x", "y", "z", "-x", "-y", "-z")),
+        help="Axis of meshes that points up, where the format does not say.",
+    ),
+    click.option(
+        "--class",
+        "class_name",
+        type=OneOf(("building", "wall", "vegetation")),
+        default="building",
+        show_default=True,
+        help="Of meshes, point clouds and footprints that do not say.",
+    ),
+    click.option(
+        "--traffic",
+        type=OneOf(("left", "right")),
+        help="Side on which it keeps; default: what the map says or shows.",
+    ),
+    click.option(
+        "--crs",
+        default="",
+        metavar="CRS",
+        help="Of files that do not say where they lie: EPSG:25832.",
+    ),
+    click.option("--layer", default="", metavar="NAME", help="Of a GeoPackage."),
+    click.option(
+        "--offset",
+        "offset_m",
+        type=Point(),
+        help="Metres by which buildings, meshes and clouds are moved, into the coordinates "
+        "of the map with the roads.",
+    ),
+)
+
+
+def _reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options that say what files do not; the command gets them as one `reading`."""
+
+    @wraps(command)
+    def with_reading(*args: Any, **values: Any) -> Any:
+        traffic = values.pop("traffic")
+        names = ("unit", "up", "class_name", "crs", "layer", "offset_m")
+        reading = {name: values.pop(name) for name in names}
+        reading["keeps_left"] = None if traffic is None else traffic == "left"
+        return command(*args, reading=reading, **values)
+
+    for option in reversed(_READING_OPTIONS):
+        with_reading = option(with_reading)
+    return with_reading
+
+
+@click.group()
+def scene() -> None:
+    """Scenes: cut out of maps, looked at, checked.
+
+    A scene is a junction with what stands around it and the sites where sensors may hang; every
+    command that is about a junction takes one with --scene.
+    """
+
+
+@scene.command(
+    "import",
+    epilog="""\b
+Examples:
+  place-rsus scene import city.osm -o scene
+  place-rsus scene import town.xodr --junction 189 -o scene.zip
+  place-rsus scene import city.osm.pbf --at 13.4412,52.4771 -o scene
+  place-rsus scene import roads.xodr houses.gml --sites poles.csv -o scene
+  place-rsus scene import roads.xodr scan.laz --class vegetation -o scene
+  place-rsus scene import town05 -o scene          the study's junction
+  place-rsus --scene scene --budget 3              and then""",
+)
+@click.argument("files", nargs=-1, metavar="FILE...")
+@click.option("--junction", default="", metavar="ID", help="Id, name or part of the name.")
+@click.option(
+    "--at",
+    type=Point(),
+    help="A point near the junction, in the file's own coordinates: longitude,latitude or metres.",
+)
+@click.option(
+    "--radius",
+    "radius_m",
+    type=Number("METRES", "metres"),
+    default=80.0,
+    show_default=True,
+    help="Of what is kept around the junction.",
+)
+@click.option(
+    "--sites",
+    default="auto",
+    show_default=True,
+    metavar="WHERE",
+    help="map: its lamps, signals and poles; kerb:15: every 15 m along the kerbs; a CSV or GeoJSON "
+    "file; auto: map, and where it has none kerb:15.",
+)
+@click.option(
+    "--ground", "ground_m", type=float, help="Height of the road in city models and meshes."
+)
+@click.option("--name", default="", metavar="NAME", help="Of the scene.")
+@click.option(
+    "--bbox",
+    default="",
+    metavar="W,S,E,N",
+    help="Fetch OpenStreetMap there instead of a file (extra: online).",
+)
+@_reading_options
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file."
+)
+@json_option
+@quiet_option
+@click.pass_obj
+def import_(
+    progress: StageProgress,
+    *,
+    files: tuple[str, ...],
+    junction: str,
+    at: tuple[float, float] | None,
+    radius_m: float,
+    sites: str,
+    ground_m: float | None,
+    name: str,
+    bbox: str,
+    reading: dict[str, Any],
+    out: Path,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Make a scene of map files, around one junction.
+
+    Roads come from OpenDRIVE (.xodr) or OpenStreetMap (.osm, .osm.pbf); buildings and other things
+    from these, GeoJSON, GeoPackage, Shapefile, CityJSON, CityGML, meshes (glTF, OBJ, PLY, STL) and
+    point clouds (LAS, LAZ, PCD). Where several junctions are in the map and none is named, the one
+    with the most arms is taken; `scene show FILE` lists them.
+    """
+    progress.start(quiet=quiet)
+    from geometry.maps.importing import ImportOptions, ReadingOptions
+
+    from ..jobs import scene
+    from ..jobs.scene import scene_text
+
+    summary = scene.run_import(
+        files,
+        ImportOptions(
+            junction=junction,
+            at=at,
+            radius_m=radius_m,
+            sites=sites,
+            ground_m=ground_m,
+            name=name,
+            reading=ReadingOptions(**reading),
+        ),
+        bbox=bbox,
+        out=out,
+        progress=progress,
+    )
+    _print(summary, progress, as_json, scene_text)
+
+
+@scene.command(
+    epilog="""\b
+Examples:
+  place-rsus scene show                            the study's junction
+  place-rsus scene show scene --out pictures
+  place-rsus scene show city.osm                   all junctions of a map
+  place-rsus scene show city.osm --json --quiet | jq .junctions"""
+)
+@click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
+@_reading_options
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Folder for plan.png and view.png; else none."
+)
+@json_option
+@quiet_option
+@click.pass_obj
+def show(
+    progress: StageProgress,
+    *,
+    paths: tuple[str, ...],
+    reading: dict[str, Any],
+    out: Path | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """What a scene or a map has: arms, lanes, sites, things, and what was left out and why."""
+    progress.start(quiet=quiet)
+    from geometry.maps.importing import ReadingOptions
+
+    from ..jobs import scene
+    from ..jobs.scene import scene_text
+
+    summary = scene.run_show(
+        paths,
+        ReadingOptions(**reading),
+        out=out,
+        progress=progress,
+    )
+    _print(summary, progress, as_json, scene_text)
+
+
+@scene.command(
+    epilog="""\b
+Examples:
+  place-rsus scene check scene
+  place-rsus scene check scene.zip --json --quiet | jq .findings
+
+Exit codes: 0 no errors (there may be warnings), 1 errors, 2 the input is wrong."""
+)
+@click.argument("path", metavar="[SCENE]", default="")
+@json_option
+@quiet_option
+@click.pass_obj
+def check(progress: StageProgress, *, path: str, as_json: bool, quiet: bool) -> None:
+    """Look for what may be wrong: holes, floating or overlapping buildings, sites inside walls."""
+    progress.start(quiet=quiet)
+    from ..jobs import scene
+    from ..jobs.scene import findings_text
+
+    summary = scene.run_check(path, progress=progress)
+    _print(summary, progress, as_json, findings_text)
+    if not summary["is_sound"]:
+        sys.exit(_EXIT_FAILED)
+
+
+def _print(
+    summary: dict[str, Any],
+    progress: StageProgress,
+    as_json: bool,
+    text: Callable[[dict[str, Any]], str],
+) -> None:
+
+    print_result(summary, progress, as_json, lambda: text(summary))

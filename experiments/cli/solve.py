@@ -1,0 +1,198 @@
+"""``place-rsus solve``: covering instances from files, solved and proven."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..progress import StageProgress, print_result
+from .options import (
+    Number,
+    OneOf,
+    SectionedCommand,
+    WholeNumber,
+    input_error,
+    json_option,
+    quiet_option,
+)
+
+FORMATS = ("auto", "npz", "orlib", "gecco")
+_QUESTIONS = ("--budget", "--budget-cost", "--target")
+
+
+class Target(click.ParamType[float | None]):
+    """The word max, or a share."""
+
+    name = "target"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """What the help shows for a value."""
+        return "max|SHARE"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float | None:
+        """The share; None for all that can be covered."""
+        if value == "max":
+            return None
+        try:
+            share = float(value)
+        except ValueError:
+            share = -1.0
+        if not 0.0 <= share <= 1.0:
+            raise input_error("--target", value, "max, or a share of the weight, 0 to 1")
+        return share
+
+
+@click.command(
+    cls=SectionedCommand,
+    epilog="""\b
+Examples:
+  place-rsus solve scp41.txt                       all rows at least cost
+  place-rsus solve scp41.txt --target 0.9          enough of them
+  place-rsus solve scp41.txt --budget 3 --json     what 3 columns cover
+  place-rsus solve scp41.txt --out scp41.npz       in our own format, too
+  place-rsus solve results/latest/instance.npz --budget 2""",
+)
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option(
+    "--budget",
+    "budget_units",
+    type=WholeNumber(1, "a whole number of columns"),
+    help="Cover as much as so many columns can.",
+)
+@click.option(
+    "--budget-cost",
+    type=Number("COST", "an amount of money", may_be_zero=True),
+    help="Cover as much as columns for so much money can.",
+)
+@click.option(
+    "--target",
+    type=Target(),
+    help="Cover that share of the weight, or all that can be covered (max), at least cost; max is "
+    "the default.",
+)
+@click.option(
+    "--solver",
+    default="auto",
+    show_default=True,
+    metavar="NAME",
+    help="auto: exact search for a few columns, else HiGHS; greedy: no proof; or a solver that "
+    "cvxpy finds: HIGHS, SCIPY, SCIP, CBC, GLPK_MI, GUROBI.",
+)
+@click.option(
+    "--time-limit",
+    type=Number("SECONDS", "seconds"),
+    default=60.0,
+    show_default=True,
+    help="When it is up, the best answer found and its gap are given.",
+)
+@click.option(
+    "--gap",
+    type=Number("SHARE", "a share", may_be_zero=True),
+    default=0.0,
+    show_default=True,
+    help="Relative distance of objective and bound that is good enough.",
+)
+@click.option(
+    "--format",
+    "format_name",
+    type=OneOf(FORMATS),
+    default="auto",
+    show_default=True,
+    help="npz: this program's own; orlib: OR-Library's set covering; gecco: the camera placement "
+    "competition of GECCO 2020; auto: told from the content.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE.npz",
+    help="Write the instance in this program's own format.",
+)
+@json_option
+@quiet_option
+@click.pass_obj
+def solve(
+    progress: StageProgress,
+    *,
+    file: Path,
+    budget_units: int | None,
+    budget_cost: float | None,
+    target: float | None,
+    solver: str,
+    time_limit: float,
+    gap: float,
+    format_name: str,
+    out: Path | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Solve a covering or placement problem from a file, and prove it.
+
+    Placement problems (instance.npz of a result folder) are solved as they were asked, unless
+    --budget, --budget-cost or --target asks something else.
+
+    Chosen columns are numbered as in the file: from 1 in OR-Library's, else from 0; --json says
+    so in numbered_from.
+    """
+    _check_one_question()
+    progress.start(quiet=quiet)
+    from placement.optimiser.covering.files import instance_kind
+    from placement.verification.instances import KIND
+
+    from ..jobs import solve
+
+    if format_name in ("auto", "npz") and instance_kind(file) == KIND:
+        from ..jobs import solve
+
+        if out is not None:
+            raise click.UsageError(f"--out: got {out}; expected it with covering problems only")
+        has_target = click.get_current_context().get_parameter_source("target")
+        summary = solve.run_solve_windows(
+            file,
+            budget_units=budget_units,
+            budget_cost=budget_cost,
+            target=float("inf")
+            if target is None and has_target is click.core.ParameterSource.COMMANDLINE
+            else target,
+            solver=solver,
+            time_limit_s=time_limit,
+            gap=gap,
+            progress=progress,
+        )
+        print_result(summary, progress, as_json, lambda: solve.window_text(summary))
+        return
+    try:
+        summary = solve.run_solve(
+            file,
+            format_name=None if format_name == "auto" else format_name,
+            budget_units=budget_units,
+            budget_cost=budget_cost,
+            target=target,
+            solver=solver,
+            time_limit_s=time_limit,
+            gap=gap,
+            out=out,
+            progress=progress,
+        )
+    except OSError as error:
+        if out is None:
+            raise
+        raise click.UsageError(
+            f"--out: got {out}: {error.strerror}; expected a file that can be written"
+        ) from None
+    print_result(summary, progress, as_json, lambda: solve.solution_text(summary))
+
+
+def _check_one_question() -> None:
+    context = click.get_current_context()
+    given = [
+        name
+        for name in _QUESTIONS
+        if context.get_parameter_source(
+            {"--budget": "budget_units"}.get(name, name[2:].replace("-", "_"))
+        )
+        is click.core.ParameterSource.COMMANDLINE
+    ]
+    if len(given) > 1:
+        raise click.UsageError(
+            f"{given[1]}: got it beside {given[0]}; expected one of {', '.join(_QUESTIONS)}"
+        )

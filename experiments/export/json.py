@@ -1,0 +1,52 @@
+"""JSON of plain values, as every JSON file here is written."""
+
+import json
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from geometry.catalogue import own_sensor_record
+from placement.layout import SCHEMA, Layout, layout_records
+
+# ---------- JSON of plain values, as every JSON file here is written
+
+
+def to_json_text(document: object) -> str:
+    r"""JSON of plain values; numbers that JSON lacks (NaN, infinite) become null.
+
+    Examples
+    --------
+    >>> to_json_text({"gap": math.inf, "apr": 0.1})
+    '{\n  "gap": null,\n  "apr": 0.1\n}\n'
+    """
+    text = json.dumps(_finite(document), indent=2, ensure_ascii=False, allow_nan=False)
+    return text + "\n"
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return _finite(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+# ---------- the layout file itself
+
+
+def to_json(layout: Layout) -> str:
+    """Layout as the JSON file that :func:`placement.layout.load_layout` reads."""
+    document = {
+        "schema": SCHEMA,
+        "name": layout.name,
+        "scene": layout.scene_name,
+        "layout": layout_records(layout),
+    }
+    own = {unit.sensor.name: own_sensor_record(unit.sensor) for unit in layout.units}
+    sensors = {name: record for name, record in own.items() if record is not None}
+    return to_json_text(document | ({"sensors": sensors} if sensors else {}))

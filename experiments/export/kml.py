@@ -1,0 +1,78 @@
+"""Layouts for Google Earth and other globes: KML."""
+
+import xml.etree.ElementTree as ET
+
+from geometry.errors import InputError
+from geometry.frames import to_carla_yaw
+from geometry.scene import Scene
+from placement.layout import Layout
+
+from .places import (
+    longitude_latitude,
+    placed_records,
+    positions_m,
+    require_crs,
+)
+
+_NAMESPACE = "http://www.opengis.net/kml/2.2"
+
+
+def to_kml(layout: Layout, scene: Scene) -> str:
+    """Layout as KML: a placemark per unit, at its height above ground, with a pole below it.
+
+    Parameters
+    ----------
+    layout : Layout
+        What to write.
+    scene : Scene
+        Where it hangs.
+
+    Returns
+    -------
+    text : str
+        An XML document. Every field of the layout is in the placemark's ExtendedData; the
+        placemark's camera looks from where the unit hangs along its optical axis.
+
+    Raises
+    ------
+    InputError
+        The scene has no crs, or one that pyproj does not know; a name is not printable.
+
+    References
+    ----------
+    .. [1] OGC 07-147r2, "KML 2.2": Placemark, ExtendedData, and Camera, whose heading is clockwise
+       from north and whose tilt counts from straight down.
+    """
+    require_crs(scene.crs, "kml")
+    # Names without a prefix: some readers know no other.
+    root = ET.Element("kml", {"xmlns": _NAMESPACE})
+    document = ET.SubElement(root, "Document")
+    _text(document, "name", layout.name)
+    lon_lat_deg = longitude_latitude(positions_m(layout), scene.crs).tolist()
+    records = placed_records(layout, scene)
+    for unit, record, (longitude, latitude) in zip(layout.units, records, lon_lat_deg, strict=True):
+        placemark = ET.SubElement(document, "Placemark")
+        _text(placemark, "name", unit.id)
+        camera = ET.SubElement(placemark, "Camera")
+        _text(camera, "longitude", repr(longitude))
+        _text(camera, "latitude", repr(latitude))
+        _text(camera, "altitude", repr(record["z_m"]))
+        _text(camera, "heading", repr(float(to_carla_yaw(unit.pose.yaw_deg) + 90.0) % 360.0))
+        _text(camera, "tilt", repr(90.0 + unit.pose.pitch_deg))
+        _text(camera, "altitudeMode", "relativeToGround")
+        data = ET.SubElement(placemark, "ExtendedData")
+        for name, value in record.items():
+            _text(ET.SubElement(data, "Data", {"name": name}), "value", str(value))
+        point = ET.SubElement(placemark, "Point")
+        _text(point, "extrude", "1")
+        _text(point, "altitudeMode", "relativeToGround")
+        _text(point, "coordinates", f"{longitude!r},{latitude!r},{record['z_m']!r}")
+    ET.indent(root)
+    text = ET.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
+
+
+def _text(parent: ET.Element, name: str, value: str) -> None:
+    if not value.isprintable():  # XML has no words for most control characters
+        raise InputError(f"kml: {name}", value, "printable text")
+    ET.SubElement(parent, name).text = value

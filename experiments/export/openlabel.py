@@ -1,0 +1,98 @@
+"""Layouts as ASAM OpenLABEL: coordinate systems and streams, for annotations to refer to."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from geometry.sensors import CameraModel
+from placement.candidates import CandidatePose
+from placement.layout import Layout
+
+from .calibration import (
+    N_DISTORTION,
+    camera_matrix,
+    plain,
+    sensor_quaternion,
+)
+from .json import to_json_text
+
+SCHEMA_VERSION = "1.0.0"
+
+
+def to_openlabel(layout: Layout) -> str:
+    """Layout as an OpenLABEL document without annotations.
+
+    Parameters
+    ----------
+    layout : Layout
+        What to write.
+
+    Returns
+    -------
+    text : str
+        A coordinate system for the world (x east, y north, z up, metres) and one per unit, with its
+        pose as quaternion (x, y, z, w) and translation from the unit to the world; and a stream per
+        unit of the same name. A camera's frame is x right, y down, z ahead, its stream has
+        intrinsics_pinhole (the middle of the first pixel is (0, 0)); a LiDAR's frame is x ahead,
+        y left, z up, its stream has the scan pattern in intrinsics_custom. Its uri is
+        empty: nothing has been recorded.
+
+    References
+    ----------
+    .. [1] ASAM OpenLABEL 1.0.0, coordinate systems and streams, and its JSON schema:
+       pose_wrt_parent takes points of the child to the parent.
+    """
+    ids = [unit.id for unit in layout.units]
+    world = "world"
+    while world in ids:  # a unit may be called so, too
+        world += "_cs"
+    systems: dict[str, Any] = {world: {"type": "scene_cs", "parent": "", "children": ids}}
+    for unit in layout.units:
+        systems[unit.id] = {
+            "type": "sensor_cs",
+            "parent": world,
+            "children": [],
+            "pose_wrt_parent": {
+                "quaternion": sensor_quaternion(unit.pose, unit.sensor),
+                "translation": plain(unit.pose.position_m),
+            },
+        }
+    return to_json_text(
+        {
+            "openlabel": {
+                "metadata": {"schema_version": SCHEMA_VERSION, "name": layout.name},
+                "coordinate_systems": systems,
+                "streams": {unit.id: _stream(unit) for unit in layout.units},
+            }
+        }
+    )
+
+
+def _stream(unit: CandidatePose) -> dict[str, Any]:
+    sensor = unit.sensor
+    if not isinstance(sensor, CameraModel):
+        return {
+            "type": "lidar",
+            "description": sensor.name,
+            "uri": "",
+            "stream_properties": {"intrinsics_custom": asdict(sensor)},
+        }
+    projection = plain(np.column_stack([camera_matrix(sensor), np.zeros(3)]))
+    distortion = [0.0] * N_DISTORTION
+    return {
+        "type": "camera",
+        "description": sensor.name,
+        "uri": "",
+        "stream_properties": {
+            "intrinsics_pinhole": {
+                "width_px": sensor.width_px,
+                "height_px": sensor.height_px,
+                "camera_matrix": projection,
+                "distortion_coeffs": distortion,
+                # What the standard's examples and vcd call the same; its schema allows both.
+                "camera_matrix_3x4": projection,
+                "distortion_coeffs_1xN": distortion,
+            }
+        },
+    }

@@ -1,0 +1,465 @@
+"""A run as an OpenSCENARIO file, for a simulator that knows the map."""
+
+import datetime as dt
+import importlib
+import importlib.metadata
+import math
+import warnings
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geometry.actors import Actor
+from geometry.arrays import FloatArray
+from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.files import (
+    Table,
+    load_toml,
+    pick,
+    take,
+    take_number,
+    take_text,
+)
+from geometry.weather import pick_weather
+from scenarios.runs import Run
+
+# ---------- bodies as OpenSCENARIO wants them: kind, box, axles, point of reference
+
+
+DECIMALS = 6  # of metres, seconds, radians: what differs in the last bits gives the same file
+TABLE = "openscenario.toml"
+
+
+@cache
+def load_xosc() -> Any:
+    """The library's module for OpenSCENARIO.
+
+    Raises
+    ------
+    MissingExtraError
+        It is not installed.
+    """
+    try:
+        return importlib.import_module("scenariogeneration.xosc")
+    except ImportError:
+        raise MissingExtraError(
+            "OpenSCENARIO needs scenariogeneration: pip install place-rsus[openscenario]"
+        ) from None
+
+
+@cache
+def load_table(name: str) -> Table:
+    """Part of ``data/openscenario.toml``: "bodies" or "weather"."""
+    table: Table = take(load_toml(files("experiments") / "data" / TABLE), name, TABLE)
+    return table
+
+
+def _body(actor: Actor) -> tuple[Table, str]:
+    """What the standard asks for of a body, and where that stands."""
+    bodies = load_table("bodies")
+    name = actor.name if actor.name in bodies else actor.class_name
+    return pick(bodies, name, "class_name"), f"{TABLE}: bodies.{name}"
+
+
+def _axles_m(actor: Actor) -> tuple[float, float]:
+    """Front and rear axle of a vehicle, ahead of the middle of its box."""
+    body, where = _body(actor)
+    if "wheelbase_m" in body:  # of a bicycle
+        front_m = take_number(body, "front_axle_ahead_m", where)
+        return front_m, front_m - take_number(body, "wheelbase_m", where)
+    if not actor.wheelbase_m > 0.0:
+        raise InputError(f"actor {actor.name}.wheelbase_m", actor.wheelbase_m, "> 0 metres")
+    return actor.front_axle_ahead_m, actor.front_axle_ahead_m - actor.wheelbase_m
+
+
+def reference_ahead_m(actor: Actor) -> float:
+    """How far a body's point of reference is ahead of the middle of its box.
+
+    Parameters
+    ----------
+    actor : Actor
+        The body.
+
+    Returns
+    -------
+    ahead_m : float
+        The rear axle of cars and bicycles; 0, the middle itself, of pedestrians and walls. [m]
+
+    Raises
+    ------
+    InputError
+        ``data/openscenario.toml`` knows neither its name nor its class, or a car has no axles.
+    """
+    body, _ = _body(actor)
+    return _axles_m(actor)[1] if body["entity"] == "Vehicle" else 0.0
+
+
+def build_entity(actor: Actor) -> Any:
+    """Vehicle, Pedestrian or MiscObject of the library.
+
+    Raises
+    ------
+    InputError
+        See :func:`reference_ahead_m`.
+    """
+    xosc = load_xosc()
+    body, where = _body(actor)
+    entity, category = take_text(body, "entity", where), take_text(body, "category", where)
+    mass_kg = take_number(body, "mass_kg", where)
+    box = xosc.BoundingBox(
+        actor.width_m,
+        actor.length_m,
+        actor.height_m,
+        round(-reference_ahead_m(actor), DECIMALS) + 0.0,
+        0.0,
+        round(0.5 * actor.height_m, DECIMALS),
+    )
+    kind = getattr(getattr(xosc, f"{entity}Category"), category)
+    if entity != "Vehicle":
+        return getattr(xosc, entity)(actor.name, mass_kg, kind, box)
+    front_m, rear_m = _axles_m(actor)
+    wheel_m, track_m = (
+        take_number(body, key, where) for key in ("wheel_diameter_m", "track_width_m")
+    )
+    steering_rad = to_radians(take_number(body, "max_steering_deg", where))
+    ahead_m = round(front_m - rear_m, DECIMALS)
+    vehicle = xosc.Vehicle(
+        actor.name,
+        kind,
+        box,
+        xosc.Axle(steering_rad, wheel_m, track_m, ahead_m, 0.5 * wheel_m),
+        xosc.Axle(0.0, wheel_m, track_m, 0.0, 0.5 * wheel_m),
+        take_number(body, "max_speed_mps", where),
+        take_number(body, "max_acceleration_mps2", where),
+        take_number(body, "max_deceleration_mps2", where),
+        mass=mass_kg,
+    )
+    if "note" in body:
+        vehicle.add_property("note", take_text(body, "note", where))
+    return vehicle
+
+
+def to_radians(angle_deg: float) -> float:
+    """Angle as it stands in the file, in radians."""
+    return round(math.radians(angle_deg), DECIMALS) + 0.0
+
+
+# ---------- A run as an OpenSCENARIO file, for a simulator that knows the map
+
+
+VUT, VRU = "vut", "vru"
+_DISTRIBUTION, _SCHEMA, _MINOR = "scenariogeneration", "OpenSCENARIO_1_3_1.xsd", 3
+# The header must have a date, and the same run gives the same file.
+_UNDATED = dt.datetime(1970, 1, 1)
+_SPEED_DECIMALS = 3
+_SPEED_STEP_S = 1.0e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Track:
+    """Where a body's reference point is, from the first frame (time 0) to the impact.
+
+    Attributes
+    ----------
+    name : str
+        Of the entity.
+    time_s : (n,) float
+        Ascending. [s]
+    position_m : (n, 2) float
+        World frame. [m]
+    yaw_deg : (n,) float
+        Without jumps by full turns. [deg]
+    speed_mps : float
+        With which it leaves the first frame. [m/s]
+    """
+
+    name: str
+    time_s: FloatArray
+    position_m: FloatArray
+    yaw_deg: FloatArray
+    speed_mps: float
+
+
+def to_openscenario(run: Run, *, road_network: str) -> str:
+    """Run as an OpenSCENARIO 1.3 file: nobody brakes, and the file ends at the impact.
+
+    Parameters
+    ----------
+    run : Run
+        What is driven.
+    road_network : str
+        OpenDRIVE file of the map, as the simulator shall find it: "Town05.xodr". Its frame must be
+        the run's world frame, as that of CARLA's maps is the study's.
+
+    Returns
+    -------
+    text : str
+        XML. Scenario time 0 is the run's first frame. The entities "vut" and "vru" follow the
+        run's frames; "obstruction-1" .. stand. The header's properties say what the run is; the
+        parameters "impact_time_s" and, unless no braking avoids, "last_brake_time_s" are scenario
+        times. The same run gives the same text.
+
+    Raises
+    ------
+    InputError
+        There is no road network, or the standard's schema rejects the result.
+    MissingExtraError
+        scenariogeneration is not installed.
+
+    Notes
+    -----
+    Reference points are those of the standard: the middle of the rear axle of cars and bicycles,
+    the middle of the footprint of pedestrians and walls. The gait is left to the simulator.
+
+    References
+    ----------
+    .. [1] ASAM OpenSCENARIO XML 1.3.1, "Coordinate systems" and class reference.
+    """
+    if not road_network:
+        raise InputError("road_network", road_network, "the name of an OpenDRIVE file")
+    version = load_xosc().VersionBase()
+    minor_before = version.version_minor
+    version.setVersion(minor=_MINOR)  # of the whole library: others may write another one
+    try:
+        element = _build_element(run, road_network)
+    finally:
+        version.setVersion(minor=minor_before)
+    for action in element.iter("LightStateAction"):
+        # 0.16.7 writes the two children the wrong way round.
+        action[:] = sorted(action, key=lambda child: child.tag != "LightType")
+    ET.indent(element, space="  ")
+    text = ET.tostring(element, encoding="unicode")
+    validate_openscenario(text)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
+
+
+def validate_openscenario(text: str) -> None:
+    """Check a file against the schema of OpenSCENARIO 1.3.1, which comes with scenariogeneration.
+
+    Raises
+    ------
+    InputError
+        It is not XML, or the schema rejects it; says where and why.
+    MissingExtraError
+        scenariogeneration is not installed.
+    """
+    expected = f"XML that {_SCHEMA} accepts"
+    try:
+        element = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise InputError("OpenSCENARIO", Unquoted(error), expected) from None
+    problem = next(_schema().iter_errors(element), None)
+    if problem is not None:
+        where = f"OpenSCENARIO: {problem.path}"
+        raise InputError(where, Unquoted(problem.reason), expected)
+
+
+@cache
+def _schema() -> Any:
+    load_xosc()
+    xmlschema = importlib.import_module("xmlschema")
+    for file in importlib.metadata.files(_DISTRIBUTION) or ():
+        if file.name == _SCHEMA:
+            return xmlschema.XMLSchema(str(file.locate()))
+    raise MissingExtraError(
+        f"OpenSCENARIO needs {_SCHEMA}, which this {_DISTRIBUTION} lacks: "
+        "pip install --force-reinstall place-rsus[openscenario]"
+    )
+
+
+def _build_element(run: Run, road_network: str) -> ET.Element:
+    xosc = load_xosc()
+    bodies = {VUT: run.encounter.vut, VRU: run.encounter.vru} | {
+        f"obstruction-{index}": placed.actor for index, placed in enumerate(run.obstruction, 1)
+    }
+    entities = xosc.Entities()
+    for name, actor in bodies.items():
+        entities.add_scenario_object(name, build_entity(actor))
+    impact_s = round(-float(run.time_s[0]), DECIMALS)
+    scenario = xosc.Scenario(
+        f"{run.id}: {run.case.title}",
+        "place-rsus",
+        _build_parameters(run, impact_s),
+        entities,
+        _build_storyboard(run, impact_s),
+        xosc.RoadNetwork(roadfile=road_network),
+        xosc.Catalog(),
+        osc_minor_version=_MINOR,
+        creation_date=_UNDATED,
+        header_properties=_build_properties(run),
+    )
+    with warnings.catch_warnings():
+        # 0.16.7 asks an XML element whether it is true, of which Python 3.12 and later warn.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        element: ET.Element = scenario.get_element()
+    return element
+
+
+def _build_parameters(run: Run, impact_s: float) -> Any:
+    xosc = load_xosc()
+    times = {"impact_time_s": impact_s}
+    if np.isfinite(run.last_brake_time_s):
+        last_s = float(run.last_brake_time_s - run.time_s[0])
+        times["last_brake_time_s"] = round(last_s, DECIMALS) + 0.0
+    parameters = xosc.ParameterDeclarations()
+    for name, time_s in times.items():
+        parameters.add_parameter(xosc.Parameter(name, xosc.ParameterType.double, str(time_s)))
+    return parameters
+
+
+def _build_properties(run: Run) -> Any:
+    avoidable = bool(np.isfinite(run.last_brake_time_s))
+    properties = load_xosc().Properties()
+    for name, value in {
+        "run": run.id,
+        "case": run.case.name,
+        "source": run.case.source,
+        "approach": run.approach,
+        "weather": run.weather,
+        "vut_speed_kmh": f"{run.vut_speed_kmh:g}",
+        "vru_speed_kmh": f"{run.case.vru_speed_kmh:g}",
+        "is_avoidable_by_braking": str(avoidable).lower(),
+    }.items():
+        properties.add_property(name, value)
+    return properties
+
+
+def _build_storyboard(run: Run, impact_s: float) -> Any:
+    xosc = load_xosc()
+    tracks = (_build_track(VUT, run), _build_track(VRU, run))
+    storyboard = xosc.StoryBoard(
+        _build_init(run, tracks),
+        xosc.ValueTrigger(
+            "after the impact",
+            0.0,
+            xosc.ConditionEdge.none,
+            xosc.SimulationTimeCondition(impact_s, xosc.Rule.greaterThan),
+            triggeringpoint="stop",
+        ),
+    )
+    act = xosc.Act("unbraked", _build_start("start of the act"))
+    for track in tracks:
+        event = xosc.Event(f"{track.name} sets off", xosc.Priority.override)
+        event.add_trigger(_build_start(f"start of {track.name}"))
+        event.add_action(
+            f"{track.name} follows its frames",
+            xosc.FollowTrajectoryAction(
+                _build_trajectory(track),
+                xosc.FollowingMode.position,
+                xosc.ReferenceContext.absolute,
+                1.0,
+                0.0,
+            ),
+        )
+        maneuver = xosc.Maneuver(f"{track.name} moves")
+        maneuver.add_event(event)
+        group = xosc.ManeuverGroup(f"{track.name} alone")
+        group.add_actor(track.name)
+        group.add_maneuver(maneuver)
+        act.add_maneuver_group(group)
+    storyboard.add_act(act)
+    return storyboard
+
+
+def _build_start(name: str) -> Any:
+    xosc = load_xosc()
+    condition = xosc.SimulationTimeCondition(0.0, xosc.Rule.greaterOrEqual)
+    return xosc.ValueTrigger(name, 0.0, xosc.ConditionEdge.none, condition)
+
+
+def _build_init(run: Run, tracks: tuple[_Track, ...]) -> Any:
+    xosc = load_xosc()
+    init = xosc.Init()
+    init.add_global_action(xosc.EnvironmentAction(_build_environment(run.weather)))
+    at_once = xosc.TransitionDynamics(xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0.0)
+    for track in tracks:
+        position = _world_position(track.position_m[0], track.yaw_deg[0])
+        init.add_init_action(track.name, xosc.TeleportAction(position))
+        init.add_init_action(track.name, xosc.AbsoluteSpeedAction(track.speed_mps, at_once))
+    if load_table("weather")[run.weather]["low_beam"]:
+        lights = xosc.LightStateAction(xosc.VehicleLightType.lowBeam, xosc.LightMode.on)
+        init.add_init_action(VUT, lights)
+    for index, placed in enumerate(run.obstruction, 1):
+        point_m = _reference_m(placed.actor, placed.pose.position_m[:2], placed.pose.yaw_deg)
+        teleport = xosc.TeleportAction(_world_position(point_m, placed.pose.yaw_deg))
+        init.add_init_action(f"obstruction-{index}", teleport)
+    return init
+
+
+def _build_environment(weather: str) -> Any:
+    xosc = load_xosc()
+    sky: Table = pick(load_table("weather"), weather, "weather")
+    where = f"{TABLE}: weather.{weather}"
+    light = pick_weather(weather, "weather")
+    is_raining = light.rain_rate_mmph > 0.0
+    falling = xosc.PrecipitationType.rain if is_raining else xosc.PrecipitationType.dry
+    time: dt.datetime = take(sky, "date_time", where)
+    return xosc.Environment(
+        weather,
+        xosc.TimeOfDay(False, time.year, time.month, time.day, time.hour, time.minute, time.second),
+        xosc.Weather(
+            getattr(xosc.FractionalCloudCover, take_text(sky, "cloud_cover", where)),
+            sun=xosc.Sun(
+                light.level_lux,
+                to_radians((90.0 - light.sun_yaw_deg) % 360.0),  # clockwise from north
+                to_radians(light.sun_elevation_deg),
+            ),
+            fog=xosc.Fog(light.visibility_m),
+            precipitation=xosc.Precipitation(falling, light.rain_rate_mmph),
+        ),
+        # 1: the runs brake alike in every weather.
+        xosc.RoadCondition(1.0, wetness=getattr(xosc.Wetness, take_text(sky, "wetness", where))),
+    )
+
+
+def _build_track(name: str, run: Run) -> _Track:
+    actor, motion, position_m, yaw_deg = {
+        VUT: (run.encounter.vut, run.encounter.vut_motion, run.vut_position_m, run.vut_yaw_deg),
+        VRU: (run.encounter.vru, run.encounter.vru_motion, run.vru_position_m, run.vru_yaw_deg),
+    }[name]
+    first_s, last_s = run.time_s[[0, -1]]
+    time_s = run.time_s
+    if last_s < 0.0:  # between two frames lies the impact: the last frame is before it
+        impact_m, impact_deg = motion.path.at(motion.distance_m(0.0))
+        time_s = np.append(time_s, 0.0)
+        position_m = np.concatenate([position_m, impact_m[None]])
+        yaw_deg = np.append(yaw_deg, impact_deg)
+    way_m = np.diff(motion.distance_m(first_s + np.array([0.0, _SPEED_STEP_S])))[0]
+    return _Track(
+        name=name,
+        time_s=time_s - first_s,
+        position_m=_reference_m(actor, position_m, yaw_deg),
+        yaw_deg=np.unwrap(yaw_deg, period=360.0),
+        speed_mps=round(float(way_m) / _SPEED_STEP_S, _SPEED_DECIMALS),
+    )
+
+
+def _reference_m(actor: Actor, position_m: FloatArray, yaw_deg: ArrayLike) -> FloatArray:
+    """From the middle of the footprint to the standard's reference point, (..., 2)."""
+    yaw_rad = np.radians(yaw_deg)
+    ahead = np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1)
+    point_m: FloatArray = position_m + reference_ahead_m(actor) * ahead
+    return point_m
+
+
+def _build_trajectory(track: _Track) -> Any:
+    xosc = load_xosc()
+    positions = [
+        _world_position(point_m, yaw_deg)
+        for point_m, yaw_deg in zip(track.position_m, track.yaw_deg, strict=True)
+    ]
+    times_s = (track.time_s.round(DECIMALS) + 0.0).tolist()
+    trajectory = xosc.Trajectory(f"{track.name} unbraked", False)
+    trajectory.add_shape(xosc.Polyline(times_s, positions))
+    return trajectory
+
+
+def _world_position(point_m: FloatArray, yaw_deg: float) -> Any:
+    # Adding zero turns -0.0 into 0.0.
+    east_m, north_m = (point_m.round(DECIMALS) + 0.0).tolist()
+    return load_xosc().WorldPosition(east_m, north_m, 0.0, to_radians(yaw_deg), 0.0, 0.0)

@@ -1,0 +1,113 @@
+"""Where on earth, and where in its map, a layout's units are."""
+
+from typing import Any
+
+import numpy as np
+
+from geometry.arrays import FloatArray
+from geometry.errors import InputError, Unquoted
+from geometry.frames import to_geographic
+from geometry.maps.georeferences import transform
+from geometry.scene import Scene
+from placement.layout import Layout, layout_records
+
+
+def positions_m(layout: Layout) -> FloatArray:
+    """Positions of the units in metres, world frame, (n_units, 3)."""
+    return np.array([unit.pose.position_m for unit in layout.units])
+
+
+def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
+    """Units as records, with their place in the map that a scene was made from.
+
+    Parameters
+    ----------
+    layout : Layout
+        The units.
+    scene : Scene or None
+        Where they hang; None, or one that was not made from a map: nothing is added.
+
+    Returns
+    -------
+    records : list of dict
+        As :func:`placement.layout.layout_records`; beside these map_x, map_y (longitude and
+        latitude where the map has degrees) and map_crs, which is empty if the map does not say
+        where on earth it lies.
+    """
+    records = layout_records(layout)
+    if scene is None or not (scene.source_crs or scene.source_origin_m.any()):
+        return records
+    if scene.crs:
+        position = map_positions(layout, scene)
+    else:
+        position = positions_m(layout)[:, :2] + scene.source_origin_m
+    return [
+        record | {"map_x": float(x), "map_y": float(y), "map_crs": scene.source_crs}
+        for record, (x, y) in zip(records, position, strict=True)
+    ]
+
+
+def map_positions(layout: Layout, scene: Scene) -> FloatArray:
+    """Units in the coordinates of the scene's map.
+
+    Parameters
+    ----------
+    layout : Layout
+        The units.
+    scene : Scene
+        One that has a crs.
+
+    Returns
+    -------
+    positions : (n_units, 2) float
+        In ``scene.source_crs``, or ``scene.crs`` where that is empty; east or longitude first.
+    """
+    position = positions_m(layout)[:, :2]
+    if not scene.source_crs:
+        return position
+    return transform(position, scene.crs, scene.source_crs)
+
+
+def require_crs(crs: str, format_name: str) -> None:
+    """Refuse a scene that does not say where on earth it lies.
+
+    Raises
+    ------
+    InputError
+        `crs` is empty.
+    """
+    if not crs:
+        raise InputError(
+            format_name, Unquoted("a scene without crs"), "one that says where on earth it lies"
+        )
+
+
+def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
+    """Points of the world frame in WGS 84.
+
+    Parameters
+    ----------
+    points_m : (n, 2) or (n, 3) float
+        World frame. [m]
+    crs : str
+        In which it lies.
+
+    Returns
+    -------
+    lon_lat_deg : (n, 2) float
+        Longitude, latitude. [deg]
+
+    Raises
+    ------
+    InputError
+        pyproj does not know `crs`, or the points lie outside of where it is defined.
+    """
+    from pyproj.exceptions import CRSError, ProjError
+
+    try:
+        lon_lat_deg = to_geographic(points_m, crs)
+    except (CRSError, ProjError):
+        raise InputError("crs", crs, "a coordinate reference system that pyproj knows") from None
+    if not np.isfinite(lon_lat_deg).all():
+        raise InputError("crs", crs, "a coordinate reference system that contains the layout")
+    return lon_lat_deg

@@ -1,0 +1,1 @@
+"""Figures: each is drawn into matplotlib axes, and returns them."""

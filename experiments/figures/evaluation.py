@@ -1,0 +1,465 @@
+"""Figures of evaluations: APR by case, heatmaps. Built without pyplot's global state."""
+
+import textwrap
+import warnings
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from geometry.arrays import BoolArray
+from geometry.catalogue import sensor_kind
+from geometry.errors import InputError
+from placement.evaluation import (
+    Evaluation,
+    Verdict,
+    apr,
+    apr_by_case,
+)
+from placement.layout import Layout
+from placement.setting import Setting
+from scenarios.runs import FrameAxis
+
+from ..results.tables import margin_s
+from ..results.text import percent
+
+# ---------- which runs have a heatmap, and which units a row in it
+
+
+_STUDY_HEATMAPS = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
+_MAX_HEATMAPS = 3
+MAX_HEATMAP_UNITS = 24
+"""Rows of a heatmap that units have: of more, those that confirm first."""
+
+
+def units_in_heatmap(evaluation: Evaluation, run_indices: Sequence[int]) -> list[str]:
+    """Ids of the units that have a row in a heatmap of runs.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Of a layout.
+    run_indices : sequence of int
+        The runs.
+
+    Returns
+    -------
+    unit_ids : list of str
+        All, in the layout's order; or, of more than ``MAX_HEATMAP_UNITS``, so many: those that
+        confirm first in any of the runs, and then those that detect in the most frames.
+    """
+    units = evaluation.units
+    if len(units) <= MAX_HEATMAP_UNITS:
+        return list(units)
+
+    def rank(unit_id: str) -> tuple[float, int]:
+        verdict = units[unit_id]
+        frames = [verdict.detected[evaluation.axis.frames_of(index)] for index in run_indices]
+        return (
+            float(min(verdict.confirmation_time_s[index] for index in run_indices)),
+            -sum(int(detected.sum()) for detected in frames),
+        )
+
+    return sorted(units, key=rank)[:MAX_HEATMAP_UNITS]
+
+
+def pick_heatmap_runs(setting: Setting, evaluation: Evaluation) -> tuple[str, ...]:
+    """Runs whose heatmaps are worth drawing.
+
+    Parameters
+    ----------
+    setting : Setting
+        Runs and braking rule.
+    evaluation : Evaluation
+        Of the layout that is reported.
+
+    Returns
+    -------
+    run_ids : tuple of str
+        At most three, of different cases: the study's own, at the speeds at which it shows them
+        or near, where they are driven; then of the hardest other cases the run that counts and
+        has the least time to spare.
+    """
+    axis = evaluation.axis
+    picked = {
+        axis.cases[axis.run_ids.index(run_id)]: run_id
+        for run_id in _STUDY_HEATMAPS
+        if run_id in axis.run_ids
+    }
+    margin = margin_s(evaluation.rsu_all, axis)
+    for index in np.argsort(margin, kind="stable"):
+        if axis.weight[index] > 0.0:
+            picked.setdefault(axis.cases[index], axis.run_ids[index])
+    return tuple(picked.values())[:_MAX_HEATMAPS]
+
+
+def heatmap_indices(evaluation: Evaluation, setting: Setting, run_ids: Sequence[str]) -> list[int]:
+    """Indices of runs by their ids; none: those of :func:`pick_heatmap_runs`."""
+    axis = evaluation.axis
+    for run_id in run_ids:
+        if run_id not in axis.run_ids:
+            raise InputError("heatmap run", run_id, "the id of a run")
+    return [
+        axis.run_ids.index(run_id) for run_id in run_ids or pick_heatmap_runs(setting, evaluation)
+    ]
+
+
+# ---------- figures of evaluations: APR by case, heatmaps. Built without pyplot's global state
+
+
+# M. Okabe, K. Ito, "Color Universal Design" (2008): told apart with any colour vision.
+BLUE, SKY, GREEN, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#F0E442"
+ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
+_RED = "#CC0000"
+
+WIDTH_IN = 6.8
+NARROW_IN = 4.0
+"""Width of figures whose letters can be read on a phone without moving the figure."""
+
+_DPI = 160
+_WIDTH_PX = WIDTH_IN * _DPI
+_MAX_LABEL_LENGTH = 8
+
+
+def unit_labels(layout: Layout) -> dict[str, str]:
+    """Short labels for figures, by unit id: the id where it is short, else its number.
+
+    Parameters
+    ----------
+    layout : Layout
+        Whose units.
+
+    Returns
+    -------
+    labels : dict of str to str
+        In the layout's order. All are ids, or all are "#1", "#2" and so on.
+    """
+    ids = [unit.id for unit in layout.units]
+    if all(len(unit_id) <= _MAX_LABEL_LENGTH for unit_id in ids):
+        return {unit_id: unit_id for unit_id in ids}
+    return {unit_id: f"#{number}" for number, unit_id in enumerate(ids, start=1)}
+
+
+def literal(name: str) -> str:
+    """A name for matplotlib to draw letter by letter: no mathematics, and never left out."""
+    escaped = name.replace("$", r"\$")
+    return f" {escaped}" if escaped.startswith("_") else escaped
+
+
+def describe_run(axis: FrameAxis, run_index: int) -> str:
+    """A run in words: case, approach, speed, and the weather unless it is day."""
+    weather = axis.weathers[run_index]
+    return (
+        f"{axis.cases[run_index]} from the {axis.approaches[run_index]} at "
+        f"{axis.vut_speed_kmh[run_index]:g} km/h" + (f", {weather}" if weather != "day" else "")
+    )
+
+
+def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None = None) -> Axes:
+    """Accident prevention ratio by case and over all runs, as a shaded table.
+
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By display name; the first one is the subject. Shown are all RSUs together of each, the
+        VUT alone, and the VUT with the subject's RSUs.
+    axes : Axes, optional
+        Where to draw; by default in a new figure.
+
+    Returns
+    -------
+    axes : Axes
+        One row per case, the first for all runs; the more accidents are left, the darker.
+    """
+    columns = _apr_columns(evaluations)
+    rows = list(next(iter(columns.values())))
+    shares = np.array([[column[row] for column in columns.values()] for row in rows])
+    width_in = NARROW_IN if len(columns) <= _MAX_NARROW_COLUMNS else WIDTH_IN
+    axes = axes or new_axes(width_in, 1.0 + 0.24 * len(rows))
+    axes.imshow(np.nan_to_num(shares, nan=1.0), cmap=_SHADES, vmin=0.0, vmax=1.0, aspect="auto")
+    for (row, column), share in np.ndenumerate(shares):
+        axes.text(
+            column,
+            row,
+            percent(share),
+            ha="center",
+            va="center",
+            fontsize=8,
+            fontweight="bold" if row == 0 else "normal",
+            color="white" if share < _DARK_BELOW else "black",
+        )
+    axes.set_yticks(np.arange(len(rows)), [literal(row) for row in rows], fontsize=8)
+    heads = [literal(textwrap.fill(name, _HEAD_WIDTH)) for name in columns]
+    axes.set_xticks(np.arange(len(columns)), heads, fontsize=8)
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0)
+    # Lines between the cells, a stronger one below all runs.
+    for row in range(1, len(rows)):
+        axes.axhline(row - 0.5, color="black", linewidth=1.2 if row == 1 else 0.3)
+    for column in range(1, len(columns)):
+        axes.axvline(column - 0.5, color="black", linewidth=0.3)
+    axes.set_xlabel("share of the runs that end without contact", fontsize=8)
+    return axes
+
+
+def plot_heatmap(
+    evaluation: Evaluation,
+    run_index: int,
+    *,
+    width_in: float = WIDTH_IN,
+    axes: Axes | None = None,
+) -> Axes:
+    """Who detects the VRU when, in one run; see :func:`plot_heatmaps`.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Of a layout.
+    run_index : int
+        Which run.
+    width_in : float
+        Of a new figure. [inch]
+    axes : Axes, optional
+        Where to draw; by default in a new figure, with a legend below.
+    """
+    if axes is None:
+        return plot_heatmaps(evaluation, [run_index], width_in=width_in)[0]
+    _draw_heatmap(axes, evaluation, _heatmap_rows(evaluation, [run_index]), run_index)
+    axes.set_xlabel(_TIME_LABEL, fontsize=9)
+    return axes
+
+
+def plot_heatmaps(
+    evaluation: Evaluation, run_indices: Sequence[int], *, width_in: float = WIDTH_IN
+) -> list[Axes]:
+    """Who detects the VRU when, one pair of axes per run, in a new figure.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Of a layout.
+    run_indices : sequence of int
+        Which runs, at least one.
+    width_in : float
+        Of the figure. [inch]
+
+    Returns
+    -------
+    axes : list of Axes
+        Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before the
+        impact. The dashed red line is the last brake time; a diamond is a confirmation. Of many
+        RSUs only those that confirm first have a row; an axis label tells how many.
+    """
+    rows = _heatmap_rows(evaluation, run_indices)
+    is_narrow = width_in < WIDTH_IN
+    height = 0.75 + 0.2 * is_narrow + len(run_indices) * (0.85 + 0.21 * len(rows))
+    figure = Figure(figsize=(width_in, height), dpi=_dots_per_inch(width_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(run_indices), 1, squeeze=False)[:, 0]
+    for axes, run_index in zip(panels, run_indices, strict=True):
+        _draw_heatmap(axes, evaluation, rows, run_index)
+    panels[-1].set_xlabel(_TIME_LABEL, fontsize=9)
+    figure.legend(
+        handles=_heatmap_legend(),
+        loc="outside lower center",
+        ncols=2 if is_narrow else 4,
+        fontsize=8,
+        frameon=False,
+    )
+    return list(panels)
+
+
+def to_png(drawn: Axes | Figure) -> bytes:
+    """A figure, or the one that some axes are in, as a PNG file; equal ones give equal bytes."""
+    figure = root_figure(drawn)
+    buffer = BytesIO()
+    with warnings.catch_warnings():
+        # A name in a script that the font lacks is drawn as boxes; the report spells it out.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def root_figure(drawn: Axes | Figure) -> Figure:
+    """The figure that some axes are in."""
+    figure = drawn.get_figure(root=True)
+    if figure is None:
+        raise ValueError("axes that are in no figure")
+    return figure
+
+
+def new_axes(width_in: float, height_in: float) -> Axes:
+    """One pair of axes in a figure of its own, drawn by Agg; sizes in inches."""
+    dpi = _dots_per_inch(width_in)
+    figure = Figure(figsize=(width_in, height_in), dpi=dpi, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure.add_subplot()
+
+
+def _dots_per_inch(width_in: float) -> float:
+    """So that a narrow figure, too, is fine enough for a phone's screen."""
+    return _WIDTH_PX / width_in if width_in == NARROW_IN else _DPI
+
+
+# ---------------------------------------------------------------- APR by case
+
+
+_TIME_LABEL = "time before the impact without braking (s)"
+_SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
+_DARK_BELOW = 0.34  # where white and black stand out from the cell alike
+_HEAD_WIDTH = 16
+_MAX_NARROW_COLUMNS = 3
+
+
+def _apr_columns(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, float]]:
+    """APR of all runs and of each case, by sensing party."""
+    subject_name, subject = next(iter(evaluations.items()))
+    verdicts: dict[str, tuple[Evaluation, Verdict]] = {
+        f"{name}: {_n_sensors(evaluation)}": (evaluation, evaluation.rsu_all)
+        for name, evaluation in evaluations.items()
+    }
+    verdicts["car (VUT) alone"] = (subject, subject.vut)
+    verdicts[f"car (VUT) and {subject_name}"] = (subject, subject.vut_and_rsus)
+    return {
+        name: {
+            "all runs": apr(verdict, evaluation.axis),
+            **apr_by_case(verdict, evaluation.axis),
+        }
+        for name, (evaluation, verdict) in verdicts.items()
+    }
+
+
+def _n_sensors(evaluation: Evaluation) -> str:
+    units = evaluation.layout.units
+    kinds = {sensor_kind(unit.sensor) for unit in units}
+    one, many = ("camera", "cameras") if kinds == {"camera"} else ("sensor", "sensors")
+    return f"1 {one}" if len(units) == 1 else f"{len(units)} {many} together"
+
+
+# ---------------------------------------------------------------- heatmaps
+
+
+_DETECTED, _MISSED = BLUE, "#e6e6e6"
+_DASHES = (0, (3.0, 1.5))
+_NARROW_TITLE = 46
+
+
+def _heatmap_rows(evaluation: Evaluation, run_indices: Sequence[int]) -> dict[str, Verdict]:
+    labels = unit_labels(evaluation.layout)
+    return {
+        "VUT": evaluation.vut,
+        **{
+            labels[unit_id]: evaluation.units[unit_id]
+            for unit_id in units_in_heatmap(evaluation, run_indices)
+        },
+        "all RSUs": evaluation.rsu_all,
+    }
+
+
+def _draw_heatmap(
+    axes: Axes, evaluation: Evaluation, rows: Mapping[str, Verdict], run_index: int
+) -> None:
+    axis = evaluation.axis
+    frames = axis.frames_of(run_index)
+    times = axis.time_s[frames]
+    step = float(times[1] - times[0]) if len(times) > 1 else 0.1
+    detected: BoolArray = np.array([verdict.detected[frames] for verdict in rows.values()])
+    axes.imshow(
+        detected.astype(np.uint8),
+        cmap=ListedColormap([_MISSED, _DETECTED]),
+        vmin=0,
+        vmax=1,
+        aspect="auto",
+        interpolation="nearest",
+        extent=(times[0] - 0.5 * step, times[-1] + 0.5 * step, len(rows) - 0.5, -0.5),
+    )
+    axes.hlines(
+        np.arange(len(rows) - 1) + 0.5, *axes.get_xlim(), colors="white", linewidth=2.0, zorder=2
+    )
+    axes.set_yticks(range(len(rows)), [literal(row) for row in rows], fontsize=8)
+    n_units, n_shown = len(evaluation.units), len(rows) - 2
+    if n_shown < n_units:
+        axes.set_ylabel(f"{n_shown} of {n_units} units: those that confirm first", fontsize=8)
+    axes.tick_params(axis="both", length=0, labelsize=8)
+    axes.spines[:].set_visible(False)
+    confirmations = [verdict.confirmation_time_s[run_index] for verdict in rows.values()]
+    axes.plot(confirmations, range(len(rows)), zorder=5, clip_on=False, **_CONFIRMATION_STYLE)
+    outcomes = axes.secondary_yaxis("right")
+    outcomes.set_yticks(
+        range(len(rows)), [_outcome(verdict, run_index) for verdict in rows.values()], fontsize=8
+    )
+    outcomes.tick_params(axis="y", length=0)
+    outcomes.spines[:].set_visible(False)
+    _draw_last_moment(axes, float(axis.last_brake_time_s[run_index]), len(rows))
+    avoided = "avoided" if evaluation.rsu_all.is_avoided[run_index] else "not avoided"
+    title = f"{describe_run(axis, run_index)}: {avoided} by all RSUs together"
+    is_narrow = root_figure(axes).get_figwidth() < WIDTH_IN
+    axes.set_title(
+        literal(textwrap.fill(title, _NARROW_TITLE) if is_narrow else title),
+        fontsize=9,
+        fontweight="bold",
+        loc="left",
+        pad=18.0,
+    )
+
+
+def _outcome(verdict: Verdict, run_index: int) -> str:
+    if verdict.is_avoided[run_index]:
+        return "avoided"
+    return "too late" if np.isfinite(verdict.confirmation_time_s[run_index]) else "never confirmed"
+
+
+def _draw_last_moment(axes: Axes, last_brake_s: float, n_rows: int) -> None:
+    first_s, last_s = axes.get_xlim()
+    if last_brake_s < first_s:
+        axes.annotate(
+            "no braking in this run comes early enough",
+            xy=(0.0, 1.0),
+            xytext=(0.0, 3.0),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            fontsize=8,
+            color=_RED,
+        )
+        return
+    # White below the gaps between the dashes: it stands out from dark cells without colour, too.
+    axes.axvline(last_brake_s, color="white", linewidth=3.2, zorder=4)
+    axes.axvline(
+        last_brake_s, color=_RED, linestyle=_DASHES, linewidth=1.8, zorder=4, gid="last brake time"
+    )
+    is_right = last_brake_s > 0.5 * (first_s + last_s)
+    axes.annotate(
+        f"last moment to brake: {last_brake_s:.2f} s".replace("-", "\N{MINUS SIGN}"),
+        xy=(last_brake_s, -0.5),
+        xytext=(4.0 if not is_right else -4.0, 3.0),
+        textcoords="offset points",
+        ha="right" if is_right else "left",
+        va="bottom",
+        fontsize=8,
+        color=_RED,
+    )
+
+
+_CONFIRMATION_STYLE: dict[str, Any] = {
+    "marker": "D",
+    "markersize": 5.0,
+    "markerfacecolor": "white",
+    "markeredgecolor": "black",
+    "linestyle": "none",
+}
+
+
+def _heatmap_legend() -> list[Any]:
+    return [
+        Patch(facecolor=_DETECTED, label="detected"),
+        Patch(facecolor=_MISSED, label="not detected"),
+        Line2D([], [], label="confirmed", **_CONFIRMATION_STYLE),
+        Line2D([], [], color=_RED, linestyle=_DASHES, linewidth=1.8, label="last moment"),
+    ]

@@ -1,0 +1,528 @@
+"""Plan of the junction: where the units are, and what ground they look at."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.path import Path
+from matplotlib.patheffects import withStroke
+
+from geometry.actors import PlacedActor
+from geometry.arrays import FloatArray
+from geometry.footprints import footprint_corners
+from geometry.poses import camera_rotation
+from geometry.scene import Lane, Scene, thing_footprint
+from placement.candidates import CandidatePose, is_ring
+from placement.layout import Layout
+from placement.setting import Setting
+from scenarios.runs import Run
+
+from .evaluation import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PINK,
+    SKY,
+    VERMILION,
+    WIDTH_IN,
+    literal,
+    new_axes,
+    unit_labels,
+)
+from .sensors import (
+    blind_footprint,
+    ground_rings,
+    is_wide,
+    ring_path,
+)
+
+# ---------- names of units on a plan, so that none hides another
+
+
+MAX_LABELLED_UNITS = 40
+"""Of more units, the plan tells how many there are at each place."""
+
+_SAME_PLACE_M, _SAME_WAY_DEG = 1.0, 30.0
+HALO = withStroke(linewidth=3.0, foreground="white")
+
+
+def label_units(axes: Axes, layout: Layout) -> None:
+    """Write beside each camera its short name; or, of many units, how many there are at a place.
+
+    Parameters
+    ----------
+    axes : Axes
+        A plan, in metres.
+    layout : Layout
+        Whose units.
+    """
+    if len(layout.units) <= MAX_LABELLED_UNITS:
+        _draw_labels(axes, layout)
+    else:
+        _draw_counts(axes, layout)
+
+
+def _draw_labels(axes: Axes, layout: Layout) -> None:
+    """Beside each camera, on the side where it looks: cameras on one pole look apart.
+
+    Those that look the same way from one pole share a label: else one would hide the other.
+    """
+    labels = unit_labels(layout)
+    groups: list[list[CandidatePose]] = []
+    for unit in layout.units:
+        found = next((group for group in groups if _looks_alike(unit, group[0])), None)
+        if found is None:
+            groups.append([unit])
+        else:
+            found.append(unit)
+    for group in groups:
+        yaw = math.radians(group[0].pose.yaw_deg)
+        east, north = math.cos(yaw), math.sin(yaw)
+        axes.annotate(
+            literal(", ".join(labels[unit.id] for unit in group)),
+            xy=(group[0].pose.position_m[0], group[0].pose.position_m[1]),
+            xytext=(8.0 * east, 11.0 * north),
+            textcoords="offset points",
+            ha="center" if abs(east) < 0.3 else "left" if east > 0.0 else "right",
+            va="center",
+            fontsize=9,
+            fontweight="bold",
+            path_effects=[HALO],
+            zorder=9,
+            annotation_clip=True,
+        )
+
+
+def _looks_alike(unit: CandidatePose, other: CandidatePose) -> bool:
+    turn_deg = (unit.pose.yaw_deg - other.pose.yaw_deg + 180.0) % 360.0 - 180.0
+    apart_m = np.linalg.norm(unit.pose.position_m[:2] - other.pose.position_m[:2])
+    return bool(apart_m < _SAME_PLACE_M and abs(turn_deg) < _SAME_WAY_DEG)
+
+
+def _draw_counts(axes: Axes, layout: Layout) -> None:
+    """How many units there are at each place, in the place of labels that would hide all."""
+    places = Counter(tuple(np.round(unit.pose.position_m[:2], 1)) for unit in layout.units)
+    for (east_m, north_m), n_units in places.items():
+        axes.annotate(
+            f"{n_units}\N{MULTIPLICATION SIGN}",
+            xy=(east_m, north_m),
+            xytext=(0.0, 9.0),
+            textcoords="offset points",
+            ha="center",
+            va="bottom",
+            fontsize=8,
+            fontweight="bold",
+            path_effects=[HALO],
+            zorder=9,
+            annotation_clip=True,
+        )
+
+
+# ---------- what lies on the ground and stands there, from above: shared by plan and film
+
+
+CLASS_STYLES: dict[str, dict[str, Any]] = {
+    "building": {"facecolor": "#c9c4bb", "edgecolor": "#8d887f", "linewidth": 0.8},
+    "wall": {"facecolor": "#5b5b5b", "edgecolor": "#5b5b5b", "linewidth": 1.2},
+    "vegetation": {"facecolor": "#b7d3ae", "edgecolor": "#7d9c73", "linewidth": 0.6},
+    "parked vehicle": {"facecolor": "#a9a9a9", "edgecolor": "#6e6e6e", "linewidth": 0.6},
+    "traffic light": {"facecolor": "#7a7a7a", "edgecolor": "#7a7a7a", "linewidth": 0.8},
+}
+PARKED_STYLE: dict[str, Any] = {
+    "facecolor": "#f2f2f2",
+    "edgecolor": "#8a8a8a",
+    "linewidth": 0.7,
+    "hatch": "....",
+}
+SITE_STYLE: dict[str, Any] = {
+    "marker": "o",
+    "markersize": 4.0,
+    "markerfacecolor": "white",
+    "markeredgecolor": "#444444",
+    "markeredgewidth": 0.9,
+}
+
+
+def draw_scene(axes: Axes, scene: Scene) -> None:
+    """Draw lanes, sites, buildings and walls; later things go on top up to zorder 6.5."""
+    axes.set_facecolor("#f4f2ee")
+    for lane in scene.lanes:
+        is_parking = lane.kind == "parking"
+        axes.add_patch(
+            Polygon(
+                _lane_polygon(lane),
+                facecolor="#ececec" if is_parking else "#dedede",
+                edgecolor="white",
+                linewidth=0.8,
+                zorder=1,
+            )
+        )
+    axes.add_patch(Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1))
+    for index, instance in enumerate(scene.instances):
+        if instance.class_name in CLASS_STYLES:
+            path = _footprint_path(scene, index)
+            axes.add_patch(PathPatch(path, zorder=6.5, **CLASS_STYLES[instance.class_name]))
+    sites = np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
+    axes.plot(*sites.T, linestyle="none", zorder=5, **SITE_STYLE)
+
+
+def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
+    """Draw bodies that belong to single cases: footprints, each once."""
+    for body in {body.key: body for body in bodies}.values():
+        corners = footprint_corners(
+            body.pose.position_m[:2],
+            body.pose.yaw_deg,
+            length_m=body.actor.length_m,
+            width_m=body.actor.width_m,
+        )
+        axes.add_patch(Polygon(corners, zorder=2.2, **PARKED_STYLE))
+
+
+def _footprint_path(scene: Scene, index: int) -> Path:
+    """What a thing covers, courtyards left out."""
+    shape = thing_footprint(scene, index)
+    rings = [
+        np.asarray(ring.coords)
+        for part in getattr(shape, "geoms", [shape])
+        if part.geom_type == "Polygon"
+        for ring in (part.exterior, *part.interiors)
+    ]
+    return Path.make_compound_path(*(Path(ring, closed=True) for ring in rings if len(ring)))
+
+
+def _lane_polygon(lane: Lane) -> FloatArray:
+    direction = np.gradient(lane.centreline_m, axis=0)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    left = 0.5 * lane.width_m * np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    polygon: FloatArray = np.concatenate(
+        [lane.centreline_m + left, (lane.centreline_m - left)[::-1]]
+    )
+    return polygon
+
+
+# ---------- plan of the junction: where the units are, and what ground they look at
+
+
+_UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
+_LINE_STYLES = ("-", "--", "-.", ":")
+_LEGEND_ROW_IN = 0.17
+_MAX_NAME = 18  # letters that the legend has room for
+
+
+def ground_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
+    """What a unit's image shows of the road plane, if nothing stood on it.
+
+    Parameters
+    ----------
+    unit : CandidatePose
+        Camera and pose.
+    max_range_m : float
+        No farther than this from the foot of the camera. [m]
+
+    Returns
+    -------
+    corners_m : (n, 2) float
+        A convex polygon, counter-clockwise; empty if the camera sees no ground there. Of a LiDAR
+        that opens half a turn or more the outer one of :func:`round_views.ground_rings`. World
+        frame. [m]
+    """
+    if is_wide(unit):
+        return ground_rings(unit, max_range_m=max_range_m)[0]
+    position = unit.pose.position_m
+    angles = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
+    corners = position[:2] + max_range_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    half_width, half_height = np.tan(
+        np.radians([0.5 * unit.sensor.horizontal_fov_deg, 0.5 * unit.sensor.vertical_fov_deg])
+    )
+    # Inward normals of the planes through the lens and the image's four sides. Camera frame.
+    normals_camera = np.array(
+        [
+            [1.0, 0.0, half_width],
+            [-1.0, 0.0, half_width],
+            [0.0, 1.0, half_height],
+            [0.0, -1.0, half_height],
+        ]
+    )
+    R_world_camera = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg)
+    for normal in normals_camera @ R_world_camera.T:
+        inside = (corners - position[:2]) @ normal[:2] - position[2] * normal[2]
+        corners = _clip(corners, inside)
+    return corners
+
+
+def plot_plan(
+    setting: Setting,
+    layout: Layout,
+    *,
+    others: Sequence[Layout] = (),
+    half_size_m: float = 45.0,
+    max_range_m: float = 35.0,
+    width_in: float = WIDTH_IN,
+    axes: Axes | None = None,
+) -> Axes:
+    """Plan of the junction with a layout: where its units are and what ground they look at.
+
+    Parameters
+    ----------
+    setting : Setting
+        Junction and runs.
+    layout : Layout
+        Drawn with labels and fields of view.
+    others : sequence of Layout
+        Drawn lighter, without fields of view.
+    half_size_m : float
+        Half the side of the square that is shown, around the middle of the junction. [m]
+    max_range_m : float
+        Fields of view end here; the camera itself sees farther. [m]
+    width_in : float
+        Of a new figure. [inch]
+    axes : Axes, optional
+        Where to draw; by default in a new figure.
+
+    Returns
+    -------
+    axes : Axes
+        In metres, north up.
+    """
+    entries = _plan_legend(setting, layout, others)
+    n_columns = 1 if width_in < WIDTH_IN else 2
+    if axes is None:
+        n_rows = -(-len(entries) // n_columns)
+        axes = new_axes(width_in, width_in + 0.05 + _LEGEND_ROW_IN * n_rows)
+        axes.set_anchor("N")  # what is left over is below the legend
+    scene = setting.scene
+    outline = scene.outline_m
+    middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    draw_scene(axes, scene)
+    draw_parked(axes, [body for run in setting.runs for body in run.obstruction])
+    _draw_paths(axes, setting.runs)
+    for other in others:
+        _draw_other(axes, other)
+    _draw_units(axes, layout, max_range_m)
+    axes.set_aspect("equal")
+    axes.set_xlim(middle[0] - half_size_m, middle[0] + half_size_m)
+    axes.set_ylim(middle[1] - half_size_m, middle[1] + half_size_m)
+    axes.set_xlabel("east (m)")
+    axes.set_ylabel("north (m)")
+    _draw_compass(axes, middle, half_size_m)
+    axes.legend(
+        handles=entries,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.54 / width_in),
+        ncols=n_columns,
+        fontsize=8,
+        frameon=False,
+    )
+    return axes
+
+
+def _clip(corners: FloatArray, inside: FloatArray) -> FloatArray:
+    """Part of a convex polygon where `inside`, a linear function at its corners, is positive."""
+    kept: list[FloatArray] = []
+    for index in range(len(corners)):
+        here, there = inside[index - 1], inside[index]
+        if (here > 0.0) != (there > 0.0):
+            share = here / (here - there)
+            kept.append(corners[index - 1] + share * (corners[index] - corners[index - 1]))
+        if there > 0.0:
+            kept.append(corners[index])
+    return np.array(kept).reshape(-1, 2)
+
+
+_PATH_STYLES: dict[str, tuple[str, dict[str, Any]]] = {
+    "vut": ("car under test (VUT)", {"color": "black", "linestyle": "-", "linewidth": 1.3}),
+    "pedestrian": (
+        "pedestrian, to the collision point",
+        {"color": "black", "linestyle": (0, (1.2, 1.2)), "linewidth": 1.8},
+    ),
+    "cyclist": (
+        "cyclist, to the collision point",
+        {"color": "black", "linestyle": (0, (5.0, 2.0)), "linewidth": 1.2},
+    ),
+}
+
+
+def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
+    firsts = {(run.case.name, run.approach): run for run in reversed(runs)}
+    for run in firsts.values():
+        for body, positions in (
+            ("vut", run.vut_position_m),
+            (run.case.vru.class_name, run.vru_position_m),
+        ):
+            _, style = _PATH_STYLES.get(body, _PATH_STYLES["pedestrian"])
+            axes.plot(*positions.T, zorder=3, **style)
+        axes.plot(*run.vru_position_m[-1], zorder=4, **_IMPACT_STYLE)
+
+
+_IMPACT_STYLE: dict[str, Any] = {
+    "marker": "X",
+    "markersize": 4.5,
+    "markerfacecolor": "black",
+    "markeredgecolor": "white",
+    "linestyle": "none",
+}
+
+
+def _draw_units(axes: Axes, layout: Layout, max_range_m: float) -> None:
+    labels = unit_labels(layout)
+    is_labelled = len(labels) <= MAX_LABELLED_UNITS
+    for index, unit in enumerate(layout.units):
+        colour = _UNIT_COLOURS[index % len(_UNIT_COLOURS)]
+        position = unit.pose.position_m[:2]
+        corners = ground_footprint(unit, max_range_m=max_range_m)
+        if len(corners):
+            shape = ring_path(corners, blind_footprint(unit, max_range_m=max_range_m))
+            axes.add_patch(
+                PathPatch(shape, facecolor=colour, alpha=0.6 / (len(labels) + 3.0), zorder=2.5)
+            )
+            style = _LINE_STYLES[index % len(_LINE_STYLES)]
+            axes.add_patch(
+                PathPatch(
+                    shape,
+                    facecolor="none",
+                    edgecolor=colour,
+                    linestyle=style,
+                    linewidth=1.2 if is_labelled else 0.4,
+                    zorder=6,
+                )
+            )
+        axes.plot(
+            *position,
+            **_camera_marker(unit),
+            markersize=10.0,
+            markerfacecolor=colour,
+            markeredgecolor="black",
+            zorder=8,
+            gid=f"unit:{unit.id}",
+        )
+    label_units(axes, layout)
+
+
+def _draw_other(axes: Axes, layout: Layout) -> None:
+    for unit in layout.units:
+        axes.plot(
+            *unit.pose.position_m[:2],
+            **_camera_marker(unit),
+            markersize=8.0,
+            markerfacecolor="white",
+            markeredgecolor="#555555",
+            zorder=7,
+        )
+
+
+_ROUND_MARKER: dict[str, Any] = {"marker": "o", "linestyle": "none"}
+
+# Looking east; the last point closes the outline.
+_DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0]])
+
+
+def _camera_marker(unit: CandidatePose) -> dict[str, Any]:
+    """A dart whose tip points where the camera looks; a disc where that is all round."""
+    if is_ring(unit.sensor):
+        return _ROUND_MARKER
+    yaw = math.radians(unit.pose.yaw_deg)
+    turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+    return {"marker": Path(_DART @ turn, closed=True), "linestyle": "none"}
+
+
+def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
+    east, north = middle_m + half_size_m * np.array([0.91, 0.76])
+    axes.annotate(
+        "N",
+        xy=(east, north + 0.18 * half_size_m),
+        xytext=(east, north),
+        ha="center",
+        va="center",
+        fontsize=11,
+        fontweight="bold",
+        arrowprops={"arrowstyle": "-|>", "facecolor": "black", "linewidth": 1.4},
+        path_effects=[HALO],
+        zorder=10,
+    )
+    length_m = 10.0
+    start = middle_m - 0.95 * half_size_m
+    axes.plot(
+        [start[0], start[0] + length_m],
+        [start[1]] * 2,
+        color="black",
+        linewidth=4.0,
+        solid_capstyle="butt",
+        path_effects=[withStroke(linewidth=6.0, foreground="white")],
+        zorder=11,
+    )
+    axes.text(
+        start[0] + 0.5 * length_m,
+        start[1] + 1.2,
+        f"{length_m:g} m",
+        ha="center",
+        va="bottom",
+        fontsize=9,
+        path_effects=[HALO],
+        zorder=11,
+    )
+
+
+def _shortened(name: str) -> str:
+    return name if len(name) <= _MAX_NAME else f"{name[: _MAX_NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
+
+
+def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> list[Any]:
+    bodies = ["vut", *dict.fromkeys(run.case.vru.class_name for run in setting.runs)]
+    paths = [
+        Line2D([], [], label=label, **style)
+        for body, (label, style) in _PATH_STYLES.items()
+        if body in bodies
+    ]
+    camera: dict[str, Any] = {
+        "marker": Path(_DART, closed=True),
+        "linestyle": "none",
+        "markersize": 8.0,
+    }
+    what = (
+        "camera, and the ground it looks at"
+        if len(layout.units) <= MAX_LABELLED_UNITS
+        else "cameras at a place, and what they look at"
+    )
+    units = [
+        Line2D(
+            [],
+            [],
+            label=literal(f"{_shortened(layout.name)}: {what}"),
+            markerfacecolor=BLUE,
+            markeredgecolor="black",
+            **camera,
+        ),
+        *(
+            Line2D(
+                [],
+                [],
+                label=literal(f"{_shortened(name)}: camera"),
+                markerfacecolor="white",
+                markeredgecolor="#555555",
+                **camera,
+            )
+            for name in dict.fromkeys(other.name for other in others)
+        ),
+    ]
+    if any(is_ring(unit.sensor) for unit in layout.units):
+        style: dict[str, Any] = {"markerfacecolor": BLUE, "markeredgecolor": "black"}
+        label = literal(f"{_shortened(layout.name)}: LiDAR that scans all round")
+        units.insert(1, Line2D([], [], label=label, markersize=8.0, **style, **_ROUND_MARKER))
+    if all(is_ring(unit.sensor) for unit in layout.units):
+        del units[0]
+    present = {instance.class_name for instance in setting.scene.instances}
+    things = [
+        Patch(label=name, **style)
+        for name, style in CLASS_STYLES.items()
+        if name in present and name != "traffic light"
+    ]
+    if any(run.obstruction for run in setting.runs):
+        things.append(Patch(label="parked body or wall of single cases", **PARKED_STYLE))
+    site = Line2D([], [], label="pole or mast: possible site", linestyle="none", **SITE_STYLE)
+    impact = Line2D([], [], label="collision point", **_IMPACT_STYLE)
+    return [*units, *paths, impact, site, *things]

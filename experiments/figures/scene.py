@@ -1,0 +1,186 @@
+"""Pictures of a scene: from above with everything named, and as it stands there."""
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from geometry.arrays import BoolArray, FloatArray
+from geometry.junction import Arm, build_junction
+from geometry.poses import camera_rotation
+from geometry.raycast import build_caster
+from geometry.scene import Scene, road_area
+
+from .evaluation import WIDTH_IN, literal, new_axes
+from .plan import draw_scene
+
+_COLOURS = {
+    "ground": (0.93, 0.92, 0.89),
+    "building": (0.80, 0.74, 0.66),
+    "wall": (0.52, 0.50, 0.49),
+    "vegetation": (0.55, 0.70, 0.48),
+    "parked vehicle": (0.66, 0.66, 0.68),
+    "lamp post": (0.25, 0.25, 0.30),
+    "traffic light": (0.75, 0.30, 0.10),
+}
+_ROAD = (0.70, 0.70, 0.71)
+_SKY = (0.97, 0.98, 1.0)
+_SUN = np.array([0.45, -0.55, 0.70]) / np.linalg.norm([0.45, -0.55, 0.70])
+_WIDTH_PX, _HEIGHT_PX = 1200, 800
+_VIEW_DEG, _PITCH_DEG, _YAW_DEG = 42.0, -50.0, 60.0
+_MAX_SITE_NAMES = 40
+
+
+def plot_scene_plan(
+    scene: Scene, *, half_size_m: float | None = None, axes: Axes | None = None
+) -> Axes:
+    """Plan of a scene: lanes with their directions, arms, crosswalks, sites, things; north up.
+
+    Parameters
+    ----------
+    scene : Scene
+        To draw.
+    half_size_m : float, optional
+        Half the side of the square that is shown; by default all things and sites, at least 45 m
+        and at most 90 m. [m]
+    axes : Axes, optional
+        Where to draw; by default in a new figure.
+    """
+    junction = build_junction(scene)
+    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    half = half_size_m or _half_size_m(scene, middle)
+    axes = axes or new_axes(WIDTH_IN, WIDTH_IN)
+    draw_scene(axes, scene)
+    outline = np.vstack([scene.outline_m, scene.outline_m[:1]])
+    axes.plot(*outline.T, color="#0072B2", linewidth=1.4, zorder=3)
+    for ends in scene.crosswalks_m:
+        axes.plot(*ends.T, color="white", linewidth=5.0, linestyle=(0, (0.6, 0.6)), zorder=2)
+    for arm in junction.arms.values():
+        for lanes, is_in in ((arm.lanes_in, True), (arm.lanes_out, False)):
+            for lane in lanes:
+                if lane.kind == "driving":
+                    _draw_direction(axes, lane.centreline_m, is_in=is_in)
+        _name_arm(axes, arm, middle, half)
+    if len(scene.sites) <= _MAX_SITE_NAMES:
+        for site in scene.sites:
+            x, y = site.position_m[:2]
+            if max(abs(x - middle[0]), abs(y - middle[1])) < half:
+                axes.annotate(
+                    literal(site.id),
+                    (x, y),
+                    xytext=(3.0, 3.0),
+                    textcoords="offset points",
+                    fontsize=5.5,
+                    color="#333333",
+                    zorder=8,
+                )
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+    axes.set_aspect("equal")
+    axes.set_xlabel("east (m)", fontsize=9)
+    axes.set_ylabel("north (m)", fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.set_title(literal(scene.name), fontsize=10)
+    return axes
+
+
+def plot_scene_view(scene: Scene, *, axes: Axes | None = None) -> Axes:
+    """A scene as seen from a height in the south-west: ray-cast, shaded by the sun's direction."""
+    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    half = min(_half_size_m(scene, middle), 70.0)
+    picture = _cast_view(scene, middle, distance_m=2.6 * half)
+    axes = axes or new_axes(WIDTH_IN, WIDTH_IN * _HEIGHT_PX / _WIDTH_PX)
+    axes.imshow(picture)
+    axes.set_axis_off()
+    axes.set_title(literal(f"{scene.name}, seen from the south-west"), fontsize=10)
+    return axes
+
+
+def _half_size_m(scene: Scene, middle_m: FloatArray) -> float:
+    is_thing = np.array([thing.class_name != "ground" for thing in scene.instances])
+    corners = scene.vertices_m[scene.triangles[is_thing[scene.triangle_instance]]][..., :2]
+    points = [corners.reshape(-1, 2), *(site.position_m[None, :2] for site in scene.sites)]
+    reach = np.abs(np.concatenate([scene.outline_m, *points]) - middle_m).max()
+    return float(np.clip(reach + 5.0, 45.0, 90.0))
+
+
+def _draw_direction(axes: Axes, points_m: FloatArray, *, is_in: bool) -> None:
+    """An arrow along a lane, some metres from its mouth."""
+    mouth_first = points_m[::-1] if is_in else points_m
+    steps = np.append(0.0, np.cumsum(np.hypot(*np.diff(mouth_first, axis=0).T)))
+    far, near = (
+        np.array([np.interp(min(at_m, steps[-1]), steps, mouth_first[:, axis]) for axis in (0, 1)])
+        for at_m in (9.0, 4.0)
+    )
+    start, end = (far, near) if is_in else (near, far)
+    axes.annotate(
+        "",
+        xy=(end[0], end[1]),
+        xytext=(start[0], start[1]),
+        arrowprops={"arrowstyle": "-|>", "color": "#333333", "linewidth": 0.9},
+        zorder=4,
+    )
+
+
+def _name_arm(axes: Axes, arm: Arm, middle_m: FloatArray, half_m: float) -> None:
+    mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
+    mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
+    outward = np.mean(mouths, axis=0) - middle_m
+    outward /= max(float(np.hypot(*outward)), 1.0e-9)
+    x, y = middle_m + outward * 0.88 * half_m
+    axes.text(
+        x,
+        y,
+        literal(arm.name),
+        fontsize=9,
+        ha="center",
+        va="center",
+        zorder=9,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
+    )
+
+
+def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> FloatArray:
+    """Colours of every pixel, (height, width, 3), 0 .. 1."""
+    rotation = camera_rotation(_YAW_DEG, _PITCH_DEG)  # camera: x right, y down, z ahead
+    position = -distance_m * rotation[:, 2]
+    focal = 0.5 * _WIDTH_PX / np.tan(np.radians(0.5 * _VIEW_DEG))
+    u, v = np.meshgrid(np.arange(_WIDTH_PX) + 0.5, np.arange(_HEIGHT_PX) + 0.5)
+    rays = np.stack(
+        [(u - 0.5 * _WIDTH_PX) / focal, (v - 0.5 * _HEIGHT_PX) / focal, np.ones_like(u)], axis=-1
+    ).reshape(-1, 3)
+    vectors = (rays @ rotation.T * (4.0 * distance_m)).astype(np.float32)
+    vertices = scene.vertices_m - [*middle_m, 0.0]
+    caster = build_caster(vertices, scene.triangles)
+    origins = np.broadcast_to(position.astype(np.float32), vectors.shape)
+    share, triangle = caster.first_triangle(np.ascontiguousarray(origins), vectors)
+    is_hit = triangle >= 0
+    picture = np.tile(np.array(_SKY), (len(vectors), 1))
+    hit = triangle[is_hit]
+    corners = vertices[scene.triangles[hit]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1.0e-12)
+    # Which way a triangle winds does not matter here: the side that is seen is lit.
+    normal *= -np.sign((normal * vectors[is_hit]).sum(axis=1, keepdims=True))
+    point = origins[is_hit] + share[is_hit, None] * vectors[is_hit]
+    to_sun = np.broadcast_to((300.0 * _SUN).astype(np.float32), point.shape)
+    lifted = (point + 0.05 * normal).astype(np.float32)
+    in_shadow = caster.is_blocked(np.ascontiguousarray(lifted), np.ascontiguousarray(to_sun))
+    light = 0.55 + 0.45 * np.where(in_shadow, 0.0, np.clip(normal @ _SUN, 0.0, 1.0))
+    classes = np.array([_COLOURS[thing.class_name] for thing in scene.instances])
+    colour = classes[scene.triangle_instance[hit]]
+    is_ground = np.array([thing.class_name == "ground" for thing in scene.instances])
+    on_road = is_ground[scene.triangle_instance[hit]]
+    on_road[on_road] = _is_road(scene, point[on_road, :2] + middle_m)
+    colour[on_road] = _ROAD
+    picture[is_hit] = colour * light[:, None]
+    shaded: FloatArray = np.clip(picture, 0.0, 1.0).reshape(_HEIGHT_PX, _WIDTH_PX, 3)
+    return shaded
+
+
+def _is_road(scene: Scene, points_m: FloatArray) -> BoolArray:
+    """Which points lie on a lane or in the junction."""
+    import shapely
+
+    road = road_area(scene)
+    shapely.prepare(road)
+    is_road: BoolArray = shapely.contains_xy(road, *points_m.T)
+    return is_road

@@ -1,0 +1,316 @@
+"""What ``place-rsus pareto`` does, and its table for a terminal."""
+
+import re
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, cast
+
+import pandas as pd
+
+from geometry.scene_folders import find_scene
+from placement.candidates import CandidatePose
+from placement.layout import layout_records
+from placement.optimiser import Fusion, PlacementProblem
+from placement.optimiser.cost_front import cost_front
+from placement.optimiser.front import Front, FrontPoint, StageChoice
+from placement.optimiser.units_front import pareto_front
+from placement.pipeline import obtain_table, pick_layout
+from placement.question import Planning, Question
+from placement.setting import build_setting
+from placement.wishes import build_problem
+
+from ..export.json import to_json_text
+from ..figures.evaluation import to_png
+from ..figures.front import plot_front
+from ..progress import WRITING, StageProgress
+from ..report.front import describe_money, describe_units
+from ..results.summary import summarise_drives, versions
+from ..results.text import percent
+from ..results.writing import check_folder, write_files
+from .planning import Plan, build_plan
+
+# ---------- what ``place-rsus pareto`` does
+
+
+CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
+_STAGES = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eur")
+
+
+def run_pareto(
+    question: Question,
+    planning: Planning,
+    *,
+    by: str,
+    max_units: int,
+    all_stages: bool,
+    out: Path | None,
+    seed: int,
+    workers: int,
+    cache_folder: Path | None,
+    command: str,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Find what each further unit, or more money, buys; write it to `out` if asked to.
+
+    Parameters
+    ----------
+    question : Question
+        What is driven.
+    planning : Planning
+        What is asked beside the number of units, and how it is looked for: its time is for all
+        points together.
+    by : {"units", "cost"}
+        See :class:`placement.optimiser.front.Front`.
+    max_units : int
+        Most units, beside those that are kept.
+    all_stages : bool
+        Optimise margins and cost, too.
+    out : Path, optional
+        Folder that gets ``pareto.csv``, ``pareto.json`` and ``pareto.png``; what else it holds
+        stays.
+    seed, workers, cache_folder
+        See :func:`placement.pipeline.place`.
+    command : str
+        Command line that makes the result again.
+    progress : StageProgress
+        Is told the stages.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`summarise_front`.
+
+    Raises
+    ------
+    InputError
+        A wish cannot be met, or `out` cannot be written.
+    """
+    scene = find_scene(question.scene)
+    if out is not None:
+        check_folder(out)
+        progress.kept = f"nothing was written to {out}"
+    plan = build_plan(replace(planning, budget=1), scene)
+    wishes = replace(plan.wishes, budget_units=max_units)
+    progress("setting", 0, 0)
+    setting = build_setting(question, scene)
+    table = obtain_table(
+        setting,
+        plan.candidates,
+        seed=seed,
+        workers=workers,
+        cache_folder=cache_folder,
+        on_progress=progress,
+    )
+    fusion = cast(Fusion, planning.fusion)
+    problem = build_problem(setting, plan.candidates, table, wishes=wishes, fusion=fusion)
+    progress("front", 0, 0)
+    n_kept = 0 if plan.kept is None else len(plan.kept.units)
+    front = _find_front(
+        problem, by=by, all_stages=all_stages, n_kept=n_kept, plan=plan, progress=progress
+    )
+    summary = summarise_front(front, problem, plan.candidates, n_kept=n_kept)
+    summary |= {"command": command, **summarise_drives(setting)}
+    if out is not None:
+        progress(WRITING, 0, 0)
+        csv = front_table(front, plan.candidates).to_csv(index=False, lineterminator="\n")
+        png = to_png(plot_front(front))
+        summary |= {"seconds": progress.finish(), "versions": versions()}
+        json = to_json_text(summary)
+        write_files(out, {CSV_NAME: csv.encode(), PNG_NAME: png, JSON_NAME: json.encode()})
+        progress.kept = f"the results are in {out}"
+    else:
+        summary |= {"seconds": progress.finish(), "versions": versions()}
+    return summary
+
+
+def _find_front(
+    problem: PlacementProblem,
+    *,
+    by: str,
+    all_stages: bool,
+    n_kept: int,
+    plan: Plan,
+    progress: StageProgress,
+) -> Front:
+    stages: StageChoice = "all" if all_stages else "first"
+    if by == "cost":
+        return cost_front(
+            problem,
+            stages=stages,
+            effort=plan.effort,
+            on_point=lambda point: progress(f"front: {point.value.cost_eur:,.0f} EUR", 0, 0),
+        )
+    most = problem.limits.budget_units
+    assert most is not None  # that was asked for
+    return pareto_front(
+        problem,
+        max_units=most,
+        min_units=max(n_kept, 1),
+        stages=stages,
+        effort=plan.effort,
+        on_point=lambda point: progress(f"front: {point.units} of {most} units", 0, 0),
+    )
+
+
+def summarise_front(
+    front: Front,
+    problem: PlacementProblem,
+    candidates: Sequence[CandidatePose],
+    *,
+    n_kept: int = 0,
+) -> dict[str, Any]:
+    """A front as one plain object: what ``--json`` prints, and ``pareto.json``.
+
+    Parameters
+    ----------
+    front : Front
+        By units or by cost.
+    problem : PlacementProblem
+        What it was found in.
+    candidates : sequence of CandidatePose
+        Rows of its table.
+    n_kept : int
+        Units that hang there already.
+
+    Returns
+    -------
+    summary : dict
+        "points" has, for each: units, the values, "is_proven", "stages" with objective, bound and
+        gap, "solver", "layout" and "pose_ids"; "sentences" says what each one buys; "settled" is
+        the number of units, or the euros, from which on nothing grows, or None.
+    """
+    sentences = (
+        describe_units(front, n_kept=n_kept) if front.by == "units" else describe_money(front)
+    )
+    return {
+        "by": front.by,
+        "optimised": front.stages,
+        "candidates": problem.table.n_poses,
+        "runs": problem.table.axis.n_runs,
+        "fusion": problem.fusion,
+        "kept": n_kept,
+        "settled": front.settled,
+        "is_proven": front.is_proven,
+        "presolve": None if front.presolve is None else asdict(front.presolve),
+        "refused": [{"units": units, "reason": why} for units, why in front.refused],
+        "points": [_point_record(point, candidates) for point in front.points],
+        "sentences": sentences,
+    }
+
+
+def front_table(front: Front, candidates: Sequence[CandidatePose]) -> pd.DataFrame:
+    """One row per point.
+
+    Returns
+    -------
+    table : DataFrame
+        Columns units, apr, apr_bound and so on, is_proven, poses: ids with spaces between. The
+        bound of what was not optimised is missing.
+    """
+    rows = []
+    for point in front.points:
+        row: dict[str, Any] = {"units": point.units}
+        for name, value in zip(_STAGES, point.value, strict=True):
+            stage = point.stage(name)
+            row |= {name: value, f"{name}_bound": None if stage is None else stage.bound}
+        row["is_proven"] = point.is_proven
+        row["poses"] = " ".join(candidates[index].id for index in point.pose_index)
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _point_record(point: FrontPoint, candidates: Sequence[CandidatePose]) -> dict[str, Any]:
+    layout = pick_layout(candidates, point.pose_index, f"front-{point.units}")
+    return {
+        "units": point.units,
+        **point.value._asdict(),
+        "is_proven": point.is_proven,
+        "stages": [asdict(stage) for stage in point.certificate.stages],
+        "solver": point.certificate.solver,
+        "layout": layout_records(layout),
+        "pose_ids": [candidates[index].id for index in point.pose_index],
+    }
+
+
+# ---------- A front of layouts as plain text for a terminal
+
+
+_WIDTH = 80
+
+
+def front_text(summary: Mapping[str, Any], out: Path | None) -> str:
+    """The result of :func:`experiments.jobs.pareto.run_pareto` for a terminal."""
+    points = summary["points"]
+    is_all = summary["optimised"] == "all"
+    star = "" if is_all else "*"
+    lines = [
+        *textwrap.wrap(
+            f"The best of {summary['candidates']} poses on {summary['runs']} runs (fusion "
+            f"{summary['fusion']}), and what more {_budget(summary['by'])}:",
+            _WIDTH,
+        ),
+        "",
+        f"  {'units':>5} {'APR':>9} {'one fails':>10} {'smallest' + star:>10} {'mean' + star:>9} "
+        f"{'EUR' + star if summary['by'] == 'units' else 'EUR':>10}  proof",
+    ]
+    lines += [_row(point) for point in points]
+    if not is_all:
+        lines += _wrapped(
+            "* of this layout; not optimised: --all-stages does. One fails: APR that is left when "
+            "the most needed unit fails; smallest, mean: time to spare in the runs avoided."
+            if summary["by"] == "units"
+            else "* of this layout; not optimised: --all-stages does. One fails: APR that is left "
+            "when the most needed unit fails; each EUR is the least that buys this."
+        )
+    else:
+        lines += _wrapped(
+            "One fails: APR that is left when the most needed unit fails; smallest, mean: time to "
+            "spare in the runs avoided."
+        )
+    lines.append("")
+    for sentence in summary["sentences"]:
+        lines += _wrapped(sentence)
+    if out is not None:
+        lines += ["", f"Written to {out}: pareto.csv, pareto.json and pareto.png."]
+    return "\n".join(lines)
+
+
+def _row(point: Mapping[str, Any]) -> str:
+    return (
+        f"  {point['units']:>5} {percent(point['apr']):>9} {percent(point['apr_one_failed']):>10} "
+        f"{point['smallest_margin_s']:8.3f} s {point['mean_margin_s']:7.3f} s "
+        f"{point['cost_eur']:>10,.0f}  {_proof(point)}"
+    )
+
+
+def _proof(point: Mapping[str, Any]) -> str:
+    if point["is_proven"]:
+        return "proven"
+    stage = next(stage for stage in point["stages"] if stage["gap"] != 0.0)
+    show = _share if stage["name"].startswith("apr") else _number
+    what = {"apr": "APR", "apr_one_failed": "left", "cost_eur": "EUR"}.get(stage["name"], "s")
+    sign = ">=" if stage["name"] == "cost_eur" else "<="
+    return f"{what} {sign} {show(stage['bound'])}"
+
+
+def _share(value: float) -> str:
+    return f"{100.0 * value:.2f} %"
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100.0 else f"{value:.3f}"
+
+
+def _budget(by: str) -> str:
+    return "money buys" if by == "cost" else "units buy"
+
+
+def _wrapped(text: str) -> list[str]:
+    """Lines that keep numbers and their units together."""
+    text = re.sub(r"(\d) (%|EUR\b|s\b)", "\\1\0\\2", text)
+    lines = textwrap.wrap(
+        text, _WIDTH, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False
+    )
+    return [line.replace("\0", " ") for line in lines]

@@ -1,0 +1,397 @@
+"""What each command does, from layouts to a folder of results."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import chain, count
+from pathlib import Path
+from typing import Any, cast
+
+from geometry.scene_folders import find_scene
+from placement.evaluation import Evaluation, apr
+from placement.evaluator import evaluate_layouts
+from placement.explain.sensitivity import find_sensitivity
+from placement.layout import Layout, check_layout
+from placement.optimiser import Fusion
+from placement.optimiser.front import Front
+from placement.optimiser.units_front import front_below
+from placement.pipeline import Placement, place
+from placement.question import Planning, Question
+from placement.refinement.refine import refine
+from placement.sampling import load_uncertainty, out_of_sample_layouts
+from placement.setting import Setting, build_setting
+
+from ..progress import StageProgress
+from ..report.bill_of_materials import build_bill
+from ..report.comparison import summarise_differences
+from ..report.explanation import summarise_explanations
+from ..report.page import GREEDY
+from ..report.private_ground import load_private_ground, summarise_private_ground
+from ..report.refinement import summarise_refinement
+from ..report.sampled_worlds import plot_sampled_apr, summarise_uncertainty
+from ..report.sensitivity import summarise_sensitivity
+from ..results.summary import (
+    summarise_comparison,
+    summarise_drives,
+    summarise_layout,
+    summarise_placement,
+)
+from ..results.writing import check_result_folder, left_as_it_was, write_results
+from ..study.layout import find_baseline
+from .pareto import summarise_front
+from .planning import Plan, build_plan
+
+MIN_FRESH_WORLDS = 60
+"""Sampled worlds that a layout is judged in, at least: with fewer, intervals say little."""
+
+
+def run_placement(
+    question: Question,
+    planning: Planning,
+    *,
+    out: Path,
+    seed: int,
+    workers: int,
+    cache_folder: Path | None,
+    command: str,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Find, prove, evaluate and compare a layout, and write everything to `out`.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`experiments.results.summary.summarise_placement`.
+
+    Raises
+    ------
+    InputError
+        A wish cannot be met, or `out` cannot be written.
+    """
+    check_result_folder(out)
+    scene = find_scene(question.scene)
+    plan = build_plan(planning, scene)
+    progress.kept = left_as_it_was(out)
+    progress("setting", 0, 0)
+    setting = build_setting(question, scene)
+    study = find_baseline(scene)
+    uncertainty = load_uncertainty(planning.uncertainty, where="--uncertainty")
+    if question.packet_loss:
+        uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
+
+    def report(stage: str, done: int, total: int) -> None:
+        if stage == "optimise" and cache_folder is not None and any(cache_folder.glob("table-*")):
+            progress.kept += "; the detection table is kept for the next call"
+        progress(stage, done, total)
+
+    placement = place(
+        setting,
+        plan.candidates,
+        wishes=plan.wishes,
+        fusion=cast(Fusion, planning.fusion),
+        effort=plan.effort,
+        uncertainty=uncertainty,
+        n_samples=planning.samples,
+        seed=seed,
+        workers=workers,
+        cache_folder=cache_folder,
+        on_progress=report,
+    )
+    refinement = None
+    if planning.refine:
+        refinement = refine(
+            setting,
+            placement,
+            plan.candidates,
+            solver=plan.effort,
+            seed=seed,
+            workers=workers,
+            on_progress=report,
+        )
+        placement = refinement.placement
+    progress("explain", 0, 0)
+    poses = plan.candidates if refinement is None else refinement.candidates
+    explained = summarise_explanations(
+        placement,
+        setting,
+        poses,
+        n_pool=planning.pool,
+        tolerance=planning.pool_tolerance,
+        seed=seed,
+    )
+    front = _front_below(placement, plan, progress)
+    layouts = [placement.layout, placement.greedy, *([] if study is None else [study])]
+    found, greedy, *others = _evaluate(layouts, setting, seed, workers, progress)
+    baseline = others[0] if others else None
+    summary = summarise_placement(placement, setting, found=found, greedy=greedy, baseline=baseline)
+    summary |= summarise_drives(setting)
+    summary["explained"] = explained
+    if front is not None:
+        summary["front"] = summarise_front(
+            front, placement.problem, poses, n_kept=len(plan.wishes.kept)
+        )
+    summary["sensitivity"] = _what_if(
+        setting, placement.layout, seed, workers, progress, fusion=planning.fusion
+    )
+    if plan.private is not None:
+        units = placement.layout.units
+        summary["private_ground"] = summarise_private_ground(
+            units, scene, plan.private, eur_per_m2=planning.no_look_price
+        )
+    if refinement is not None:
+        summary["refinement"] = summarise_refinement(refinement)
+    sampled_figure = None
+    if planning.samples:
+        judged = out_of_sample_layouts(
+            setting,
+            layouts,
+            uncertainty,
+            n_samples=max(planning.samples, MIN_FRESH_WORLDS),
+            seed=seed,
+            fusion=planning.fusion,
+            workers=workers,
+            on_progress=progress,
+        )
+        summary["sampled"] = summarise_uncertainty(
+            judged,
+            uncertainty,
+            tail=plan.wishes.tail,
+            seed=seed,
+            planned_apr={
+                item.layout.name: apr(item.rsu_all, item.axis) for item in (found, greedy, *others)
+            },
+            chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
+        )
+        sampled_figure = plot_sampled_apr(judged)
+    evaluations = {found.layout.name: found, GREEDY: greedy}
+    evaluations |= {other.layout.name: other for other in others}
+    write_results(
+        out,
+        summary,
+        setting,
+        evaluations,
+        command=command,
+        progress=progress,
+        placement=placement,
+        bill=build_bill(
+            placement.layout,
+            scene,
+            site_cost_eur=planning.site_cost_eur,
+            kept_ids=plan.wishes.kept,
+        ),
+        sampled_figure=sampled_figure,
+    )
+    return summary
+
+
+def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:
+    """The best layout of each smaller size, too; None where the best was not what was asked."""
+    problem = placement.problem
+    if problem.goal != "best" or problem.survive or problem.stage_weights is not None:
+        return None
+    return front_below(
+        problem,
+        placement.pose_index,
+        placement.certificate,
+        min_units=len(plan.wishes.kept),
+        effort=plan.effort,
+        on_point=lambda point: progress(f"fewer units: {point.units}", 0, 0),
+    )
+
+
+def _what_if(
+    setting: Setting,
+    layout: Layout,
+    seed: int,
+    workers: int,
+    progress: StageProgress,
+    *,
+    fusion: str = "any",
+) -> dict[str, Any]:
+    """What becomes of a layout if an assumption is wrong."""
+    progress("what if", 0, 0)
+    found = find_sensitivity(
+        setting,
+        layout,
+        fusion=cast(Fusion, fusion),
+        seed=seed,
+        workers=workers,
+        on_progress=lambda done, total: progress("what if", done, total),
+    )
+    return summarise_sensitivity(found)
+
+
+def run_evaluation(
+    question: Question,
+    *,
+    layout: Layout,
+    no_look: str = "",
+    out: Path | None,
+    seed: int,
+    workers: int,
+    command: str,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Evaluate a layout, and write a report if asked to.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`experiments.results.summary.summarise_layout`.
+
+    Raises
+    ------
+    InputError
+        A unit hangs underground or inside something, or `out` cannot be written.
+    """
+    return _judge(
+        question,
+        [layout],
+        no_look=no_look,
+        out=out,
+        seed=seed,
+        workers=workers,
+        command=command,
+        progress=progress,
+    )
+
+
+def run_comparison(
+    question: Question,
+    *,
+    layouts: Sequence[Layout],
+    samples: int = 0,
+    uncertainty: str = "default",
+    no_look: str = "",
+    out: Path | None,
+    seed: int,
+    workers: int,
+    command: str,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Compare layouts on the same runs, and write a report if asked to.
+
+    With samples, they are compared in so many sampled worlds, too: the same ones for all, so that
+    differences have an interval.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`experiments.results.summary.summarise_comparison`.
+
+    Raises
+    ------
+    InputError
+        A unit hangs underground or inside something, or `out` cannot be written.
+    """
+    return _judge(
+        question,
+        layouts,
+        samples=samples,
+        uncertainty=uncertainty,
+        no_look=no_look,
+        out=out,
+        seed=seed,
+        workers=workers,
+        command=command,
+        progress=progress,
+    )
+
+
+def _judge(
+    question: Question,
+    layouts: Sequence[Layout],
+    *,
+    samples: int = 0,
+    uncertainty: str = "default",
+    no_look: str = "",
+    out: Path | None,
+    seed: int,
+    workers: int,
+    command: str,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Evaluate one layout, or compare several."""
+    drawn = load_uncertainty(uncertainty, where="--uncertainty")
+    if out is not None:
+        check_result_folder(out)
+        progress.kept = left_as_it_was(out)
+    progress("setting", 0, 0)
+    setting = build_setting(question, find_scene(question.scene))
+    layouts = _with_distinct_names(layouts)
+    for layout in layouts:
+        check_layout(layout, setting.scene)
+    private = load_private_ground(Path(no_look), setting.scene) if no_look else None
+    verdicts = _evaluate(layouts, setting, seed, workers, progress)
+    if len(verdicts) == 1:
+        summary = summarise_layout(verdicts[0], setting.rule)
+    else:
+        summary = summarise_comparison(verdicts[0], verdicts[1:], setting.rule)
+        named = {verdict.layout.name: verdict for verdict in verdicts}
+        summary["differences"] = summarise_differences(named)
+    summary |= summarise_drives(setting)
+    if private is not None:
+        seen = [
+            summarise_private_ground(layout.units, setting.scene, private) for layout in layouts
+        ]
+        summary["private_ground"] = seen[0]
+        for entry, of_layout in zip(summary.get("compared", ()), seen[1:], strict=True):
+            entry["private_ground"] = of_layout
+    sampled_figure = None
+    if samples:
+        judged = out_of_sample_layouts(
+            setting,
+            layouts,
+            drawn,
+            n_samples=samples,
+            seed=seed,
+            workers=workers,
+            on_progress=progress,
+        )
+        planned = {item.layout.name: apr(item.rsu_all, item.axis) for item in verdicts}
+        summary["sampled"] = summarise_uncertainty(
+            judged, drawn, tail=1.0, seed=seed, planned_apr=planned
+        )
+        sampled_figure = plot_sampled_apr(judged)
+    if out is None:
+        summary["seconds"] = progress.finish()
+        return summary
+    summary["sensitivity"] = _what_if(setting, layouts[0], seed, workers, progress)
+    write_results(
+        out,
+        summary,
+        setting,
+        {verdict.layout.name: verdict for verdict in verdicts},
+        command=command,
+        progress=progress,
+        sampled_figure=sampled_figure,
+    )
+    return summary
+
+
+def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
+    """Layouts under names of their own: one whose name is taken gets a number."""
+    taken = {GREEDY}
+    named = []
+    for layout in layouts:
+        names = chain([layout.name], (f"{layout.name} ({number})" for number in count(2)))
+        name = next(name for name in names if name not in taken)
+        taken.add(name)
+        named.append(replace(layout, name=name))
+    return named
+
+
+def _evaluate(
+    layouts: Sequence[Layout],
+    setting: Setting,
+    seed: int,
+    workers: int,
+    progress: StageProgress,
+) -> list[Evaluation]:
+    progress("evaluate", 0, 0)
+    return evaluate_layouts(
+        layouts,
+        setting,
+        seed=seed,
+        workers=workers,
+        on_progress=lambda done, total: progress("evaluate", done, total),
+    )

@@ -1,0 +1,317 @@
+"""A picture or point cloud of one frame: which run, frame and unit, and the files that show it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.catalogue import Sensor
+from geometry.errors import InputError
+from geometry.files import write_atomically
+from geometry.image_boxes import mask_box
+from geometry.lidar import LidarModel
+from geometry.poses import Pose
+from geometry.scene import Scene
+from geometry.weather import pick_weather
+from placement.evaluator.surroundings import load_vut_camera, load_vut_lidar
+from placement.evaluator.watch import vut_camera_pose
+from placement.imaging import (
+    Picture,
+    PointCloud,
+    render_picture,
+    scan_cloud,
+)
+from placement.layout import Layout
+from placement.question import Question
+from placement.setting import drive_one
+from scenarios.runs import WEATHERS, Run
+
+VUT_UNIT, VUT_LIDAR_UNIT = "VUT", "VUT-LIDAR"
+COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
+CLOUD_SUFFIXES = (".ply", ".bin")
+_RUN_ID = "case/approach/speed or case/approach/speed/weather, such as CPNC-50/east/40/night"
+_JPEG_QUALITY = 85
+_MAX_CM = 65535  # what 16 bits hold
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Viewpoint:
+    """From where a frame is seen.
+
+    Attributes
+    ----------
+    pose : Pose
+        Of the camera, world frame.
+    sensor : CameraModel or LidarModel
+        What looks.
+    with_vut : bool
+        Whether the VUT is there to be seen: not for its own sensors.
+    """
+
+    pose: Pose
+    sensor: Sensor
+    with_vut: bool
+
+
+def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
+    """The run that an id names.
+
+    Parameters
+    ----------
+    run_id : str
+        "case/approach/speed", by day, or "case/approach/speed/weather".
+    scene : Scene
+        The junction.
+    weather : str, optional
+        In place of the id's.
+
+    Returns
+    -------
+    run : Run
+        Laid on the junction.
+
+    Raises
+    ------
+    InputError
+        Some part of it is unknown; says what is known.
+    """
+    parts = run_id.split("/")
+    if len(parts) not in (3, 4) or not all(parts):
+        raise InputError("--run", run_id, _RUN_ID)
+    case, approach, speed = parts[:3]
+    if weather is not None:
+        pick_weather(weather, "--weather")
+    light = weather or (parts[3] if len(parts) == 4 else WEATHERS[0])
+    question = Question(cases=case, approaches=approach, speeds=speed, weather=light)
+    try:
+        return drive_one(question, scene)
+    except InputError as error:
+        where = f"--run {run_id}: {error.where.removeprefix('--')}"
+        raise InputError(where, error.got, error.expected) from None
+
+
+def find_frame(run: Run, frame: int) -> int:
+    """Index of a frame from the start; negative numbers count from the end.
+
+    Raises
+    ------
+    InputError
+        The run has no such frame.
+    """
+    n_frames = len(run.time_s)
+    if not -n_frames <= frame < n_frames:
+        raise InputError(
+            "--frame", frame, f"0 to {n_frames - 1}, or -{n_frames} to -1 from the end of {run.id}"
+        )
+    return frame % n_frames
+
+
+def find_viewpoint(layout: Layout, unit_id: str, run: Run, frame_index: int) -> Viewpoint:
+    """Where a unit's sensor is in a frame.
+
+    Parameters
+    ----------
+    layout : Layout
+        The units.
+    unit_id : str
+        One of them, or "VUT" for its camera, "VUT-LIDAR" for its LiDAR.
+    run : Run
+        What drives.
+    frame_index : int
+        When.
+
+    Returns
+    -------
+    viewpoint : Viewpoint
+        Pose and sensor.
+
+    Raises
+    ------
+    InputError
+        There is no such unit.
+    """
+    mount = load_vut_camera()
+    own: dict[str, Sensor] = {VUT_UNIT: mount.camera, VUT_LIDAR_UNIT: load_vut_lidar()}
+    if unit_id.upper() in own:
+        pose = vut_camera_pose(mount, run, frame_index)
+        return Viewpoint(pose=pose, sensor=own[unit_id.upper()], with_vut=False)
+    units = {unit.id: unit for unit in layout.units}
+    if unit_id not in units:
+        raise InputError("--unit", unit_id, "one of " + ", ".join([*units, *own]))
+    return Viewpoint(pose=units[unit_id].pose, sensor=units[unit_id].sensor, with_vut=True)
+
+
+def render(
+    scene: Scene, run: Run, frame_index: int, viewpoint: Viewpoint, *, seed: int, workers: int
+) -> Picture | PointCloud:
+    """The picture, or point cloud, of a frame in the run's weather."""
+    weather = pick_weather(run.weather, "--weather")
+    if isinstance(viewpoint.sensor, LidarModel):
+        return scan_cloud(
+            scene,
+            run,
+            frame_index,
+            viewpoint.pose,
+            viewpoint.sensor,
+            weather=weather,
+            with_vut=viewpoint.with_vut,
+            seed=seed,
+        )
+    return render_picture(
+        scene,
+        run,
+        frame_index,
+        viewpoint.pose,
+        viewpoint.sensor,
+        weather=weather,
+        with_vut=viewpoint.with_vut,
+        seed=seed,
+        workers=workers,
+    )
+
+
+def suffixes_of(sensor: Sensor) -> tuple[str, ...]:
+    """Endings of files that show what a sensor sees, the usual one first."""
+    return CLOUD_SUFFIXES if isinstance(sensor, LidarModel) else COLOUR_SUFFIXES
+
+
+def check_path(path: Path, sensor: Sensor) -> None:
+    """Refuse a file name that says no format of a sensor's.
+
+    Raises
+    ------
+    InputError
+        The name ends in none of :func:`suffixes_of`.
+    """
+    known = suffixes_of(sensor)
+    if path.suffix.lower() not in known:
+        raise InputError("--out", str(path), "a name that ends in " + ", ".join(known))
+
+
+def save(path: Path, seen: Picture | PointCloud) -> tuple[Path, ...]:
+    """Write a picture or a point cloud; see :func:`save_picture` and :func:`save_cloud`."""
+    return save_cloud(path, seen) if isinstance(seen, PointCloud) else save_picture(path, seen)
+
+
+def save_cloud(path: Path, cloud: PointCloud) -> tuple[Path]:
+    """Write a point cloud, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        ".ply": points in the LiDAR's frame with a colour for each thing; ".bin": float32 x, y, z,
+        intensity, as the study releases them.
+    cloud : PointCloud
+        What to write.
+
+    Returns
+    -------
+    paths : tuple of Path
+        The file.
+    """
+    import trimesh
+
+    if path.suffix.lower() == ".bin":
+        content = np.column_stack([cloud.points_m, cloud.intensity]).astype("<f4").tobytes()
+    else:
+        colours = instance_colours(cloud.names)[cloud.instance]
+        content = trimesh.PointCloud(cloud.points_m, colours).export(file_type="ply")
+    write_atomically(path, lambda file: file.write(content))
+    return (path,)
+
+
+def save_picture(path: Path, picture: Picture) -> tuple[Path, Path, Path]:
+    """Write colours, instances and depths, each whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Of the colours: ".png", or ".jpg" for a smaller file.
+    picture : Picture
+        What to write.
+
+    Returns
+    -------
+    paths : tuple of Path
+        Colours; "..-instances.png", a colour for each thing; "..-depth.png", 16 bits, centimetres,
+        0 where nothing is hit.
+
+    Raises
+    ------
+    OSError
+        A file cannot be written.
+    """
+    from PIL import Image
+
+    colours = instance_colours(picture.names)[picture.instance]
+    centimetres = np.where(np.isfinite(picture.depth_m), picture.depth_m * 100.0, 0.0)
+    depth = np.clip(np.rint(centimetres), 0, _MAX_CM).astype(np.uint16)
+    as_jpeg = path.suffix.lower() != ".png"
+    colour_options: dict[str, Any] = {"format": "PNG"}
+    if as_jpeg:
+        colour_options = {"format": "JPEG", "quality": _JPEG_QUALITY}
+    paths = (
+        path,
+        path.with_name(f"{path.stem}-instances.png"),
+        path.with_name(f"{path.stem}-depth.png"),
+    )
+    options = (colour_options, {"format": "PNG"}, {"format": "PNG"})
+    images: tuple[NDArray[Any], ...] = (picture.rgb, colours, depth)
+    for file, image, how in zip(paths, images, options, strict=True):
+        write_atomically(file, _writer(Image.fromarray(image), how))
+    return paths
+
+
+def _writer(image: Any, options: dict[str, Any]) -> Callable[[BinaryIO], object]:
+    return lambda file: image.save(file, **options)
+
+
+def instance_colours(names: tuple[str, ...]) -> NDArray[np.uint8]:
+    """Colours of things that differ in hue and in lightness.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of the things.
+
+    Returns
+    -------
+    colours : (n + 1, 3) uint8
+        sRGB; the VRU's is the lightest; the last one, for sky, is black.
+    """
+    import colorsys
+
+    golden = 0.6180339887498949  # multiples of it fill a circle evenly, however many there are
+    colours = []
+    for index, name in enumerate(names):
+        if name == "vru":
+            colours.append((1.0, 1.0, 0.2))
+        elif name == "vut":
+            colours.append((1.0, 0.45, 0.45))
+        else:
+            lightness = 0.2 + 0.45 * (index * golden * golden % 1.0)
+            colours.append(colorsys.hls_to_rgb(index * golden % 1.0, lightness, 0.6))
+    colours.append((0.0, 0.0, 0.0))
+    return np.rint(255.0 * np.array(colours)).astype(np.uint8)
+
+
+def vru_sentence(seen: Picture | PointCloud) -> str:
+    """Whether and where the VRU is in view."""
+    if isinstance(seen, PointCloud):
+        count = int((seen.instance == seen.names.index("vru")).sum())
+        return f"VRU: {count} of {len(seen.instance)} points."
+    return _box_sentence(seen)
+
+
+def _box_sentence(picture: Picture) -> str:
+    box = mask_box(picture.instance == picture.names.index("vru"))
+    if not box.any():
+        return "VRU: not in view."
+    x_min, y_min, x_max, y_max = box.astype(int).tolist()
+    return (
+        f"VRU: in view, visible box x {x_min} to {x_max}, y {y_min} to {y_max} px "
+        f"({x_max - x_min} x {y_max - y_min})."
+    )

@@ -1,0 +1,474 @@
+"""What ``place-rsus retrofit`` does: the best change of every kind, priced."""
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, cast
+
+import pandas as pd
+
+from geometry.scene_folders import find_scene
+from placement.candidates import CandidatePose
+from placement.layout import Layout, check_layout, layout_records
+from placement.optimiser import Fusion, PlacementValue, is_better
+from placement.pipeline import obtain_table
+from placement.question import Planning, Question
+from placement.retrofit import (
+    Change,
+    Labour,
+    Retrofit,
+    RetrofitPoses,
+    build_retrofit_poses,
+    find_retrofit,
+    load_labour,
+)
+from placement.setting import build_setting
+from placement.wishes import build_problem
+
+from ..export.json import to_json_text
+from ..progress import WRITING, StageProgress
+from ..results.summary import summarise_drives, versions
+from ..results.text import percent
+from ..results.writing import check_folder, write_files
+from .planning import build_plan, grid_of
+
+# ---------- what can be done about a layout that hangs, as sentences and as a table for a terminal
+
+
+_WIDTH = 80
+_FIRST = 34
+_MAX_RUNS = 8
+
+
+def describe_retrofit(summary: Mapping[str, Any]) -> list[str]:
+    """The best change of every kind, in sentences.
+
+    Parameters
+    ----------
+    summary : mapping
+        As :func:`experiments.jobs.retrofit.run_retrofit` builds it.
+    """
+    sentences = [_removal(summary["removals"])]
+    if summary["re_aims"]:
+        sentences.append(_re_aim(summary["re_aims"][0]))
+    sentences.append(_addition(summary["addition"], summary["budget_eur"]))
+    if summary["budget_eur"] is not None:
+        sentences.append(_combination(summary["combination"], summary["budget_eur"]))
+    return sentences
+
+
+def retrofit_text(summary: Mapping[str, Any], out: Path | None) -> str:
+    """The result of :func:`experiments.jobs.retrofit.run_retrofit` for a terminal."""
+    before = summary["before"]
+    n_units = len(summary["layout"])
+    lines = textwrap.wrap(
+        f"What to change about {summary['name']} ({n_units} unit{'' if n_units == 1 else 's'}) on "
+        f"{summary['runs']} runs, on the detection table (fusion {summary['fusion']}):",
+        _WIDTH,
+    )
+    lines += [
+        "",
+        f"  {'':<{_FIRST}} {'EUR':>7} {'APR':>8} {'one fails':>10} {'gained':>6} {'lost':>5}",
+        _row("as it is", 0.0, before, ("", "")),
+    ]
+    for head, changes in (
+        ("remove", summary["removals"]),
+        ("re-aim", summary["re_aims"]),
+        ("add", [summary["addition"]]),
+        ("together", [summary["combination"]]),
+    ):
+        known = [change for change in changes if change is not None]
+        if known:
+            lines.append(f"  {head}:")
+        for change in known:
+            lines += _rows(change)
+    lines.append("")
+    for sentence in summary["sentences"]:
+        lines += _wrapped(sentence)
+    lines += _wrapped(
+        "One fails: APR that is left when the most needed unit fails. A visit costs "
+        f"{summary['labour']['re_aim_eur']:,.0f} EUR: {summary['labour']['source']}."
+    )
+    if out is not None:
+        lines += ["", f"Written to {out}: retrofit.csv and retrofit.json."]
+    return "\n".join(lines)
+
+
+def _rows(change: Mapping[str, Any]) -> list[str]:
+    words = [action["words"] for action in change["actions"]]
+    lines = [line for word in words for line in textwrap.wrap(word, _FIRST - 2)]
+    runs = (str(len(change["gained"])), str(len(change["lost"])))
+    return [
+        _row("  " + lines[0], change["price_eur"], change, runs),
+        *(f"    {line}" for line in lines[1:]),
+    ]
+
+
+def _row(words: str, price_eur: float, values: Mapping[str, Any], runs: tuple[str, str]) -> str:
+    return (
+        f"  {words:<{_FIRST}} {price_eur:7,.0f} {percent(values['apr']):>8} "
+        f"{percent(values['apr_one_failed']):>10} {runs[0]:>6} {runs[1]:>5}"
+    ).rstrip()
+
+
+def _removal(removals: Sequence[Mapping[str, Any]]) -> str:
+    best = removals[0]
+    name = best["actions"][0]["unit"]
+    if len(removals) == 1:
+        return f"{name} is the only unit: without it, only the car itself is left."
+    return (
+        f"Of all {len(removals)} units, {name} is needed least: without it "
+        f"{_lost(best['lost'])}; {percent(best['apr_one_failed'])} are left when one more fails."
+    )
+
+
+def _lost(runs: Sequence[str]) -> str:
+    if not runs:
+        return "no run is lost"
+    verb = "is" if len(runs) == 1 else "are"
+    return f"{_runs(runs)} {verb} lost ({_ids(runs)})"
+
+
+def _re_aim(best: Mapping[str, Any]) -> str:
+    what = _all_words(best)
+    if not best["is_better"]:
+        return (
+            f"No re-aim is better than to leave all as it is: of all {best['compared']}, the best "
+            f"one would be to {what}."
+        )
+    return (
+        f"The best of {best['compared']} re-aims, for {_euros(best['price_eur'])}: {what}. "
+        f"{_effect(best)}"
+    )
+
+
+def _addition(best: Mapping[str, Any] | None, budget_eur: float | None) -> str:
+    limit = "" if budget_eur is None else f" within {_euros(budget_eur)}"
+    if best is None:
+        return f"No unit that can be added{limit} is better than none."
+    return (
+        f"The best new unit{limit} costs {_euros(best['price_eur'])}: {_all_words(best)}. "
+        f"{_effect(best)}{_proof(best)}"
+    )
+
+
+def _combination(best: Mapping[str, Any] | None, budget_eur: float) -> str:
+    if best is None:
+        return f"Within {_euros(budget_eur)} nothing is better than to leave all as it is."
+    return (
+        f"The best re-aims and additions together within {_euros(budget_eur)} cost "
+        f"{_euros(best['price_eur'])}: {_all_words(best)}. {_effect(best)}{_proof(best)}"
+    )
+
+
+def _all_words(change: Mapping[str, Any]) -> str:
+    return "; ".join(action["words"] for action in change["actions"])
+
+
+def _effect(change: Mapping[str, Any]) -> str:
+    parts = []
+    if change["gained"]:
+        parts.append(f"gains {_runs(change['gained'])} ({_ids(change['gained'])})")
+    if change["lost"]:
+        parts.append(f"loses {_runs(change['lost'])} ({_ids(change['lost'])})")
+    if not parts:
+        parts.append("avoids the same runs")
+    return (
+        f"It {' and '.join(parts)}; APR {percent(change['apr'])}, "
+        f"{percent(change['apr_one_failed'])} when one fails, "
+        f"{change['mean_margin_s']:.2f} s of mean time to spare."
+    )
+
+
+def _proof(change: Mapping[str, Any]) -> str:
+    if change["is_proven"]:
+        return " Proven: nothing of its kind is better."
+    return " Not proven in the time given."
+
+
+def _runs(runs: Sequence[str]) -> str:
+    return "1 run" if len(runs) == 1 else f"{len(runs)} runs"
+
+
+def _ids(runs: Sequence[str]) -> str:
+    shown = ", ".join(runs[:_MAX_RUNS])
+    return shown if len(runs) <= _MAX_RUNS else f"{shown} and {len(runs) - _MAX_RUNS} more"
+
+
+def _euros(amount: float) -> str:
+    return f"{amount:,.0f} EUR"
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(
+        text, _WIDTH, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False
+    )
+
+
+# ---------- what ``place-rsus retrofit`` does: the best change of every kind, priced
+
+
+CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"
+
+
+def run_retrofit(
+    question: Question,
+    planning: Planning,
+    *,
+    layout: Layout,
+    visit_eur: float | None,
+    out: Path | None,
+    seed: int,
+    workers: int,
+    cache_folder: Path | None,
+    command: str,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Find what to remove, re-aim or add, and write it to `out` if asked to.
+
+    Parameters
+    ----------
+    question : Question
+        What is driven.
+    planning : Planning
+        What may be added, the money for all together, and how it is looked for.
+    layout : Layout
+        What hangs.
+    visit_eur : float, optional
+        Of a re-aim or a removal; by default by :func:`placement.retrofit.load_labour`. [EUR]
+    out : Path, optional
+        Folder that gets ``retrofit.csv`` and ``retrofit.json``; what else it holds stays.
+    seed, workers, cache_folder
+        See :func:`placement.pipeline.place`.
+    command : str
+        Command line that makes the result again.
+    progress : StageProgress
+        Is told the stages.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`summarise_retrofit`.
+
+    Raises
+    ------
+    InputError
+        A unit hangs inside something, a word is unknown, or `out` cannot be written.
+    """
+    scene = find_scene(question.scene)
+    if out is not None:
+        check_folder(out)
+        progress.kept = f"nothing was written to {out}"
+    check_layout(layout, scene)
+    plan = build_plan(replace(planning, budget=1, budget_cost=None, study_poses=False), scene)
+    poses = build_retrofit_poses(layout, grid_of(planning.sensors), plan.candidates)
+    wishes = replace(plan.wishes, kept=tuple(unit.id for unit in layout.units))
+    progress("setting", 0, 0)
+    setting = build_setting(question, scene)
+    table = obtain_table(
+        setting,
+        poses.candidates,
+        seed=seed,
+        workers=workers,
+        cache_folder=cache_folder,
+        on_progress=progress,
+    )
+    progress("retrofit", 0, 0)
+    problem = build_problem(
+        setting,
+        poses.candidates,
+        table,
+        wishes=wishes,
+        fusion=cast(Fusion, planning.fusion),
+    )
+    labour = load_labour() if visit_eur is None else _at_price(visit_eur)
+    retrofit = find_retrofit(
+        problem,
+        poses,
+        labour=labour,
+        budget_eur=planning.budget_cost,
+        effort=plan.effort,
+    )
+    summary = summarise_retrofit(retrofit, poses, layout)
+    summary |= {
+        "runs": setting.axis.n_runs,
+        "fusion": planning.fusion,
+        "budget_eur": planning.budget_cost,
+        "labour": asdict(labour) | {"re_aim_eur": labour.re_aim_eur},
+        "command": command,
+        **summarise_drives(setting),
+    }
+    summary["sentences"] = describe_retrofit(summary)
+    if out is not None:
+        progress(WRITING, 0, 0)
+        csv = retrofit_table(summary).to_csv(index=False, lineterminator="\n")
+        summary |= {"seconds": progress.finish(), "versions": versions()}
+        json = to_json_text(summary)
+        write_files(out, {CSV_NAME: csv.encode(), JSON_NAME: json.encode()})
+        progress.kept = f"the results are in {out}"
+    else:
+        summary |= {"seconds": progress.finish(), "versions": versions()}
+    return summary
+
+
+def summarise_retrofit(retrofit: Retrofit, poses: RetrofitPoses, layout: Layout) -> dict[str, Any]:
+    """A retrofit as one plain object: what ``--json`` prints, and ``retrofit.json``.
+
+    Parameters
+    ----------
+    retrofit : Retrofit
+        Changes of every kind.
+    poses : RetrofitPoses
+        Their rows.
+    layout : Layout
+        What hangs.
+
+    Returns
+    -------
+    summary : dict
+        "before" has the values of what hangs; "removals", "re_aims", "addition", "combination" are
+        changes: actions, price, values, run ids gained and lost, "is_better" than before, and
+        "layout", what hangs afterwards.
+    """
+
+    def record(change: Change) -> dict[str, Any]:
+        return _change_record(change, retrofit.before, poses)
+
+    return {
+        "name": layout.name,
+        "layout": layout_records(layout),
+        "before": _values(retrofit.before),
+        "candidates": len(poses.candidates),
+        "removals": [record(change) for change in retrofit.removals],
+        "re_aims": [record(change) for change in retrofit.re_aims],
+        "addition": None if retrofit.addition is None else record(retrofit.addition),
+        "combination": None if retrofit.combination is None else record(retrofit.combination),
+    }
+
+
+def retrofit_table(summary: dict[str, Any]) -> pd.DataFrame:
+    """One row per change.
+
+    Returns
+    -------
+    table : DataFrame
+        Columns kind, change, price_eur, apr, apr_one_failed, smallest_margin_s, mean_margin_s,
+        gained, lost (run ids with spaces between), is_better, is_proven. The first row is what
+        hangs.
+    """
+    changes = [
+        *(("remove", change) for change in summary["removals"]),
+        *(("re-aim", change) for change in summary["re_aims"]),
+        *(("add", change) for change in [summary["addition"]] if change is not None),
+        *(("combine", change) for change in [summary["combination"]] if change is not None),
+    ]
+    rows: list[dict[str, Any]] = [
+        {"kind": "as it is", "change": "", "price_eur": 0.0, **summary["before"]}
+    ]
+    rows += [
+        {
+            "kind": kind,
+            "change": "; ".join(action["words"] for action in change["actions"]),
+            "price_eur": change["price_eur"],
+            **{name: change[name] for name in summary["before"]},
+            "gained": " ".join(change["gained"]),
+            "lost": " ".join(change["lost"]),
+            "is_better": change["is_better"],
+            "is_proven": change["is_proven"],
+        }
+        for kind, change in changes
+    ]
+    return pd.DataFrame(rows)
+
+
+def _at_price(visit_eur: float) -> Labour:
+    """A visit that costs what the user says."""
+    return Labour(
+        people=0.0,
+        wage_eur_per_h=0.0,
+        travel_h=0.0,
+        lift_eur=visit_eur,
+        re_aim_h=0.0,
+        remove_h=0.0,
+        source="--visit-cost",
+    )
+
+
+def _values(value: PlacementValue) -> dict[str, float]:
+    return {name: number for name, number in value._asdict().items() if name != "cost_eur"}
+
+
+def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses) -> dict[str, Any]:
+    after = _named(change, poses)
+    unit = poses.unit_index
+    turned = {int(unit[row]): row for row in change.added if unit[row] >= 0}
+    actions = []
+    for row in change.removed:
+        old = poses.candidates[row]
+        if row in turned:
+            new = poses.candidates[turned[row]]
+            words = f"re-aim {old.id} to yaw {_degrees(new.pose.yaw_deg)}, pitch " + _degrees(
+                new.pose.pitch_deg
+            )
+            actions.append({"action": "re-aim", "unit": old.id, "words": words})
+        else:
+            actions.append({"action": "remove", "unit": old.id, "words": f"remove {old.id}"})
+    for row, name in zip(change.added, _names(change, poses), strict=True):
+        if unit[row] < 0:
+            words = f"add {name} at {_pose_words(poses.candidates[row])}"
+            actions.append({"action": "add", "unit": name, "words": words})
+    is_improved = is_better(change.value._replace(cost_eur=0.0), before._replace(cost_eur=0.0))
+    certificate = change.certificate
+    return {
+        "actions": actions,
+        "price_eur": change.price_eur,
+        **_values(change.value),
+        "gained": list(change.gained),
+        "lost": list(change.lost),
+        "is_better": is_improved,
+        "is_proven": change.is_proven,
+        "compared": change.n_compared,
+        "stages": [] if certificate is None else [asdict(stage) for stage in certificate.stages],
+        "solver": None if certificate is None else certificate.solver,
+        "layout": layout_records(Layout(name="after", units=after)) if after else [],
+    }
+
+
+def _names(change: Change, poses: RetrofitPoses) -> list[str]:
+    """Names of what is new in a change: re-aimed units keep theirs, new ones are numbered."""
+    taken = {candidate.id for candidate in poses.candidates[: poses.n_units]}
+    names: list[str] = []
+    number = 0
+    for row in change.added:
+        unit = int(poses.unit_index[row])
+        if unit >= 0:
+            names.append(poses.candidates[unit].id)
+            continue
+        number += 1
+        while f"N{number}" in taken:
+            number += 1
+        names.append(f"N{number}")
+    return names
+
+
+def _named(change: Change, poses: RetrofitPoses) -> tuple[CandidatePose, ...]:
+    """What hangs after a change, under names of its own."""
+    names = dict(zip(change.added, _names(change, poses), strict=True))
+    return tuple(
+        replace(poses.candidates[row], id=names.get(row, poses.candidates[row].id))
+        for row in change.pose_index
+    )
+
+
+def _pose_words(candidate: CandidatePose) -> str:
+    pose = candidate.pose
+    place = candidate.site_id or "a place of its own"
+    return (
+        f"{place}, {float(pose.position_m[2]):g} m, yaw {_degrees(pose.yaw_deg)}, pitch "
+        f"{_degrees(pose.pitch_deg)} ({candidate.sensor.name})"
+    )
+
+
+def _degrees(angle_deg: float) -> str:
+    return f"{round(angle_deg, 1) + 0.0:g}"

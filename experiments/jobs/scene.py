@@ -1,0 +1,453 @@
+"""What ``place-rsus scene`` does: import, show, check."""
+
+import tempfile
+import textwrap
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from geometry.errors import InputError, Unquoted
+from geometry.junction import build_junction
+from geometry.maps.georeferences import transform
+from geometry.maps.importing import (
+    ImportedScene,
+    ImportOptions,
+    ReadingOptions,
+    import_scene,
+    read_maps,
+)
+from geometry.maps.junctions import Surveyed
+from geometry.scene import Scene
+from geometry.scene_checks import check_scene
+from geometry.scene_files import load_study_scene
+from geometry.scene_folders import (
+    SCENE_FILE,
+    load_notes,
+    load_scene_folder,
+    pack_scene,
+    save_scene,
+)
+
+from ..figures.evaluation import to_png
+from ..figures.scene import plot_scene_plan, plot_scene_view
+from ..progress import WRITING, StageProgress
+from ..results.writing import check_folder, write_files
+
+# ---------- what ``place-rsus scene`` does: import, show, check
+
+
+PLAN_NAME, VIEW_NAME = "plan.png", "view.png"
+_STUDY = "town05"
+
+
+def run_import(
+    files: Sequence[str],
+    options: ImportOptions,
+    *,
+    bbox: str,
+    out: Path,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Make a scene of map files and write it.
+
+    Parameters
+    ----------
+    files : sequence of str
+        Map files; "town05" alone is the study's junction.
+    options : ImportOptions
+        What is to be cut out.
+    bbox : str
+        West, south, east, north with commas between: fetch OpenStreetMap there; empty: do not.
+    out : Path
+        Folder that gets ``scene.toml``, ``things.glb`` and two pictures, or a .zip file.
+    progress : StageProgress
+        Is told the stages.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`summarise_scene`; beside it "written" and "seconds".
+
+    Raises
+    ------
+    InputError
+        See :func:`geometry.maps.importing.import_scene`; `out` cannot be written, or is a folder
+        with other things in it.
+    """
+    is_zip = out.suffix.lower() == ".zip"
+    _check_target(out, is_zip=is_zip)
+    progress.kept = f"nothing was written to {out}"
+    progress("read", 0, 0)
+    with tempfile.TemporaryDirectory() as temporary:
+        paths = [Path(name) for name in files]
+        if bbox:
+            paths.append(_fetch(bbox, Path(temporary) / "bbox.osm"))
+        if [str(path) for path in paths] == [_STUDY] and not paths[0].exists():
+            imported = None
+            scene = load_study_scene()
+            summary = summarise_scene(scene)
+        else:
+            imported = import_scene(paths, options)
+            scene = imported.scene
+            summary = summarise_import(imported)
+    progress(WRITING, 0, 0)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        save_scene(
+            folder,
+            scene,
+            sources=imported.sources if imported else (),
+            skipped=imported.skipped if imported else (),
+            assumed_heights=sorted(imported.assumed_heights) if imported else (),
+        )
+        if is_zip:
+            try:
+                pack_scene(folder, out)
+            except OSError as error:
+                raise InputError(
+                    "--out", Unquoted(f"{out}: {error.strerror or error}"), "a file to write"
+                ) from None
+        else:
+            contents = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+            contents |= _pictures(scene)
+            # The meshes first: a folder with a scene.toml is whole.
+            write_files(out, {**_last(contents, SCENE_FILE)})
+    progress.kept = f"the scene is in {out}"
+    return summary | {"written": str(out), "seconds": progress.finish()}
+
+
+def run_show(
+    paths: Sequence[str],
+    reading: ReadingOptions,
+    *,
+    out: Path | None,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Tell what a scene or a map has.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        A scene, or map files; none: the study's junction.
+    reading : ReadingOptions
+        What map files do not say of themselves.
+    out : Path, optional
+        Folder for pictures of a scene.
+    progress : StageProgress
+        Is told the stages.
+
+    Returns
+    -------
+    summary : dict
+        See :func:`summarise_scene`.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read; pictures of a map are asked for, of which nothing is cut out yet.
+    """
+    if out is not None:
+        check_folder(out)
+    progress("read", 0, 0)
+    if paths and not (len(paths) == 1 and _is_scene(Path(paths[0]))):
+        if out is not None:
+            raise InputError("--out", Unquoted("it with a map"), "a scene: `scene import` first")
+        maps, junctions = read_maps([Path(path) for path in paths], reading)
+        roads = maps[0]
+        things = [thing for source in maps for thing in source.things]
+        return {
+            "name": roads.name,
+            "junctions": [_junction_record(one) for one in junctions],
+            "buildings": sum(thing.class_name == "building" for thing in things),
+            "things": len(things),
+            "sites": sum(len(source.poles) for source in maps),
+            "crosswalks": sum(len(source.crosswalks_m) for source in maps),
+            "keeps_left": roads.keeps_left,
+            "skipped": [asdict(skip) for source in maps for skip in source.skipped],
+            "crs": roads.source_crs or roads.crs or None,
+        }
+    scene, skipped, _ = load_any_scene(paths[0] if paths else "")
+    summary = summarise_scene(scene, skipped=skipped)
+    if out is not None:
+        progress(WRITING, 0, 0)
+        write_files(out, _pictures(scene))
+        summary["written"] = str(out)
+    return summary
+
+
+def run_check(path: str, *, progress: StageProgress) -> dict[str, Any]:
+    """Check a scene.
+
+    Parameters
+    ----------
+    path : str
+        Of the scene; empty: the study's junction.
+    progress : StageProgress
+        Is told the stages.
+
+    Returns
+    -------
+    summary : dict
+        ``{"name", "is_sound", "findings": [{"level", "what", "why"}]}``; sound: without errors.
+
+    Raises
+    ------
+    InputError
+        There is no such scene.
+    """
+    progress("check", 0, 0)
+    scene, _, assumed = load_any_scene(path)
+    findings = check_scene(scene, assumed_heights=frozenset(assumed))
+    return {
+        "name": scene.name,
+        "is_sound": all(finding.level != "error" for finding in findings),
+        "findings": [asdict(finding) for finding in findings],
+    }
+
+
+def load_any_scene(path: str) -> tuple[Scene, list[tuple[str, str]], set[str]]:
+    """A scene with what its import left out and assumed; no path: the study's junction."""
+    if not path:
+        return load_study_scene(), [], set()
+    skipped, assumed = load_notes(Path(path))
+    return load_scene_folder(Path(path)), skipped, assumed
+
+
+def summarise_scene(scene: Scene, *, skipped: Sequence[tuple[str, str]] = ()) -> dict[str, Any]:
+    """A scene as one plain object: what ``scene show --json`` prints.
+
+    Parameters
+    ----------
+    scene : Scene
+        One junction.
+    skipped : sequence of (str, str)
+        What its import left out, and why.
+
+    Returns
+    -------
+    summary : dict
+        ``{"name", "junctions": [{"id", "name", "x_m", "y_m", "arms", "lanes", "arm_names"}],
+        "buildings", "things", "sites", "site_list": [..], "crosswalks", "keeps_left", "skipped":
+        [{"what", "why"}], "crs", "world_crs"}``. x_m and y_m are in "crs", that of the map: in
+        degrees where that has degrees.
+    """
+    junction = build_junction(scene)
+    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    position = middle + scene.source_origin_m
+    if scene.crs:
+        position = transform(middle, scene.crs, scene.source_crs or scene.crs)
+    arms: list[dict[str, Any]] = [
+        {
+            "name": arm.name,
+            "lanes_in": len(arm.entry_lanes),
+            "lanes_out": len(arm.exit_lanes),
+            "parking_lanes": sum(
+                lane.kind == "parking" for lane in (*arm.lanes_in, *arm.lanes_out)
+            ),
+        }
+        for arm in junction.arms.values()
+    ]
+    return {
+        "name": scene.name,
+        "junctions": [
+            {
+                "id": scene.name.rpartition("/")[2],
+                "name": scene.name,
+                "x_m": float(position[0]),
+                "y_m": float(position[1]),
+                "arms": len(arms),
+                "lanes": sum(arm["lanes_in"] + arm["lanes_out"] for arm in arms),
+                "arm_list": arms,
+            }
+        ],
+        "buildings": sum(thing.class_name == "building" for thing in scene.instances),
+        "things": sum(thing.class_name != "ground" for thing in scene.instances),
+        "sites": len(scene.sites),
+        "site_list": [
+            {
+                "id": site.id,
+                "kind": site.kind,
+                "x_m": float(site.position_m[0]),
+                "y_m": float(site.position_m[1]),
+                "height_range_m": site.height_range_m.tolist(),
+                "capacity_units": site.capacity_units,
+                "use": site.use,
+            }
+            for site in scene.sites
+        ],
+        "crosswalks": len(scene.crosswalks_m),
+        "keeps_left": scene.keeps_left,
+        "skipped": [{"what": what, "why": why} for what, why in skipped],
+        "crs": scene.source_crs or scene.crs or None,
+        "world_crs": scene.crs or None,
+    }
+
+
+def summarise_import(imported: ImportedScene) -> dict[str, Any]:
+    """See :func:`summarise_scene`; the junction has its id and name in the map."""
+    summary = summarise_scene(imported.scene, skipped=imported.skipped)
+    chosen = imported.chosen.junction
+    summary["junctions"][0] |= {"id": chosen.id, "name": chosen.name}
+    summary["other_junctions"] = len(imported.junctions) - 1
+    summary["assumed_heights"] = len(imported.assumed_heights)
+    return summary
+
+
+def _junction_record(surveyed: Surveyed) -> dict[str, Any]:
+    return {
+        "id": surveyed.junction.id,
+        "name": surveyed.junction.name,
+        "x_m": float(surveyed.position[0]),
+        "y_m": float(surveyed.position[1]),
+        "arms": len(surveyed.arms),
+        "lanes": surveyed.n_lanes,
+        "arm_names": list(surveyed.arms),
+    }
+
+
+def _is_scene(path: Path) -> bool:
+    if path.is_dir():
+        return True
+    if path.suffix.lower() != ".zip" or not path.exists():
+        return False
+    try:
+        load_notes(path)
+    except InputError:
+        return False
+    return True
+
+
+def _check_target(out: Path, *, is_zip: bool) -> None:
+    """Refuse, before anything is computed, what could not be written or is not ours."""
+    if is_zip:
+        if out.is_dir():
+            raise InputError("--out", Unquoted(f"{out}, a folder"), "a file to write")
+        check_folder(out.parent)
+        return
+    if out.exists() and not out.is_dir():
+        raise InputError("--out", Unquoted(f"{out}, a file"), "a folder, or a .zip file")
+    if out.is_dir() and any(out.iterdir()) and not (out / SCENE_FILE).exists():
+        raise InputError(
+            "--out", Unquoted(f"{out}, which holds other things"), "a new folder, or a scene's"
+        )
+    check_folder(out)
+
+
+def _pictures(scene: Scene) -> dict[str, bytes]:
+    return {PLAN_NAME: to_png(plot_scene_plan(scene)), VIEW_NAME: to_png(plot_scene_view(scene))}
+
+
+def _last(contents: dict[str, bytes], name: str) -> dict[str, bytes]:
+    return {key: contents[key] for key in sorted(contents, key=lambda key: key == name)}
+
+
+def _fetch(bbox: str, path: Path) -> Path:
+    words = bbox.split(",")
+    try:
+        west, south, east, north = (float(word) for word in words)
+    except ValueError:
+        raise InputError("--bbox", bbox, "west,south,east,north in degrees") from None
+    if not (-180.0 <= west < east <= 180.0 and -90.0 <= south < north <= 90.0):
+        raise InputError("--bbox", bbox, "west,south,east,north in degrees, in this order")
+    from geometry.maps.openstreetmap import fetch_openstreetmap
+
+    fetch_openstreetmap((west, south, east, north), path)
+    return path
+
+
+# ---------- scenes as plain text for a terminal, at most 80 columns wide
+
+
+_WIDTH = 80
+_MAX_LISTED = 20
+
+
+def scene_text(summary: dict[str, Any]) -> str:
+    """What a scene or a map has.
+
+    Parameters
+    ----------
+    summary : dict
+        By :mod:`experiments.jobs.scene`.
+    """
+    side = "left" if summary["keeps_left"] else "right"
+    lines = textwrap.wrap(
+        f"{summary['name']}: {_count(len(summary['junctions']), 'junction')}, "
+        f"{_count(summary['buildings'], 'building')}, {_count(summary['things'], 'thing')} in all, "
+        f"{_count(summary['sites'], 'site')}, {_count(summary['crosswalks'], 'crosswalk')}; "
+        f"traffic keeps {side}; coordinates: {summary['crs'] or 'of no known place'}",
+        _WIDTH,
+    )
+    lines += ["", *_junction_lines(summary)]
+    if "site_list" in summary:
+        lines += ["", *_site_lines(summary["site_list"])]
+    if summary["skipped"]:
+        lines += ["", "Left out, or assumed:"]
+        for entry in summary["skipped"][:_MAX_LISTED]:
+            lines += _wrapped(f"{entry['what']}: {entry['why']}")
+        lines += _more(len(summary["skipped"]))
+    if "written" in summary:
+        lines += ["", f"Written to {summary['written']}."]
+    return "\n".join(lines)
+
+
+def findings_text(summary: dict[str, Any]) -> str:
+    """What may be wrong with a scene."""
+    if not summary["findings"]:
+        return f"{summary['name']}: nothing found."
+    lines = [f"{summary['name']}:"]
+    for finding in summary["findings"]:
+        lines += _wrapped(f"{finding['level']}: {finding['what']}: {finding['why']}")
+    return "\n".join(lines)
+
+
+def _junction_lines(summary: dict[str, Any]) -> list[str]:
+    junctions = summary["junctions"]
+    if len(junctions) == 1 and "arm_list" in junctions[0]:
+        lines = [f"  {'arm':<20} {'lanes in':>9} {'lanes out':>10} {'parking':>8}"]
+        lines += [
+            f"  {arm['name']:<20} {arm['lanes_in']:>9} {arm['lanes_out']:>10} "
+            f"{arm['parking_lanes']:>8}"
+            for arm in junctions[0]["arm_list"]
+        ]
+        return lines
+    if not junctions:
+        return ["  no junctions"]
+    lines = [f"  {'junction':<18} {'arms':>4} {'lanes':>5} {'x':>13} {'y':>13}  name"]
+    lines += [
+        f"  {_short(one['id'], 18):<18} {one['arms']:>4} {one['lanes']:>5} "
+        f"{one['x_m']:>13.6f} {one['y_m']:>13.6f}  {_short(one['name'], 18)}".rstrip()
+        for one in junctions[:_MAX_LISTED]
+    ]
+    return lines + _more(len(junctions))
+
+
+def _site_lines(sites: list[dict[str, Any]]) -> list[str]:
+    lines = [f"  {'site':<26} {'kind':<14} {'x m':>8} {'y m':>8} {'mount m':>11} {'units':>5}"]
+    for site in sites[:_MAX_LISTED]:
+        low, high = site["height_range_m"]
+        lines.append(
+            f"  {_short(site['id'], 26):<26} {_short(site['kind'], 14):<14} {site['x_m']:8.1f} "
+            f"{site['y_m']:8.1f} {f'{low:g} to {high:g}':>11} {site['capacity_units']:>5}"
+        )
+    return lines + _more(len(sites))
+
+
+def _more(count: int) -> list[str]:
+    left = count - _MAX_LISTED
+    return [f"  and {left} more: --json"] if left > 0 else []
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def _short(text: str, width: int) -> str:
+    return text if len(text) <= width else text[: width - 1] + "\N{HORIZONTAL ELLIPSIS}"
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(
+        text, _WIDTH, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False
+    )

@@ -1,0 +1,389 @@
+"""What ``place-rsus sheet`` does: tolerances, then a page for each unit."""
+
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+
+from geometry.arrays import FloatArray
+from geometry.errors import InputError, Unquoted
+from geometry.files import write_atomically
+from geometry.frames import to_geographic
+from geometry.junction import COMPASS
+from geometry.scene import Scene, thing_footprint
+from geometry.scene_folders import find_scene
+from geometry.sensors import CameraModel
+from geometry.weather import pick_weather
+from placement.candidates import CandidatePose, is_ring, is_turn_useless
+from placement.explain.tolerance import LIFTS_M, TURNS_DEG, Tolerance, find_tolerances
+from placement.imaging import render_picture
+from placement.layout import Layout, check_layout
+from placement.question import Question
+from placement.setting import Setting, build_setting
+from scenarios.runs import Run
+
+from ..figures.evaluation import (
+    BLUE,
+    VERMILION,
+    literal,
+    unit_labels,
+)
+from ..figures.plan import draw_scene, ground_footprint
+from ..figures.sensors import ALL_ROUND, blind_footprint, ring_path
+from ..progress import WRITING, StageProgress
+from ..results.writing import check_folder
+
+# ---------- the mounting sheet: a PDF with one A4 page for each unit, for whoever puts it up
+
+
+_A4_IN = (8.27, 11.69)
+_PLAN_HALF_M = 30.0
+_VIEW_RANGE_M = 35.0
+_N_LANDMARKS = 4
+_LANDMARK_WITHIN_M = 40.0
+
+
+def mounting_sheet(
+    layout: Layout,
+    setting: Setting,
+    tolerances: Sequence[Tolerance],
+    *,
+    seed: int = 0,
+    workers: int = 1,
+) -> bytes:
+    """A PDF with a page for each unit: where, how high, where it looks, what it will see.
+
+    Parameters
+    ----------
+    layout : Layout
+        The units.
+    setting : Setting
+        Scene and runs; the picture shows one of these, the unit's first in which the road user
+        is near.
+    tolerances : sequence of Tolerance
+        One for each unit, in their order.
+    seed : int
+        Of sensor noise.
+    workers : int
+        Threads.
+
+    Returns
+    -------
+    pdf : bytes
+        A4 pages.
+    """
+    labels = unit_labels(layout)
+    buffer = io.BytesIO()
+    with PdfPages(buffer, metadata={"Title": f"Mounting sheet: {layout.name}"}) as pages:
+        for unit, tolerance in zip(layout.units, tolerances, strict=True):
+            figure = _page(layout, unit, labels[unit.id], setting, tolerance, seed, workers)
+            pages.savefig(figure)
+    return buffer.getvalue()
+
+
+def _page(
+    layout: Layout,
+    unit: CandidatePose,
+    label: str,
+    setting: Setting,
+    tolerance: Tolerance,
+    seed: int,
+    workers: int,
+) -> Figure:
+    scene = setting.scene
+    figure = Figure(figsize=_A4_IN)
+    figure.text(
+        0.08,
+        0.955,
+        literal(label if label == unit.id else f"{label}: {unit.id}"),
+        fontsize=20,
+        fontweight="bold",
+    )
+    figure.text(
+        0.08,
+        0.935,
+        literal(f"{scene.name}, layout {layout.name}; {unit.sensor.name}"),
+        fontsize=10,
+        color="#444444",
+    )
+    top = 0.905
+    for head, text in _rows(unit, scene, tolerance):
+        figure.text(0.08, top, head, fontsize=10, fontweight="bold", va="top")
+        lines = text.split("\n")
+        figure.text(0.30, top, literal(text), fontsize=10, va="top", linespacing=1.35)
+        top -= 0.019 * len(lines) + 0.006
+    bottom = 0.05
+    plan_height = min(0.36, top - 0.34)
+    _draw_plan(figure.add_axes((0.08, bottom, 0.84, plan_height)), unit, label, scene)
+    _draw_picture(
+        figure.add_axes(
+            (0.08, bottom + plan_height + 0.035, 0.84, top - bottom - plan_height - 0.06)
+        ),
+        unit,
+        setting,
+        seed,
+        workers,
+    )
+    return figure
+
+
+def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple[str, str]]:
+    x, y, z = unit.pose.position_m
+    where = f"{x:.2f} m east, {y:.2f} m north in the junction's coordinates"
+    if scene.crs:
+        lon_deg, lat_deg = to_geographic(unit.pose.position_m[None], scene.crs)[0]
+        where += f"\n{lat_deg:.6f}\N{DEGREE SIGN} latitude, {lon_deg:.6f}\N{DEGREE SIGN} longitude"
+    rows = [
+        ("Mount", unit.site_id or "on a mount of its own"),
+        ("Where", where),
+        ("Height", f"{z:.2f} m above the road"),
+        ("Scans" if is_ring(unit.sensor) else "Looks", _direction(unit)),
+        ("Tilt", _tilt(unit)),
+        ("May be off", _tolerance_text(tolerance)),
+        ("Landmarks", "\n".join(_landmarks(unit, scene)) or "none within 40 m"),
+    ]
+    return rows
+
+
+def _direction(unit: CandidatePose) -> str:
+    yaw_deg = unit.pose.yaw_deg
+    point = COMPASS[round(yaw_deg / 45.0) % 8]
+    bearing_deg = (90.0 - yaw_deg) % 360.0
+    yaw = (
+        f"to the {point}: compass bearing {bearing_deg:.1f}\N{DEGREE SIGN} (clockwise from "
+        f"north),\nyaw {yaw_deg:.1f}\N{DEGREE SIGN} (counter-clockwise from east)"
+    )
+    if not is_ring(unit.sensor):
+        return yaw
+    is_same = is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg)
+    turned = ": turned it sees the same, only its axes turn with it" if is_same else ""
+    return f"{ALL_ROUND}{turned}\nits front {yaw}"
+
+
+def _tilt(unit: CandidatePose) -> str:
+    pitch_deg, height_m = unit.pose.pitch_deg, float(unit.pose.position_m[2])
+    if is_ring(unit.sensor):
+        if pitch_deg == 0.0:
+            return "none: level, its axis upright"
+        side = "down" if pitch_deg < 0.0 else "up"
+        return (
+            f"its front {abs(pitch_deg):.1f}\N{DEGREE SIGN} {side}, its back as much the other way"
+        )
+    if pitch_deg >= 0.0:
+        return f"{pitch_deg:.1f}\N{DEGREE SIGN} above level"
+    reach_m = height_m / math.tan(math.radians(-pitch_deg))
+    return (
+        f"{-pitch_deg:.1f}\N{DEGREE SIGN} below level: the middle of the picture lies on the road "
+        f"{reach_m:.1f} m away"
+    )
+
+
+def _tolerance_text(tolerance: Tolerance) -> str:
+    def turn(value_deg: float) -> str:
+        return _at_least(value_deg, TURNS_DEG[-1], "\N{DEGREE SIGN}")
+
+    def lift(value_m: float) -> str:
+        return _at_least(100.0 * value_m, 100.0 * LIFTS_M[-1], " cm")
+
+    right, left = tolerance.yaw_deg
+    down, up = tolerance.pitch_deg
+    lower, higher = tolerance.height_m
+    return (
+        f"{turn(left)} to the left, {turn(right)} to the right\n"
+        f"{turn(up)} up, {turn(down)} down\n"
+        f"{lift(higher)} higher, {lift(lower)} lower\n"
+        "one thing at a time, the other units as planned; beyond, a run is lost"
+    )
+
+
+def _at_least(value: float, most: float, unit: str) -> str:
+    if value <= 0.0:
+        return f"less than the smallest step tried (0{unit})"
+    return f"{value:g}{unit}" + (" or more" if value >= most else "")
+
+
+def _landmarks(unit: CandidatePose, scene: Scene) -> list[str]:
+    """The nearest things that can be seen from the mount, with distance and bearing."""
+    import shapely
+    import shapely.ops
+
+    here = shapely.Point(*unit.pose.position_m[:2])
+    found = []
+    for index, thing in enumerate(scene.instances):
+        if thing.class_name == "ground" or thing.id == unit.site_id:
+            continue
+        shape = thing_footprint(scene, index)
+        if shape.is_empty:
+            continue
+        nearest = shapely.ops.nearest_points(here, shape)[1]
+        distance_m = float(here.distance(nearest))
+        if 0.3 < distance_m <= _LANDMARK_WITHIN_M:
+            found.append((distance_m, thing, nearest))
+    found.sort(key=lambda entry: entry[0])
+    lines = []
+    for distance_m, thing, nearest in found[:_N_LANDMARKS]:
+        bearing = math.degrees(math.atan2(nearest.y - here.y, nearest.x - here.x))
+        point = COMPASS[round(bearing / 45.0) % 8]
+        lines.append(f"{distance_m:.2f} m to the {point}: {thing.class_name} {thing.id}")
+    return lines
+
+
+def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> None:
+    draw_scene(axes, scene)
+    x, y = unit.pose.position_m[:2]
+    corners = ground_footprint(unit, max_range_m=_VIEW_RANGE_M)
+    if len(corners):
+        blind = blind_footprint(unit, max_range_m=_VIEW_RANGE_M)
+        style = {"facecolor": BLUE, "alpha": 0.25, "edgecolor": BLUE, "linewidth": 1.5, "zorder": 5}
+        axes.add_patch(PathPatch(ring_path(corners, blind), **style))
+    if not is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg):
+        yaw = math.radians(unit.pose.yaw_deg)
+        axes.annotate(
+            "",
+            xy=(x + 9.0 * math.cos(yaw), y + 9.0 * math.sin(yaw)),
+            xytext=(x, y),
+            arrowprops={"arrowstyle": "-|>", "color": VERMILION, "linewidth": 2.0},
+            zorder=9,
+        )
+    axes.plot([x], [y], marker="o", markersize=8, color=VERMILION, zorder=10)
+    axes.annotate(
+        literal(label), (x, y), xytext=(6, 6), textcoords="offset points", fontsize=10, zorder=10,
+        fontweight="bold",
+    )  # fmt: skip
+    middle = _plan_middle(unit, scene)
+    half = _PLAN_HALF_M
+    axes.set_xlim(middle[0] - 2.0 * half, middle[0] + 2.0 * half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+    axes.set_aspect("equal")
+    axes.set_xlabel("east (m); north is up", fontsize=8)
+    axes.tick_params(labelsize=7)
+
+
+def _plan_middle(unit: CandidatePose, scene: Scene) -> FloatArray:
+    """Half-way between the mount and the junction's middle."""
+    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    between: FloatArray = 0.5 * (middle + unit.pose.position_m[:2])
+    return between
+
+
+def _draw_picture(
+    axes: Axes, unit: CandidatePose, setting: Setting, seed: int, workers: int
+) -> None:
+    axes.set_axis_off()
+    if not isinstance(unit.sensor, CameraModel):
+        axes.text(0.5, 0.5, "A LiDAR takes no picture.", ha="center", va="center", fontsize=11)
+        return
+    run, frame = _shown_frame(unit, setting)
+    picture = render_picture(
+        setting.scene,
+        run,
+        frame,
+        unit.pose,
+        unit.sensor,
+        weather=pick_weather(run.weather, "weather"),
+        with_vut=True,
+        seed=seed,
+        workers=workers,
+    )
+    axes.imshow(picture.rgb)
+    axes.set_title(
+        literal(
+            f"What it will see, rendered: {run.id}, {-run.time_s[frame]:.1f} s before the impact"
+        ),
+        fontsize=9,
+        loc="left",
+    )
+
+
+def _shown_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
+    """The run and frame in which the road user is nearest to the middle of the picture."""
+    ahead = np.array(
+        [math.cos(math.radians(unit.pose.yaw_deg)), math.sin(math.radians(unit.pose.yaw_deg))]
+    )
+    tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
+    aim = unit.pose.position_m[:2] + ahead * unit.pose.position_m[2] / math.tan(tilt)
+    best = (math.inf, setting.runs[0], 0)
+    for run in setting.runs:
+        distance = np.hypot(*(run.vru_position_m - aim).T)
+        frame = int(np.argmin(distance))
+        if distance[frame] < best[0]:
+            best = (float(distance[frame]), run, frame)
+    return best[1], best[2]
+
+
+# ---------- what ``place-rsus sheet`` does: tolerances, then a page for each unit
+
+
+def run_sheet(
+    question: Question,
+    *,
+    layout: Layout,
+    out: Path,
+    seed: int,
+    workers: int,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Write the mounting sheet of a layout.
+
+    Returns
+    -------
+    summary : dict
+        ``{"layout", "written", "units": [{"unit_id", "yaw_deg": [right, left], "pitch_deg": [down,
+        up], "height_m": [lower, higher]}], "seconds"}``: what each unit may be off.
+
+    Raises
+    ------
+    InputError
+        A unit hangs inside something, or `out` cannot be written.
+    """
+    if out.is_dir():
+        raise InputError("--out", Unquoted(f"{out}, a folder"), "a PDF file to write")
+    check_folder(out.parent)
+    progress.kept = f"nothing was written to {out}"
+    progress("setting", 0, 0)
+    setting = build_setting(question, find_scene(question.scene))
+    check_layout(layout, setting.scene)
+    progress("tolerances", 0, 0)
+    tolerances = find_tolerances(setting, layout.units, seed=seed, workers=workers)
+    progress(WRITING, 0, 0)
+    pdf = mounting_sheet(layout, setting, tolerances, seed=seed, workers=workers)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(out, lambda file: file.write(pdf))
+    except OSError as error:
+        raise InputError(
+            "--out", Unquoted(f"{out}: {error.strerror or error}"), "a file that can be written"
+        ) from None
+    progress.kept = f"the sheet is in {out}"
+    return {
+        "layout": layout.name,
+        "written": str(out),
+        "units": [asdict(tolerance) for tolerance in tolerances],
+        "seconds": progress.finish(),
+    }
+
+
+def sheet_text(summary: dict[str, Any]) -> str:
+    """The same for a terminal, at most 80 columns wide."""
+    lines = [f"What the units of {summary['layout']} may be off before a run is lost:"]
+    heads = f"{'left':>6} {'right':>6} {'up':>6} {'down':>6} {'higher':>8} {'lower':>7}"
+    lines.append(f"  {'unit':<20} {heads}")
+    for unit in summary["units"]:
+        (right, left), (down, up), (lower, higher) = (
+            unit[key] for key in ("yaw_deg", "pitch_deg", "height_m")
+        )
+        lines.append(
+            f"  {unit['unit_id'][:20]:<20} {left:>5g}\N{DEGREE SIGN} {right:>5g}\N{DEGREE SIGN} "
+            f"{up:>5g}\N{DEGREE SIGN} {down:>5g}\N{DEGREE SIGN} {100 * higher:>5.0f} cm "
+            f"{100 * lower:>4.0f} cm"
+        )
+    lines += ["  One thing at a time; the largest of the steps tried.", ""]
+    return "\n".join([*lines, f"Written to {summary['written']}."])

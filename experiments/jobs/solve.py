@@ -1,0 +1,319 @@
+"""What ``place-rsus solve`` does: read an instance, solve and prove it, tell what was found."""
+
+import textwrap
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geometry.errors import InputError
+from placement.optimiser import (
+    Effort,
+    Floor,
+    PlacementProblem,
+    apr,
+    cost_eur,
+    solve_placement,
+)
+from placement.optimiser.covering.files import load_instance, save_instance
+from placement.optimiser.covering.solve import (
+    CoveringInstance,
+    CoveringSolution,
+    solve_lscp,
+    solve_mclp,
+)
+from placement.optimiser.milp import DEFAULT_SOLVER, check_solver
+from placement.verification.instances import load_problem
+
+from ..progress import WRITING, StageProgress
+from ..results.text import percent
+
+# ---------- what ``place-rsus solve`` does
+
+
+_WIDTH, _COLUMN = 80, 12
+
+
+def run_solve(
+    path: Path,
+    *,
+    format_name: str | None,
+    budget_units: int | None,
+    budget_cost: float | None,
+    target: float | None,
+    solver: str,
+    time_limit_s: float,
+    gap: float,
+    out: Path | None,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Read an instance and solve it.
+
+    Parameters
+    ----------
+    path : Path
+        The instance.
+    format_name : str or None
+        Of the file; None: told from its content.
+    budget_units, budget_cost : int, float or None
+        With one of them it is a maximal covering problem.
+    target : float or None
+        Without a budget: share of the weight to cover; None: all that can be covered.
+    solver, time_limit_s, gap
+        See :func:`placement.optimiser.covering.solve.solve_lscp`.
+    out : Path or None
+        Where to write the instance in this program's own format.
+    progress : StageProgress
+        Shows what happens.
+
+    Returns
+    -------
+    summary : dict
+        Plain values; columns are numbered as in the file.
+
+    Raises
+    ------
+    InputError
+        The file holds no instance, or the question has no answer.
+    OSError
+        `out` cannot be written.
+    """
+    progress("read", 0, 0)
+    instance = load_instance(path, format_name=format_name)
+    if out is not None:
+        progress(WRITING, 0, 0)
+        save_instance(out, instance)
+        progress.kept = f"{out} was written"
+    progress("solve", 0, 0)
+    if budget_units is None and budget_cost is None:
+        solution = solve_lscp(
+            instance, target=target, solver=solver, time_limit_s=time_limit_s, gap=gap
+        )
+    else:
+        solution = solve_mclp(
+            instance,
+            budget_units=budget_units,
+            budget_cost=budget_cost,
+            solver=solver,
+            time_limit_s=time_limit_s,
+            gap=gap,
+        )
+    question = {"budget": budget_units, "budget_cost": budget_cost, "target": target}
+    return _summary(path, instance, solution, question)
+
+
+def _summary(
+    path: Path,
+    instance: CoveringInstance,
+    solution: CoveringSolution,
+    question: Mapping[str, float | None],
+) -> dict[str, Any]:
+    has_budget = question["budget"] is not None or question["budget_cost"] is not None
+    chosen = [int(column) for column in solution.chosen]
+    return {
+        "file": path.name,
+        "problem": "maximal covering" if has_budget else "set covering",
+        **question,
+        "objective": solution.objective,
+        "bound": solution.bound,
+        "gap": solution.gap,
+        "chosen": [column + instance.numbered_from for column in chosen],
+        "numbered_from": instance.numbered_from,
+        "chosen_names": [instance.names[column] for column in chosen] if instance.names else None,
+        "seconds": round(solution.seconds, 4),
+        "is_proven": solution.is_proven,
+        "solver": solution.solver,
+        "cost": solution.cost,
+        "covered_weight": solution.covered_weight,
+        "coverable_weight": solution.coverable_weight,
+        "total_weight": solution.total_weight,
+        "columns": instance.n_columns,
+        "rows": instance.n_rows,
+        "presolve": asdict(solution.presolve),
+        "presolve_effect": str(solution.presolve),
+    }
+
+
+def solution_text(summary: Mapping[str, Any]) -> str:
+    """What :func:`run_solve` found, for a terminal."""
+    names = summary["chosen_names"] or [str(column) for column in summary["chosen"]]
+    gap = "proven" if summary["is_proven"] else f"gap {_percent(summary['gap'])}"
+    chosen = f"{len(names)} of {summary['columns']} columns"
+    entries = {
+        _objective_words(summary): _number(summary["objective"]),
+        "bound": f"{_number(summary['bound'])}, {gap}",
+        "chosen": f"{chosen}: {', '.join(names)}" if names else "none",
+        **_other_side(summary),
+        "presolve": summary["presolve_effect"],
+        "solver": f"{summary['solver']}; {summary['seconds']:.2f} s",
+    }
+    lines = textwrap.wrap(f"{summary['file']}: {_question_words(summary)}", _WIDTH)
+    for head, text in entries.items():
+        lines += textwrap.wrap(
+            text,
+            _WIDTH,
+            initial_indent=f"  {head:<{_COLUMN}}",
+            subsequent_indent=" " * (_COLUMN + 2),
+            break_on_hyphens=False,
+        )
+    return "\n".join(lines)
+
+
+def _question_words(summary: Mapping[str, Any]) -> str:
+    if summary["budget"] is not None:
+        return f"the most that {summary['budget']} columns cover (maximal covering)"
+    if summary["budget_cost"] is not None:
+        return f"the most that {_number(summary['budget_cost'])} buys (maximal covering)"
+    if summary["target"] is not None:
+        return f"the least cost that covers {_percent(summary['target'])} (set covering)"
+    return "the least cost that covers all that can be covered (set covering)"
+
+
+def _objective_words(summary: Mapping[str, Any]) -> str:
+    return "cost" if summary["problem"] == "set covering" else "covered"
+
+
+def _other_side(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Cost where the objective is coverage, coverage where it is cost."""
+    total, coverable = summary["total_weight"], summary["coverable_weight"]
+    covered = f"{_number(summary['covered_weight'])} of {_number(total)}"
+    if coverable < total:
+        covered += f"; {_number(total - coverable)} cannot be covered"
+    if _objective_words(summary) == "cost":
+        return {"covers": covered}
+    return {
+        "of": f"{_number(total)}, {_number(coverable)} coverable",
+        "costs": _number(summary["cost"]),
+    }
+
+
+def _number(value: float) -> str:
+    return f"{value:.10g}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.4g} %" if share < float("inf") else "open"
+
+
+# ---------- ``place-rsus solve`` on a whole placement problem, with its frames and windows
+
+
+_SEARCHES = ("auto", "exact", "relax", "greedy")
+
+
+def run_solve_windows(
+    path: Path,
+    *,
+    budget_units: int | None,
+    budget_cost: float | None,
+    target: float | None,
+    solver: str,
+    time_limit_s: float,
+    gap: float,
+    progress: StageProgress,
+) -> dict[str, Any]:
+    """Read a placement problem and solve it.
+
+    Parameters
+    ----------
+    path : Path
+        As ``place-rsus`` writes it: ``instance.npz`` of a result folder.
+    budget_units, budget_cost : int, float or None
+        In place of the file's own question.
+    target : float or None
+        In place of the file's own question: share of the runs to avoid, with the fewest units;
+        infinity: all that can be avoided.
+    solver : str
+        auto, exact, relax, greedy, or a mixed-integer solver by its name in cvxpy.
+    time_limit_s, gap
+        See :class:`placement.optimiser.Effort`.
+    progress : StageProgress
+        Shows what happens.
+
+    Returns
+    -------
+    summary : dict
+        The keys of every solved file - objective, bound, gap, chosen, seconds - and all stages.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or the question has no answer.
+    """
+    progress("read", 0, 0)
+    problem = _asked(load_problem(path), budget_units, budget_cost, target)
+    is_search = solver in _SEARCHES
+    effort = Effort(
+        solver="exact" if not is_search else solver,  # type: ignore[arg-type]
+        milp_solver=DEFAULT_SOLVER if is_search else check_solver(solver),
+        time_limit_s=time_limit_s,
+        gap=gap,
+    )
+    began_s = time.perf_counter()
+    solution = solve_placement(
+        problem, effort=effort, on_stage=lambda stage: progress(f"solve: {stage}", 0, 0)
+    )
+    first = solution.certificate.stages[0]
+    return {
+        "file": path.name,
+        "problem": "placement",
+        "goal": problem.goal,
+        "fusion": problem.fusion,
+        "objective": first.objective,
+        "bound": first.bound,
+        "gap": first.gap,
+        "chosen": list(solution.pose_index),
+        "numbered_from": 0,
+        "chosen_names": [problem.table.pose_ids[pose] for pose in solution.pose_index],
+        "seconds": round(time.perf_counter() - began_s, 4),
+        "is_proven": solution.certificate.is_proven,
+        "solver": solution.certificate.solver,
+        "cost": cost_eur(problem.limits, solution.pose_index),
+        "stages": [asdict(stage) for stage in solution.certificate.stages],
+        "columns": problem.table.n_poses,
+        "rows": problem.table.axis.n_frames,
+        "presolve_effect": str(solution.presolve),
+    }
+
+
+def window_text(summary: dict[str, Any]) -> str:
+    """What :func:`run_solve_windows` found, for a terminal."""
+    lines = [f"{summary['file']}: {summary['goal']} layout, fusion {summary['fusion']}"]
+    for stage in summary["stages"]:
+        is_share = stage["name"].startswith("apr")
+        objective, bound = (
+            percent(stage[key]) if is_share else f"{stage[key]:.6g}"
+            for key in ("objective", "bound")
+        )
+        proof = "proven" if stage["gap"] == 0.0 else f"bound {bound}"
+        lines.append(f"  {stage['name']:<18}{objective:>12}  {proof}")
+    lines += [f"  chosen            {name}" for name in summary["chosen_names"]]
+    lines += [
+        f"  presolve          {summary['presolve_effect']}",
+        f"  solver            {summary['solver']}; {summary['seconds']:.2f} s",
+    ]
+    return "\n".join(lines)
+
+
+def _asked(
+    problem: PlacementProblem,
+    budget_units: int | None,
+    budget_cost: float | None,
+    target: float | None,
+) -> PlacementProblem:
+    """The problem with the question of the command line in place of its own."""
+    if budget_units is not None or budget_cost is not None:
+        limits = replace(problem.limits, budget_units=budget_units, budget_eur=budget_cost)
+        problem = replace(problem, limits=limits, goal="best", floors=())
+    if target is None:
+        return problem
+    usable = np.flatnonzero(~problem.limits.is_forbidden).tolist()
+    share = min(apr(problem, usable), 1.0) if target == np.inf else target
+    if not 0.0 <= share <= 1.0:
+        raise InputError("--target", target, "max, or a share of the runs, 0 to 1")
+    limits = replace(problem.limits, budget_units=None, budget_eur=None)
+    floor = Floor(name="--target", share=share)
+    return replace(problem, limits=limits, goal="fewest", floors=(floor,))

@@ -1,0 +1,149 @@
+"""What ``place-rsus verify`` does: a folder of results, checked without the optimiser."""
+
+import json
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from geometry.errors import InputError, Unquoted
+from placement.layout import layout_records, load_layout
+from placement.verification.certificates import CERTIFICATE_FILE, INSTANCE_FILE, load_certificate
+from placement.verification.instances import load_problem
+from placement.verification.verify import verify_certificate
+
+from ..progress import StageProgress
+from ..results.writing import MARKER
+
+# ---------- what ``place-rsus verify`` does: a folder of results, checked without the optimiser
+
+
+LAYOUT_FILE = "layout.json"
+
+
+def run_verification(folder: Path, *, progress: StageProgress) -> dict[str, Any]:
+    """Check the certificate in a result folder against the instance and the layout beside it.
+
+    Parameters
+    ----------
+    folder : Path
+        As an optimisation has written it.
+    progress : StageProgress
+        Is told the stages.
+
+    Returns
+    -------
+    summary : dict
+        ``{"folder", "is_verified", "checks": [{"name", "passed", "detail"}], "stages": [{"name",
+        "objective", "bound", "gap", "claims_optimum", "is_proven_again", "reason"}], "solver",
+        "not_checked": [..], "seconds"}``; of a stage whose proof could not be looked at, the last
+        three are missing.
+
+    Raises
+    ------
+    InputError
+        There is no such folder, or a file in it is missing, damaged or no such file at all.
+    """
+    if not folder.is_dir():
+        raise InputError(str(folder), Unquoted("no folder"), "a folder with results")
+    progress("read", 0, 0)
+    stored = load_certificate(folder / CERTIFICATE_FILE)
+    problem = load_problem(folder / INSTANCE_FILE)
+    found = verify_certificate(
+        problem,
+        stored,
+        _shown_units(folder),
+        on_stage=lambda stage: progress(stage, 0, 0),
+    )
+    proofs = {proof.name: proof._asdict() for proof in found.proofs}
+    return {
+        "folder": str(folder),
+        "is_verified": found.passed,
+        "checks": [check._asdict() for check in found.checks],
+        "stages": [
+            {
+                **{key: value for key, value in asdict(stage).items() if key != "seconds"},
+                **proofs.get(stage.name, {}),
+            }
+            for stage in stored.stages
+        ],
+        "solver": stored.solver,
+        "not_checked": [
+            "whether the detection table is right: the evaluator's disagreement with it is in "
+            "the report",
+            *(
+                f"that no layout is better in {proof.name}: this rests on {stored.solver}"
+                for proof in found.proofs
+                if proof.claims_optimum and proof.reason == stored.solver
+            ),
+        ],
+        "seconds": progress.finish(),
+    }
+
+
+def _shown_units(folder: Path) -> Sequence[Mapping[str, Any]]:
+    """Units of the layout file; of a recording, whose units have no poses, of its summary."""
+    if not (folder / LAYOUT_FILE).exists():
+        units = _recorded_units(folder / MARKER)
+        if units is not None:
+            return units
+    return layout_records(load_layout(folder / LAYOUT_FILE))
+
+
+def _recorded_units(path: Path) -> Sequence[Mapping[str, Any]] | None:
+    """Units in a recording's summary; None if it is no such thing."""
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        units = summary["layout"] if "recording" in summary else None
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return None
+    if not isinstance(units, list) or not all(isinstance(unit, dict) for unit in units):
+        return None
+    return units
+
+
+# ---------- A verification as plain text for a terminal, at most 80 columns wide
+
+
+_WIDTH = 80
+
+
+def verification_table(summary: dict[str, Any]) -> str:
+    """A line per check, then what was proven again and what was not.
+
+    Parameters
+    ----------
+    summary : dict
+        Of :func:`experiments.jobs.verify.run_verification`.
+    """
+    checks = summary["checks"]
+    n_failed = sum(not check["passed"] for check in checks)
+    lines = [f"Checked {summary['folder']}:"]
+    for check in checks:
+        verdict = "OK" if check["passed"] else "FAILED"
+        lines += _wrapped(f"{verdict:<6} {check['name']}: {check['detail']}", indent=9)
+    again = [stage for stage in summary["stages"] if stage.get("is_proven_again")]
+    if again:
+        lines += ["", "Proven again, without a solver:"]
+        for stage in again:
+            lines += _wrapped(f"{stage['name']}: {stage['reason']}", indent=4)
+    open_stages = [stage["name"] for stage in summary["stages"] if stage["gap"] != 0.0]
+    if open_stages:
+        lines += ["", *textwrap.wrap(f"Not claimed to be best: {', '.join(open_stages)}.", _WIDTH)]
+    lines += ["", "Not checked here:"]
+    for words in summary["not_checked"]:
+        lines += _wrapped(words, indent=4)
+    end = f"{n_failed} FAILED" if n_failed else "all OK"
+    lines += ["", f"{len(checks)} checks: {end}."]
+    return "\n".join(lines)
+
+
+def _wrapped(text: str, *, indent: int) -> list[str]:
+    return textwrap.wrap(
+        text,
+        _WIDTH,
+        initial_indent="  ",
+        subsequent_indent=" " * indent,
+        break_on_hyphens=False,
+    )

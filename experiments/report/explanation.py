@@ -1,0 +1,643 @@
+"""Why these poses, what they miss, what else would do: as tables, and in short for a terminal."""
+
+import math
+import textwrap
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from placement.candidates import CandidatePose
+from placement.explain import (
+    Contribution,
+    Pool,
+    Reason,
+    Rescue,
+    Unavoided,
+    find_contributions,
+    find_pool,
+    find_unavoided,
+)
+from placement.explain.pool import sites_in_order
+from placement.optimiser import PlacementProblem
+from placement.pipeline import Placement
+from placement.setting import Setting
+
+from ..results.text import percent
+from .answer import NOTHING, STAGES, count_runs, number
+
+# ---------- why these poses, what they miss, what else would do: in sentences
+
+
+OUTCOMES: Mapping[str, str] = {
+    "hopeless": "too short for any unit",
+    "never seen": "never seen",
+    "never confirmed": "seen, but never long enough",
+    "too late": "confirmed too late",
+}
+"""What became of a run that is not avoided, in words."""
+
+_CAUSES = {
+    "out of view": "out of view",
+    "cut off": "cut off by the edge of the view",
+    "too dark": "too little contrast in light and weather",
+    "too far": "too small or too thin at that distance",
+    "otherwise": "not detected on the table",
+}
+
+
+def contribution_sentences(explained: Mapping[str, Any]) -> list[str]:
+    """Which units something hangs on, in sentences.
+
+    Parameters
+    ----------
+    explained : mapping
+        By :func:`.summarise_explanations`.
+    """
+    parts = explained["contributions"]
+    if is_nothing_avoided(parts):
+        return [f"{'This unit avoids' if len(parts) == 1 else 'These units avoid'} nothing."]
+    if len(parts) == 1:
+        return ["Everything that is avoided hangs on this one unit."]
+    needed = [part for part in parts if part["only_runs"]]
+    if not needed:
+        others = "the other avoids" if len(parts) == 2 else "the others avoid"
+        return [
+            f"No run hangs on a single unit: whichever fails, {others} all that they avoid "
+            "together. What each unit adds is time."
+        ]
+    if len(needed) == len(parts):
+        return ["Each unit saves runs that no other one saves."]
+    verb = "saves" if len(needed) == 1 else "save"
+    return [f"Of {len(parts)} units, {len(needed)} {verb} runs that no other one saves."]
+
+
+def is_nothing_avoided(parts: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether units avoid nothing together."""
+    return all(part["without"]["apr"] + part["marginal_apr"] <= 0.0 for part in parts)
+
+
+def missed_sentences(explained: Mapping[str, Any]) -> list[str]:
+    """How many runs are not avoided, and what is most often in the way.
+
+    Parameters
+    ----------
+    explained : mapping
+        By :func:`.summarise_explanations`.
+    """
+    return [*missed_counts(explained), *_causes_and_remedies(explained["not_avoided"])]
+
+
+def missed_counts(explained: Mapping[str, Any], *, with_outcomes: bool = True) -> list[str]:
+    """How many runs are not avoided, and how many are left out.
+
+    Parameters
+    ----------
+    explained : mapping
+        By :func:`.summarise_explanations`.
+    with_outcomes : bool
+        Say what became of them, too.
+    """
+    missed, n_without = explained["not_avoided"], explained["runs_without_weight"]
+    which = "every run that counts" if n_without else "every run"
+    sentences = [f"On the detection table, {which} is avoided."]
+    if missed:
+        verb = "is" if len(missed) == 1 else "are"
+        outcomes = f": {_outcomes(missed)}" if with_outcomes else ""
+        sentences = [
+            f"On the detection table, {count_runs(len(missed))} {verb} not avoided{outcomes}."
+        ]
+    if n_without:
+        sentences.append(f"Left out: {count_runs(n_without)} of weight 0.")
+    return sentences
+
+
+def _outcomes(missed: Sequence[Mapping[str, Any]]) -> str:
+    counts = Counter(entry["outcome"] for entry in missed)
+    if len(counts) == 1:
+        words = OUTCOMES[missed[0]["outcome"]]
+        return words if len(missed) == 1 else f"all {words}"
+    return ", ".join(f"{count} {OUTCOMES[outcome]}" for outcome, count in counts.most_common())
+
+
+def _causes_and_remedies(missed: Sequence[Mapping[str, Any]]) -> list[str]:
+    sentences = []
+    causes = Counter(cause(entry["reasons"][0]) for entry in missed if entry["reasons"])
+    if causes:
+        words, n_runs = causes.most_common(1)[0]
+        if len(missed) == 1:
+            sentences.append(f"The main cause: {words}.")
+        elif len(causes) == 1 or n_runs > 1:  # else each run has a cause of its own
+            sentences.append(f"The most frequent cause: {words}, in {count_runs(n_runs)}.")
+    n_saved = sum(entry["rescue"] is not None for entry in missed)
+    if n_saved:
+        which = f"{count_runs(n_saved)} could{' each' if n_saved > 1 else ''}"
+        if len(missed) == 1:
+            which = "It could"
+        elif n_saved == len(missed):
+            which = "Each of them could"
+        sentences.append(f"{which} be saved by a further unit.")
+    return sentences
+
+
+def cause(reason: Mapping[str, Any]) -> str:
+    """Why a unit does not detect the road user, in words.
+
+    Parameters
+    ----------
+    reason : mapping
+        ``{"cause", "thing", "frames"}`` of :func:`.summarise_explanations`.
+    """
+    if reason["cause"] == "hidden":
+        return f"hidden by {reason['thing']}"
+    return _CAUSES[reason["cause"]]
+
+
+def pool_sentences(explained: Mapping[str, Any]) -> list[str]:
+    """How much there is to choose from; nothing where nobody has looked.
+
+    Parameters
+    ----------
+    explained : mapping
+        By :func:`.summarise_explanations`.
+    """
+    pool = explained["pool"]
+    if pool is None:
+        return []
+    stage, within = STAGES.get(pool["stage"], pool["stage"]), pool["within"]
+    worth = f"the best {stage}"
+    if pool["tolerance"]:
+        worth += f", or up to {percent(pool['tolerance'])} of the runs less"
+        if pool["stage"] in ("units", "cost_eur"):
+            worth = f"the least {stage}, or up to {percent(pool['tolerance'])} more"
+    elif pool["stage"] in ("units", "cost_eur"):
+        worth = f"the least {stage}"
+    if not pool["is_complete"]:
+        return [
+            f"Found by exchanging units one for one: {count_layouts(within)} with {worth}. There "
+            "may be more, and better ones among them in what comes after."
+        ]
+    sentences = [f"All choices were gone through: {count_layouts(within)} with {worth}."]
+    if within > len(pool["sets"]):
+        sentences.append(_listed(len(pool["sets"])))
+    always = [site["site"] for site in pool["sites"] if site["share"] == 1.0]
+    if always and within > 1:
+        sentences.append(f"Each of them has a unit at {', '.join(always)}.")
+    return sentences
+
+
+def _listed(count: int) -> str:
+    return "The best one is listed." if count == 1 else f"The {count} best of them are listed."
+
+
+def count_layouts(count: int) -> str:
+    """'1 layout', '1,234 layouts' and so on."""
+    return "1 layout" if count == 1 else f"{count:,} layouts"
+
+
+# ---------- why these poses
+
+
+_WIDTH = 80
+_MAX_RUNS, _MAX_MISSED, _MAX_SETS, _MAX_SITES = 3, 8, 5, 8
+_MAX_REASONS = 2
+
+# ---------------------------------------------------------------- why these
+
+
+def contribution_table(
+    explained: Mapping[str, Any], labels: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """What each unit is there for: a row each.
+
+    Parameters
+    ----------
+    explained : mapping
+        By :func:`.summarise_explanations`.
+    labels : mapping of str to str, optional
+        Short names of the units, by id.
+
+    Returns
+    -------
+    table : dict
+        Caption, columns and rows.
+    """
+    return {
+        "caption": "What each unit is there for, on the detection table",
+        "columns": [
+            "unit",
+            "runs that only it saves",
+            "APR it adds",
+            "APR without it",
+            "smallest time to spare without it (s)",
+            "mean time to spare without it (s)",
+            "later without it, mean (s)",
+            "later, at most (s)",
+            "its part in first confirmations",
+        ],
+        "rows": [
+            [
+                (labels or {}).get(part["unit"], part["unit"]),
+                str(len(part["only_runs"])),
+                percent(part["marginal_apr"]),
+                percent(part["without"]["apr"]),
+                _of_others(part, part["without"]["smallest_margin_s"]),
+                _of_others(part, part["without"]["mean_margin_s"]),
+                _of_others(part, part["mean_delay_s"]),
+                _of_others(part, part["max_delay_s"]),
+                percent(part["first_share"]),
+            ]
+            for part in explained["contributions"]
+        ],
+    }
+
+
+def _of_others(part: Mapping[str, Any], value_s: float) -> str:
+    """A time of what the others avoid; there is none where they avoid nothing."""
+    return number(value_s) if part["without"]["apr"] > 0.0 else NOTHING
+
+
+# ---------------------------------------------------------------- what they miss
+
+
+def missed_table(explained: Mapping[str, Any]) -> dict[str, Any]:
+    """Runs that are not avoided, why, and what would save them: a row each.
+
+    Parameters
+    ----------
+    explained : mapping
+        By :func:`.summarise_explanations`.
+
+    Returns
+    -------
+    table : dict
+        Caption, columns and rows.
+    """
+    return {
+        "caption": "Runs that are not avoided, on the detection table",
+        "columns": ["run", "outcome", "why", "nearest further unit that would save it"],
+        "rows": [
+            [entry["run"], _outcome(entry), _why(entry), _rescue(entry)]
+            for entry in explained["not_avoided"]
+        ],
+    }
+
+
+def _outcome(entry: Mapping[str, Any]) -> str:
+    words: str = OUTCOMES[entry["outcome"]]
+    if entry["outcome"] != "too late":
+        return words
+    return f"{words}, by {number(entry['late_s'])} s"
+
+
+def _why(entry: Mapping[str, Any]) -> str:
+    if entry["outcome"] == "hopeless":
+        return "the road user is there too late for any confirmation in time"
+    reasons = "; ".join(
+        f"{cause(reason)} in {reason['frames']} of {entry['frames_in_time']} frames"
+        for reason in entry["reasons"][:_MAX_REASONS]
+    )
+    return f"for {entry['unit']}: {reasons}" if reasons else "seen, but with gaps"
+
+
+def _rescue(entry: Mapping[str, Any]) -> str:
+    rescue = entry["rescue"]
+    if rescue is None:
+        return NOTHING
+    away = rescue["distance_m"]
+    where = "at the same mount" if away == 0.0 else f"{number(away, 1)} m away"
+    return f"{rescue['unit']}, {where}, {number(rescue['margin_s'])} s to spare"
+
+
+# ---------------------------------------------------------------- what else would do
+
+
+def pool_table(explained: Mapping[str, Any]) -> dict[str, Any]:
+    """Layouts that are as good, or nearly: a row each, the best first.
+
+    Parameters
+    ----------
+    explained : mapping
+        By :func:`.summarise_explanations`; its pool is there.
+
+    Returns
+    -------
+    table : dict
+        Caption, columns and rows.
+    """
+    return {
+        "caption": "Layouts as good, the best first",
+        "columns": [
+            "layout",
+            "APR",
+            "if the most needed unit fails",
+            "smallest time to spare (s)",
+            "mean time to spare (s)",
+            "cost (EUR)",
+        ],
+        "rows": [
+            [
+                " + ".join(entry["units"]),
+                percent(entry["apr"]),
+                percent(entry["apr_one_failed"]),
+                number(entry["smallest_margin_s"]),
+                number(entry["mean_margin_s"]),
+                f"{entry['cost_eur']:,.0f}",
+            ]
+            for entry in explained["pool"]["sets"]
+        ],
+    }
+
+
+def site_table(explained: Mapping[str, Any]) -> dict[str, Any]:
+    """How often each site appears in the layouts that are as good: a row each."""
+    pool = explained["pool"]
+    whole = "all " if pool["is_complete"] else "the listed "
+    if pool["within"] == 1:
+        whole = ""
+    layouts = f"{whole}{count_layouts(pool['within'])}"
+    return {
+        "caption": f"How often each site carries a unit, of {layouts}",
+        "columns": ["site", "share of the layouts"],
+        "rows": [[site["site"], percent(site["share"])] for site in pool["sites"]],
+    }
+
+
+# ---------------------------------------------------------------- for a terminal
+
+
+def explanation_text(explained: Mapping[str, Any]) -> str:
+    """All of it in short, at most 80 columns wide.
+
+    Parameters
+    ----------
+    explained : mapping
+        By :func:`.summarise_explanations`.
+    """
+    parts = explained["contributions"]
+    these = "this unit" if len(parts) == 1 else "these units"
+    lines = [f"Why {these}, on the detection table:"]
+    if is_nothing_avoided(parts):
+        lines += _wrapped(" ".join(contribution_sentences(explained)))
+    else:
+        for part in parts:
+            lines += _wrapped(_in_short(part, n_units=len(parts)))
+    groups = _alike(explained["not_avoided"])
+    told = missed_sentences(explained)
+    if len(groups) == 1:  # the line about them says it all: once is enough
+        told = missed_counts(explained, with_outcomes=False)
+    lines += _wrapped(" ".join(told), indent="")
+    for group in groups[:_MAX_MISSED]:
+        lines += _wrapped(_missed_in_short(group))
+    lines += _and_more(sum(map(len, groups[_MAX_MISSED:])))
+    if explained["pool"] is not None:
+        lines += ["", *_wrapped(" ".join(pool_sentences(explained)), indent="")]
+        sets = explained["pool"]["sets"]
+        for entry in sets[:_MAX_SETS]:
+            lines += _wrapped(
+                f"{' + '.join(entry['units'])}: APR {percent(entry['apr'])}, if one fails "
+                f"{percent(entry['apr_one_failed'])}, {entry['smallest_margin_s']:.2f} s to spare"
+            )
+        lines += _and_more(len(sets) - _MAX_SETS)
+        sites = ", ".join(
+            f"{site['site']} {percent(site['share'])}"
+            for site in explained["pool"]["sites"][:_MAX_SITES]
+        )
+        lines += _wrapped(f"sites: {sites}")
+    return "\n".join(lines)
+
+
+def _alike(missed: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]]:
+    """Runs that have the same said of them, but for numbers; the largest group first."""
+    groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
+    for entry in missed:
+        because = cause(entry["reasons"][0]) if entry["reasons"] else ""
+        rescue = entry["rescue"]["unit"] if entry["rescue"] else ""
+        groups.setdefault((entry["outcome"], entry["unit"], because, rescue), []).append(entry)
+    return sorted(groups.values(), key=len, reverse=True)
+
+
+def _missed_in_short(group: Sequence[Mapping[str, Any]]) -> str:
+    first = group[0]
+    runs = _first_runs([entry["run"] for entry in group])
+    words = f"{runs}: {OUTCOMES[first['outcome']]}"
+    if first["reasons"]:
+        words += f"; for {first['unit']} {cause(first['reasons'][0])}"
+    rescue = first["rescue"]
+    return words if rescue is None else f"{words}; would be saved by {rescue['unit']}"
+
+
+def _first_runs(runs: Sequence[str]) -> str:
+    listed = ", ".join(runs[:_MAX_RUNS])
+    left = len(runs) - _MAX_RUNS
+    return f"{listed} and {left} more" if left > 0 else listed
+
+
+def _in_short(part: Mapping[str, Any], *, n_units: int) -> str:
+    unit, runs = part["unit"], part["only_runs"]
+    saved = f"{count_runs(len(runs))} ({_first_runs(runs)})"
+    if n_units == 1:
+        return f"{unit}: saves {saved}, an APR of {percent(part['marginal_apr'])}"
+    words = f"{unit}: no run hangs on it alone"
+    if runs:
+        points = number(100.0 * part["marginal_apr"], 1)
+        words = f"{unit}: only it saves {saved}, {points} points of the APR"
+    if part["without"]["apr"] == 0.0:
+        return words
+    what = "the other saves" if n_units == 2 else "the others save"
+    delay = number(part["mean_delay_s"])
+    when = "as early" if delay == number(0.0) else f"{delay} s later on average"
+    return f"{words}; without it what {what} is confirmed {when}"
+
+
+def _wrapped(text: str, indent: str = "  ") -> list[str]:
+    return textwrap.wrap(
+        text,
+        _WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + "  " if indent else "",
+        break_on_hyphens=False,
+    )
+
+
+def _and_more(count: int) -> list[str]:
+    return [f"  and {count} more in summary.json"] if count > 0 else []
+
+
+def report_part(
+    explained: Mapping[str, Any] | None, labels: Mapping[str, str]
+) -> dict[str, Any] | None:
+    """What ``templates/explanations.html.j2`` shows.
+
+    Parameters
+    ----------
+    explained : mapping or None
+        By :func:`.summarise_explanations`; None: nothing is explained.
+    labels : mapping of str to str
+        Short names of the layout's units, by id.
+    """
+    if explained is None:
+        return None
+    has_pool = explained["pool"] is not None
+    return {
+        "why": contribution_sentences(explained),
+        "contributions": contribution_table(explained, labels),
+        "missed_text": missed_sentences(explained),
+        "missed": missed_table(explained),
+        "missed_summary": _missed_summary(len(explained["not_avoided"])),
+        "pool_text": pool_sentences(explained),
+        "pool": pool_table(explained) if has_pool else None,
+        "sites": site_table(explained) if has_pool else None,
+    }
+
+
+def _missed_summary(n_runs: int) -> str:
+    return f"{count_runs(n_runs)}: why, and what would save {'it' if n_runs == 1 else 'them'}"
+
+
+# ---------- why these poses, what they miss, what else would do: as one plain object
+
+
+def summarise_explanations(
+    placement: Placement,
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    *,
+    n_pool: int = 0,
+    tolerance: float = 0.0,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """What a placement rests on.
+
+    Parameters
+    ----------
+    placement : Placement
+        What the optimiser found, refined or not.
+    setting : Setting
+        What it was found in.
+    candidates : sequence of CandidatePose
+        Rows of the placement's table: a refinement's own, if there was one.
+    n_pool : int
+        How many other layouts to list; 0: none are looked for.
+    tolerance : float
+        See :func:`placement.explain.find_pool`.
+    seed : int
+        Of the points on the VRUs: that of the table.
+
+    Returns
+    -------
+    summary : dict
+        Ready for JSON; "unit" is one of the layout's, in pool and "rescue" a candidate; ratios
+        are 0 .. 1. ``{"contributions": [{"unit", "only_runs": [id],
+        "marginal_apr", "first_share", "mean_delay_s", "max_delay_s", "without": {..}}],
+        "not_avoided": [{"run", "outcome", "late_s", "frames_in_time", "frames_seen", "unit",
+        "reasons": [{"cause", "thing", "frames"}], "rescue": {"unit", "site", "distance_m",
+        "margin_s"} or None}], "runs_without_weight": n, "pool": {"stage", "tolerance",
+        "is_complete", "within", "sets": [{"units": [id], "objective", "apr", ..}], "sites":
+        [{"site", "share"}], "poses": [{"unit", "share"}]} or None}``. Runs that are not avoided are
+        those of the world as planned; where worlds were sampled, nobody looks for what would save
+        them. Runs of weight 0 are in no list, since no ratio knows them; "runs_without_weight" says
+        how many they are. "late_s" is None where braking never sets in.
+    """
+    problem, chosen = placement.problem, placement.pose_index
+    names = {
+        problem.table.pose_ids[pose]: unit.id
+        for pose, unit in zip(chosen, placement.layout.units, strict=True)
+    }
+    contributions = find_contributions(problem, chosen)
+    if placement.nominal is problem:
+        missed = find_unavoided(setting, problem, candidates, chosen, seed=seed)
+    else:
+        missed = find_unavoided(
+            setting,
+            placement.nominal,
+            [candidates[pose] for pose in chosen],
+            placement.nominal_index,
+            seed=seed,
+        )
+    pool = None
+    if n_pool:
+        pool = find_pool(problem, chosen, n_sets=n_pool, tolerance=tolerance)
+    return {
+        "contributions": [_contribution_record(problem, part, names) for part in contributions],
+        "not_avoided": [_missed_record(entry, names) for entry in missed],
+        "runs_without_weight": int((placement.nominal.table.axis.weight == 0.0).sum()),
+        "pool": None if pool is None else _pool_record(problem, candidates, pool),
+    }
+
+
+def _contribution_record(
+    problem: PlacementProblem, part: Contribution, names: Mapping[str, str]
+) -> dict[str, Any]:
+    table = problem.table
+    return {
+        "unit": names[table.pose_ids[part.pose_index]],
+        "only_runs": [table.axis.run_ids[run] for run in part.only_runs.tolist()],
+        "marginal_apr": part.marginal_apr,
+        "first_share": part.first_share,
+        "mean_delay_s": part.mean_delay_s,
+        "max_delay_s": part.max_delay_s,
+        "without": part.without._asdict(),
+    }
+
+
+def _missed_record(entry: Unavoided, names: Mapping[str, str]) -> dict[str, Any]:
+    return {
+        "run": entry.run_id,
+        "outcome": entry.outcome,
+        "late_s": entry.late_s if math.isfinite(entry.late_s) else None,
+        "frames_in_time": entry.n_frames,
+        "frames_seen": entry.n_seen,
+        "unit": names.get(entry.unit_id, entry.unit_id),
+        "reasons": [_reason_record(reason) for reason in entry.reasons],
+        "rescue": None if entry.rescue is None else _rescue_record(entry.rescue),
+    }
+
+
+def _reason_record(reason: Reason) -> dict[str, Any]:
+    return {"cause": reason.cause, "thing": reason.thing, "frames": reason.n_frames}
+
+
+def _rescue_record(rescue: Rescue) -> dict[str, Any]:
+    return {
+        "unit": rescue.pose_id,
+        "site": rescue.site_id,
+        "distance_m": rescue.distance_m,
+        "margin_s": rescue.margin_s,
+    }
+
+
+def _pool_record(
+    problem: PlacementProblem, candidates: Sequence[CandidatePose], pool: Pool
+) -> dict[str, Any]:
+    ids = problem.table.pose_ids
+    sites = problem.limits.site_index
+    names = {
+        int(site): candidate.site_id or candidate.id
+        for site, candidate in zip(sites, candidates, strict=True)
+    }
+    frequent = np.argsort(-pool.pose_share, kind="stable")
+    return {
+        "stage": pool.stage,
+        "tolerance": pool.tolerance,
+        "is_complete": pool.scope == "all",
+        "within": pool.n_within,
+        "sets": [
+            {
+                "units": [ids[pose] for pose in entry.pose_index],
+                "objective": entry.objective,
+                **entry.value._asdict(),
+            }
+            for entry in pool.sets
+        ],
+        "sites": [
+            {"site": names[site], "share": float(pool.site_share[site])}
+            for site in sites_in_order(pool).tolist()
+        ],
+        "poses": [
+            {"unit": ids[pose], "share": float(pool.pose_share[pose])}
+            for pose in frequent.tolist()
+            if pool.pose_share[pose] > 0.0
+        ],
+    }

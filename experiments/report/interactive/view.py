@@ -1,0 +1,336 @@
+"""The scene in three dimensions, as traces for plotly.js."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from geometry.arrays import FloatArray, IntArray
+from geometry.catalogue import sensor_kind
+from geometry.scene import Scene
+from placement.candidates import CandidatePose
+from placement.layout import Layout
+
+from ...figures.evaluation import unit_labels
+from ...figures.plan import CLASS_STYLES
+from .records import (
+    COLOURS,
+    RANGE_M,
+    describe_unit,
+    field_lines,
+    lane_area,
+    road_area,
+    to_plotly_array,
+)
+
+MAX_TRIANGLES = 60_000
+_COLOURS = {"ground": "#ebe8e0", "lamp post": "#40404d"} | {
+    name: str(style["facecolor"]) for name, style in CLASS_STYLES.items()
+}
+_ROAD_COLOUR = "#b5b5b8"
+_ROAD_LIFT_M, _LINE_LIFT_M = 0.04, 0.08  # above the ground, so that neither flickers
+_WALL_SHADE, _SIDE_SHADE = 0.2, 0.4
+_LIT_SIDE = np.array([0.9, 0.44])
+_LEAST_HALF_M, _MOST_HALF_M = 40.0, 90.0
+_LEAST_TOP_M, _MOST_TOP_M = 16.25, 60.25  # not just a roof's height, which would flicker
+_MAX_LABELS = 40  # of more units, the key switches fields of view on
+_DASHES_M: tuple[tuple[float, ...], ...] = ((), (1.6, 1.0), (1.8, 0.6, 0.4, 0.6), (0.4, 0.6))
+_LABEL_PLACES = ("top left", "top right", "bottom left", "bottom right")  # units share poles
+_MAX_STYLES = 12  # of units: as many pairs of colour and dash as there are
+
+
+def view_record(scene: Scene, layout: Layout, others: Sequence[Layout] = ()) -> dict[str, Any]:
+    """Traces and layout of the 3-D view.
+
+    Parameters
+    ----------
+    scene : Scene
+        What stands there.
+    layout : Layout
+        Units with fields of view.
+    others : sequence of Layout
+        Units as small open marks.
+
+    Returns
+    -------
+    record : dict
+        "traces" for plotly.js; a mesh's "names" and "nameIndex" (of each vertex) are for the
+        script, which makes hover texts of them. "middle" and "half" of the part that is shown and
+        its "top". [m] "note": what is left out, or an empty text.
+    """
+    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    kept = nearest_triangles(scene, middle, MAX_TRIANGLES)
+    units_m = np.array([unit.pose.position_m for unit in layout.units])
+    reach = np.abs(np.concatenate([scene.outline_m, units_m[:, :2]]) - middle).max() + 15.0
+    half = float(np.clip(reach, _LEAST_HALF_M, _MOST_HALF_M))
+    n_left_out = len(scene.triangles) - len(kept)
+    return {
+        "traces": [
+            *_meshes(scene, kept),
+            _road(scene),
+            _lane_lines(scene),
+            *_fields_of_view(layout.units),
+            *_sensors(layout),
+            *(_other_sensors(other) for other in others),
+        ],
+        "middle": np.round(middle, 2).tolist(),
+        "half": round(half, 2),
+        "top": round(_top_m(scene, kept, units_m, middle, half), 2),
+        "note": f"{n_left_out} of the scene's {len(scene.triangles)} triangles, those farthest "
+        "from the junction, are left out here."
+        if n_left_out
+        else "",
+    }
+
+
+def unmarked(text: str) -> str:
+    """A text in which plotly.js finds no markup: it reads what is in angle brackets as such."""
+    return text.replace("<", "\N{SINGLE LEFT-POINTING ANGLE QUOTATION MARK}").replace(
+        ">", "\N{SINGLE RIGHT-POINTING ANGLE QUOTATION MARK}"
+    )
+
+
+def _top_m(
+    scene: Scene, kept: IntArray, units_m: FloatArray, middle_m: FloatArray, half_m: float
+) -> float:
+    """Above everything that is shown, but for towers."""
+    vertices = scene.vertices_m[np.unique(scene.triangles[kept])]
+    is_near = (np.abs(vertices[:, :2] - middle_m) <= half_m).all(axis=1)
+    heights_m = np.concatenate([units_m[:, 2] + 2.5, vertices[is_near, 2]])
+    return float(np.clip(heights_m.max() + 1.5, _LEAST_TOP_M, _MOST_TOP_M))
+
+
+def nearest_triangles(scene: Scene, middle_m: FloatArray, max_triangles: int) -> IntArray:
+    """Triangles nearest to a point, in ascending order of their index.
+
+    Parameters
+    ----------
+    scene : Scene
+        Whose.
+    middle_m : (2,) float
+        The point. World frame. [m]
+    max_triangles : int
+        At most so many; how far a triangle is, is told by the box around it.
+
+    Returns
+    -------
+    index : (n,) int
+        Into ``scene.triangles``.
+    """
+    n_triangles = len(scene.triangles)
+    if n_triangles <= max_triangles:
+        return np.arange(n_triangles)
+    corners = scene.vertices_m[scene.triangles][..., :2] - middle_m
+    outside = np.maximum(np.maximum(corners.min(axis=1), -corners.max(axis=1)), 0.0)
+    nearest = np.argsort(np.hypot(*outside.T), kind="stable")[:max_triangles]
+    kept: IntArray = np.sort(nearest)
+    return kept
+
+
+def _meshes(scene: Scene, kept: IntArray) -> list[dict[str, Any]]:
+    """A mesh per class."""
+    classes = np.array([thing.class_name for thing in scene.instances])
+    traces = []
+    for name, colour in _COLOURS.items():
+        index = kept[classes[scene.triangle_instance[kept]] == name]
+        if not len(index):
+            continue
+        # A vertex of two things becomes two, so that each has one name.
+        things = np.repeat(scene.triangle_instance[index], 3).astype(np.int64)
+        keys = scene.triangles[index].reshape(-1) * len(classes) + things
+        unique, corner = np.unique(keys, return_inverse=True)
+        shown, name_index = np.unique(unique % len(classes), return_inverse=True)
+        trace = _mesh(name, colour, scene.vertices_m[unique // len(classes)], corner.reshape(-1, 3))
+        trace["names"] = [unmarked(f"{name} {scene.instances[thing].id}") for thing in shown]
+        trace["nameIndex"] = name_index.tolist()
+        traces.append(trace)
+    return traces
+
+
+def _mesh(name: str, colour: str, vertices_m: FloatArray, triangles: IntArray) -> dict[str, Any]:
+    kind = "u2" if len(vertices_m) < 1 << 16 else "u4"
+    return {
+        "type": "mesh3d",
+        "name": name,
+        "color": colour,
+        # Own shades: plotly.js lights two halves of one flat roof differently.
+        "intensity": to_plotly_array(np.rint(255.0 * _shades(vertices_m[triangles])), "u1"),
+        "intensitymode": "cell",
+        "cmin": 0,
+        "cmax": 255,
+        "colorscale": [[0, _darker(colour)], [1, colour]],
+        "showscale": False,
+        "lighting": {"ambient": 1, "diffuse": 0, "specular": 0, "fresnel": 0},
+        "showlegend": True,
+        **{
+            axis: to_plotly_array(np.round(vertices_m[:, column], 2), "f4")
+            for column, axis in enumerate("xyz")
+        },
+        **{
+            corner: to_plotly_array(triangles[:, column], kind)
+            for column, corner in enumerate("ijk")
+        },
+    }
+
+
+def _shades(corners_m: FloatArray) -> FloatArray:
+    """How bright triangles (n, 3, 3) are, 0 .. 1: flat ones most, walls by where they face.
+
+    Which way a triangle winds does not matter.
+    """
+    normals = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1.0e-12)
+    flat = np.abs(normals[:, 2])
+    shades: FloatArray = _WALL_SHADE + (1.0 - _WALL_SHADE) * flat
+    shades += _SIDE_SHADE * (1.0 - flat) * np.abs(normals[:, :2] @ _LIT_SIDE)
+    return np.clip(shades, 0.0, 1.0)
+
+
+def _darker(colour: str) -> str:
+    parts = [round(0.5 * int(colour[start : start + 2], 16)) for start in (1, 3, 5)]
+    return "#" + "".join(f"{part:02x}" for part in parts)
+
+
+def _road(scene: Scene) -> dict[str, Any]:
+    import shapely
+
+    area = shapely.constrained_delaunay_triangles(road_area(scene).simplify(0.05))
+    corners = [np.asarray(part.exterior.coords)[:3] for part in shapely.get_parts(area)]
+    flat = np.array(corners).reshape(-1, 2)
+    vertices = np.column_stack([flat, np.full(len(flat), _ROAD_LIFT_M)])
+    trace = _mesh("road", _ROAD_COLOUR, vertices, np.arange(len(flat)).reshape(-1, 3))
+    return trace | {"hoverinfo": "skip"}
+
+
+def _lane_lines(scene: Scene) -> dict[str, Any]:
+    lines = [np.asarray(lane_area(lane).exterior.coords) for lane in scene.lanes]
+    lines += [np.vstack([scene.outline_m, scene.outline_m[:1]]), *scene.crosswalks_m]
+    points = [np.column_stack([line, np.full(len(line), _LINE_LIFT_M)]) for line in lines]
+    trace = _lines("lanes and crosswalks", points, colour="#ffffff", width=2)
+    return trace | {"showlegend": False}  # white on white
+
+
+def _lines(name: str, lines: Iterable[FloatArray], *, colour: str, width: float) -> dict[str, Any]:
+    """Lines as one trace; gaps between them are None."""
+    columns: dict[str, list[float | None]] = {"x": [], "y": [], "z": []}
+    for line in lines:
+        for column, values in enumerate(columns.values()):
+            values += [*np.round(line[:, column], 2).tolist(), None]
+    return {
+        "type": "scatter3d",
+        "mode": "lines",
+        "name": name,
+        **columns,
+        "line": {"color": colour, "width": width},
+        "hoverinfo": "skip",
+    }
+
+
+def dashes(line_m: FloatArray, pattern_m: Sequence[float]) -> list[FloatArray]:
+    """Pieces of a line that a dash pattern leaves; plotly.js dashes by the eye's distance.
+
+    Parameters
+    ----------
+    line_m : (n, 3) float
+        Corners. [m]
+    pattern_m : sequence of float
+        Lengths of dash and gap by turns; empty: the whole line. [m]
+
+    Returns
+    -------
+    pieces_m : list of (n, 3) float
+        Corners of each piece. [m]
+    """
+    steps = np.linalg.norm(np.diff(line_m, axis=0), axis=1)
+    along = np.append(0.0, np.cumsum(steps))
+    if not pattern_m or along[-1] <= 0.0:
+        return [line_m]
+    n_repeats = int(along[-1] / sum(pattern_m)) + 1
+    ends = np.append(0.0, np.cumsum(np.tile(pattern_m, n_repeats)))
+    pieces = []
+    for start, end in zip(ends[::2], ends[1::2], strict=False):
+        if start >= along[-1]:
+            break
+        inner = along[(along > start) & (along < end)]
+        places = np.concatenate([[start], inner, [min(end, along[-1])]])
+        pieces.append(np.stack([np.interp(places, along, column) for column in line_m.T], axis=1))
+    return pieces
+
+
+def _fields_of_view(units: Sequence[CandidatePose]) -> list[dict[str, Any]]:
+    """Borders of fields of view: a trace per style, however many units there are."""
+    by_style: dict[int, list[FloatArray]] = {}
+    is_dashed = len(units) <= _MAX_STYLES
+    for index, unit in enumerate(units):
+        lines = field_lines(unit, max_range_m=RANGE_M)
+        by_style.setdefault(index % _MAX_STYLES, []).extend(lines)
+    return [
+        _lines(
+            f"fields of view, up to {RANGE_M:g} m",
+            # Of many units dashes would tell nothing, but make the page long.
+            [
+                piece
+                for line in lines
+                for piece in dashes(line, _DASHES_M[style % len(_DASHES_M)] if is_dashed else ())
+            ],
+            colour=COLOURS[style % len(COLOURS)],
+            width=3,
+        )
+        | {"legendgroup": "fields of view", "showlegend": position == 0}
+        | ({"visible": "legendonly"} if len(units) > _MAX_LABELS else {})
+        for position, (style, lines) in enumerate(by_style.items())
+    ]
+
+
+_SYMBOLS = {"camera": "diamond", "lidar": "square"}
+_KIND_NAMES = {"camera": "camera", "lidar": "LiDAR"}
+
+
+def _sensors(layout: Layout) -> list[dict[str, Any]]:
+    """Points with labels: a trace per kind of sensor."""
+    labels = unit_labels(layout)
+    colours = {unit.id: COLOURS[index % len(COLOURS)] for index, unit in enumerate(layout.units)}
+    traces = []
+    for kind, symbol in _SYMBOLS.items():
+        units = [unit for unit in layout.units if sensor_kind(unit.sensor) == kind]
+        if not units:
+            continue
+        traces.append(
+            _points(units, f"{layout.name}: {_KIND_NAMES[kind]}")
+            | {
+                "mode": "markers+text" if len(layout.units) <= _MAX_LABELS else "markers",
+                "text": [unmarked(labels[unit.id]) for unit in units],
+                "textposition": [
+                    _LABEL_PLACES[index % len(_LABEL_PLACES)] for index in range(len(units))
+                ],
+                "textfont": {"size": 14, "color": "#000000"},
+                "hovertext": [unmarked(describe_unit(labels[unit.id], unit)) for unit in units],
+                "marker": {
+                    "symbol": symbol,
+                    "size": 7,
+                    "color": [colours[unit.id] for unit in units],
+                    "line": {"color": "#000000", "width": 2},
+                },
+            }
+        )
+    return traces
+
+
+def _other_sensors(layout: Layout) -> dict[str, Any]:
+    return _points(layout.units, f"{layout.name}: sensor") | {
+        "mode": "markers",
+        "hovertext": [
+            unmarked(f"{layout.name}, {describe_unit(unit.id, unit)}") for unit in layout.units
+        ],
+        "marker": {"symbol": "circle-open", "size": 5, "color": "#333333"},
+    }
+
+
+def _points(units: Sequence[CandidatePose], name: str) -> dict[str, Any]:
+    positions = np.round([unit.pose.position_m for unit in units], 2)
+    return {
+        "type": "scatter3d",
+        "name": unmarked(name),
+        "hoverinfo": "text",
+        **{axis: positions[:, column].tolist() for column, axis in enumerate("xyz")},
+    }

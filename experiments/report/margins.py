@@ -1,0 +1,531 @@
+"""Margins to the last moment by case, speed and direction, in milliseconds and in metres."""
+
+import math
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from geometry.arrays import BoolArray, FloatArray
+from placement.evaluation import Evaluation, Verdict
+from scenarios.runs import FrameAxis
+
+from ..figures.evaluation import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PINK,
+    SKY,
+    VERMILION,
+    WIDTH_IN,
+    describe_run,
+    literal,
+    new_axes,
+)
+from ..results.tables import (
+    RunGroup,
+    groups_by_case,
+    groups_by_direction,
+    groups_by_speed,
+    margin_s,
+)
+from .answer import NOTHING, count_runs, number
+from .pictures import build_picture
+
+# ---------- strips of margins to the last moment: a mark for each run, in a row for each case
+
+
+MAX_COLUMNS = 4
+"""Panels that fit side by side."""
+
+_DPI = 160
+_MS = 1000.0
+_LINEAR_MS = 500.0  # the scale is linear up to here on both sides of zero, logarithmic beyond
+_TICKS_MS = (-10_000.0, -1000.0, 0.0, 1000.0, 10_000.0)
+_LANE_IN, _LEAST_ROW_IN = 0.095, 0.24
+_TOP_ROWS = 0.7  # for words
+_LABEL_WIDTH = 24
+_COLOURLESS = {"markeredgecolor": "black"}
+# Told apart without colour, too.
+_STYLES = (
+    ("o", BLUE),
+    ("^", VERMILION),
+    ("s", GREEN),
+    ("X", ORANGE),
+    ("D", PINK),
+    ("v", SKY),
+    ("P", "#000000"),
+)
+
+
+def plot_margins(
+    parties: Sequence[tuple[str, Verdict]], axis: FrameAxis, *, axes: Sequence[Axes] | None = None
+) -> tuple[Axes, ...]:
+    """Margins of several parties side by side.
+
+    Parameters
+    ----------
+    parties : sequence of (str, Verdict)
+        Display name and verdict, on the same runs; at least one, at most ``MAX_COLUMNS``.
+    axis : FrameAxis
+        Runs.
+    axes : sequence of Axes, optional
+        One per party, to draw into; by default those of a new figure.
+
+    Returns
+    -------
+    axes : tuple of Axes
+        One per party; see :func:`plot_margin_strip`. All have the same scale.
+    """
+    if axes is None:
+        axes = _build_panels(len(parties), axis)
+    low_ms, high_ms = _limits_ms([verdict for _, verdict in parties], axis)
+    for column, (panel, (name, verdict)) in enumerate(zip(axes, parties, strict=True)):
+        plot_margin_strip(verdict, axis, axes=panel)
+        panel.set_xlim(low_ms, high_ms)
+        counts = axis.weight > 0.0
+        n_avoided, n_runs = int((verdict.is_avoided & counts).sum()), int(counts.sum())
+        panel.set_title(
+            literal(textwrap.fill(name, max(12, 64 // len(parties))))
+            + f"\n{n_avoided} of {n_runs} avoided",
+            fontsize=8,
+        )
+        if column:
+            panel.tick_params(axis="y", labelleft=False)
+    return tuple(axes)
+
+
+def plot_margin_strip(verdict: Verdict, axis: FrameAxis, *, axes: Axes | None = None) -> Axes:
+    """Margins of one party: a mark for each run that counts, in a row for each case.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Whose.
+    axis : FrameAxis
+        Runs.
+    axes : Axes, optional
+        To draw into; by default those of a new figure.
+
+    Returns
+    -------
+    axes : Axes
+        Right of zero: time to spare; left: too late, at the edge: never. A marker and a lane per
+        approach; filled where the run is avoided.
+    """
+    cases, approaches = _words(axis)
+    if axes is None:
+        axes = new_axes(WIDTH_IN, _height_in(axis))
+    low_ms, high_ms = _limits_ms([verdict], axis)
+    margin_ms = _MS * margin_s(verdict, axis)
+    drawn_ms: FloatArray = np.where(np.isfinite(margin_ms), margin_ms, -np.inf)
+    lane = 0.8 / len(approaches)
+    row = np.array([cases.index(case) for case in axis.cases], dtype=np.float64)
+    counts = axis.weight > 0.0
+    axes.set_xscale("symlog", linthresh=_LINEAR_MS, linscale=0.8)
+    axes.set_xlim(low_ms, high_ms)
+    axes.axvspan(-1.0e9, 0.0, facecolor="#e8e8e8", zorder=0)
+    axes.axvline(0.0, color="black", linewidth=1.2, zorder=2)
+    for index, approach in enumerate(approaches):
+        y = row + lane * (index - 0.5 * (len(approaches) - 1))
+        of_approach = np.array([name == approach for name in axis.approaches]) & counts
+        for is_filled in (False, True):
+            mask = of_approach & (verdict.is_avoided == is_filled)
+            never = mask & ~np.isfinite(drawn_ms)
+            axes.plot(drawn_ms[mask & ~never], y[mask & ~never], **_mark(index, is_filled))
+            if never.any():  # at the edge, wherever that is in the end
+                axes.plot(
+                    np.full(int(never.sum()), 0.03),
+                    y[never],
+                    transform=axes.get_yaxis_transform(),
+                    **_mark(index, is_filled),
+                )
+    for between in range(len(cases)):
+        axes.axhline(between - 0.5, color="#bbbbbb", linewidth=0.5, zorder=1)
+    axes.set_ylim(len(cases) - 0.5, -0.5 - _TOP_ROWS)
+    axes.set_yticks(range(len(cases)), [literal(case) for case in cases], fontsize=8)
+    axes.set_xticks(_TICKS_MS, [_thousands(tick) for tick in _TICKS_MS], fontsize=7, rotation=45)
+    axes.set_xticks([], minor=True)
+    axes.tick_params(axis="y", length=0)
+    axes.set_xlabel("margin (ms)", fontsize=8)
+    for words, side, away_pt in (("too late", "right", -3.0), ("to spare", "left", 3.0)):
+        axes.annotate(
+            words,
+            xy=(0.0, -0.5 - _TOP_ROWS),
+            xytext=(away_pt, -2.0),
+            textcoords="offset points",
+            ha=side,
+            va="top",
+            fontsize=7,
+        )
+    return axes
+
+
+def _build_panels(n_panels: int, axis: FrameAxis) -> list[Axes]:
+    """Panels side by side in a new figure, with the legend of the approaches below."""
+    figure = Figure(figsize=(WIDTH_IN, _height_in(axis)), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels: list[Axes] = [*figure.subplots(1, n_panels, sharey=True, squeeze=False)[0]]
+    _, approaches = _words(axis)
+    handles = [
+        Line2D(
+            [],
+            [],
+            label=literal(textwrap.fill(f"from: {approach}", _LABEL_WIDTH)),
+            **_mark(index, is_filled=True),
+        )
+        for index, approach in enumerate(approaches)
+    ]
+    handles.append(
+        Line2D([], [], label="hollow: not avoided", **(_mark(0, is_filled=False) | _COLOURLESS))
+    )
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    return panels
+
+
+def _height_in(axis: FrameAxis) -> float:
+    cases, approaches = _words(axis)
+    return 1.5 + (len(cases) + _TOP_ROWS) * max(_LEAST_ROW_IN, _LANE_IN * len(approaches))
+
+
+def _words(axis: FrameAxis) -> tuple[list[str], list[str]]:
+    return list(dict.fromkeys(axis.cases)), list(dict.fromkeys(axis.approaches))
+
+
+def _limits_ms(verdicts: Sequence[Verdict], axis: FrameAxis) -> tuple[float, float]:
+    """Where the scale begins and ends, with room for the marks at its left edge."""
+    margins_ms = _MS * np.concatenate([margin_s(verdict, axis) for verdict in verdicts])
+    finite_ms = margins_ms[np.isfinite(margins_ms)]
+    low_ms = min(-_MS, float(finite_ms.min(initial=0.0)))
+    high_ms = max(_MS, float(finite_ms.max(initial=0.0)))
+    return 2.5 * low_ms, 1.5 * high_ms
+
+
+def _mark(number: int, is_filled: bool) -> dict[str, Any]:
+    marker, colour = _STYLES[number % len(_STYLES)]
+    return {
+        "marker": marker,
+        "markersize": 3.6,
+        "markerfacecolor": colour if is_filled else "white",
+        "markeredgecolor": colour if not is_filled else "black",
+        "markeredgewidth": 0.9 if not is_filled else 0.3,
+        "linestyle": "none",
+        "zorder": 4,
+    }
+
+
+def _thousands(value: float) -> str:
+    return f"{value:.0f}".replace("-", "\N{MINUS SIGN}")
+
+
+# ---------- margins to the last moment by case, speed and direction, in milliseconds and in metres
+
+
+VUT_NAME = "VUT alone"
+_MS, _MPS_PER_KMH = 1000.0, 1.0 / 3.6
+_NUMBER_COLUMNS = range(2, 11)
+
+
+def margin_m(verdict: Verdict, axis: FrameAxis) -> FloatArray:
+    """How much farther from the collision the VUT still is than it may be when it begins to brake.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Whose.
+    axis : FrameAxis
+        Runs.
+
+    Returns
+    -------
+    margin_m : (n_runs,) float
+        Along the VUT's path, from where braking sets in to where it must set in at the latest.
+        Negative: it is past that place by so much. Minus infinity: never confirmed, or no braking
+        avoids. [m]
+
+    Notes
+    -----
+    Until it brakes the VUT keeps its speed v (Euro NCAP, AEB/LSS VRU systems test protocol: a
+    constant test speed), so in a margin t it covers v t, the distance in uniform motion. On
+    a turn this is the length of the arc, not of the chord.
+    """
+    metres: FloatArray = margin_s(verdict, axis) * (axis.vut_speed_kmh * _MPS_PER_KMH)
+    return metres
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MarginSummary:
+    """Margins of a group of runs; what there is none of is NaN.
+
+    Attributes
+    ----------
+    n_runs, n_avoided : int
+        Runs of the group, and those that are avoided.
+    smallest_s, smallest_m, median_s, median_m : float
+        Of the avoided runs; the smallest in seconds and the smallest in metres may be of
+        different runs. [s], [m]
+    n_never : int
+        Runs not avoided in which braking never sets in.
+    n_hopeless : int
+        Runs not avoided that no braking avoids; they are not among `n_never`.
+    worst_late_s, worst_late_m : float
+        Of the runs not avoided in which braking sets in, by how much it comes too late at
+        the most. [s], [m]
+    """
+
+    n_runs: int
+    n_avoided: int
+    smallest_s: float
+    smallest_m: float
+    median_s: float
+    median_m: float
+    n_never: int
+    n_hopeless: int
+    worst_late_s: float
+    worst_late_m: float
+
+    @property
+    def n_not_avoided(self) -> int:
+        """Runs that are not avoided."""
+        return self.n_runs - self.n_avoided
+
+
+def summarise_margins(
+    verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None
+) -> MarginSummary:
+    """Margins of some runs.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Whose.
+    axis : FrameAxis
+        Runs.
+    run_mask : (n_runs,) bool, optional
+        Look at these only. Runs of weight 0 are left out in any case.
+    """
+    mask = axis.weight > 0.0
+    if run_mask is not None:
+        mask = mask & run_mask
+    avoided, missed = verdict.is_avoided & mask, ~verdict.is_avoided & mask
+    is_hopeless = ~np.isfinite(axis.last_brake_time_s)
+    is_never = ~np.isfinite(verdict.onset_time_s)
+    seconds, metres = margin_s(verdict, axis), margin_m(verdict, axis)
+    late = missed & ~is_hopeless & ~is_never
+    return MarginSummary(
+        n_runs=int(mask.sum()),
+        n_avoided=int(avoided.sum()),
+        smallest_s=_of(np.min, seconds[avoided]),
+        smallest_m=_of(np.min, metres[avoided]),
+        median_s=_of(np.median, seconds[avoided]),
+        median_m=_of(np.median, metres[avoided]),
+        n_never=int((missed & is_never & ~is_hopeless).sum()),
+        n_hopeless=int((missed & is_hopeless).sum()),
+        worst_late_s=_of(np.max, -seconds[late]),
+        worst_late_m=_of(np.max, -metres[late]),
+    )
+
+
+def _of(measure: Callable[[FloatArray], Any], values: FloatArray) -> float:
+    return float(measure(values)) if len(values) else math.nan
+
+
+# ---------------------------------------------------------------- groups
+
+
+def _groupings(axis: FrameAxis) -> list[tuple[str, str, list[RunGroup]]]:
+    """What runs are told apart by: words for the caption, the column's head, groups."""
+    return [
+        ("by case", "case", groups_by_case(axis)),
+        ("by speed of the car", "speed (km/h)", groups_by_speed(axis)),
+        ("by direction from which the car comes", "from", groups_by_direction(axis)),
+    ]
+
+
+def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Verdict]]:
+    """Every layout, then the car alone; a layout may be called as that is."""
+    subject = next(iter(evaluations.values()))
+    return [
+        *((name, item.rsu_all) for name, item in evaluations.items()),
+        (VUT_NAME, subject.vut),
+    ]
+
+
+def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[dict[str, Any]]:
+    """Margins by case, by speed and by direction.
+
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By display name, on the same runs; the first one is the subject.
+
+    Returns
+    -------
+    tables : list of dict
+        Caption, columns, rows, and which columns are numbers. In each, a row per group and layout,
+        and one for the car alone; the first group is all runs.
+    """
+    axis = next(iter(evaluations.values())).axis
+    everything = ("all runs", np.ones(axis.n_runs, dtype=bool))
+    parties = _parties(evaluations)
+    return [
+        {
+            "caption": f"Margins to the last moment {words}",
+            "columns": [
+                head,
+                "who",
+                "runs",
+                "smallest (ms)",
+                "smallest (m)",
+                "median (ms)",
+                "median (m)",
+                "not avoided",
+                "of these never confirmed",
+                "worst too late by (ms)",
+                "worst too late by (m)",
+            ],
+            "rows": [
+                [group, name, *_cells(summarise_margins(verdict, axis, mask))]
+                for group, mask in (everything, *groups)
+                if (mask & (axis.weight > 0.0)).any()
+                for name, verdict in parties
+            ],
+            "numeric": _NUMBER_COLUMNS,
+        }
+        for words, head, groups in _groupings(axis)
+    ]
+
+
+def _cells(summary: MarginSummary) -> list[str]:
+    return [
+        str(summary.n_runs),
+        number(summary.smallest_s * _MS, 0),
+        number(summary.smallest_m, 1),
+        number(summary.median_s * _MS, 0),
+        number(summary.median_m, 1),
+        str(summary.n_not_avoided),
+        str(summary.n_never) if summary.n_not_avoided else NOTHING,
+        number(summary.worst_late_s * _MS, 0),
+        number(summary.worst_late_m, 1),
+    ]
+
+
+# ---------------------------------------------------------------- sentences
+
+
+def margin_sentences(evaluations: Mapping[str, Evaluation]) -> list[str]:
+    """The least time and distance to spare of each layout and of the car alone."""
+    axis = next(iter(evaluations.values())).axis
+    *layouts, (_, vut) = _parties(evaluations)
+    return [
+        _sentence(name, verdict, axis) for name, verdict in (*layouts, ("The car by itself", vut))
+    ]
+
+
+def _sentence(subject: str, verdict: Verdict, axis: FrameAxis) -> str:
+    summary = summarise_margins(verdict, axis)
+    if not summary.n_avoided:
+        return f"{subject} avoids none of {count_runs(summary.n_runs)}."
+    margin = np.where(verdict.is_avoided & (axis.weight > 0.0), margin_s(verdict, axis), np.inf)
+    tightest = int(np.argmin(margin))
+    metres = number(float(margin_m(verdict, axis)[tightest]), 1)
+    words = (
+        f"{subject}: in the tightest run that is avoided, {describe_run(axis, tightest)}, "
+        f"{_ms(summary.smallest_s)} are to spare, {metres}\N{NO-BREAK SPACE}m at that speed"
+    )
+    if summary.n_avoided > 1:
+        words += (
+            f"; in half of the {count_runs(summary.n_avoided)} avoided at least "
+            f"{_ms(summary.median_s)}"
+        )
+    text = f"{words}."
+    return f"{text} {_missed_words(summary)}" if summary.n_not_avoided else text
+
+
+def _missed_words(summary: MarginSummary) -> str:
+    """What the runs that are not avoided lack."""
+    n_late = summary.n_not_avoided - summary.n_never - summary.n_hopeless
+    kinds = [
+        (summary.n_never, "never confirmed"),
+        (n_late, "confirmed too late"),
+        (summary.n_hopeless, "such that no braking avoids the impact"),
+    ]
+    each = ", ".join(f"{count} {words}" for count, words in kinds if count)
+    text = f"Not avoided: {count_runs(summary.n_not_avoided)} ({each})."
+    if not n_late:
+        return text
+    return (
+        f"{text} The worst of those confirmed too late misses the last moment by "
+        f"{_ms(summary.worst_late_s)}."
+    )
+
+
+def _ms(seconds: float) -> str:
+    return f"{number(seconds * _MS, 0)}\N{NO-BREAK SPACE}ms"
+
+
+def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:
+    """What must be known to read the tables, in sentences; only what applies."""
+    axis = next(iter(evaluations.values())).axis
+    notes = []
+    n_without = int((axis.weight == 0.0).sum())
+    if n_without:
+        notes.append(f"Left out: {count_runs(n_without)} of weight 0.")
+    n_hopeless = int((~np.isfinite(axis.last_brake_time_s) & (axis.weight > 0.0)).sum())
+    if n_hopeless:
+        notes.append(
+            f"In {count_runs(n_hopeless)} no braking avoids the impact: there is no last moment, "
+            "and they count as not avoided."
+        )
+    is_lucky = any(
+        (verdict.is_avoided & (margin_s(verdict, axis) < 0.0) & (axis.weight > 0.0)).any()
+        for _, verdict in _parties(evaluations)
+    )
+    if is_lucky:
+        notes.append(
+            "A negative margin of an avoided run: braking came after the last moment, yet the car "
+            "and the road user just missed each other."
+        )
+    return notes
+
+
+def margins_part(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
+    """What ``templates/margins.html.j2`` shows.
+
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By display name, on the same runs; the first one is the subject.
+
+    Returns
+    -------
+    part : dict
+        Sentences, notes, tables, figure.
+    """
+    axis = next(iter(evaluations.values())).axis
+    parties = _parties(evaluations)
+    # The car has the last column, whatever does not fit.
+    shown = [*parties[:-1][: MAX_COLUMNS - 1], parties[-1]]
+    panels = plot_margins(shown, axis)
+    sentences = margin_sentences(evaluations)
+    n_left = len(parties) - len(shown)
+    return {
+        "sentences": sentences,
+        "notes": margin_notes(evaluations),
+        "tables": margin_tables(evaluations),
+        "figure": build_picture(
+            panels[0],
+            title="Margins to the last moment",
+            caption="A mark for each run. Right of zero there is time to spare, left of it braking "
+            "comes too late, by how much; at the left edge it never comes, or none avoids. Filled: "
+            "avoided. The scale is logarithmic beyond 500 ms."
+            + (f" {n_left} more layouts are in the tables." if n_left else ""),
+            alt="Strips of marks, one per run, in a row for each case. " + " ".join(sentences),
+        ),
+    }

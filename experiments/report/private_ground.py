@@ -1,0 +1,221 @@
+"""What each unit sees of private ground, as a table."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray
+from geometry.errors import InputError, Unquoted
+from geometry.maps.georeferences import transform
+from geometry.maps.gis_files import read_features
+from geometry.scene import Scene
+from placement.candidates import CandidatePose
+from placement.private_ground import PrivateGround, build_private_ground, private_shares
+
+from ..results.text import percent
+
+# ---------- ``--no-look FILE``: private ground from a planner's polygons, and what units see of it
+
+
+def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
+    """Private ground from a file of polygons.
+
+    Parameters
+    ----------
+    path : Path
+        GeoJSON, GeoPackage or Shapefile; a column "name" or "id" names an area.
+    scene : Scene
+        Into whose world frame.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or has no polygon, or the scene does not say where on earth it lies
+        while the file does.
+    """
+    import shapely
+
+    found = read_features(path)
+    if found.crs and not scene.crs:
+        raise InputError(
+            str(path),
+            Unquoted(f"coordinates in {found.crs}"),
+            "a scene that says where on earth it lies, or coordinates of its map without a crs",
+        )
+
+    def to_world(points: Any) -> Any:
+        if not found.crs:
+            return points - scene.source_origin_m if not scene.crs else points
+        return transform(points, found.crs, scene.crs)
+
+    areas = []
+    for number, feature in enumerate(found.features, start=1):
+        shape = feature.geometry
+        if shape is None or shape.geom_type not in ("Polygon", "MultiPolygon"):
+            continue
+        name = str(feature.values.get("name") or feature.values.get("id") or f"area {number}")
+        world = shapely.make_valid(shapely.transform(shapely.force_2d(shape), to_world))
+        if not np.isfinite(world.bounds).all():
+            raise InputError(feature.where, Unquoted("coordinates that cannot be"), "a polygon")
+        areas.append((name, world))
+    if not areas:
+        raise InputError(str(path), Unquoted("no polygon"), "areas that cameras must not look into")
+    return build_private_ground(areas)
+
+
+def is_decent(shares: FloatArray, *, most: float) -> BoolArray:
+    """Which candidates see no more than a share of any private area.
+
+    Parameters
+    ----------
+    shares : (n_candidates, n_areas) float
+        See :func:`placement.private_ground.private_shares`.
+    most : float
+        How much they may see, 0 .. 1.
+
+    Raises
+    ------
+    InputError
+        None is.
+    """
+    share = shares.max(axis=1)
+    kept: BoolArray = share <= most
+    if not kept.any():
+        raise InputError(
+            "--no-look-share",
+            Unquoted(percent(most)),
+            f"at least {np.ceil(1000.0 * share.min()) / 1000.0:g}, what the most decent pose sees",
+        )
+    return kept
+
+
+def summarise_private_ground(
+    units: Sequence[CandidatePose],
+    scene: Scene,
+    ground: PrivateGround,
+    *,
+    eur_per_m2: float = 0.0,
+) -> dict[str, Any]:
+    """What units see of private ground, as one plain object.
+
+    Returns
+    -------
+    summary : dict
+        ``{"areas": [{"name", "area_m2"}], "units": {id: {area name: share}}, "eur_per_m2",
+        "price_eur"}``; the last two are 0 where it has no price.
+    """
+    shares = private_shares(scene, units, ground)
+    return {
+        "eur_per_m2": eur_per_m2,
+        "price_eur": float(eur_per_m2 * (shares @ ground.area_m2).sum()),
+        "areas": [
+            {"name": name, "area_m2": float(area)}
+            for name, area in zip(ground.names, ground.area_m2, strict=True)
+        ],
+        "units": {
+            unit.id: dict(zip(ground.names, row.tolist(), strict=True))
+            for unit, row in zip(units, shares, strict=True)
+        },
+    }
+
+
+def private_sentences(summary: dict[str, Any]) -> list[str]:
+    """The same in a sentence or two."""
+    seen = [
+        f"{unit} sees {percent(share)} of {name}"
+        for unit, shares in summary["units"].items()
+        for name, share in shares.items()
+        if share > 0.0
+    ]
+    n_areas = len(summary["areas"])
+    what = "the private area" if n_areas == 1 else f"any of the {n_areas} private areas"
+    if not seen:
+        return [f"No camera has {what} in its picture."]
+    sentences = [f"Of private ground, {'; '.join(seen)}."]
+    if summary["price_eur"]:
+        sentences.append(
+            f"That is in the cost with {summary['price_eur']:,.0f} EUR, "
+            f"{summary['eur_per_m2']:g} EUR a square metre: no money is paid for it."
+        )
+    return sentences
+
+
+# ---------- what each unit sees of private ground, as a table
+
+
+MAX_UNITS, MAX_AREAS = 12, 60
+"""Columns and rows of the table: beyond, only what is seen the most."""
+_MAX_NAMED = 6  # pairs of unit and area in a sentence
+
+
+def private_ground_part(
+    private_ground: Mapping[str, Any] | None, labels: Mapping[str, str]
+) -> dict[str, Any] | None:
+    """What ``templates/private_ground.html.j2`` shows.
+
+    Parameters
+    ----------
+    private_ground : mapping or None
+        By :func:`.summarise_private_ground`; None: nobody has named any.
+    labels : mapping of str to str
+        Short names of the units, by id.
+
+    Returns
+    -------
+    part : dict or None
+        Sentences, caption, columns and rows: one per area, those seen the most first.
+    """
+    if private_ground is None:
+        return None
+    units: Mapping[str, Mapping[str, float]] = private_ground["units"]
+    areas = private_ground["areas"]
+    most_seen = {
+        area["name"]: max((shares[area["name"]] for shares in units.values()), default=0.0)
+        for area in areas
+    }
+    seeing = sorted(units, key=lambda unit_id: -max(units[unit_id].values(), default=0.0))
+    shown = [unit_id for unit_id in units if unit_id in set(seeing[:MAX_UNITS])]
+    rows = sorted(areas, key=lambda area: -most_seen[area["name"]])[:MAX_AREAS]
+    caption = "Share of each private area that a unit sees"
+    for n_shown, n_all, what in (
+        (len(shown), len(units), "units"),
+        (len(rows), len(areas), "areas"),
+    ):
+        if n_shown < n_all:
+            caption += f"; of {n_all} {what} the {n_shown} that matter most"
+    return {
+        "sentences": _sentences(private_ground, most_seen),
+        "caption": caption,
+        "columns": [
+            "area",
+            "size (m\N{SUPERSCRIPT TWO})",
+            "most, by one unit",
+            *(labels.get(unit_id, unit_id) for unit_id in shown),
+        ],
+        "rows": [
+            [
+                area["name"],
+                f"{area['area_m2']:.0f}",
+                percent(most_seen[area["name"]]),
+                *(percent(units[unit_id][area["name"]]) for unit_id in shown),
+            ]
+            for area in rows
+        ],
+    }
+
+
+def _sentences(private_ground: Mapping[str, Any], most_seen: Mapping[str, float]) -> list[str]:
+    """Short where few are seen; where many are, only how many."""
+    n_seen = sum(share > 0.0 for share in most_seen.values())
+    n_seeing = sum(max(shares.values()) > 0.0 for shares in private_ground["units"].values())
+    of_each, *of_price = private_sentences(dict(private_ground))
+    if n_seen * n_seeing <= _MAX_NAMED:
+        return [of_each, *of_price]
+    worst = max(most_seen, key=lambda name: most_seen[name])
+    return [
+        f"{n_seeing} of {len(private_ground['units'])} units see something of {n_seen} of "
+        f"{len(most_seen)} private areas; the most is {percent(most_seen[worst])} of {worst}.",
+        *of_price,
+    ]

@@ -1,0 +1,471 @@
+"""What layouts are worth in sampled worlds: as one plain object, in sentences, as text, drawn."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from geometry.errors import InputError, Unquoted
+from placement.sampling import (
+    SampledApr,
+    Uncertainty,
+    cvar,
+    estimate_mean,
+)
+from placement.sampling.uncertainty import StandingTraffic
+
+from ..figures.evaluation import (
+    BLUE,
+    GREEN,
+    PINK,
+    VERMILION,
+    WIDTH_IN,
+    literal,
+    new_axes,
+)
+from ..results.text import percent
+
+# ---------- what layouts are worth in sampled worlds
+
+
+_MAX_FRAGILE = 5
+_NAME_WIDTH = 20
+_SAME_APR = 1.0e-9  # shares of summed weights carry rounding noise
+
+
+def summarise_uncertainty(
+    judged: Sequence[SampledApr],
+    uncertainty: Uncertainty,
+    *,
+    tail: float,
+    seed: int,
+    planned_apr: Mapping[str, float] | None = None,
+    chosen_apr: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """Layouts in the same fresh worlds: the first one is the subject, the others baselines.
+
+    Parameters
+    ----------
+    judged : sequence of SampledApr
+        By :func:`placement.sampling.out_of_sample_layouts`: at least one, all in the same worlds.
+    uncertainty : Uncertainty
+        What was drawn.
+    tail : float
+        The worst share of the worlds that is summed up, 0 .. 1.
+    seed : int
+        Of the draws.
+    planned_apr, chosen_apr : mapping of str to float, optional
+        By name of the layout: APR as planned, with nothing uncertain, and in the worlds that it
+        was chosen in.
+
+    Returns
+    -------
+    summary : dict
+        Ready for JSON; ratios are 0 .. 1. ``{"uncertainty": {..}, "samples", "seed", "tail",
+        "layouts": [{"name", "planned", "in_sample", "mean", "standard_error", "low", "high",
+        "method", "cvar", "worst", "apr_by_sample": [..], "least_sure_runs": [{"run",
+        "avoided_share"}]}], "gains": [{"over", "mean", "standard_error", "low", "high",
+        "method"}], "pairs": [{"first", "second", "mean", "standard_error", "low", "high", "method",
+        "more_share", "equal_share", "less_share"}]}``; a gain is the subject's APR less the
+        other's, world by world; a pair is any two layouts, the first one's APR less the second
+        one's, and in what share of the worlds it avoids more, as much and less.
+
+    Raises
+    ------
+    InputError
+        There is no layout, or they were judged in different numbers of worlds.
+    """
+    if not judged:
+        raise InputError("layouts", Unquoted("none"), "at least one")
+    n_samples = {len(item.apr_by_sample) for item in judged}
+    if len(n_samples) > 1:
+        raise InputError("samples", sorted(n_samples), "the same number for every layout")
+    subject, *others = judged
+    planned, chosen = planned_apr or {}, chosen_apr or {}
+    return {
+        "uncertainty": uncertainty_record(uncertainty),
+        "samples": n_samples.pop(),
+        "seed": seed,
+        "tail": tail,
+        "layouts": [
+            {
+                "name": item.layout.name,
+                "planned": planned.get(item.layout.name),
+                "in_sample": chosen.get(item.layout.name),
+                **asdict(item.estimate),
+                "cvar": cvar(item.apr_by_sample, tail),
+                "worst": item.worst,
+                "apr_by_sample": item.apr_by_sample.tolist(),
+                "least_sure_runs": _least_sure(item),
+            }
+            for item in judged
+        ],
+        "gains": [
+            {
+                "over": other.layout.name,
+                **asdict(
+                    estimate_mean(subject.apr_by_sample - other.apr_by_sample, bounds=(-1.0, 1.0))
+                ),
+            }
+            for other in others
+        ],
+        "pairs": [_pair(first, second) for first, second in combinations(judged, 2)],
+    }
+
+
+def _pair(first: SampledApr, second: SampledApr) -> dict[str, Any]:
+    """Two layouts in the same worlds: the difference, and who avoids more how often."""
+    gain = first.apr_by_sample - second.apr_by_sample
+    more, less = float((gain > _SAME_APR).mean()), float((gain < -_SAME_APR).mean())
+    return {
+        "first": first.layout.name,
+        "second": second.layout.name,
+        **asdict(estimate_mean(gain, bounds=(-1.0, 1.0))),
+        "more_share": more,
+        "equal_share": float((np.abs(gain) <= _SAME_APR).mean()),
+        "less_share": less,
+    }
+
+
+def uncertainty_record(uncertainty: Uncertainty) -> dict[str, Any]:
+    """An uncertainty as a plain object, with the names of its TOML file."""
+    latency, traffic = uncertainty.latency, uncertainty.traffic
+    budget = latency.budget
+    return {
+        "name": uncertainty.name,
+        "mounting": asdict(uncertainty.mounting),
+        "latency": {
+            **(
+                {"budget": budget.name}
+                if budget is not None
+                else {
+                    "distribution": latency.distribution,
+                    "mean_s": latency.mean_s,
+                    "sd_s": latency.sd_s,
+                }
+            ),
+            "drawn_per": latency.drawn_per,
+        },
+        "messages": {"packet_loss": uncertainty.packet_loss},
+        "detector": {"is_drawn": uncertainty.draws_detections},
+        "traffic": {
+            name: getattr(traffic, name)
+            for name in StandingTraffic.__annotations__
+            if name != "vehicles"
+        },
+        "vehicles": [
+            {
+                "name": kind.actor.name,
+                "parked_share": kind.parked_share,
+                "waiting_share": kind.waiting_share,
+            }
+            for kind in traffic.vehicles
+        ],
+    }
+
+
+def uncertainty_sentences(summary: Mapping[str, Any]) -> list[str]:
+    """What the sampled worlds say, in sentences.
+
+    Parameters
+    ----------
+    summary : mapping
+        By :func:`summarise_uncertainty`.
+    """
+    subject = summary["layouts"][0]
+    n_samples = summary["samples"]
+    planned = subject["planned"]
+    sentences = [
+        f"In {n_samples} fresh sampled {_worlds(n_samples)} ({what_is_uncertain(summary)}), "
+        f"{subject['name']} avoids {percent(subject['mean'])} of the accidents on average "
+        f"({_interval(subject)})" + ("" if planned is None else f"; as planned {percent(planned)}")
+    ]
+    chosen = subject["in_sample"]
+    if chosen is not None:
+        sentences.append(
+            f"In the worlds that it was chosen in, it avoids {percent(chosen)}: "
+            "a choice looks better where it was made"
+            if chosen > subject["mean"]
+            else f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
+        )
+    if summary["tail"] < 1.0:
+        sentences.append(
+            f"In the worst {percent(summary['tail'])} of these worlds it avoids "
+            f"{percent(subject['cvar'])} on average, in the very worst {percent(subject['worst'])}"
+        )
+    else:
+        sentences.append(f"In the worst of these worlds it avoids {percent(subject['worst'])}")
+    for gain in summary["gains"]:
+        sentences.append(_gain(subject["name"], gain))
+    unsure = subject["least_sure_runs"]
+    if unsure:
+        listed = ", ".join(f"{run['run']} ({percent(run['avoided_share'])})" for run in unsure)
+        sentences.append(f"Least sure, with the share of worlds that avoid them: {listed}")
+    return [f"{sentence}." for sentence in sentences]
+
+
+def uncertainty_text(summary: Mapping[str, Any]) -> str:
+    """A small table for a terminal, at most 80 columns wide."""
+    has_tail = summary["tail"] < 1.0  # the mean of all is there already
+    tail = f"worst {100.0 * summary['tail']:g} %"
+    head = f"  {'layout':<{_NAME_WIDTH}} {'planned':>8} {'mean':>8} {'95 % interval':>18}"
+    lines = [
+        f"APR in {summary['samples']} fresh sampled {_worlds(summary['samples'])}, "
+        f"uncertainty {summary['uncertainty']['name']}",
+        head + (f" {tail:>10}" if has_tail else "") + f" {'worst':>8}",
+    ]
+    for layout in summary["layouts"]:
+        name = layout["name"]
+        if len(name) > _NAME_WIDTH:
+            name = name[: _NAME_WIDTH - 1] + "\N{HORIZONTAL ELLIPSIS}"
+        planned = math.nan if layout["planned"] is None else layout["planned"]
+        interval = f"{percent(layout['low'])} .. {percent(layout['high'])}"
+        lines.append(
+            f"  {name:<{_NAME_WIDTH}} {percent(planned):>8} {percent(layout['mean']):>8} "
+            + f"{interval:>18}"
+            + (f" {percent(layout['cvar']):>10}" if has_tail else "")
+            + f" {percent(layout['worst']):>8}"
+        )
+    return "\n".join(lines)
+
+
+def what_is_uncertain(summary: Mapping[str, Any]) -> str:
+    """What is drawn in the sampled worlds, in words."""
+    record = summary["uncertainty"]
+    mounting, latency, traffic = record["mounting"], record["latency"], record["traffic"]
+    parts = []
+    if any(mounting.values()):
+        parts.append(
+            f"units off by {mounting['yaw_sd_deg']:g}\N{DEGREE SIGN} in yaw, "
+            f"{mounting['pitch_sd_deg']:g}\N{DEGREE SIGN} in pitch and "
+            f"{100.0 * mounting['height_sd_m']:g} cm in height"
+        )
+    if "budget" in latency:
+        parts.append(f"latency drawn from the budget {latency['budget']}")
+    elif latency["mean_s"] > 0.0:
+        parts.append(f"messages {1000.0 * latency['mean_s']:g} ms later on average")
+    if record["messages"]["packet_loss"] > 0.0:
+        parts.append(f"{percent(record['messages']['packet_loss'])} of the messages lost")
+    if record["detector"]["is_drawn"]:
+        parts.append("detections drawn where the detector gives a probability")
+    if traffic["taken_share"] > 0.0:
+        parts.append(f"{percent(traffic['taken_share'])} of the parking places taken")
+    if traffic["waiting_share"] > 0.0:
+        parts.append(f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes")
+    return ", ".join(parts) or "nothing is uncertain"
+
+
+def _least_sure(item: SampledApr) -> list[dict[str, Any]]:
+    """Runs that are avoided in the fewest worlds, if not in all; those that count."""
+    share = item.avoided_share
+    order = np.argsort(share, kind="stable")
+    order = order[(share[order] < 1.0) & (item.axis.weight[order] > 0.0)]
+    return [
+        {"run": item.axis.run_ids[index], "avoided_share": float(share[index])}
+        for index in order[:_MAX_FRAGILE].tolist()
+    ]
+
+
+def _gain(name: str, gain: Mapping[str, Any]) -> str:
+    points, low, high = (100.0 * gain[key] for key in ("mean", "low", "high"))
+    where = f"95 % interval {low:.1f} to {high:.1f}".replace("-", "\N{MINUS SIGN}")
+    if gain["low"] <= 0.0 <= gain["high"]:
+        return f"Between {name} and {gain['over']} there is no sure difference ({where} points)"
+    more = "more" if points > 0.0 else "less"
+    return f"{name} avoids {abs(points):.1f} points {more} than {gain['over']} ({where})"
+
+
+def _interval(layout: Mapping[str, Any]) -> str:
+    return f"{layout['method']}: {percent(layout['low'])} to {percent(layout['high'])}"
+
+
+def _worlds(count: int) -> str:
+    return "world" if count == 1 else "worlds"
+
+
+# ---------- figures of layouts in sampled worlds: staircases, intervals of means and of differences
+
+
+_STRIP = 0.08  # height of a mark's row
+_STYLES = (  # told apart by their lines and marks where colours are not
+    (BLUE, "-", "o"),
+    (VERMILION, "--", "s"),
+    (GREEN, "-.", "^"),
+    (PINK, ":", "D"),
+)
+MAX_STAIRCASES = len(_STYLES)
+"""Of more layouts, intervals are drawn in place of staircases."""
+_ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
+_MAX_NAME_LENGTH = 32
+_LEAST_SPAN_POINTS = 1.0
+
+
+def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) -> Axes:
+    """What layouts avoid in sampled worlds, any number of them.
+
+    Parameters
+    ----------
+    judged : sequence of SampledApr
+        At least one. Up to ``MAX_STAIRCASES`` have a staircase each: in what share of the worlds
+        the layout avoids at most how much; line styles and marks tell them apart without colour,
+        and below the staircases a mark stands at each mean, with its 95 % confidence interval. Of
+        more: see :func:`plot_intervals`.
+    axes : Axes, optional
+        Where to draw; by default in a figure of their own.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    if not judged:
+        raise InputError("layouts", Unquoted("none"), "at least one")
+    if len(judged) > MAX_STAIRCASES:
+        return plot_intervals(judged, axes=axes)
+    if axes is None:
+        axes = new_axes(WIDTH_IN, 3.2)
+    for row, (item, (colour, line, mark)) in enumerate(zip(judged, _STYLES, strict=False)):
+        estimate = item.estimate
+        axes.ecdf(item.apr_by_sample, color=colour, linestyle=line, linewidth=1.8)
+        axes.errorbar(
+            [estimate.mean],
+            [-_STRIP * (row + 1)],
+            xerr=[[estimate.mean - estimate.low], [estimate.high - estimate.mean]],
+            color=colour,
+            marker=mark,
+            markersize=6.0,
+            markerfacecolor="white",
+            linestyle=line,  # of the legend: one point draws no line
+            elinewidth=1.2,
+            capsize=3.0,
+            clip_on=False,
+            label=literal(f"{item.layout.name}: mean {percent(estimate.mean)}"),
+            zorder=3,
+        )
+    axes.axhline(0.0, color="#999999", linewidth=0.8)
+    axes.set_ylim(-_STRIP * (len(judged) + 1), 1.02)
+    axes.set_yticks(np.linspace(0.0, 1.0, 6))
+    axes.set_xlabel("share of the accidents avoided (APR)", fontsize=9)
+    axes.set_ylabel("share of the sampled worlds\nwith at most this APR", fontsize=9)
+    axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:.4g} %")
+    axes.yaxis.set_major_formatter(lambda value, _: f"{100.0 * value:.0f} %")
+    _tidy(axes)
+    axes.grid(color="#dddddd", linewidth=0.6)
+    axes.legend(fontsize=8, loc="upper left")
+    return axes
+
+
+def plot_intervals(judged: Sequence[SampledApr], *, axes: Axes | None = None) -> Axes:
+    """A row per layout: its mean, the interval of the mean, and its worst and best world.
+
+    Parameters
+    ----------
+    judged : sequence of SampledApr
+        The first one on top.
+    axes : Axes, optional
+        Where to draw; by default in a figure of their own.
+
+    Returns
+    -------
+    axes : Axes
+        Dot: mean; whisker with caps: its 95 % confidence interval; thin line: from the worst to
+        the best world.
+    """
+    if axes is None:
+        axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(judged))
+    for row, item in enumerate(judged):
+        estimate, worlds = item.estimate, item.apr_by_sample
+        axes.hlines(
+            row, 100.0 * worlds.min(), 100.0 * worlds.max(), color="#999999", linewidth=1.0,
+            linestyle=(0, (1.0, 1.5)), zorder=2,
+        )  # fmt: skip
+        _whisker(axes, row, estimate.mean, estimate.low, estimate.high)
+        axes.annotate(
+            percent(estimate.mean), (1.0, row), xycoords=("axes fraction", "data"),
+            xytext=(4.0, 0.0), textcoords="offset points", va="center", fontsize=8,
+        )  # fmt: skip
+    axes.set_yticks(range(len(judged)), [_name(item.layout.name) for item in judged], fontsize=8)
+    axes.set_ylim(len(judged) - 0.5, -0.5)
+    axes.set_xlabel(
+        "share of the accidents avoided, APR (%)\nmean and its 95 % interval; dotted: "
+        "from the worst to the best world",
+        fontsize=8,
+    )
+    _tidy(axes)
+    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
+    return axes
+
+
+def plot_differences(pairs: Sequence[Mapping[str, Any]], *, axes: Axes | None = None) -> Axes:
+    """A row per pair of layouts: the mean difference in the same worlds, with its interval.
+
+    Parameters
+    ----------
+    pairs : sequence of mapping
+        "pairs" of :func:`experiments.report.sampled_worlds.summarise_uncertainty`.
+    axes : Axes, optional
+        Where to draw; by default in a figure of their own.
+
+    Returns
+    -------
+    axes : Axes
+        Filled dot: the interval leaves out zero; open: it does not, there is no sure difference.
+    """
+    if axes is None:
+        axes = new_axes(WIDTH_IN, 1.0 + _PAIR_ROW_IN * max(len(pairs), 1))
+    for row, pair in enumerate(pairs):
+        _whisker(
+            axes, row, pair["mean"], pair["low"], pair["high"],
+            is_open=pair["low"] <= 0.0 <= pair["high"],
+        )  # fmt: skip
+    axes.axvline(0.0, color="black", linewidth=1.2, zorder=1)
+    names = [f"{_name(pair['first'])}\nminus {_name(pair['second'])}" for pair in pairs]
+    axes.set_yticks(range(len(pairs)), names, fontsize=8)
+    axes.set_ylim(len(pairs) - 0.5, -0.5)
+    low, high = axes.get_xlim()
+    middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN_POINTS)
+    axes.set_xlim(middle - half, middle + half)
+    axes.set_xlabel(
+        "difference of the APR in the same worlds (points)\n"
+        "with its 95 % interval; open: may be zero",
+        fontsize=8,
+    )
+    _tidy(axes)
+    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
+    return axes
+
+
+def _whisker(
+    axes: Axes, row: int, mean: float, low: float, high: float, *, is_open: bool = False
+) -> None:
+    axes.errorbar(
+        [100.0 * mean],
+        [row],
+        xerr=[[100.0 * (mean - low)], [100.0 * (high - mean)]],
+        color=BLUE,
+        marker="o",
+        markersize=6.0,
+        markerfacecolor="white" if is_open else BLUE,
+        markeredgecolor=BLUE,
+        linestyle="none",
+        elinewidth=1.6,
+        capsize=4.0,
+        zorder=3,
+    )
+
+
+def _name(name: str) -> str:
+    short = name
+    if len(name) > _MAX_NAME_LENGTH:
+        short = name[: _MAX_NAME_LENGTH - 1] + "\N{HORIZONTAL ELLIPSIS}"
+    return literal(short)
+
+
+def _tidy(axes: Axes) -> None:
+    axes.tick_params(labelsize=8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)

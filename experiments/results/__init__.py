@@ -1,0 +1,1 @@
+"""What a job returns, and how it is written to a folder and read back."""

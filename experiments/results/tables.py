@@ -1,0 +1,188 @@
+"""Tables of verdicts, for other programs: ratios by group, and every run's outcome."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+
+from geometry.arrays import BoolArray, FloatArray
+from placement.evaluation import Evaluation, Verdict, apr
+from scenarios.runs import FrameAxis
+
+# ---------- tables of verdicts, for other programs: ratios by group, and every run's outcome
+
+
+ALL = "all"
+
+
+def parties(evaluation: Evaluation) -> dict[str, Verdict]:
+    """Every sensing party of an evaluation: "vut", each unit's id, "rsu_all" and so on."""
+    return {
+        "vut": evaluation.vut,
+        **evaluation.units,
+        "rsu_all": evaluation.rsu_all,
+        "vut_and_rsus": evaluation.vut_and_rsus,
+        **evaluation.others,
+    }
+
+
+def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
+    """Last brake time minus (confirmation + latency), per run.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Whose.
+    axis : FrameAxis
+        Runs.
+
+    Returns
+    -------
+    margin_s : (n_runs,) float
+        Negative: too late. Minus infinity: never confirmed, or no braking avoids. [s]
+    """
+    # At most one infinity of each sign: an onset is never -inf, so this is never NaN.
+    margin: FloatArray = axis.last_brake_time_s - verdict.onset_time_s
+    return margin
+
+
+def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
+    """Accident prevention ratios of every party, by case, approach, weather and speed.
+
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By the layout's display name.
+
+    Returns
+    -------
+    table : DataFrame
+        Columns layout, party, case, approach, weather, vut_speed_kmh, apr, n_runs, n_avoided.
+        "all" stands for every case, approach, weather or speed; a single weather or speed has no
+        rows of its own, and speeds are told of all approaches and weathers together. The ratio is
+        missing where none of the runs has weight.
+    """
+    return pd.DataFrame(
+        [
+            {
+                "layout": name,
+                "party": party,
+                **group,
+                "apr": apr(verdict, evaluation.axis, mask),
+                "n_runs": int(mask.sum()),
+                "n_avoided": int((verdict.is_avoided & mask).sum()),
+            }
+            for name, evaluation in evaluations.items()
+            for groups in [_run_groups(evaluation.axis)]
+            for party, verdict in parties(evaluation).items()
+            for group, mask in groups
+        ]
+    )
+
+
+def runs_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
+    """Every run's outcome for every party.
+
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By the layout's display name.
+
+    Returns
+    -------
+    table : DataFrame
+        One row per layout, party and run. Times that do not exist (never confirmed, no braking
+        avoids) are missing.
+    """
+    tables = []
+    for name, evaluation in evaluations.items():
+        axis = evaluation.axis
+        for party, verdict in parties(evaluation).items():
+            tables.append(
+                pd.DataFrame(
+                    {
+                        "layout": name,
+                        "party": party,
+                        "run": axis.run_ids,
+                        "case": axis.cases,
+                        "approach": axis.approaches,
+                        "weather": axis.weathers,
+                        "vut_speed_kmh": axis.vut_speed_kmh,
+                        "weight": axis.weight,
+                        "last_brake_time_s": _missing(axis.last_brake_time_s),
+                        "confirmation_time_s": _missing(verdict.confirmation_time_s),
+                        "margin_s": _missing(margin_s(verdict, axis)),
+                        "is_avoided": verdict.is_avoided,
+                        "detected_share": np.add.reduceat(verdict.detected, axis.run_start[:-1])
+                        / np.diff(axis.run_start),
+                    }
+                )
+            )
+    return pd.concat(tables, ignore_index=True)
+
+
+def _several(words: Sequence[str]) -> tuple[str, ...]:
+    """Each word once; none where there is but one."""
+    different = tuple(dict.fromkeys(words))
+    return different if len(different) > 1 else ()
+
+
+def _run_groups(axis: FrameAxis) -> list[tuple[dict[str, str], BoolArray]]:
+    """Groups of runs by their words, each with its runs; none is empty."""
+    of_run = {
+        "case": np.array(axis.cases),
+        "approach": np.array(axis.approaches),
+        "weather": np.array(axis.weathers),
+        "vut_speed_kmh": np.array([f"{speed:g}" for speed in axis.vut_speed_kmh]),
+    }
+    cases = (ALL, *dict.fromkeys(axis.cases))
+    wanted = [
+        (case, approach, weather, ALL)
+        for case in cases
+        for approach in (ALL, *dict.fromkeys(axis.approaches))
+        for weather in (ALL, *_several(axis.weathers))
+    ]
+    speeds = _several([f"{speed:g}" for speed in np.sort(axis.vut_speed_kmh)])
+    wanted += [(case, ALL, ALL, speed) for case in cases for speed in speeds]
+    groups = []
+    for words in wanted:
+        group = dict(zip(of_run, words, strict=True))
+        mask: BoolArray = np.ones(axis.n_runs, dtype=bool)
+        for key, word in group.items():
+            if word != ALL:
+                mask &= of_run[key] == word
+        if mask.any():
+            groups.append((group, mask))
+    return groups
+
+
+def _missing(times_s: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(times_s), times_s, np.nan)
+
+
+# ---------- groups of runs that tables have rows for: by case, by speed of the car, by direction
+
+
+RunGroup = tuple[str, BoolArray]
+"""Its name, and which runs are in it: (n_runs,) bool."""
+
+
+def groups_by_case(axis: FrameAxis) -> list[RunGroup]:
+    """A group per case, in the order in which the cases first appear."""
+    return _equal(axis.cases)
+
+
+def groups_by_direction(axis: FrameAxis) -> list[RunGroup]:
+    """A group per approach from which the car comes, in the order in which they first appear."""
+    return _equal(axis.approaches)
+
+
+def groups_by_speed(axis: FrameAxis) -> list[RunGroup]:
+    """A group per speed of the car, the slowest first."""
+    speeds = axis.vut_speed_kmh
+    return [(f"{speed:g}", speeds == speed) for speed in np.unique(speeds)]
+
+
+def _equal(words: Sequence[str]) -> list[RunGroup]:
+    of_run = np.array(words)
+    return [(word, of_run == word) for word in dict.fromkeys(words)]

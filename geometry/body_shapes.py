@@ -1,0 +1,320 @@
+"""Shapes of bodies, built from ``data/actors.toml``: ``python -m geometry.body_shapes``.
+
+A body is a few bones that turn about the axis from right to left, and the union of simple solids
+fixed to them. The result is kept in ``data/actors.npz``, so that only this build needs manifold3d.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .actors import Shape, fingerprint
+from .arrays import FloatArray, float_array
+from .errors import InputError, MissingExtraError, Unquoted
+from .files import (
+    Table,
+    load_toml,
+    pick,
+    take,
+    take_list,
+    take_number,
+    take_text,
+    write_atomically,
+)
+
+DATA = Path(__file__).parent / "data"
+
+_N_SHAPES = 8  # per cycle of a gait
+_THIN_M = 0.03  # radius below which a sphere's 12 vertices do; thicker ones have 42
+_SECTIONS = 24  # of a wheel
+_TYRE_SECTIONS = 8
+_TOLERANCE_M = 2.0e-3  # of the surface, when small triangles are merged
+_BODY = "body"  # the bone that nothing turns: trunk, frame of a bicycle, car
+
+# Of a bone, in the frame of the body: rotation and joint.
+_Frame = tuple[FloatArray, FloatArray]
+
+
+def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
+    """Shapes of a body over one cycle of its gait.
+
+    Parameters
+    ----------
+    entry : mapping
+        A body of ``data/actors.toml``.
+    where : str
+        Its name, for error messages.
+
+    Returns
+    -------
+    shapes : tuple of Shape
+        Each stands on the road, and together they fill exactly the body's box.
+
+    Raises
+    ------
+    InputError
+        The description is wrong.
+    MissingExtraError
+        manifold3d is not installed.
+    """
+    turns_deg = _take_turns(entry, where)
+    n_shapes = _N_SHAPES if turns_deg else 1
+    meshes = [_build_mesh(entry, turns_deg, index, where) for index in range(n_shapes)]
+    for vertices, _ in meshes:
+        vertices[:, 2] -= vertices[:, 2].min()
+    fit = _fit_to_box(np.concatenate([vertices for vertices, _ in meshes]), entry, where)
+    return tuple(
+        Shape(vertices_m=fit(vertices).astype(np.float32), triangles=triangles)
+        for vertices, triangles in meshes
+    )
+
+
+def save_shapes(path: Path, table: Table) -> None:
+    """Build the shapes of a whole catalogue and keep them.
+
+    Parameters
+    ----------
+    path : Path
+        The file, as :func:`geometry.actors.read_actors` reads it.
+    table : mapping
+        Laid out as ``data/actors.toml``.
+    """
+    arrays: dict[str, Any] = {"fingerprint": np.array(fingerprint(table))}
+    for name, entry in table.items():
+        shapes = build_shapes(entry, f"actors.toml: {name}")
+        arrays[f"{name}/n_shapes"] = np.array(len(shapes))
+        for index, shape in enumerate(shapes):
+            kind = np.uint16 if len(shape.vertices_m) < 1 << 16 else np.uint32
+            arrays[f"{name}/{index}/vertices_m"] = shape.vertices_m.astype(np.float32)
+            arrays[f"{name}/{index}/triangles"] = shape.triangles.astype(kind)
+    write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
+
+
+def main() -> None:
+    """Build ``data/actors.npz`` from ``data/actors.toml``."""
+    save_shapes(DATA / "actors.npz", load_toml(DATA / "actors.toml"))
+
+
+# ---------------------------------------------------------------- gait
+
+
+def _take_turns(entry: Table, where: str) -> dict[str, FloatArray]:
+    """Angles in degrees of the right side's joints at each instant, by name; positive: forwards."""
+    turns: dict[str, FloatArray] = {
+        name: float_array(row, (_N_SHAPES,), f"{where}.turns_deg.{name}")
+        for name, row in entry.get("turns_deg", {}).items()
+    }
+    if "pedalling" in entry:
+        turns |= _pedal(take(entry, "pedalling", where), f"{where}.pedalling")
+    return turns
+
+
+def _pedal(entry: Table, where: str) -> dict[str, FloatArray]:
+    """Angles in degrees of a leg whose foot stays on the pedal: two bars from hip to ankle."""
+    points = ("crank_shaft_m", "hip_m", "ankle_from_pedal_m")
+    shaft, hip, from_pedal = (
+        float_array(take_list(entry, key, where), (2,), f"{where}.{key}") for key in points
+    )
+    lengths = ("crank_m", "thigh_m", "shin_m")
+    crank_m, thigh_m, shin_m = (take_number(entry, key, where) for key in lengths)
+    foot_deg = take_number(entry, "foot_deg", where)
+    crank_deg: FloatArray = take_number(entry, "first_crank_deg", where) - np.linspace(
+        0.0, 360.0, _N_SHAPES, endpoint=False
+    )
+    ankle = shaft + crank_m * _hanging(crank_deg) + _turn_deg(foot_deg)[::2, ::2] @ from_pedal
+    reach = np.hypot(*(ankle - hip).T)
+    if (reach >= thigh_m + shin_m).any() or (reach <= abs(thigh_m - shin_m)).any():
+        raise InputError(where, Unquoted("a foot that does not reach its pedal"), "longer legs")
+    # Law of cosines; the knee bends forwards.
+    at_hip = np.arccos((thigh_m**2 + reach**2 - shin_m**2) / (2.0 * thigh_m * reach))
+    thigh_deg = _angle_deg(ankle - hip) + np.degrees(at_hip)
+    shin_deg = _angle_deg(ankle - hip - thigh_m * _hanging(thigh_deg))
+    return {
+        "crank": crank_deg,
+        "hip": thigh_deg,
+        "knee": shin_deg - thigh_deg,
+        "ankle": foot_deg - shin_deg,
+    }
+
+
+def _hanging(angle_deg: FloatArray) -> FloatArray:
+    """Ahead and up, (n, 2), of a bar of length 1 that hangs down and is turned forwards."""
+    angle = np.radians(angle_deg)
+    return np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
+
+
+def _angle_deg(bar: FloatArray) -> FloatArray:
+    """The angle that :func:`_hanging` takes, of bars (n, 2) of any length."""
+    angle: FloatArray = np.degrees(np.arctan2(bar[:, 0], -bar[:, 1]))
+    return angle
+
+
+def _turn_deg(angle_deg: float) -> FloatArray:
+    """Rotation about the axis from left to right: positive turns what hangs forwards."""
+    cos, sin = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
+
+
+def _bone_frames(
+    entry: Table, turns_deg: Mapping[str, FloatArray], index: int, where: str
+) -> dict[tuple[str, float], _Frame]:
+    """Frame of each bone on the left (1.0) and on the right (-1.0) at one instant."""
+    frames: dict[tuple[str, float], _Frame] = {
+        (_BODY, side): (np.eye(3), np.zeros(3)) for side in _SIDES
+    }
+    for name, bone in entry.get("bones", {}).items():
+        here = f"{where}.bones.{name}"
+        turn = pick(turns_deg, take_text(bone, "turn", here), f"{here}.turn")
+        joint = float_array(take_list(bone, "joint_m", here), (3,), f"{here}.joint_m")
+        for side in _SIDES:
+            rotation, origin = pick(
+                {known: frame for (known, at), frame in frames.items() if at == side},
+                take_text(bone, "on", here),
+                f"{here}.on",
+            )
+            # The left side does what the right side did half a cycle ago.
+            angle_deg = turn[index if side < 0.0 else (index + _N_SHAPES // 2) % _N_SHAPES]
+            frames[name, side] = (
+                rotation @ _turn_deg(float(angle_deg)),
+                origin + rotation @ (joint * [1.0, side, 1.0]),
+            )
+    return frames
+
+
+_SIDES = (-1.0, 1.0)
+
+
+# ---------------------------------------------------------------- solids
+
+
+def _build_mesh(
+    entry: Table, turns_deg: Mapping[str, FloatArray], index: int, where: str
+) -> tuple[FloatArray, NDArray[np.int32]]:
+    """One closed mesh of all parts at one instant: vertices and triangles."""
+    frames = _bone_frames(entry, turns_deg, index, where)
+    library = _manifold3d()
+    body = library.Manifold()
+    for number, part in enumerate(take_list(entry, "parts", where)):
+        solids = list(_place_part(part, frames, f"{where}.parts[{number}]"))
+        operation = library.OpType.Subtract if part.get("cut", False) else library.OpType.Add
+        body = library.Manifold.batch_boolean([body, *solids], operation)
+    pieces = body.simplify(_TOLERANCE_M).decompose()
+    outside = [piece for piece in pieces if piece.volume() > 0.0]  # the rest are hollows inside
+    if len(outside) != 1:
+        raise InputError(where, Unquoted(f"{len(outside)} pieces"), "parts that touch")
+    mesh = outside[0].to_mesh64()
+    return np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, dtype=np.int32)
+
+
+def _place_part(
+    part: Table, frames: Mapping[tuple[str, float], _Frame], where: str
+) -> Iterator[Any]:
+    """Solids of one part: one, or one on each side."""
+    on = part.get("on", _BODY)
+    known = {bone: bone for bone, _ in frames}
+    is_twice = pick(known, on, f"{where}.on") != _BODY or part.get("mirror", False)
+    vertices, triangles = _solid(part, where)
+    for side in _SIDES if is_twice else (1.0,):
+        rotation, origin = frames[on, side]
+        placed = (vertices * [1.0, side, 1.0]) @ rotation.T + origin
+        library = _manifold3d()
+        faces = triangles if side > 0.0 else triangles[:, ::-1]  # a mirror turns them inside out
+        yield library.Manifold(
+            library.Mesh64(vert_properties=placed, tri_verts=faces.astype(np.uint64))
+        )
+
+
+def _solid(part: Table, where: str) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Vertices and triangles of one part in the frame of its bone."""
+    import trimesh
+
+    if "spheres" in part:
+        spheres = float_array(take_list(part, "spheres", where), (-1, 4), f"{where}.spheres")
+        is_thin = bool(spheres[:, 3].max() < _THIN_M)
+        ball = trimesh.creation.icosphere(subdivisions=0 if is_thin else 1).vertices
+        points = spheres[:, None, :3] + spheres[:, None, 3:] * ball
+        mesh = trimesh.convex.convex_hull(points.reshape(-1, 3))
+        return np.array(mesh.vertices), np.array(mesh.faces)
+    kinds = {"ring": _ring, "wheel": _wheel}
+    kind = next((key for key in kinds if key in part), None)
+    if kind is None:
+        raise InputError(where, sorted(part), "spheres, ring or wheel")
+    mesh = kinds[kind](part[kind], f"{where}.{kind}")
+    # trimesh lays wheels flat; these stand, axle along y.
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2.0, [1.0, 0.0, 0.0]))
+    centre = float_array(take_list(part[kind], "centre", where), (3,), f"{where}.{kind}.centre")
+    return np.array(mesh.vertices) + centre, np.array(mesh.faces)
+
+
+def _ring(entry: Table, where: str) -> Any:
+    import trimesh
+
+    tyre_m = take_number(entry, "tyre", where)
+    return trimesh.creation.torus(
+        major_radius=take_number(entry, "radius", where) - tyre_m,
+        minor_radius=tyre_m,
+        major_sections=_SECTIONS,
+        minor_sections=_TYRE_SECTIONS,
+    )
+
+
+def _wheel(entry: Table, where: str) -> Any:
+    import trimesh
+
+    return trimesh.creation.cylinder(
+        radius=take_number(entry, "radius", where),
+        height=take_number(entry, "width", where),
+        sections=_SECTIONS,
+    )
+
+
+def _fit_to_box(
+    vertices: FloatArray, entry: Table, where: str
+) -> Callable[[FloatArray], FloatArray]:
+    """Stretch of all shapes together to the box, in which the reference point stays."""
+    length, width, height = (take_number(entry, f"{side}_m", where) for side in _SIDES_OF_BOX)
+    reference_m = float(entry.get("reference_ahead_m", 0.0))
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    ahead = (0.5 * length - reference_m) / high[0]
+    behind = (0.5 * length + reference_m) / -low[0]
+    factors = {
+        "ahead": ahead,
+        "behind": behind,
+        "across": width / (high[1] - low[1]),
+        "up": height / high[2],
+    }
+    for name, factor in factors.items():
+        if abs(factor - 1.0) > _MAX_STRETCH:
+            raise InputError(
+                where, Unquoted(f"{factor:.3f} x {name} to fit the box"), "outlines near its size"
+            )
+
+    def fit(points: FloatArray) -> FloatArray:
+        x = points[:, 0] * np.where(points[:, 0] > 0.0, ahead, behind) + reference_m
+        y = (points[:, 1] - 0.5 * (low[1] + high[1])) * factors["across"]
+        return np.stack([x, y, points[:, 2] * factors["up"]], axis=1)
+
+    return fit
+
+
+_SIDES_OF_BOX = ("length", "width", "height")
+_MAX_STRETCH = 0.04
+
+
+@cache
+def _manifold3d() -> Any:
+    try:
+        return import_module("manifold3d")
+    except ModuleNotFoundError:
+        raise MissingExtraError(
+            "building shapes needs manifold3d: pip install manifold3d==3.5.4"
+        ) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,487 @@
+"""Features, buildings and walls from GIS files: GeoJSON, GeoPackage, Shapefile."""
+
+import re
+import warnings
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InputError, Unquoted
+from ..scene import CLASS_NAMES
+from ..untrusted_files import check_size, parse_json, read_text, unpacked
+from .city_objects import counted, shortened, unique_id
+from .georeferences import WGS84, Georeference, georeference
+from .solids import extrude
+from .source_map import Skipped, SourceMap, Thing
+from .thing_kinds import (
+    ThingKind,
+    kind_from_name,
+    kind_of_class,
+    thing_defaults,
+)
+
+if TYPE_CHECKING:
+    from shapely import Polygon
+    from shapely.geometry.base import BaseGeometry
+
+
+# ---------- features from GIS files: geometries and what their tables say of them
+
+
+MAX_FEATURES = 200_000
+SUFFIXES = (".geojson", ".json", ".gpkg", ".shp")
+_GEOMETRY_TYPES = (
+    *("Point", "MultiPoint", "LineString", "MultiLineString", "Polygon", "MultiPolygon"),
+    "GeometryCollection",
+)
+# First bytes of a file: GDAL would take other things under these names too, and follow their links.
+_MAGIC = {".gpkg": (b"SQLite format 3\0", "a GeoPackage"), ".shp": (b"\0\0\x27\x0a", "a Shapefile")}
+_MAX_GDAL_BYTES = 2_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Feature:
+    """One row of a layer.
+
+    Attributes
+    ----------
+    where : str
+        File and row, for messages.
+    geometry : shapely geometry, optional
+        In the file's coordinates; None if the row has none.
+    values : mapping
+        Name of a column to its value; missing ones are left out.
+    """
+
+    where: str
+    geometry: "BaseGeometry | None"
+    values: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Features:
+    """One layer.
+
+    Attributes
+    ----------
+    features : tuple of Feature
+        Its rows.
+    crs : str
+        As the file declares it; empty: it does not.
+    """
+
+    features: tuple[Feature, ...]
+    crs: str
+
+
+def read_features(path: Path, layer: str | None = None) -> Features:
+    """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip with one of them.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    layer : str, optional
+        Name of a layer of a GeoPackage that has several.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not what its ending says, has several layers and none is
+        chosen, or has more than 200,000 features.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".zip":
+        with unpacked(path, SUFFIXES) as member:
+            return read_features(member, layer)
+    if suffix in (".geojson", ".json"):
+        return _read_geojson(path)
+    if suffix in _MAGIC:
+        return _read_with_gdal(path, layer)
+    raise InputError(str(path), suffix, "one of " + ", ".join((*SUFFIXES, ".zip")))
+
+
+def _read_geojson(path: Path) -> Features:
+    """GeoJSON (RFC 7946), and the ``crs`` member that it had before: never through a network."""
+    from shapely.errors import ShapelyError
+    from shapely.geometry import shape
+
+    where = str(path)
+    document = parse_json(read_text(path, "GeoJSON"), where, "GeoJSON")
+    kind = document.get("type")
+    rows = document.get("features") if kind == "FeatureCollection" else [document]
+    if kind not in ("FeatureCollection", "Feature") or not isinstance(rows, list):
+        raise InputError(f"{where}: type", kind, "a FeatureCollection with features")
+    _refuse_many(len(rows), where)
+    features = []
+    for index, row in enumerate(rows):
+        here = f"{where}: features[{index}]"
+        if not isinstance(row, Mapping):
+            raise InputError(here, row, "a Feature")
+        values, table = row.get("properties") or {}, row.get("geometry")
+        if not isinstance(values, Mapping):
+            raise InputError(f"{here}.properties", values, "a table")
+        values = {str(key): value for key, value in values.items() if value is not None}
+        if isinstance(row.get("id"), str | int):
+            values.setdefault("id", row["id"])
+        geometry = None
+        if table is not None:
+            if not isinstance(table, Mapping) or table.get("type") not in _GEOMETRY_TYPES:
+                raise InputError(f"{here}.geometry", table, "one of " + ", ".join(_GEOMETRY_TYPES))
+            try:
+                geometry = shape(table)
+            except (
+                *(ShapelyError, ValueError, TypeError, KeyError, IndexError, AttributeError),
+                *(OverflowError, RecursionError),
+            ):
+                raise InputError(
+                    f"{here}.geometry",
+                    Unquoted(f"a broken {table['type']}"),
+                    "finite coordinates, rings of four or more, nested as its type asks for",
+                ) from None
+        features.append(Feature(where=here, geometry=geometry, values=values))
+    return Features(features=tuple(features), crs=_geojson_crs(document.get("crs"), where))
+
+
+def _geojson_crs(table: Any, where: str) -> str:
+    """Reference system of a GeoJSON file; without a word it is WGS 84."""
+    if table is None:
+        return WGS84
+    properties = table.get("properties") if isinstance(table, Mapping) else None
+    name = properties.get("name") if isinstance(properties, Mapping) else None
+    if not isinstance(name, str) or not name:
+        raise InputError(f"{where}: crs", table, "a named one, or none for WGS 84")
+    return name
+
+
+def _read_with_gdal(path: Path, layer: str | None) -> Features:
+    """GeoPackage and Shapefile."""
+    import pandas as pd
+    import pyogrio
+    from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError
+    from shapely.errors import ShapelyError
+
+    where = str(path)
+    magic, name = _MAGIC[path.suffix.lower()]
+    try:
+        check_size(path, _MAX_GDAL_BYTES)
+        with path.open("rb") as file:
+            if file.read(len(magic)) != magic:
+                raise InputError(where, Unquoted("something else"), name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # rings left open and the like, which GDAL mends
+            layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
+            if layer is None and len(layers) != 1:
+                raise InputError(where, Unquoted(f"{len(layers)} layers"), _one_of(layers))
+            if layer is not None and layer not in layers:
+                raise InputError(f"{where}: layer", layer, _one_of(layers))
+            if pyogrio.read_info(path, layer=layer)["geometry_type"] is None:
+                raise InputError(where, Unquoted("a table without geometries"), name)
+            table = pyogrio.read_dataframe(path, layer=layer, max_features=MAX_FEATURES + 1)
+    except OSError as error:
+        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
+    except (
+        *(DataLayerError, DataSourceError, FeatureError, FieldError, ShapelyError),
+        *(UnicodeError, TypeError, RuntimeError, OverflowError, pd.errors.OutOfBoundsDatetime),
+    ) as error:
+        raise InputError(where, Unquoted(_one_line(error)), name) from None
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(where, Unquoted(_one_line(error)), name) from None
+    _refuse_many(len(table), where)
+    geometries = table.geometry.to_numpy()
+    columns = {str(column): table[column] for column in table.columns if column != "geometry"}
+    has_value = {column: series.notna().to_numpy() for column, series in columns.items()}
+    values = {column: series.to_numpy() for column, series in columns.items()}
+    features = [
+        Feature(
+            where=f"{where}: row {index + 1}",
+            geometry=geometry,
+            values={
+                column: _plain(values[column][index])
+                for column, known in has_value.items()
+                if known[index]
+            },
+        )
+        for index, geometry in enumerate(geometries)
+    ]
+    return Features(features=tuple(features), crs="" if table.crs is None else table.crs.to_wkt())
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _one_of(layers: list[str]) -> str:
+    return "one layer, by name: " + ", ".join(layers[:20]) if layers else "a layer"
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def _refuse_many(n_features: int, where: str) -> None:
+    if n_features > MAX_FEATURES:
+        raise InputError(
+            where,
+            Unquoted(f"more than {MAX_FEATURES:,} features"),
+            "a part of it; cut it out first",
+        )
+
+
+# ---------- buildings and walls from GIS files: footprints raised by the heights in their tables
+
+
+# Names of columns, without units, in lower case with _ for everything between words.
+_TOPS = (
+    *("height", "building_height", "bldg_height", "bldgheight", "measuredheight"),
+    *("measured_height", "hoehe", "gebaeudehoehe", "building_h", "h"),  # Shapefiles: 10 letters
+)
+_BOTTOMS = ("min_height", "building_min_height", "minheight", "base_height", "base")
+_STOREYS = (
+    *("building_levels", "levels", "storeys", "stories", "floors", "num_floors", "geschosse"),
+    *("storeysaboveground", "storeys_above_ground", "building_l"),
+)
+_LOWEST_STOREYS = ("building_min_level", "min_level", "min_levels")
+_KINDS = ("class_name", "class", "kind", "type", "barrier", "fclass")
+_IDS = ("id", "gml_id", "osm_id", "fid", "objectid", "identifier")
+_UNITS_M = {"m": 1.0, "meter": 1.0, "metre": 1.0, "meters": 1.0, "metres": 1.0, "cm": 0.01}
+_UNITS_M |= {"mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "'": 0.3048}
+
+
+def read_footprints(
+    path: Path, *, class_name: str = "building", layer: str | None = None
+) -> SourceMap:
+    """Read footprints and raise them.
+
+    Heights come from columns such as ``height``, ``building:levels`` or ``min_height``, in metres
+    unless the column (``height_ft``) or the value ("40 ft") says otherwise. Where there is none, or
+    one that cannot be, the default of ``data/things.toml`` is assumed. Lines become walls if the
+    class is "wall", or if a column ``class``, ``kind``, ``type`` or ``barrier`` says wall, fence or
+    hedge. Third coordinates are not looked at.
+
+    Parameters
+    ----------
+    path : Path
+        ``.geojson``, ``.json``, ``.gpkg``, ``.shp``, or a ``.zip`` with one of them.
+    class_name : str
+        What areas are, unless a column says wall or hedge.
+    layer : str, optional
+        Name of a layer, where there are several.
+
+    Returns
+    -------
+    source : SourceMap
+        Only things; heights are above ground.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read; has no area at all, or coordinates that are not finite or not in
+        the reference system that it declares.
+    """
+    import shapely
+
+    if class_name not in CLASS_NAMES:
+        raise InputError("class_name", class_name, "one of " + ", ".join(CLASS_NAMES))
+    table = read_features(path, layer)
+    where = str(path)
+    if not table.features:
+        raise InputError(where, Unquoted("an empty layer"), "footprints")
+    left_out: Counter[str] = Counter()
+    solid = [
+        (feature, kind)
+        for feature in table.features
+        if (kind := _kind(feature, class_name, left_out)) is not None
+    ]
+    if not solid:
+        raise InputError(
+            where,
+            Unquoted("no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items())),
+            "polygons",
+        )
+    points = np.concatenate([shapely.get_coordinates(feature.geometry) for feature, _ in solid])
+    place = georeference(points, table.crs, where=where)
+    things: list[Thing] = []
+    failed: list[Skipped] = []
+    ids: Counter[str] = Counter()
+    for feature, kind in solid:
+        values = {_column(key): value for key, value in feature.values.items()}
+        wanted = next((str(values[key]) for key in _IDS if key in values), "")
+        thing_id = unique_id(wanted or feature.where.rpartition(": ")[2], ids)
+        try:
+            things.append(_raised(feature, kind, thing_id, place, _span(feature, kind)))
+        except InputError as error:
+            failed.append(Skipped(what=f"{kind.kind} {thing_id}", why=str(error)))
+    if not things:
+        raise InputError(where, Unquoted(f"no footprint with an area; {failed[0].why}"), "polygons")
+    notes = [] if place.note is None else [place.note]
+    return SourceMap(
+        name=path.name,
+        crs=place.crs,
+        source_crs=place.source_crs,
+        things=tuple(things),
+        skipped=(*notes, *counted(left_out, "no area"), *shortened(failed)),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Span:
+    """From floor to roof, above ground."""
+
+    bottom_m: float
+    top_m: float
+    is_assumed: bool
+
+
+def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKind | None:
+    """What a feature is; None if it is nothing solid."""
+    geometry = feature.geometry
+    if geometry is None or geometry.is_empty:
+        left_out["rows without geometry"] += 1
+        return None
+    values = {_column(key): value for key, value in feature.values.items()}
+    words = " ".join(str(values[key]) for key in _KINDS if key in values)
+    said = kind_from_name(words)
+    is_barrier = said is not None and said.kind in ("wall", "fence", "hedge")
+    if _has(geometry, ("Polygon",)):
+        return said if is_barrier else kind_of_class(class_name)
+    if not _has(geometry, ("LineString", "LinearRing")):
+        left_out["points"] += 1
+        return None
+    if is_barrier:
+        return said
+    if class_name == "wall":
+        return kind_of_class(class_name)
+    left_out["lines"] += 1
+    return None
+
+
+def _has(geometry: "BaseGeometry", types: tuple[str, ...]) -> bool:
+    return any(part.geom_type in types for part in _parts(geometry))
+
+
+def _parts(geometry: "BaseGeometry", depth: int = 0) -> "list[BaseGeometry]":
+    """Points, lines and polygons of a geometry."""
+    pieces = getattr(geometry, "geoms", None)
+    if pieces is None or depth > 50:
+        return [geometry]
+    return [part for piece in pieces for part in _parts(piece, depth + 1)]
+
+
+def _raised(
+    feature: Feature, kind: ThingKind, thing_id: str, place: Georeference, span: _Span
+) -> Thing:
+    """A feature as a solid.
+
+    Raises
+    ------
+    InputError
+        It has no area.
+    """
+    import shapely
+
+    def project(points: Any) -> Any:
+        return place.to_metres(points, feature.where)
+
+    assert feature.geometry is not None
+    geometry = shapely.transform(shapely.force_2d(feature.geometry), project)
+    parts = _parts(geometry)
+    polygons: list[Polygon] = [part for part in parts if part.geom_type == "Polygon"]
+    if not polygons:
+        strips = [
+            part.buffer(0.5 * kind.thickness_m, cap_style="flat", join_style="mitre")
+            for part in parts
+            if part.geom_type in ("LineString", "LinearRing")
+        ]
+        polygons = [part for strip in strips for part in _parts(strip) if not part.is_empty]
+    pieces = [
+        extrude(
+            polygon.exterior.coords,
+            bottom_m=span.bottom_m,
+            top_m=span.top_m,
+            holes_m=[hole.coords for hole in polygon.interiors],
+            where=thing_id,
+        )
+        for polygon in polygons
+        if not polygon.is_empty
+    ]
+    if not pieces:
+        raise InputError(thing_id, Unquoted("no area"), "a footprint")
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
+    return Thing(
+        id=thing_id,
+        class_name=kind.class_name,
+        vertices_m=np.concatenate([vertices for vertices, _ in pieces]),
+        triangles=np.concatenate(
+            [triangles + offset for (_, triangles), offset in zip(pieces, first, strict=False)]
+        ),
+        is_height_assumed=span.is_assumed,
+    )
+
+
+def _span(feature: Feature, kind: ThingKind) -> _Span:
+    """From where to where a feature reaches, as far as its table says."""
+    defaults = thing_defaults()
+    values = feature.values
+    top = _length_m(values, _TOPS)
+    storeys = _length_m(values, _STOREYS)
+    if top is None and storeys is not None and 0.0 < storeys <= defaults.max_storeys:
+        top = storeys * defaults.storey_height_m
+    if top is not None and not 0.0 < top <= defaults.max_height_m:
+        top = None
+    bottom = _length_m(values, _BOTTOMS)
+    lowest = _length_m(values, _LOWEST_STOREYS)
+    if bottom is None and lowest is not None:
+        bottom = lowest * defaults.storey_height_m
+    top_m = kind.height_m if top is None else top
+    is_possible = bottom is not None and 0.0 <= bottom < top_m
+    return _Span(
+        bottom_m=bottom if bottom is not None and is_possible else 0.0,
+        top_m=top_m,
+        is_assumed=top is None,
+    )
+
+
+def _length_m(values: Mapping[str, Any], names: tuple[str, ...]) -> float | None:
+    """First finite number, in metres, of the columns of some names; None if there is none."""
+    best: tuple[int, float] | None = None
+    for key, value in values.items():
+        column = _column(key)
+        base, _, unit = column.rpartition("_")
+        column, scale = (base, _UNITS_M[unit]) if unit in _UNITS_M and base else (column, 1.0)
+        if column not in names:
+            continue
+        number = _number(value)
+        if number is not None and (best is None or names.index(column) < best[0]):
+            best = names.index(column), number * scale
+    return None if best is None else best[1]
+
+
+_NUMBER = re.compile(r"([-+]?\d{1,15}(?:[.,]\d{1,15})?(?:[eE][-+]?\d{1,2})?)\s*([a-z']*)")
+
+
+def _number(value: Any) -> float | None:
+    """A number, or a text such as "12", "12,5 m" or "40 ft", in metres or without a unit."""
+    if isinstance(value, bool):
+        return None
+    if isinstance(value, int | float):
+        try:
+            number = float(value)
+        except OverflowError:
+            return None
+        return number if np.isfinite(number) else None
+    match = _NUMBER.fullmatch(str(value).strip().lower()[:60])
+    if match is None or (match[2] and match[2] not in _UNITS_M):
+        return None
+    return float(match[1].replace(",", ".")) * _UNITS_M.get(match[2], 1.0)
+
+
+def _column(key: str) -> str:
+    """Name of a column in lower case, with _ for everything between words."""
+    return re.sub(r"[^0-9a-zäöüß]+", "_", key.strip().lower()[:60]).replace("ö", "oe").strip("_")

@@ -1,0 +1,212 @@
+"""The junctions of a map: which there are, and the one that somebody means."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import InputError, Unquoted
+from ..junction import build_junction
+from ..scene import Instance, Lane, Scene
+from .georeferences import transform
+from .source_map import MapJunction, MapLane, SourceMap
+
+_MAX_LISTED = 12
+_NEAR_M = 100.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surveyed:
+    """A junction of a map, and what leads there.
+
+    Attributes
+    ----------
+    junction : MapJunction
+        Itself.
+    arms : tuple of str
+        Names of its arms; none where no lane ends at its outline.
+    n_lanes : int
+        Driving lanes into it and out of it.
+    n_driven : int
+        Arms from which a driving lane leads into it.
+    position : (2,) float
+        Its middle in the coordinate reference system of the file: longitude and latitude, or
+        metres.
+    """
+
+    junction: MapJunction
+    arms: tuple[str, ...]
+    n_lanes: int
+    n_driven: int
+    position: FloatArray
+
+
+def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
+    """All junctions of a map, the largest first: by arms, driven arms, then lanes.
+
+    Parameters
+    ----------
+    source : SourceMap
+        With lanes.
+
+    Returns
+    -------
+    surveyed : tuple of Surveyed
+        Of equally large ones that nearest to the middle of the map comes first.
+    """
+    by_junction: dict[str, list[MapLane]] = {junction.id: [] for junction in source.junctions}
+    for lane in source.lanes:
+        for name in {lane.from_junction, lane.to_junction} & by_junction.keys():
+            by_junction[name].append(lane)
+    found = [_survey(source, one, by_junction[one.id]) for one in source.junctions]
+    if not found:
+        return ()
+    middle = np.median([one.junction.position_m for one in found], axis=0)
+
+    def rank(one: Surveyed) -> tuple[float, ...]:
+        off_m = float(np.hypot(*(one.junction.position_m - middle)))
+        return (-len(one.arms), -one.n_driven, -one.n_lanes, off_m)
+
+    return tuple(sorted(found, key=rank))
+
+
+def choose_junction(
+    source: SourceMap,
+    surveyed: Sequence[Surveyed],
+    *,
+    name: str = "",
+    at: tuple[float, float] | None = None,
+) -> Surveyed:
+    """The junction that is meant.
+
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+    surveyed : sequence of Surveyed
+        Its junctions, as :func:`survey_junctions` gives them.
+    name : str
+        Its id, or its name, or a part of it that no other one has; empty: any.
+    at : (float, float), optional
+        A point within 100 m, in the coordinate reference system of the file: longitude and
+        latitude, or metres.
+
+    Returns
+    -------
+    chosen : Surveyed
+        By name or point; if nothing is said, the first one.
+
+    Raises
+    ------
+    InputError
+        The map has no junction, none is meant, or several are.
+    """
+    if not surveyed:
+        raise InputError(source.name, Unquoted("no junction"), "a map in which roads meet")
+    if name:
+        return _by_name(surveyed, name)
+    if at is None:
+        return surveyed[0]
+    point = _point_of_map(source, at)
+    distance = [float(np.hypot(*(one.junction.position_m - point))) for one in surveyed]
+    nearest = int(np.argmin(distance))
+    if not distance[nearest] <= _NEAR_M:
+        exchanged = _point_or_far(source, (at[1], at[0]))
+        if min(np.hypot(*(one.junction.position_m - exchanged)) for one in surveyed) <= _NEAR_M:
+            order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
+            raise InputError(
+                "--at", Unquoted(f"{at[0]:.8g},{at[1]:.8g}"), f"{order}: it is the other way round"
+            )
+        where = ", ".join(f"{value:.8g}" for value in surveyed[nearest].position)
+        raise InputError(
+            "--at",
+            Unquoted(f"{at[0]:.8g},{at[1]:.8g}"),
+            f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
+            f"{surveyed[nearest].junction.id}, is at {where}",
+        )
+    return surveyed[nearest]
+
+
+def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
+    wanted = name.casefold()
+    for matches in (
+        [one for one in surveyed if one.junction.id == name],
+        [one for one in surveyed if one.junction.name.casefold() == wanted],
+        [one for one in surveyed if wanted in one.junction.name.casefold()],
+    ):
+        if len(matches) == 1:
+            return matches[0]
+        if matches:
+            raise InputError("--junction", name, f"one of {_listed(matches)}")
+    raise InputError("--junction", name, f"one of {_listed(surveyed)}")
+
+
+def _listed(surveyed: Sequence[Surveyed]) -> str:
+    words = [
+        f"{one.junction.id} ({one.junction.name})" if one.junction.name else one.junction.id
+        for one in surveyed[:_MAX_LISTED]
+    ]
+    left = len(surveyed) - len(words)
+    return ", ".join(words) + (f" and {left} more: place-rsus scene show FILE" if left else "")
+
+
+def _point_or_far(source: SourceMap, at: tuple[float, float]) -> FloatArray:
+    """A point in the map's coordinates; infinitely far if it is nowhere on earth."""
+    try:
+        return _point_of_map(source, at)
+    except InputError:
+        return np.full(2, np.inf)
+
+
+def _point_of_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
+    """A point in the coordinates that the map has been read into."""
+    if not source.crs or source.source_crs in ("", source.crs):
+        return np.array(at)
+    point = transform(np.array(at), source.source_crs, source.crs)
+    if not np.isfinite(point).all():
+        raise InputError(
+            "--at", Unquoted(f"{at[0]:g},{at[1]:g}"), f"a point in {source.source_crs}"
+        )
+    return point
+
+
+def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) -> Surveyed:
+    position = junction.position_m
+    if source.crs and source.source_crs not in ("", source.crs):
+        position = transform(position, source.crs, source.source_crs)
+    # Near the origin, as build_junction's other users have it; nothing but the lanes counts.
+    scene = Scene(
+        name=junction.id,
+        vertices_m=np.zeros((0, 3)),
+        triangles=np.zeros((0, 3), dtype=np.int32),
+        triangle_instance=np.zeros(0, dtype=np.int32),
+        instances=(Instance(id="ground", class_name="ground"),),
+        sites=(),
+        outline_m=junction.outline_m - junction.position_m,
+        lanes=tuple(_moved(lanes, junction.position_m)),
+        crs="",
+        keeps_left=source.keeps_left,
+    )
+    try:
+        arms = build_junction(scene).arms
+    except InputError:  # no lane ends at the outline
+        arms = {}
+    return Surveyed(
+        junction=junction,
+        arms=tuple(arms),
+        n_lanes=sum(len(arm.entry_lanes) + len(arm.exit_lanes) for arm in arms.values()),
+        n_driven=sum(bool(arm.entry_lanes) for arm in arms.values()),
+        position=position,
+    )
+
+
+def _moved(lanes: Sequence[MapLane], origin_m: FloatArray) -> Iterator[Lane]:
+    for lane in lanes:
+        if lane.kind in ("driving", "parking"):
+            yield Lane(
+                id=lane.id,
+                kind=lane.kind,
+                width_m=lane.width_m,
+                centreline_m=lane.centreline_m[:, :2] - origin_m,
+            )

@@ -1,0 +1,254 @@
+"""Lanes of streets: cross-sections along the line of the street."""
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ...arrays import FloatArray
+from ..source_map import MapLane
+from .elements import DEFAULTS
+from .junctions import Reach
+from .lanes import Strip
+from .network import axis_points, has_no_knot, stations_between
+
+_BESIDE_END_M = 12.0  # between the end of one carriageway and the lane it leads into
+_MIN_LENGTH_M = 0.5
+_SAME_POINT_M = 0.5  # pieces of a lane whose ends are as near as this are one after the other
+_SAME_WAY = 0.5  # cosine of the angle between them
+_BEND_M = 15.0
+
+
+@dataclass(slots=True)
+class _Piece:
+    """A lane over some parts of a street, with where its middle lies at breaks.
+
+    Attributes
+    ----------
+    strips : list of Strip
+        Of each part.
+    spans_m : list of (float, float)
+        Stations of each part. [m]
+    ends_left_m : list of (float, float)
+        Its middle, to the left of the street, where each part begins and ends. [m]
+    levels : list of int
+        Layer of each part.
+    id : str
+        Of the lane.
+    """
+
+    id: str
+    strips: list[Strip] = field(default_factory=list)
+    spans_m: list[tuple[float, float]] = field(default_factory=list)
+    ends_left_m: list[tuple[float, float]] = field(default_factory=list)
+    levels: list[int] = field(default_factory=list)
+
+
+def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
+    """Lanes of all streets.
+
+    Parameters
+    ----------
+    reaches : sequence of Reach
+        Streets and where on them lanes begin and end.
+
+    Returns
+    -------
+    lanes : tuple of MapLane
+        One per lane and stretch between junctions; where the number of lanes of a direction
+        changes, all of them end, and those that follow begin at the same points.
+    """
+    lanes = [lane for reach in reaches for lane in _street_lanes(reach)]
+    return tuple(_lead_on(lanes))
+
+
+def _street_lanes(reach: Reach) -> Iterator[MapLane]:
+    street = reach.street
+    spans = [
+        (max(low, reach.begin_m), min(high, reach.end_m))
+        for low, high in zip(street.breaks_m[:-1], street.breaks_m[1:], strict=True)
+    ]
+    parts = [index for index, (low, high) in enumerate(spans) if high - low > 1e-3]
+    open_pieces: dict[tuple[str, str, int], _Piece] = {}
+    done: list[_Piece] = []
+    for at, index in enumerate(parts):
+        edge, _ = street.parts[index]
+        strips = street.sections[index].strips
+        before = street.sections[parts[at - 1]].strips if at else ()
+        after = street.sections[parts[at + 1]].strips if at + 1 < len(parts) else ()
+        following: dict[tuple[str, str, int], _Piece] = {}
+        for strip in strips:
+            begin_m, is_continued = _at_break(strip, strips, before)
+            end_m, _ = _at_break(strip, strips, after)
+            piece = open_pieces.pop(_key(strip), None) if is_continued else None
+            if piece is None:
+                name = f"{edge.id} {strip.kind} {strip.place} {strip.number}"
+                piece = _Piece(name)
+            piece.strips.append(strip)
+            piece.spans_m.append(spans[index])
+            piece.ends_left_m.append((begin_m, end_m))
+            piece.levels.append(edge.level)
+            following[_key(strip)] = piece
+        done += open_pieces.values()
+        open_pieces = following
+    done += open_pieces.values()
+    for piece in done:
+        lane = _lane(piece, reach)
+        if lane is not None:
+            yield lane
+
+
+def _key(strip: Strip) -> tuple[str, str, int]:
+    return strip.kind, strip.place, strip.number
+
+
+def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tuple[float, bool]:
+    """Where a lane's middle lies at a break, left of the street, and whether it just goes on."""
+    here, there = (
+        sorted(
+            (one for one in side if (one.kind, one.place) == (strip.kind, strip.place)),
+            key=lambda one: one.number,
+        )
+        for side in (own, others)
+    )
+    if not there:
+        return strip.left_m, False
+    if strip.kind != "driving":
+        match = [one for one in there if one.number == strip.number]
+        same = match[0].left_m if match else strip.left_m
+        return 0.5 * (strip.left_m + same), bool(match)
+    number = min(strip.number, len(here) - 1, len(there) - 1)
+    left_m = 0.5 * (here[number].left_m + there[number].left_m)
+    return left_m, len(here) == len(there)
+
+
+def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
+    taper = DEFAULTS["cross_section"]["taper"]
+    stations: list[float] = []
+    lefts: list[float] = []
+    for strip, (low, high), ends in zip(
+        piece.strips, piece.spans_m, piece.ends_left_m, strict=True
+    ):
+        half = 0.5 * (high - low)
+        for station, left, sign in ((low, ends[0], 1.0), (high, ends[1], -1.0)):
+            shift = abs(left - strip.left_m)
+            run = min(max(taper * shift, 1.0), half)
+            pair = [(station, left), (station + sign * run, strip.left_m)]
+            for one, beside in pair if sign > 0.0 else pair[::-1]:
+                stations.append(one)
+                lefts.append(beside)
+    begin_m, end_m = piece.spans_m[0][0], piece.spans_m[-1][1]
+    if end_m - begin_m < _MIN_LENGTH_M:
+        return None
+    is_level = np.ptp(lefts) < 1e-9
+    heights = _heights(piece)
+    extra = [] if is_level else list(stations)
+    extra += [station for station, _ in heights] if any(piece.levels) else []
+    at = stations_between(reach.street, begin_m, end_m, extra)
+    middle, across = axis_points(reach.street, at)
+    line = middle + np.interp(at, stations, lefts)[:, None] * across
+    is_kept = has_no_knot(line, middle)
+    at, line = at[is_kept], line[is_kept]
+    if len(line) < 2 or np.hypot(*(line[-1] - line[0])) < 1e-3:
+        return None
+    widths = [strip.width_m for strip in piece.strips]
+    lengths = [high - low for low, high in piece.spans_m]
+    is_forward = piece.strips[0].is_forward
+    points = np.column_stack([line, np.interp(at, *np.transpose(heights))])
+    from_junction = reach.from_junction if begin_m <= reach.begin_m + 1e-6 else ""
+    to_junction = reach.to_junction if end_m >= reach.end_m - 1e-6 else ""
+    if not is_forward:
+        points = points[::-1]
+        from_junction, to_junction = to_junction, from_junction
+    return MapLane(
+        id=piece.id,
+        kind=piece.strips[0].kind,
+        width_m=float(np.average(widths, weights=lengths)),
+        centreline_m=points,
+        from_junction=from_junction,
+        to_junction=to_junction,
+    )
+
+
+def _heights(piece: _Piece) -> list[tuple[float, float]]:
+    """Stations and heights: bridges and tunnels are as high as their layer, with short ramps."""
+    heights: list[tuple[float, float]] = []
+    step_m = DEFAULTS["cross_section"]["level_m"]
+    for index, ((low, high), level) in enumerate(zip(piece.spans_m, piece.levels, strict=True)):
+        before = piece.levels[max(index - 1, 0)]
+        after = piece.levels[min(index + 1, len(piece.levels) - 1)]
+        run = min(10.0, 0.5 * (high - low))
+        heights += [
+            (low, 0.5 * step_m * (before + level)),
+            (low + run, step_m * level),
+            (high - run, step_m * level),
+            (high, 0.5 * step_m * (level + after)),
+        ]
+    return heights
+
+
+def _lead_on(lanes: Sequence[MapLane]) -> list[MapLane]:
+    """Let lanes of carriageways that part or merge begin where the one before them ends."""
+    led = list(lanes)
+    loose: dict[bool, list[int]] = defaultdict(list)  # by whether the begin is meant
+    driving = [index for index, lane in enumerate(lanes) if lane.kind == "driving"]
+    if not driving:
+        return led
+    tips = {
+        is_begin: np.array([_tip(lanes[index], is_begin=is_begin) for index in driving])
+        for is_begin in (True, False)
+    }
+    trees = {is_begin: cKDTree(tips[is_begin]) for is_begin in (True, False)}
+    for is_begin in (True, False):
+        distance = np.atleast_1d(trees[not is_begin].query(tips[is_begin])[0])
+        for at, index in enumerate(driving):
+            name = lanes[index].from_junction if is_begin else lanes[index].to_junction
+            if not name and distance[at] > _SAME_POINT_M:
+                loose[is_begin].append(at)
+    pairs = []
+    for end in loose[False]:
+        for begin in trees[True].query_ball_point(tips[False][end], _BESIDE_END_M):
+            one, other = lanes[driving[end]], lanes[driving[begin]]
+            if begin in loose[True] and _ahead(one, False) @ _ahead(other, True) > _SAME_WAY:
+                east, north, _ = tips[True][begin] - tips[False][end]
+                gap = float(np.hypot(east, north))
+                pairs.append((gap, end, begin))
+    moved: dict[tuple[int, bool], FloatArray] = {}
+    for _, end, begin in sorted(pairs):
+        if (end, False) in moved:
+            continue
+        if (begin, True) not in moved:
+            moved[begin, True] = 0.5 * (tips[False][end] + tips[True][begin])
+        moved[end, False] = moved[begin, True]
+    for (at, is_begin), point in moved.items():
+        index = driving[at]
+        points = led[index].centreline_m
+        line = _bent(points if is_begin else points[::-1], point)
+        led[index] = replace(led[index], centreline_m=line if is_begin else line[::-1])
+    return led
+
+
+def _tip(lane: MapLane, *, is_begin: bool) -> FloatArray:
+    tip: FloatArray = lane.centreline_m[0 if is_begin else -1]
+    return tip
+
+
+def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
+    """Unit vector in driving direction at an end of a lane, (2,)."""
+    points = lane.centreline_m[:, :2]
+    step = points[1] - points[0] if is_begin else points[-1] - points[-2]
+    unit: FloatArray = step / max(float(np.hypot(*step)), 1e-9)
+    return unit
+
+
+def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
+    """A line that begins at another point and comes back to itself within some metres."""
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m[:, :2], axis=0).T)))
+    run = min(_BEND_M, float(along[-1]))
+    stations = np.unique(np.append(along, run))
+    line = np.column_stack([np.interp(stations, along, points_m[:, axis]) for axis in range(3)])
+    share = np.clip(1.0 - stations / run, 0.0, 1.0)
+    bent: FloatArray = line + share[:, None] * (begin_m - points_m[0])
+    return bent

@@ -1,0 +1,548 @@
+"""Buildings, walls, hedges, trees and poles."""
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from functools import cache
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import LineString, Polygon, STRtree, make_valid
+from shapely.geometry.base import BaseGeometry
+
+from ...arrays import FloatArray
+from ...errors import InputError
+from ..solids import extrude
+from ..source_map import Pole, Thing
+from .elements import DEFAULTS, Area, Elements, Notes, Tags, Way, find_areas
+from .junctions import Reach
+from .network import Network, known_runs, points_beside
+from .tags import is_yes, parse_length_m, parse_number
+
+# ---------- buildings and their parts as solids
+
+
+_ON_STILTS = ("roof", "carport", "canopy")
+_NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapsed")
+
+
+def find_buildings(elements: Elements, positions_m: FloatArray, notes: Notes) -> Iterator[Thing]:
+    """Buildings of a file.
+
+    Parameters
+    ----------
+    elements : Elements
+        What the file has.
+    positions_m : (n, 2) float
+        Of its nodes. [m]
+    notes : Notes
+        Told of buildings that are left out, and why.
+
+    Yields
+    ------
+    building : Thing
+        A prism from the ground, or from where the map says that it begins. A building with parts
+        that cover it is its parts; where they do not, the rest of it stands too.
+    """
+    areas = [
+        area
+        for area in find_areas(elements, positions_m, ("building", "building:part"), notes)
+        if _stands(area, notes)
+    ]
+    parts = [area for area in areas if is_yes(area.tags.get("building:part"))]
+    part_ids = {area.id for area in parts}
+    outlines = [area for area in areas if area.id not in part_ids]
+    rests = _without_parts(outlines, parts)
+    for area in parts:
+        if not _is_on_stilts(area.tags) or _bottom_m(area.tags) > 0.0:
+            yield from _solid(area, notes)
+        else:
+            notes.add("roofs", _element(area), "a roof on stilts of unknown height")
+    for area, rest in zip(outlines, rests, strict=True):
+        if _is_on_stilts(area.tags) and _bottom_m(area.tags) <= 0.0:
+            notes.add("roofs", _element(area), "a roof on stilts of unknown height")
+        elif rest is None:
+            yield from _solid(area, notes)
+        else:
+            for number, piece in enumerate(rest):
+                name = f"{area.id} beside its parts" + (f" {number}" if number else "")
+                yield from _solid(
+                    Area(
+                        id=name,
+                        tags=area.tags,
+                        outer_m=np.asarray(piece.exterior.coords),
+                        holes_m=tuple(np.asarray(hole.coords) for hole in piece.interiors),
+                    ),
+                    notes,
+                )
+
+
+def _element(area: Area) -> str:
+    kind = "relation" if area.id.startswith("r") else "way"
+    return f"{kind} {area.id[1:].partition('.')[0]}"
+
+
+def _stands(area: Area, notes: Notes) -> bool:
+    """It is there, above the ground, and something to look at."""
+    tags = area.tags
+    kinds = [tags[key] for key in ("building", "building:part") if key in tags]
+    if all(kind == "no" for kind in kinds):
+        return False
+    if any(kind in _NOT_THERE for kind in kinds):
+        notes.add("buildings", _element(area), "not built yet, or no longer there")
+        return False
+    if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
+        notes.add("buildings", _element(area), "below the ground")
+        return False
+    return True
+
+
+def _is_on_stilts(tags: Tags) -> bool:
+    return tags.get("building:part", tags.get("building")) in _ON_STILTS
+
+
+def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list[Polygon] | None]:
+    """What of each outline no part covers; None: it has none."""
+    rests: list[list[Polygon] | None] = [None] * len(outlines)
+    if not outlines or not parts:
+        return rests
+    shapes = [make_valid(area.polygon) for area in outlines]
+    part_shapes = [make_valid(area.polygon) for area in parts]
+    tree = STRtree(shapes)
+    inside = tree.query(
+        [shapely.point_on_surface(shape) for shape in part_shapes], predicate="within"
+    )
+    by_outline: dict[int, list[int]] = defaultdict(list)
+    for part, outline in inside.T.tolist():
+        by_outline[outline].append(part)
+    least = DEFAULTS["building"]["parts_cover"]
+    for outline, members in by_outline.items():
+        covered = shapely.union_all([part_shapes[member] for member in members])
+        rest = shapes[outline].difference(covered)
+        is_covered = rest.area <= (1.0 - least) * shapes[outline].area
+        rests[outline] = [] if is_covered else list(_polygons(rest))
+    return rests
+
+
+def _polygons(shape: BaseGeometry) -> Iterator[Polygon]:
+    for part in getattr(shape, "geoms", [shape]):
+        if isinstance(part, Polygon) and part.area > 1.0:
+            yield part
+
+
+def _solid(area: Area, notes: Notes) -> Iterator[Thing]:
+    top_m, is_assumed = _top_m(area, notes)
+    bottom_m = _bottom_m(area.tags)
+    if bottom_m >= top_m:
+        if not is_assumed:
+            notes.add("buildings", _element(area), "its roof is not above its floor")
+            return
+        top_m = bottom_m + DEFAULTS["building"]["storey_height_m"]
+    try:
+        vertices, triangles = extrude(
+            area.outer_m,
+            bottom_m=bottom_m,
+            top_m=top_m,
+            holes_m=area.holes_m,
+            where=_element(area),
+        )
+    except InputError as error:
+        notes.add("buildings", _element(area), f"its outline has {error.got}")
+        return
+    yield Thing(
+        id=area.id,
+        class_name="building",
+        vertices_m=vertices,
+        triangles=triangles,
+        is_height_assumed=is_assumed,
+    )
+
+
+def _top_m(area: Area, notes: Notes) -> tuple[float, bool]:
+    """Height of the roof, and whether nothing says so; in metres."""
+    tags, usual = area.tags, DEFAULTS["building"]
+    for key in ("height", "building:height", "est_height"):
+        if key in tags:
+            height_m = parse_length_m(tags[key])
+            if height_m is not None and 0.0 < height_m <= usual["max_height_m"]:
+                return height_m, False
+            notes.add("buildings", _element(area), f"{key} makes no sense; the next best taken")
+    storey_m = usual["storey_height_m"]
+    levels = _levels(tags, "building:levels")
+    roof_m = parse_length_m(tags["roof:height"]) if "roof:height" in tags else None
+    if roof_m is None or roof_m > usual["max_height_m"]:
+        roof_m = storey_m * (_levels(tags, "roof:levels") or 0.0)
+    if levels is not None and storey_m * levels + roof_m > 0.0:
+        return storey_m * levels + roof_m, False
+    kind = tags.get("building:part", "yes")
+    kind = tags.get("building", "yes") if kind == "yes" else kind
+    return usual["default_heights_m"].get(kind, usual["default_height_m"]), True
+
+
+def _bottom_m(tags: Tags) -> float:
+    """Height of the floor, in metres."""
+    usual = DEFAULTS["building"]
+    for key in ("min_height", "building:min_height"):
+        height_m = parse_length_m(tags[key]) if key in tags else None
+        if height_m is not None and height_m <= usual["max_height_m"]:
+            return height_m
+    for key in ("building:min_level", "min_level"):
+        level = _levels(tags, key)
+        if level is not None:
+            return float(usual["storey_height_m"] * level)
+    return 0.0
+
+
+def _levels(tags: Tags, key: str) -> float | None:
+    return (
+        parse_number(tags[key], highest=DEFAULTS["building"]["max_levels"]) if key in tags else None
+    )
+
+
+# ---------- walls and hedges as solids
+
+
+_KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
+
+
+def find_barriers(elements: Elements, positions_m: FloatArray, notes: Notes) -> Iterator[Thing]:
+    """Walls, hedges and boarded fences of a file.
+
+    Parameters
+    ----------
+    elements : Elements
+        What the file has.
+    positions_m : (n, 2) float
+        Of its nodes. [m]
+    notes : Notes
+        Told of fences, which are seen through, and of what is damaged.
+
+    Yields
+    ------
+    barrier : Thing
+        As high and thick as the map says, or as is usual.
+    """
+    for way in elements.ways:
+        kind = way.tags.get("barrier", "")
+        if kind not in _KINDS:
+            continue
+        element = f"way {way.id}"
+        fence = way.tags.get("fence_type", way.tags.get("material", ""))
+        if kind == "fence" and fence not in DEFAULTS["barrier"]["opaque_fences"]:
+            notes.add("fences", element, "seen through: no fence_type that says otherwise")
+            continue
+        height_m, is_assumed = _size_m(way.tags, kind, "height", notes, element)
+        thickness_m, _ = _size_m(way.tags, kind, "thickness", notes, element)
+        for number, footprint in enumerate(_footprints(way, positions_m, thickness_m)):
+            try:
+                vertices, triangles = extrude(
+                    np.asarray(footprint.exterior.coords),
+                    bottom_m=0.0,
+                    top_m=height_m,
+                    holes_m=[np.asarray(ring.coords) for ring in footprint.interiors],
+                    where=element,
+                )
+            except InputError as error:
+                notes.add("barriers", element, f"its outline has {error.got}")
+                continue
+            yield Thing(
+                id=f"w{way.id} {kind}" + (f" {number}" if number else ""),
+                class_name="vegetation" if kind == "hedge" else "wall",
+                vertices_m=vertices,
+                triangles=triangles,
+                is_height_assumed=is_assumed,
+            )
+
+
+def _footprints(way: Way, positions_m: FloatArray, thickness_m: float) -> Iterator[Polygon]:
+    is_area = way.tags.get("area") == "yes" and way.is_closed and (way.rows >= 0).all()
+    shapes: list[BaseGeometry] = (
+        [Polygon(positions_m[way.rows]).buffer(0.0)]
+        if is_area
+        else [
+            LineString(positions_m[rows]).buffer(
+                0.5 * thickness_m, cap_style="flat", join_style="mitre"
+            )
+            for rows in known_runs(way.rows, positions_m)
+        ]
+    )
+    for shape in shapes:
+        for part in getattr(shape, "geoms", [shape]):
+            if isinstance(part, Polygon) and not part.is_empty:
+                yield part
+
+
+def _size_m(tags: Tags, kind: str, name: str, notes: Notes, element: str) -> tuple[float, bool]:
+    """Height or thickness, and whether nothing says so; in metres."""
+    limits = DEFAULTS["barrier"]
+    for key in (name, "width") if name == "thickness" else (name, "est_height"):
+        if key in tags:
+            size_m = parse_length_m(tags[key])
+            if size_m is not None and 0.01 <= size_m <= limits[f"max_{name}_m"]:
+                return size_m, False
+            notes.add("barriers", element, f"{key} makes no sense; the usual one taken")
+    return float(limits[kind][f"{name}_m"]), True
+
+
+# ---------- trees as solids: a trunk and a crown
+
+
+_WOODS = (
+    ("natural", "wood"),
+    ("natural", "scrub"),
+    ("landuse", "forest"),
+)
+_TRUNK_SIDES = 8
+
+
+def find_trees(elements: Elements, positions_m: FloatArray, notes: Notes) -> Iterator[Thing]:
+    """Trees of a file.
+
+    Parameters
+    ----------
+    elements : Elements
+        What the file has.
+    positions_m : (n, 2) float
+        Of its nodes. [m]
+    notes : Notes
+        Told of woods, whose trees nobody mapped.
+
+    Yields
+    ------
+    tree : Thing
+        An upright trunk and an ellipsoid as its crown, each closed.
+    """
+    for row, tags in elements.node_tags.items():
+        if tags.get("natural") == "tree":
+            element = f"node {int(elements.node_ids[row])}"
+            name = f"n{int(elements.node_ids[row])}"
+            yield _tree(name, positions_m[row], tags, element, notes)
+    for way in elements.ways:
+        element = f"way {way.id}"
+        if way.tags.get("natural") == "tree_row":
+            number = 0
+            for rows in known_runs(way.rows, positions_m):
+                for foot in _along(positions_m[rows]):
+                    yield _tree(f"w{way.id} tree {number}", foot, way.tags, element, notes)
+                    number += 1
+        _note_wood(way.tags, element, notes)
+    for relation in elements.relations:
+        _note_wood(relation.tags, f"relation {relation.id}", notes)
+
+
+def _note_wood(tags: Tags, element: str, notes: Notes) -> None:
+    if any(tags.get(key) == value for key, value in _WOODS):
+        notes.add("woods", element, "nothing says where in it trees and bushes stand")
+
+
+def _along(line_m: FloatArray) -> FloatArray:
+    """Where the trees of a row stand, evenly from its begin to its end, (n, 2)."""
+    usual = DEFAULTS["tree"]
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
+    n_trees = min(round(float(along[-1]) / usual["row_spacing_m"]) + 1, usual["max_in_row"])
+    stations = np.linspace(0.0, along[-1], max(n_trees, 2))
+    feet: FloatArray = np.column_stack(
+        [np.interp(stations, along, line_m[:, axis]) for axis in (0, 1)]
+    )
+    return feet
+
+
+def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, notes: Notes) -> Thing:
+    usual = DEFAULTS["tree"]
+
+    def size_m(keys: tuple[str, ...], highest_m: float, usual_m: float) -> tuple[float, bool]:
+        for key in keys:
+            if key in tags:
+                size = parse_length_m(tags[key])
+                if size is not None and 0.05 <= size <= highest_m:
+                    return size, False
+                notes.add("trees", element, f"{key} makes no sense; the usual one taken")
+        return usual_m, True
+
+    height_m, is_assumed = size_m(
+        ("height", "est_height"), usual["max_height_m"], usual["height_m"]
+    )
+    crown_m, _ = size_m(("diameter_crown",), usual["max_crown_m"], usual["crown_diameter_m"])
+    girth_m, has_no_girth = size_m(("circumference",), np.pi * usual["max_trunk_m"], 0.0)
+    trunk_m = usual["trunk_diameter_m"] if has_no_girth else girth_m / np.pi
+    trunk_m = min(trunk_m, crown_m)
+    base_m = min(usual["crown_base_m"], usual["crown_base_share"] * height_m)
+    sphere, sphere_faces = _sphere()
+    middle_m = 0.5 * (base_m + height_m)
+    crown = sphere * [0.5 * crown_m, 0.5 * crown_m, height_m - middle_m] + [0.0, 0.0, middle_m]
+    prism, prism_faces = _prism()
+    trunk = prism * [0.5 * trunk_m, 0.5 * trunk_m, middle_m]
+    return Thing(
+        id=name,
+        class_name="vegetation",
+        vertices_m=np.concatenate([trunk, crown]) + np.append(foot_m, 0.0),
+        triangles=np.concatenate([prism_faces, sphere_faces + len(prism)]),
+        is_height_assumed=is_assumed,
+    )
+
+
+@cache
+def _sphere() -> tuple[FloatArray, NDArray[np.int32]]:
+    """A ball of radius 1 from 80 triangles."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    return np.asarray(ball.vertices, dtype=np.float64), np.asarray(ball.faces, dtype=np.int32)
+
+
+@cache
+def _prism() -> tuple[FloatArray, NDArray[np.int32]]:
+    """A trunk of radius 1 from height 0 to 1."""
+    import trimesh
+
+    prism = trimesh.creation.cylinder(
+        radius=1.0, segment=[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], sections=_TRUNK_SIDES
+    )
+    return np.asarray(prism.vertices, dtype=np.float64), np.asarray(prism.faces, dtype=np.int32)
+
+
+# ---------- lamp posts, signals, signs and other poles
+
+
+_POLES = ("mast", "utility_pole", "pole")
+_NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
+
+
+def find_poles(
+    network: Network,
+    reaches: Sequence[Reach],
+    elements: Elements,
+    *,
+    keeps_left: bool,
+    notes: Notes,
+) -> tuple[Pole, ...]:
+    """What stands beside roads and could carry sensors.
+
+    Parameters
+    ----------
+    network : Network
+        The roads.
+    reaches : sequence of Reach
+        Streets, and where junctions begin on them.
+    elements : Elements
+        What the file has.
+    keeps_left : bool
+        Traffic keeps left.
+    notes : Notes
+        Told of lamps without a pole.
+
+    Returns
+    -------
+    poles : tuple of Pole
+        Signals and signs that are mapped on a road, as part of it, stand at the kerb on the side of
+        traffic: beside the stop line, or where an arm begins if that is farther out; those mapped
+        where roads meet stand at every arm by which cars come.
+    """
+    places = _places(network, reaches)
+    poles = []
+    for row, tags in elements.node_tags.items():
+        kind = _kind(tags)
+        if not kind:
+            continue
+        node_id = int(elements.node_ids[row])
+        support = tags.get("support") or tags.get("lamp_mount") or tags.get("camera:mount", "")
+        if support in _NO_POLE:
+            notes.add(f"{kind}s", f"node {node_id}", "on a wall or a wire, without a pole")
+            continue
+        is_on_road = row in network.ends or row in places
+        if is_on_road and kind in ("traffic light", "sign"):
+            feet = _at_kerbs(places.get(row, ()), tags, keeps_left=keeps_left)
+            if not feet:
+                notes.add(f"{kind}s", f"node {node_id}", "inside a junction, where nobody stops")
+        else:
+            feet = [network.positions_m[row]]
+        for number, foot in enumerate(feet):
+            poles.append(
+                Pole(
+                    id=f"n{node_id}.{number}" if number else f"n{node_id}",
+                    kind=kind,
+                    position_m=np.append(foot, 0.0),
+                    height_m=_height_m(tags),
+                )
+            )
+    return tuple(poles)
+
+
+def _kind(tags: Tags) -> str:
+    if tags.get("highway") == "street_lamp":
+        return "lamp post"
+    if tags.get("highway") == "traffic_signals":
+        return "traffic light"
+    if "traffic_sign" in tags or tags.get("highway") == "traffic_sign":
+        return "sign"
+    if tags.get("man_made") in _POLES or tags.get("power") == "pole":
+        return "pole"
+    if tags.get("man_made") == "surveillance" and tags.get("camera:mount") == "pole":
+        return "pole"
+    return ""
+
+
+def _height_m(tags: Tags) -> float | None:
+    height_m = parse_length_m(tags["height"]) if "height" in tags else None
+    return height_m if height_m and height_m <= DEFAULTS["pole"]["max_height_m"] else None
+
+
+_Place = tuple[Reach, float]  # a street and how far along it [m]
+
+
+def _places(network: Network, reaches: Sequence[Reach]) -> dict[int, list[_Place]]:
+    """Where nodes lie on streets; nodes of junctions lie on all arms."""
+    places: dict[int, list[_Place]] = {}
+    for reach in reaches:
+        for row, station_m in zip(reach.street.rows, reach.street.stations_m, strict=True):
+            places.setdefault(int(row), []).append((reach, float(station_m)))
+    return places
+
+
+def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list[FloatArray]:
+    """Feet of the poles of one mapped signal or sign."""
+    feet: list[FloatArray] = []
+    for reach, station_m in places:
+        for is_forward in _directions(reach, station_m, tags):
+            # Beside the stop line, or where the arm begins if the stop line lies inside.
+            at_m = float(np.clip(station_m, min(reach.begin_m, reach.end_m), reach.end_m))
+            section = reach.street.sections[reach.street.part_at(at_m)]
+            sign = 1.0 if is_forward == keeps_left else -1.0  # left of the street
+            beside_m = 0.5 * section.width_m + DEFAULTS["pole"]["beyond_kerb_m"]
+            foot = points_beside(reach.street, [at_m], [sign * beside_m])[0]
+            if all(np.hypot(*(foot - other)) > 1.0 for other in feet):
+                feet.append(foot)
+    return feet
+
+
+def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
+    """Directions along a street in which cars see a signal: True is from its begin to its end."""
+    street = reach.street
+    index = street.part_at(station_m)
+    edge, is_along = street.parts[index]
+    driven = [
+        is_forward
+        for is_forward in (True, False)
+        if street.sections[index].lanes(is_forward=is_forward)
+    ]
+    if station_m <= 0.0 and reach.from_junction:
+        return [one for one in driven if not one]
+    if station_m >= street.length_m and reach.to_junction:
+        return [one for one in driven if one]
+    text = tags.get("traffic_signals:direction") or tags.get("traffic_sign:direction")
+    text = text or tags.get("direction", "")
+    if text in ("forward", "backward"):
+        # Along the way as mapped; one-way roads that run against it have been turned round.
+        is_way = (text == "forward") == (edge.tags.get(_TURNED) != "yes")
+        return [one for one in driven if one == (is_way == is_along)]
+    if text == "both" or len(driven) < 2:
+        return driven
+    to_begin = station_m if reach.from_junction else np.inf
+    to_end = street.length_m - station_m if reach.to_junction else np.inf
+    if min(to_begin, to_end) > _NEAR_JUNCTION_M:
+        return driven
+    return [bool(to_end <= to_begin)]
+
+
+_NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
+_TURNED = "oneway:turned"

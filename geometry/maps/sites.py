@@ -1,0 +1,451 @@
+"""The sites of a scene: the poles of the map, a planner's list, or points along the kerbs."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arrays import BoolArray, FloatArray, float_array
+from ..errors import InputError
+from ..scene import Site
+from .cut import Surroundings
+from .site_files import SUFFIXES, SiteWish, read_sites
+from .source_map import MapLane, Skipped, SourceMap, Thing
+from .thing_kinds import load_pole_kinds, mount_range_m
+
+if TYPE_CHECKING:
+    from shapely import Polygon
+
+
+# ---------- sites along kerbs, and lists of sites made tidy
+
+
+SETBACK_M = (
+    0.5  # of a pole's middle from the kerb; assumption: the usual clearance of a carriageway
+)
+REACH_M = 60.0
+_AT_OUTLINE_M = 1.5
+_JOINED_M = 0.5
+_MEDIAN_M = 8.0  # between carriageways: a narrower gap is a median, no roadside
+_PARALLEL = np.cos(np.deg2rad(20.0))
+_STEP_M = 0.25
+_LONGER_M = 1.0  # the outline is not square to every lane
+_KINDS = ("driving", "parking")
+
+
+def kerb_sites(
+    lanes: Sequence[MapLane],
+    outline_m: ArrayLike,
+    spacing_m: float,
+    *,
+    reach_m: float = REACH_M,
+) -> tuple[SiteWish, ...]:
+    """Sites along both kerbs of a junction's arms, from its corners outwards.
+
+    A kerb is the outer edge of a lane for driving or parking that no other such lane borders on;
+    medians have none.
+
+    Parameters
+    ----------
+    lanes : sequence of MapLane
+        Those that begin or end at the outline are arms, with what they are continued by.
+    outline_m : (n, 2) float
+        Of the junction's road surface. [m]
+    spacing_m : float
+        Between sites along a kerb. [m]
+    reach_m : float
+        How far from the outline. [m]
+
+    Returns
+    -------
+    sites : tuple of SiteWish
+        Of kind "kerb"; their ids are those of the lane, the side and the distance: the first on a
+        kerb, at the outline, is a corner of the junction.
+
+    Raises
+    ------
+    InputError
+        The spacing is not positive, or the outline is none.
+    """
+    import shapely
+
+    if not (np.isfinite(spacing_m) and spacing_m >= 0.5):
+        raise InputError("spacing_m", spacing_m, "metres, at least 0.5")
+    outline = float_array(outline_m, (-1, 2), "outline_m")
+    if len(outline) < 3:
+        raise InputError("outline_m", len(outline), "at least three points")
+    inside = shapely.make_valid(shapely.Polygon(outline))
+    roads = [lane for lane in lanes if lane.kind in _KINDS]
+    arms = [(lane, line) for lane in roads for line in _outward(lane, roads, outline, reach_m)]
+    strips = shapely.STRtree([_strip(lane, line, beside_m=SETBACK_M - 0.05) for lane, line in arms])
+    sites: dict[str, SiteWish] = {}
+    for lane, line in arms:
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            along_m, points, outwards = _offset(line, sign * (0.5 * lane.width_m + SETBACK_M))
+            shapes = shapely.points(points[:, :2])
+            free = shapely.distance(shapes, inside) > 0.5 * SETBACK_M
+            free &= shapely.distance(shapes, shapely.LinearRing(outline)) <= reach_m
+            free[np.unique(strips.query(shapes, predicate="within")[0])] = False
+            free[free] = ~_is_median(points[free], outwards[free], arms)
+            places = np.flatnonzero(free)
+            next_m = -np.inf
+            for place in places:
+                if along_m[place] < next_m - 1e-9:
+                    continue
+                next_m = along_m[place] + spacing_m
+                name = f"kerb {lane.id} {side} {along_m[place]:.0f} m"
+                sites.setdefault(
+                    name,
+                    SiteWish(
+                        id=name,
+                        kind="kerb",
+                        position_m=np.round(points[place, :2], 3),
+                        z_m=round(float(points[place, 2]), 3),
+                    ),
+                )
+    return tuple(sites.values())
+
+
+def _outward(
+    lane: MapLane, lanes: Sequence[MapLane], outline: FloatArray, reach_m: float
+) -> list[FloatArray]:
+    """Centrelines from the outline outwards, (n, 3): of a lane that touches it, continued."""
+    import shapely
+
+    ring = shapely.LinearRing(outline)
+    lines = []
+    for line in (lane.centreline_m, lane.centreline_m[::-1]):
+        start_m, end_m = shapely.distance(shapely.points(line[[0, -1], :2]), ring)
+        is_stub = _length_m(line) < 2.0 * _AT_OUTLINE_M  # its far end is at the outline, too
+        if start_m > _AT_OUTLINE_M or (is_stub and end_m < start_m):
+            continue
+        joined, used = [line], {lane.id}
+        while _length_m(np.concatenate(joined)) < reach_m + 10.0:
+            end = joined[-1][-1, :2]
+            after = next(
+                (
+                    (other, points)
+                    for other in lanes
+                    if other.id not in used and other.kind == lane.kind
+                    for points in (other.centreline_m, other.centreline_m[::-1])
+                    if np.hypot(*(points[0, :2] - end)) <= _JOINED_M
+                ),
+                None,
+            )
+            if after is None:
+                break
+            used.add(after[0].id)
+            joined.append(after[1][1:] if len(after[1]) > 2 else after[1])
+        whole = np.concatenate(joined)
+        is_new = np.r_[True, np.hypot(*np.diff(whole[:, :2], axis=0).T) > 1e-6]
+        if is_new.sum() >= 2:
+            lines.append(whole[is_new])
+    return lines
+
+
+def _strip(lane: MapLane, line: FloatArray, *, beside_m: float) -> "Polygon":
+    """A lane's surface, with a strip on either side, and a metre longer at both ends."""
+    import shapely
+
+    ends = line[[0, -1], :2]
+    ways = ends - line[[1, -2], :2]
+    ends = ends + _LONGER_M * ways / np.hypot(*ways.T)[:, None]
+    longer = shapely.LineString(np.concatenate([ends[:1], line[:, :2], ends[1:]]))
+    strip: Polygon = longer.buffer(0.5 * lane.width_m + beside_m, cap_style="flat")
+    return strip
+
+
+def _length_m(line: FloatArray) -> float:
+    return float(np.hypot(*np.diff(line[:, :2], axis=0).T).sum())
+
+
+def _offset(line: FloatArray, offset_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points beside a line every quarter of a metre: distance along it, place, way outwards."""
+    pieces = np.hypot(*np.diff(line[:, :2], axis=0).T)
+    at = np.r_[0.0, np.cumsum(pieces)]
+    along_m: FloatArray = np.arange(0.0, min(at[-1], 500.0), _STEP_M)
+    points = np.stack([np.interp(along_m, at, line[:, axis]) for axis in range(3)], axis=1)
+    piece = np.clip(np.searchsorted(at, along_m, side="right") - 1, 0, len(pieces) - 1)
+    ahead = np.diff(line[:, :2], axis=0)[piece] / pieces[piece, None]
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    points[:, :2] += offset_m * left
+    return along_m, points, np.sign(offset_m) * left
+
+
+def _is_median(
+    points: FloatArray, outwards: FloatArray, arms: Sequence[tuple[MapLane, FloatArray]]
+) -> BoolArray:
+    """Points from which another lane runs alongside, a few metres further outwards."""
+    import shapely
+
+    is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
+    if not len(points):
+        return is_median
+    starts = points[:, :2]
+    rays = shapely.linestrings(np.stack([starts, starts + _MEDIAN_M * outwards], axis=1))
+    for lane, line in arms:
+        strip = _strip(lane, line, beside_m=0.0)
+        for index in np.flatnonzero(shapely.intersects(rays, strip) & ~is_median):
+            nearest = int(np.argmin(np.hypot(*(line[:-1, :2] - starts[index]).T)))
+            ahead = line[nearest + 1, :2] - line[nearest, :2]
+            across = abs(float(ahead @ outwards[index])) / float(np.hypot(*ahead))
+            is_median[index] = across < np.sqrt(1.0 - _PARALLEL**2)
+    return is_median
+
+
+def tidy_sites(
+    sites: Sequence[SiteWish], *, things: Sequence[Thing] = (), snap_m: float = 1.0
+) -> tuple[tuple[SiteWish, ...], tuple[Skipped, ...]]:
+    """Sites without those that are there twice, or stand in a building.
+
+    Parameters
+    ----------
+    sites : sequence of SiteWish
+        Those said more of win over others at the same place, then the earlier ones.
+    things : sequence of Thing
+        In the same coordinates; a site in the footprint of a building is dropped.
+    snap_m : float
+        Sites closer than this are one. [m]
+
+    Returns
+    -------
+    kept : tuple of SiteWish
+        In their order.
+    skipped : tuple of Skipped
+        Every other one, with the reason.
+    """
+    from scipy.spatial import KDTree
+
+    if not (np.isfinite(snap_m) and snap_m >= 0.0):
+        raise InputError("snap_m", snap_m, "metres, at least 0")
+    reasons: dict[int, str] = {}
+    positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
+    for thing in things:
+        if thing.class_name == "building" and len(thing.triangles) and len(positions):
+            for hit in np.flatnonzero(_is_under(positions, thing)):
+                reasons.setdefault(int(hit), f"inside {thing.class_name} {thing.id}")
+    left = [index for index in range(len(sites)) if index not in reasons]
+    order = sorted(left, key=lambda index: (-sites[index].n_said, index))
+    if left and snap_m > 0.0:
+        tree = KDTree(positions)
+        kept: set[int] = set()
+        for index in order:
+            near = [
+                int(other)
+                for other in tree.query_ball_point(positions[index], snap_m)
+                if int(other) in kept
+            ]
+            if near:
+                distance_m = np.hypot(*(positions[near] - positions[index]).T)
+                nearest = near[int(np.argmin(distance_m))]
+                reasons[index] = f"{distance_m.min():.1f} m beside {sites[nearest].id}"
+            else:
+                kept.add(index)
+    return (
+        tuple(site for index, site in enumerate(sites) if index not in reasons),
+        tuple(
+            Skipped(what=f"site {sites[index].id}", why=reasons[index]) for index in sorted(reasons)
+        ),
+    )
+
+
+def _is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
+    """Which points lie in the footprint of a thing: under or over one of its triangles."""
+    corners = thing.vertices_m[thing.triangles][:, :, :2]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    is_under: BoolArray = np.zeros(len(positions_m), dtype=np.bool_)
+    for index in np.flatnonzero(((positions_m > low) & (positions_m < high)).all(axis=1)):
+        a, b, c = np.swapaxes(corners - positions_m[index], 0, 1)
+        turns = np.stack([_turn(a, b), _turn(b, c), _turn(c, a)])
+        is_under[index] = ((turns > 0.0).all(axis=0) | (turns < 0.0).all(axis=0)).any()
+        if not is_under[index]:  # on the edge between two triangles
+            area = turns.sum(axis=0)
+            inside = ((turns >= 0.0).all(axis=0) & (area > 0.0)) | (
+                (turns <= 0.0).all(axis=0) & (area < 0.0)
+            )
+            is_under[index] = inside.sum() > 2  # roof and floor, on both sides of the edge
+    return is_under
+
+
+def _turn(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Twice the signed area between two vectors, (n,)."""
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+# ---------- which sites a scene gets
+
+
+AUTO, MAP, KERB = "auto", "map", "kerb:"
+_AUTO_SPACING_M = 15.0
+_SPACINGS_M = (2.0, 100.0)
+_OCTANTS = ("e", "ne", "n", "nw", "w", "sw", "s", "se")
+
+
+def choose_sites(
+    where: str, surroundings: Surroundings, roads: SourceMap, *, radius_m: float
+) -> tuple[tuple[Site, ...], tuple[Skipped, ...]]:
+    """Sites of a scene.
+
+    Parameters
+    ----------
+    where : str
+        "map", "kerb:SPACING", a CSV or GeoJSON file, or "auto": "map", and where the map has no
+        pole "kerb:15".
+    surroundings : Surroundings
+        What lies around the junction.
+    roads : SourceMap
+        The map that has the junction: a file's x and y are in its coordinates.
+    radius_m : float
+        Sites farther from the junction's middle are left out. [m]
+
+    Returns
+    -------
+    sites : tuple of Site
+        At least one.
+    skipped : tuple of Skipped
+        What was left out, and whether kerbs took the place of poles.
+
+    Raises
+    ------
+    InputError
+        The word or the file cannot be read, or no site is left.
+    """
+    told: list[Skipped] = []
+    if where in (AUTO, MAP):
+        wishes = _poles(surroundings)
+        if not wishes and where == AUTO:
+            wishes = _kerbs(surroundings, _AUTO_SPACING_M, radius_m)
+            told.append(
+                Skipped(
+                    what="poles of the map",
+                    why=f"none within {radius_m:g} m: masts every {_AUTO_SPACING_M:g} m along the "
+                    "kerbs were taken (--sites)",
+                )
+            )
+    elif where.startswith(KERB):
+        wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
+    elif Path(where).suffix.lower() in SUFFIXES:
+        wishes, far = _listed(Path(where), surroundings, roads, radius_m)
+        told += far
+    else:
+        raise InputError("--sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file")
+    kept, dropped = tidy_sites(wishes, things=surroundings.things)
+    told += dropped
+    if not kept:
+        raise InputError(
+            "--sites",
+            where,
+            f"a site within {radius_m:g} m that stands free ({len(dropped)} do not): kerb:15, or "
+            "a list of your own",
+        )
+    return tuple(_site(wish) for wish in _with_plain_ids(kept)), tuple(told)
+
+
+def _poles(surroundings: Surroundings) -> tuple[SiteWish, ...]:
+    wishes = []
+    for pole in surroundings.poles:
+        low_m, high_m = mount_range_m(pole)
+        wishes.append(
+            SiteWish(
+                id=pole.id,
+                kind=pole.kind,
+                position_m=pole.position_m[:2],
+                min_height_m=float(low_m),
+                max_height_m=float(high_m),
+            )
+        )
+    return tuple(wishes)
+
+
+def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tuple[SiteWish, ...]:
+    lanes = [
+        MapLane(
+            id=lane.id,
+            kind=lane.kind,
+            width_m=lane.width_m,
+            centreline_m=np.column_stack([lane.centreline_m, np.zeros(len(lane.centreline_m))]),
+        )
+        for lane in surroundings.lanes
+    ]
+    wishes = kerb_sites(lanes, surroundings.outline_m, spacing_m)
+    near = [wish for wish in wishes if np.hypot(*wish.position_m) <= radius_m]
+    near.sort(key=lambda wish: float(np.hypot(*wish.position_m)))
+    count: Counter[str] = Counter()
+    named = []
+    for wish in near:  # by where they lie, seen from the junction: kerb-ne-1 is the nearest there
+        east, north = wish.position_m
+        octant = round(np.degrees(np.arctan2(north, east)) / 45.0) % 8
+        count[_OCTANTS[octant]] += 1
+        name = f"kerb-{_OCTANTS[octant]}-{count[_OCTANTS[octant]]}"
+        named.append(replace(wish, id=name))
+    return tuple(named)
+
+
+def _listed(
+    path: Path, surroundings: Surroundings, roads: SourceMap, radius_m: float
+) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+    wishes, told, n_far = [], [], 0
+    for wish in read_sites(path, crs=roads.crs):
+        position = surroundings.frame.take(wish.position_m, roads)
+        if np.hypot(*position) > radius_m:
+            n_far += 1
+            continue
+        wishes.append(replace(wish, position_m=position))
+    if n_far:
+        why = f"farther than {radius_m:g} m from the junction"
+        told.append(Skipped(what=f"{n_far} sites in {path.name}", why=why))
+    dark = sum(wish.has_power is False or wish.has_fibre is False for wish in wishes)
+    if dark:
+        why = "it counts only as far as cost_eur says it"
+        told.append(Skipped(what=f"power or fibre that {dark} sites lack", why=why))
+    return tuple(wishes), told
+
+
+def _spacing_m(where: str) -> float:
+    low, high = _SPACINGS_M
+    try:
+        spacing_m = float(where.removeprefix(KERB))
+    except ValueError:
+        spacing_m = np.nan
+    if not low <= spacing_m <= high:
+        raise InputError("--sites", where, f"kerb:SPACING in metres, {low:g} to {high:g}")
+    return spacing_m
+
+
+def _with_plain_ids(wishes: Sequence[SiteWish]) -> list[SiteWish]:
+    """The same with ids that options with commas between them can name, each once."""
+    taken: set[str] = set()
+    plain = []
+    for wish in wishes:
+        words = "-".join(wish.id.replace(",", " ").replace("/", " ").split()) or "site"
+        name, number = words, 1
+        while name in taken:
+            number += 1
+            name = f"{words}-{number}"
+        taken.add(name)
+        plain.append(replace(wish, id=name))
+    return plain
+
+
+def _site(wish: SiteWish) -> Site:
+    kinds = load_pole_kinds()
+    kind = kinds.get(wish.kind, kinds["pole"])
+    low_m, high_m = kind.height_range_m.tolist()
+    low_m = low_m if wish.min_height_m is None else wish.min_height_m
+    high_m = max(high_m, low_m) if wish.max_height_m is None else wish.max_height_m
+    low_m = min(low_m, high_m)
+    if low_m <= 0.0:
+        raise InputError(f"site {wish.id}: mount height", low_m, "metres above the road, > 0")
+    return Site(
+        id=wish.id,
+        position_m=np.append(wish.position_m, 0.0),
+        kind=wish.kind or "pole",
+        height_range_m=np.array([low_m, high_m]),
+        capacity_units=wish.capacity_units or kind.capacity_units,
+        cost_eur=wish.cost_eur or 0.0,
+        use="forbidden" if wish.is_forbidden else "free",
+    )

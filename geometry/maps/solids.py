@@ -1,0 +1,210 @@
+"""Triangles from polygons in space, and solids raised from footprints."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..arrays import FloatArray, float_array
+from ..errors import InputError, Unquoted
+
+# ---------- triangles from polygons in space: the surfaces of city models
+
+
+Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
+
+_SAME_M = 1e-3  # corners closer than this are one
+_MIN_AREA_M2 = 1e-6
+
+
+def triangulate(rings_m: Polygon3D) -> tuple[FloatArray, NDArray[np.int32]]:
+    """Triangles of a flat polygon in space.
+
+    The polygon is laid on the plane whose normal is that of Newell, cut by ear clipping there, and
+    its own corners are kept, so what is not quite flat still meets its neighbours.
+
+    Parameters
+    ----------
+    rings_m : sequence of (n, 3) float
+        Outer ring and holes, open or closed. The outer one runs counter-clockwise seen from where
+        the polygon looks to; holes in either direction. [m]
+
+    Returns
+    -------
+    vertices_m : (n_vertices, 3) float
+        [m]
+    triangles : (n_triangles, 3) int32
+        They look where the polygon looks. None if the polygon has no area.
+
+    References
+    ----------
+    .. [1] I. E. Sutherland, R. F. Sproull, R. A. Schumacker, "A characterization of ten
+       hidden-surface algorithms", 1974: Newell's normal, the sum of the cross products of
+       neighbouring corners.
+    """
+    import mapbox_earcut
+
+    rings = [ring for ring in (_without_repeats(ring) for ring in rings_m) if len(ring) >= 3]
+    if not rings or len(_without_repeats(rings_m[0])) < 3:
+        return _NOTHING
+    vertices: FloatArray = np.concatenate(rings)
+    middle = vertices.mean(axis=0)
+    outer = rings[0] - middle
+    products = outer.T @ outer[[*range(1, len(outer)), 0]]
+    normal = np.array([products[at] - products[at[::-1]] for at in ((1, 2), (2, 0), (0, 1))])
+    length = float(np.sqrt(normal @ normal))
+    if not length > 2.0 * _MIN_AREA_M2:
+        return _NOTHING
+    normal /= length
+    if len(vertices) == 3:
+        return vertices, np.array([[0, 1, 2]], dtype=np.int32)
+    across = np.zeros(3)  # to the normal: the axis least like it, less what lies along the normal
+    across[np.argmin(np.abs(normal))] = 1.0
+    across -= (across @ normal) * normal
+    across /= np.sqrt(across @ across)
+    (a_x, a_y, a_z), (n_x, n_y, n_z) = across, normal
+    onwards = (n_y * a_z - n_z * a_y, n_z * a_x - n_x * a_z, n_x * a_y - n_y * a_x)
+    flat = (vertices - middle) @ np.array([across, onwards]).T
+    ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
+    triangles = mapbox_earcut.triangulate_float64(flat, ends).reshape(-1, 3).astype(np.int32)
+    a, b, c = flat[triangles[:, 0]], flat[triangles[:, 1]], flat[triangles[:, 2]]
+    ab, ac = b - a, c - a
+    signed = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    triangles[signed < 0.0] = triangles[signed < 0.0, ::-1]
+    return vertices, triangles
+
+
+def surface_mesh(polygons: Sequence[Polygon3D]) -> tuple[FloatArray, NDArray[np.int32]]:
+    """One mesh of many polygons, with corners shared; a closed one looks outwards.
+
+    Parameters
+    ----------
+    polygons : sequence of polygons
+        As :func:`triangulate` takes them.
+
+    Returns
+    -------
+    vertices_m : (n_vertices, 3) float
+        No two closer than a millimetre along every axis, as far as rounding tells. [m]
+    triangles : (n_triangles, 3) int32
+        Empty if no polygon has an area.
+    """
+    pieces = [triangulate(rings) for rings in polygons]
+    pieces = [piece for piece in pieces if len(piece[1])]
+    if not pieces:
+        return _NOTHING
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
+    corners: FloatArray = np.concatenate([vertices for vertices, _ in pieces])
+    triangles = np.concatenate(
+        [triangles + offset for (_, triangles), offset in zip(pieces, first[:-1], strict=True)]
+    )
+    _, taken, merged = np.unique(
+        np.round(corners / _SAME_M).astype(np.int64), axis=0, return_index=True, return_inverse=True
+    )
+    vertices, triangles = corners[taken], merged.reshape(-1)[triangles].astype(np.int32)
+    has_area = (
+        (triangles[:, 0] != triangles[:, 1])
+        & (triangles[:, 1] != triangles[:, 2])
+        & (triangles[:, 2] != triangles[:, 0])
+    )
+    triangles = triangles[has_area]
+    if is_closed(triangles) and volume_m3(vertices, triangles) < 0.0:
+        triangles = triangles[:, ::-1]
+    return vertices, np.ascontiguousarray(triangles)
+
+
+def is_closed(triangles: NDArray[np.int32]) -> bool:
+    """Every edge is run through as often in one direction as in the other."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    n_vertices = int(triangles.max()) + 1 if len(triangles) else 0
+    forth = np.sort(edges[:, 0].astype(np.int64) * n_vertices + edges[:, 1])
+    back = np.sort(edges[:, 1].astype(np.int64) * n_vertices + edges[:, 0])
+    return bool(len(triangles)) and bool((forth == back).all())
+
+
+def volume_m3(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> float:
+    """Volume inside a closed mesh; negative if it looks inwards."""
+    if not len(triangles):
+        return 0.0
+    a, b, c = np.swapaxes(vertices_m[triangles] - vertices_m[triangles[0, 0]], 0, 1)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+_NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
+
+
+def _without_repeats(ring: FloatArray) -> FloatArray:
+    """A ring without the corners that repeat the one before, and open."""
+    points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
+    if not len(points):
+        return points
+    kept: FloatArray = points[(points != points[[-1, *range(len(points) - 1)]]).any(axis=1)]
+    return kept
+
+
+# ---------- solids from footprints: walls, floor and a flat roof
+
+
+def extrude(
+    outer_m: ArrayLike,
+    *,
+    bottom_m: float,
+    top_m: float,
+    holes_m: Sequence[ArrayLike] = (),
+    where: str = "footprint",
+) -> tuple[FloatArray, NDArray[np.int32]]:
+    """A closed solid over a footprint.
+
+    Parameters
+    ----------
+    outer_m : (n, 2) float
+        Outline, open or closed, in either direction. [m]
+    bottom_m, top_m : float
+        Heights of floor and roof. [m]
+    holes_m : sequence of (k, 2) float
+        Courtyards. [m]
+    where : str
+        For messages.
+
+    Returns
+    -------
+    vertices_m : (n_vertices, 3) float
+        [m]
+    triangles : (n_triangles, 3) int32
+        Counter-clockwise seen from outside.
+
+    Raises
+    ------
+    InputError
+        The outline crosses itself in a way that leaves nothing, has no area, or the roof is not
+        above the floor. What crosses itself otherwise is mended first.
+    """
+    import trimesh
+    from shapely import MultiPolygon, Polygon, make_valid
+
+    if not top_m > bottom_m:
+        raise InputError(f"{where}: height", top_m - bottom_m, "metres, > 0")
+    outer = float_array(outer_m, (-1, 2), where)
+    if len(np.unique(outer, axis=0)) < 3:
+        raise InputError(where, Unquoted(f"{len(outer)} points"), "three different ones or more")
+    shape = make_valid(Polygon(outer, [float_array(hole, (-1, 2), where) for hole in holes_m]))
+    parts = [
+        part
+        for geometry in getattr(shape, "geoms", [shape])
+        for part in (geometry.geoms if isinstance(geometry, MultiPolygon) else [geometry])
+        if isinstance(part, Polygon) and part.area > _MIN_AREA_M2_EXTRUSION
+    ]
+    if not parts:
+        raise InputError(where, Unquoted("an outline without area"), "a footprint")
+    solids = [
+        trimesh.creation.extrude_polygon(part, top_m - bottom_m, engine="earcut") for part in parts
+    ]
+    first = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
+    vertices: FloatArray = np.concatenate([solid.vertices for solid in solids])
+    triangles = np.concatenate(
+        [solid.faces + offset for solid, offset in zip(solids, first[:-1], strict=True)]
+    )
+    return vertices + [0.0, 0.0, bottom_m], triangles.astype(np.int32)
+
+
+_MIN_AREA_M2_EXTRUSION = 0.01

@@ -1,0 +1,500 @@
+"""Files from anywhere, opened without their traps: archives, XML, JSON, glTF, PBF."""
+
+import json
+import os
+import stat
+import struct
+import zipfile
+import zlib
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any
+from xml.etree.ElementTree import Element, ParseError
+
+from .errors import InputError, Unquoted
+
+# ---------- archives from anywhere, opened without the traps that archives have
+
+
+MAX_MEMBERS = 10_000
+MAX_UNPACKED_BYTES = 2_000_000_000
+MAX_RATIO = 200  # text of coordinates comes to 10; a bomb begins at 1000
+_SMALL_BYTES = 1_000_000  # of which a bomb is none
+_CHUNK_BYTES = 1 << 20
+
+
+@contextmanager
+def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
+    """The one file of a .zip that can be read, with what lies beside it, for as long as needed.
+
+    Parameters
+    ----------
+    path : Path
+        A .zip file.
+    suffixes : collection of str
+        Endings of the files that can be read, in lower case: ``{".geojson", ".shp"}``. What
+        belongs to such a file - ``.dbf``, ``.bin``, textures - has none of them.
+
+    Yields
+    ------
+    member : Path
+        In a temporary folder, which is removed at the end. An :class:`InputError` about it that is
+        raised within names the archive instead of the folder.
+
+    Raises
+    ------
+    InputError
+        It is no archive, is encrypted or damaged, is too large unpacked (2 GB, 10,000 files, 200
+        times its size), has names that lead out of the folder, links, or names twice; or none, or
+        several, of its files can be read.
+    """
+    where = str(path)
+    with TemporaryDirectory(prefix="place-rsus-") as folder:
+        try:
+            with zipfile.ZipFile(path) as archive:
+                members = _checked_members(archive, where)
+                found = _recognised(members, suffixes, where)
+                _extract(archive, members, Path(folder), where)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise InputError(where, Unquoted(reason), "a readable .zip") from None
+        except (
+            *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError, RuntimeError),
+            *(NotImplementedError, ValueError),
+        ) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(where, Unquoted(error), "a .zip that can be unpacked") from None
+        try:
+            yield Path(folder) / found.filename
+        except InputError as error:
+            inside = error.where.replace(f"{folder}{os.sep}", f"{where}/")
+            raise InputError(inside, error.got, error.expected) from None
+
+
+def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipInfo]:
+    """Files of an archive, none of which leads astray."""
+    entries = archive.infolist()
+    if len(entries) > MAX_MEMBERS:
+        raise InputError(where, Unquoted(f"{len(entries):,} members"), f"at most {MAX_MEMBERS:,}")
+    seen: set[str] = set()
+    members = []
+    for entry in entries:
+        name = entry.filename
+        parts = PurePosixPath(name).parts
+        shown = f"{where}: {name!r:.100}"
+        if not parts or name.startswith("/") or ".." in parts or set(name) & set("\\:\0"):
+            raise InputError(shown, Unquoted("a name that leads out of it"), "plain relative names")
+        if stat.S_ISLNK(entry.external_attr >> 16):
+            raise InputError(shown, Unquoted("a link"), "plain files")
+        if entry.flag_bits & 0x1:
+            raise InputError(shown, Unquoted("an encrypted file"), "one without a password")
+        if name.casefold() in seen:
+            raise InputError(shown, Unquoted("a name that it has twice"), "every name once")
+        seen.add(name.casefold())
+        if not entry.is_dir():
+            members.append(entry)
+    _refuse_bomb(sum(entry.file_size for entry in members), where)
+    return members
+
+
+def _recognised(
+    members: list[zipfile.ZipInfo], suffixes: Collection[str], where: str
+) -> zipfile.ZipInfo:
+    """The one file that can be read; what describes another (roofs.shp.xml) does not count."""
+    names = {entry.filename for entry in members}
+    found = [
+        entry
+        for entry in members
+        if entry.filename.lower().endswith(tuple(suffixes))
+        and entry.filename.rpartition(".")[0] not in names
+        and not any(part.startswith((".", "__MACOSX")) for part in Path(entry.filename).parts)
+    ]
+    if len(found) == 1:
+        return found[0]
+    shown = ", ".join(entry.filename[:60] for entry in (found or members)[:5])
+    raise InputError(
+        where,
+        Unquoted(f"{len(found)} files that can be read" + (f" (it has {shown})" if shown else "")),
+        "exactly one, with an ending of " + ", ".join(sorted(suffixes)),
+    )
+
+
+def _extract(
+    archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], folder: Path, where: str
+) -> None:
+    """Write files into a folder, counting bytes: what the archive says may be wrong."""
+    n_bytes = 0
+    for entry in members:
+        target = folder / entry.filename
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with archive.open(entry) as source, target.open("xb") as sink:
+            while chunk := source.read(_CHUNK_BYTES):
+                n_bytes += len(chunk)
+                _refuse_bomb(n_bytes, where)
+                sink.write(chunk)
+
+
+def _refuse_bomb(n_bytes: int, where: str) -> None:
+    packed = max(1, Path(where).stat().st_size)
+    if n_bytes > MAX_UNPACKED_BYTES:
+        raise InputError(
+            where,
+            Unquoted(f"{n_bytes:,} bytes or more when unpacked"),
+            f"at most {MAX_UNPACKED_BYTES:,}",
+        )
+    if n_bytes > max(_SMALL_BYTES, MAX_RATIO * packed):
+        raise InputError(
+            where,
+            Unquoted(f"{n_bytes:,} bytes or more out of {packed:,}"),
+            f"at most {MAX_RATIO} times as many",
+        )
+
+
+# ---------- XML from anywhere, read without the traps that XML has: entities, bombs, endless files
+
+
+MAX_FILE_BYTES = 500_000_000
+
+
+def read_xml(path: Path, *, expected: str) -> Element:
+    """Read an XML document as a whole.
+
+    Parameters
+    ----------
+    path : Path
+        A file.
+    expected : str
+        What it should be, for messages: "OpenDRIVE".
+
+    Returns
+    -------
+    root : Element
+        Of the document.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is larger than half a gigabyte, is not well-formed XML, or has
+        entities or other parts that this cannot be trusted with.
+    """
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import parse
+
+    try:
+        check_size(path)
+        root: Element = parse(path, forbid_dtd=False).getroot()
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+    except DefusedXmlException as error:
+        raise InputError(
+            str(path), Unquoted(f"{type(error).__name__}"), f"{expected} without entities"
+        ) from None
+    except (ParseError, ValueError, LookupError) as error:  # LookupError: unknown encoding
+        raise InputError(str(path), Unquoted(error), f"{expected}: well-formed XML") from None
+    return root
+
+
+def check_size(path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:
+    """Refuse a file that is too large to be read as a whole.
+
+    Raises
+    ------
+    InputError
+        It is.
+    OSError
+        There is no such file.
+    """
+    n_bytes = path.stat().st_size
+    if n_bytes > max_bytes:
+        raise InputError(
+            str(path), Unquoted(f"{n_bytes:,} bytes"), f"at most {max_bytes:,}; cut it out first"
+        )
+
+
+def local_name(element: Element) -> str:
+    """Name of an element without its namespace."""
+    return str(element.tag).rpartition("}")[2]
+
+
+def read_xml_root(path: Path) -> Element:
+    """The first element of an XML document, without what it holds.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_xml`, as far as the file is read.
+    """
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import iterparse
+
+    try:
+        for _, element in iterparse(path, events=("start",), forbid_dtd=False):
+            first: Element = element
+            return first
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+    except DefusedXmlException as error:
+        raise InputError(
+            str(path), Unquoted(f"{type(error).__name__}"), "XML without entities"
+        ) from None
+    except (ParseError, ValueError, LookupError) as error:
+        raise InputError(str(path), Unquoted(error), "well-formed XML") from None
+    raise InputError(str(path), Unquoted("no element"), "well-formed XML")
+
+
+# ---------- JSON from anywhere, read without its traps: endless files, nesting without end
+
+
+_MAX_BYTES = 300_000_000
+
+_Table = Mapping[str, Any]
+
+
+def read_text(path: Path, expected: str) -> str:
+    """Text of a file in UTF-8.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, is too large, or is no UTF-8.
+    """
+    try:
+        check_size(path, _MAX_BYTES)
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), Unquoted(error), f"{expected} in UTF-8") from None
+
+
+def parse_json(text: str, where: str, expected: str) -> _Table:
+    """A JSON object.
+
+    Raises
+    ------
+    InputError
+        It is none, or is nested too deeply.
+    """
+    try:
+        document = json.loads(text)
+    except RecursionError:
+        raise InputError(where, Unquoted("JSON nested too deeply"), expected) from None
+    except ValueError as error:
+        raise InputError(where, Unquoted(error), f"{expected}: valid JSON") from None
+    if not isinstance(document, dict):
+        raise InputError(where, Unquoted(type(document).__name__), f"{expected}: an object")
+    return document
+
+
+# ---------- what a glTF file claims, looked at before memory is given to it
+
+
+_MAX_COUNT = 20_000_000  # elements of one accessor: five million triangles have 15 million indices
+_MAX_NODES = 200_000
+_MAX_JSON_BYTES = 100_000_000
+
+
+def check_gltf(path: Path) -> None:
+    """Refuse claims that a file cannot keep.
+
+    Raises
+    ------
+    InputError
+        It is no glTF 2, or no JSON; it claims more elements than five million triangles have,
+        several parents for a node, or nodes that are their own ancestors.
+    OSError
+        It cannot be read.
+    """
+    where = str(path)
+    text = _binary_header(path) if path.suffix.lower() == ".glb" else path.read_bytes()
+    if len(text) > _MAX_JSON_BYTES:
+        raise InputError(where, Unquoted(f"{len(text):,} bytes of JSON"), f"{_MAX_JSON_BYTES:,}")
+    header = parse_json(text.decode("utf-8", "replace"), where, "glTF")
+    for accessor in _entries(header, "accessors", where):
+        count = accessor.get("count")
+        if not isinstance(count, int) or not 0 <= count <= _MAX_COUNT:
+            raise InputError(f"{where}: accessors.count", count, f"0 to {_MAX_COUNT:,}")
+    for view in _entries(header, "bufferViews", where):
+        for key in ("byteOffset", "byteLength", "byteStride"):
+            value = view.get(key, 0)
+            if not isinstance(value, int) or value < 0:
+                raise InputError(f"{where}: bufferViews.{key}", value, "a number of bytes")
+    _check_tree(_entries(header, "nodes", where), where)
+    required = header.get("extensionsRequired")
+    if isinstance(required, list):
+        compressed = [str(name) for name in required if "compression" in str(name).lower()]
+        if compressed:
+            raise InputError(where, Unquoted(f"compression {compressed[0]}"), "a plain glTF")
+
+
+def _binary_header(path: Path) -> bytes:
+    """JSON of a .glb file."""
+    with path.open("rb") as file:
+        head = file.read(20)
+        if len(head) < 20 or head[:4] != b"glTF":
+            raise InputError(str(path), Unquoted("something else"), "a binary glTF")
+        version, _, length, kind = struct.unpack("<4I", head[4:])
+        if version != 2 or kind != 0x4E4F534A:
+            raise InputError(f"{path}: version", version, "2, with JSON first")
+        return file.read(min(length, _MAX_JSON_BYTES + 1))
+
+
+def _entries(header: Mapping[str, Any], key: str, where: str) -> list[Mapping[str, Any]]:
+    entries = header.get(key, [])
+    if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
+        raise InputError(f"{where}: {key}", json.dumps(entries)[:80], "a list of tables")
+    return entries
+
+
+def _check_tree(nodes: list[Mapping[str, Any]], where: str) -> None:
+    """Every node has at most one parent, and none is its own ancestor."""
+    if len(nodes) > _MAX_NODES:
+        raise InputError(f"{where}: nodes", len(nodes), f"at most {_MAX_NODES:,}")
+    parent: dict[int, int] = {}
+    for index, node in enumerate(nodes):
+        children = node.get("children", [])
+        if not isinstance(children, list):
+            raise InputError(f"{where}: nodes[{index}].children", children, "a list")
+        for child in children:
+            if not isinstance(child, int) or not 0 <= child < len(nodes):
+                raise InputError(f"{where}: nodes[{index}].children", child, "indices of nodes")
+            if child in parent:
+                raise InputError(f"{where}: nodes[{child}]", Unquoted("two parents"), "one")
+            parent[child] = index
+    reached = [index for index in range(len(nodes)) if index not in parent]
+    for index in reached:  # grows while it is walked through
+        reached += nodes[index].get("children", [])
+    if len(reached) < len(nodes):
+        raise InputError(f"{where}: nodes", Unquoted("a node that is its own ancestor"), "a tree")
+
+
+# ---------- what a PBF file must not have before the library reads it
+
+
+_MAX_HEADER_BYTES = 64 * 1024  # [1]
+_MAX_BLOB_BYTES = 32 * 1024 * 1024  # [1], packed or not
+_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
+
+
+def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:
+    """Refuse a PBF file that osmium cannot be trusted with.
+
+    Parameters
+    ----------
+    path : Path
+        A file that begins as PBF does.
+    max_unpacked_bytes : int
+        How much it may hold in all.
+    expected : str
+        What it should be, for messages.
+
+    Raises
+    ------
+    InputError
+        It is damaged, holds more, is packed in another way than with zlib, or has a text with a
+        zero byte in it: osmium ends texts there and reads on behind its memory.
+    """
+    n_left = max_unpacked_bytes
+    try:
+        for kind, data in _blobs(path):
+            n_left -= len(data)
+            if n_left < 0:
+                raise InputError(
+                    str(path),
+                    Unquoted(f"more than {max_unpacked_bytes:,} bytes when unpacked"),
+                    "fewer; cut it out first",
+                )
+            if kind == b"OSMData" and any(b"\0" in text for text in _texts(data)):
+                raise InputError(str(path), Unquoted("a zero byte in a text"), expected)
+    except (IndexError, _DamagedError, zlib.error) as error:
+        reason = Unquoted(str(error) if isinstance(error, _DamagedError) else "damaged data")
+        raise InputError(str(path), reason, expected) from None
+
+
+class _DamagedError(Exception):
+    """Bytes are not what the format says."""
+
+
+def _blobs(path: Path) -> Iterator[tuple[bytes, bytes]]:
+    """Kind and unpacked content of each blob."""
+    with path.open("rb") as file:
+        while prefix := file.read(4):
+            n_bytes = int.from_bytes(prefix, "big")
+            if len(prefix) < 4 or n_bytes > _MAX_HEADER_BYTES:
+                raise _DamagedError("a header that is none")
+            header = _fields(_exactly(file.read(n_bytes), n_bytes))
+            kind, n_bytes = b"", -1
+            for number, value in header:
+                if number == 1 and isinstance(value, bytes):
+                    kind = value
+                elif number == 3 and isinstance(value, int):
+                    n_bytes = value
+            if not 0 <= n_bytes <= _MAX_BLOB_BYTES:
+                raise _DamagedError("a blob without a size, or too large")
+            yield kind, _unpacked(_exactly(file.read(n_bytes), n_bytes))
+
+
+def _exactly(data: bytes, n_bytes: int) -> bytes:
+    if len(data) < n_bytes:
+        raise _DamagedError("unexpected end of file")
+    return data
+
+
+def _unpacked(blob: bytes) -> bytes:
+    for number, value in _fields(blob):
+        if number == 1 and isinstance(value, bytes):
+            return value
+        if number == 3 and isinstance(value, bytes):
+            unpacked = zlib.decompressobj().decompress(value, _MAX_BLOB_BYTES + 1)
+            if len(unpacked) > _MAX_BLOB_BYTES:
+                raise _DamagedError("a blob that grows too large")
+            return unpacked
+    raise _DamagedError("a blob packed in another way than with zlib")
+
+
+def _texts(block: bytes) -> Iterator[bytes]:
+    """The strings of a block."""
+    for number, value in _fields(block):
+        if number == 1 and isinstance(value, bytes):
+            for _, text in _fields(value):
+                if isinstance(text, bytes):
+                    yield text
+
+
+def _fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
+    """Numbers and values of a message's fields."""
+    at, end = 0, len(data)
+    while at < end:
+        key, at = _varint(data, at)
+        number, wire = key >> 3, key & 7
+        if wire == _VARINT:
+            value, at = _varint(data, at)
+            yield number, value
+            continue
+        if wire == _BYTES:
+            length, at = _varint(data, at)
+        elif wire in (_FIXED32, _FIXED64):
+            length = 4 if wire == _FIXED32 else 8
+        else:
+            raise _DamagedError("a field of unknown type")
+        if length > end - at:
+            raise _DamagedError("a field that is longer than what it is in")
+        yield number, data[at : at + length]
+        at += length
+
+
+def _varint(data: bytes, at: int) -> tuple[int, int]:
+    """A number of variable length and where the next field begins."""
+    value, shift = 0, 0
+    while True:
+        byte = data[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+        shift += 7
+        if shift > 63:
+            raise _DamagedError("a number of too many bytes")

@@ -1,0 +1,154 @@
+"""Where detection table and evaluator disagree on a run, and why."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import BoolArray, IntArray
+from geometry.image_boxes import box_height_px, iou
+from geometry.lidar import LidarModel
+from scenarios.aeb import is_in_time
+from scenarios.runs import onset_times_s
+
+from ..candidates import CandidatePose
+from ..detection_table import DetectionTable
+from ..detectors import Evidence
+from ..evaluation import Evaluation, earliest_arrival_s
+from ..evaluator import build_surroundings, perceive_from_roadside
+from ..setting import Setting
+
+FUSED = "all, fused"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disagreement:
+    """A run that one calls avoided, and the other does not.
+
+    Attributes
+    ----------
+    party : str
+        Id of a unit, or ``FUSED``.
+    run_id : str
+        Which run.
+    on_table : bool
+        Whether the detection table calls it avoided; the evaluator says the opposite.
+    n_frames : int
+        Frames of the run before the last moment in which they differ.
+    cause : str
+        What the evaluator sees in the first of them.
+    """
+
+    party: str
+    run_id: str
+    on_table: bool
+    n_frames: int
+    cause: str
+
+
+def find_disagreements(
+    setting: Setting, table: DetectionTable, evaluation: Evaluation, pose_index: Sequence[int]
+) -> tuple[Disagreement, ...]:
+    """Runs on which table and evaluator disagree, for each unit alone and for all fused.
+
+    Parameters
+    ----------
+    setting : Setting
+        What both were made for.
+    table : DetectionTable
+        The surrogate.
+    evaluation : Evaluation
+        Of a layout.
+    pose_index : sequence of int
+        The table's rows of the layout's units, in their order.
+
+    Returns
+    -------
+    disagreements : tuple of Disagreement
+        In the order of units and runs; those of all units fused come last.
+    """
+    units = evaluation.layout.units
+    on_table = dict(zip((unit.id for unit in units), table.detected(list(pose_index)), strict=True))
+    found: list[Disagreement] = []
+    for parties, verdict in (
+        *(((unit,), evaluation.units[unit.id]) for unit in units),
+        (units, evaluation.rsu_all),
+    ):
+        is_fused = verdict is evaluation.rsu_all
+        avoided = _avoided_on_table(setting, parties, on_table)
+        for run in np.flatnonzero(avoided != verdict.is_avoided).tolist():
+            differing = [
+                (unit, _differing_frames(setting, run, on_table[unit.id], evaluation, unit))
+                for unit in parties
+            ]
+            found.append(
+                Disagreement(
+                    party=FUSED if is_fused else parties[0].id,
+                    run_id=setting.axis.run_ids[run],
+                    on_table=bool(avoided[run]),
+                    n_frames=len(np.unique(np.concatenate([frames for _, frames in differing]))),
+                    cause=_cause(setting, differing, on_table),
+                )
+            )
+    return tuple(found)
+
+
+def _avoided_on_table(
+    setting: Setting, parties: Sequence[CandidatePose], on_table: dict[str, BoolArray]
+) -> BoolArray:
+    axis, rule = setting.axis, setting.rule
+    arrival = earliest_arrival_s(
+        [(on_table[unit.id], unit.latency(rule)) for unit in parties], axis
+    )
+    _, onset = onset_times_s(arrival, axis, n_confirmations=rule.n_confirmations)
+    return is_in_time(onset, axis.last_brake_time_s, latency_s=0.0)
+
+
+def _differing_frames(
+    setting: Setting, run: int, on_table: BoolArray, evaluation: Evaluation, unit: CandidatePose
+) -> IntArray:
+    """Frames of a run, before its last moment, in which table and evaluator differ."""
+    axis = setting.axis
+    frames = np.arange(axis.n_frames)[axis.frames_of(run)]
+    counts = axis.time_s[frames] <= axis.last_brake_time_s[run]
+    differs = on_table[frames] != evaluation.units[unit.id].detected[frames]
+    found: IntArray = frames[counts & differs]
+    return found
+
+
+def _cause(
+    setting: Setting,
+    differing: Sequence[tuple[CandidatePose, IntArray]],
+    on_table: dict[str, BoolArray],
+) -> str:
+    """What is seen in the first frame that differs."""
+    somewhere = [(int(frames[0]), unit) for unit, frames in differing if len(frames)]
+    if not somewhere:
+        return "messages: latency or packets lost"
+    frame, unit = min(somewhere, key=lambda pair: pair[0])
+    place = f"{unit.id} at {setting.axis.time_s[frame]:.1f} s: "
+    if isinstance(unit.sensor, LidarModel):
+        return place + "about as many points as it takes"
+    run = int(np.searchsorted(setting.axis.run_start, frame, side="right")) - 1
+    surroundings = build_surroundings(setting.scene, [setting.runs[run]])
+    evidence = perceive_from_roadside(
+        surroundings.take(np.array([frame - int(setting.axis.run_start[run])])),
+        unit.pose,
+        unit.sensor,
+        with_shares=True,
+    )
+    return place + _what_is_seen(setting, evidence, is_on_table=bool(on_table[unit.id][frame]))
+
+
+def _what_is_seen(setting: Setting, evidence: Evidence, *, is_on_table: bool) -> str:
+    expected = bool(setting.planner.is_expected(evidence)[0])
+    seen = (
+        f"{float(box_height_px(evidence.visible_px)[0]):.1f} px high, "
+        f"{100.0 * float(evidence.visible_share[0]):.0f} % seen, "
+        f"IoU {float(iou(evidence.visible_px, evidence.amodal_px)[0]):.2f}"
+    )
+    if setting.detector.needs_pictures:
+        return f"{setting.detector.name} judges the picture otherwise than boxes ({seen})"
+    if expected == is_on_table:
+        return f"chance or a lost message ({seen})"
+    return f"sample points and pixels differ at the limit ({seen})"

@@ -1,0 +1,1 @@
+"""Covering problems (LSCP and MCLP) read from files, solved and proven."""

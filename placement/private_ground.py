@@ -1,0 +1,154 @@
+"""Private ground (gardens, terraces, window fronts), and how much of it cameras see."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    freeze,
+)
+from geometry.errors import InputError, Unquoted
+from geometry.raycast import build_caster
+from geometry.scene import Scene
+from geometry.sensors import CameraModel, project_points
+
+from .candidates import CandidatePose
+from .ground_coverage import is_in_sight
+
+EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
+_SPACING_M = 1.0
+_MAX_POINTS = 20_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PrivateGround:
+    """Areas that cameras must not look into.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the areas.
+    points_m : (n, 3) float
+        Points all over them, at the height of people's eyes. World frame. [m]
+    area_index : (n,) int
+        Area of each point.
+    area_m2 : (n_areas,) float
+        How large they are. [m^2]
+    """
+
+    names: tuple[str, ...]
+    points_m: FloatArray
+    area_index: IntArray
+    area_m2: FloatArray
+
+
+def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
+    """Points all over areas.
+
+    Parameters
+    ----------
+    areas : sequence of (str, shapely polygon)
+        Name and outline. World frame, metres.
+
+    Returns
+    -------
+    ground : PrivateGround
+        A point for each square metre, at least one for each area.
+
+    Raises
+    ------
+    InputError
+        An area is empty, or all together are too large.
+    """
+    import shapely
+
+    total_m2 = sum(float(shape.area) for _, shape in areas)
+    if total_m2 > _MAX_POINTS * _SPACING_M**2:
+        raise InputError(
+            "--no-look", Unquoted(f"{total_m2:,.0f} square metres"), f"at most {_MAX_POINTS:,}"
+        )
+    points, index = [], []
+    for number, (name, shape) in enumerate(areas):
+        if not shape.area > 0.0:
+            raise InputError(f"--no-look: {name}", Unquoted("no area"), "a polygon")
+        west, south, east, north = shape.bounds
+        x, y = np.meshgrid(
+            np.arange(west + 0.5 * _SPACING_M, east, _SPACING_M),
+            np.arange(south + 0.5 * _SPACING_M, north, _SPACING_M),
+        )
+        inside = shapely.contains_xy(shape, x, y)
+        here = np.stack([x[inside], y[inside]], axis=1)
+        if not len(here):
+            inner = shape.representative_point()
+            here = np.array([[inner.x, inner.y]])
+        points.append(here)
+        index.append(np.full(len(here), number))
+    flat = np.concatenate(points)
+    return PrivateGround(
+        names=tuple(name for name, _ in areas),
+        points_m=freeze(np.column_stack([flat, np.full(len(flat), EYE_HEIGHT_M)])),
+        area_index=freeze(np.concatenate(index)),
+        area_m2=freeze(np.array([float(shape.area) for _, shape in areas])),
+    )
+
+
+def private_shares(
+    scene: Scene, candidates: Sequence[CandidatePose], ground: PrivateGround
+) -> FloatArray:
+    """How much of private ground each pose has in its picture.
+
+    Parameters
+    ----------
+    scene : Scene
+        What hides it; what parks or drives hides nothing for long.
+    candidates : sequence of CandidatePose
+        LiDARs take no pictures: they see none.
+    ground : PrivateGround
+        At least one area.
+
+    Returns
+    -------
+    share : (n_candidates, n_areas) float
+        Of each area's points those that are in the picture and not hidden, however small they are
+        there.
+    """
+    origin = np.append(scene.outline_m.mean(axis=0), 0.0)
+    caster = build_caster(scene.vertices_m - origin, scene.triangles)
+    mounts: dict[tuple[float, ...], list[int]] = {}
+    for index, candidate in enumerate(candidates):
+        mounts.setdefault(tuple(candidate.pose.position_m.tolist()), []).append(index)
+    n_areas = len(ground.names)
+    counts = np.bincount(ground.area_index, minlength=n_areas)
+    share = np.zeros((len(candidates), n_areas))
+    for position, indices in mounts.items():
+        is_open = is_in_sight(
+            caster,
+            np.array(position) - origin,
+            ground.points_m - origin,
+            near_m=candidates[indices[0]].sensor.near_m,
+        )
+        for index in indices:
+            seen = is_open & _in_picture(ground.points_m, candidates[index])
+            share[index] = np.bincount(ground.area_index[seen], minlength=n_areas) / counts
+    return share
+
+
+def _in_picture(points_m: FloatArray, candidate: CandidatePose) -> BoolArray:
+    camera = candidate.sensor
+    if not isinstance(camera, CameraModel):
+        return np.zeros(len(points_m), dtype=bool)
+    column, row, depth = project_points(points_m, candidate.pose, camera).T
+    with np.errstate(invalid="ignore"):
+        inside: BoolArray = (
+            (depth > camera.near_m)
+            & (column >= 0.0)
+            & (column < camera.width_px)
+            & (row >= 0.0)
+            & (row < camera.height_px)
+        )
+    return inside

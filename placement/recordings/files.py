@@ -1,0 +1,383 @@
+"""One file of a recording in the study's folder layout; problems name file, line, field."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple
+
+from geometry.errors import InputError, Unquoted
+from geometry.files import (
+    load_toml,
+    take,
+    take_list,
+    take_number,
+    take_text,
+)
+
+# ---------- what is known of the folder layout of the CarlaNCAP study
+
+
+VRU_CLASSES = ("pedestrian", "bicycle")
+
+
+class FrameKey(NamedTuple):
+    """What a file's name SCENARIO_FRAME.txt says.
+
+    Attributes
+    ----------
+    scenario : int
+        Index of the scenario.
+    number : int
+        Number of the frame: it runs on over all drives of the scenario.
+    """
+
+    scenario: int
+    number: int
+
+    @property
+    def file_name(self) -> str:
+        """Name of the frame's text files."""
+        return f"{self.scenario}_{self.number}.txt"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingFormat:
+    """The study's folder layout, and how motion is read off it.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Of every image.
+    frame_rate_hz : float
+        Of every unit. [Hz]
+    n_reset_frames : int
+        Frames between two drives.
+    min_iou : float
+        A detection must overlap the label by more than this.
+    vut_folder, world_folder, eval_folder : str
+        Names of folders; all others are units and have a number for a name.
+    vut_indices : tuple of str
+        What stands for the VUT in Eval.
+    label_fields, world_fields, eval_fields : tuple of str
+        What a line holds.
+    actor_types : mapping of str to str
+        Spelling to class: "pedestrian", "bicycle", "other".
+    window_s, min_closing_speed_mps, max_same_direction_deg, speed_tolerance, jump_m, max_gap_s,
+    standing_m
+        See the data file. [s], [m/s], [deg], share, [m], [s], [m]
+    min_frames : int
+        See the data file.
+    """
+
+    width_px: int
+    height_px: int
+    frame_rate_hz: float
+    n_reset_frames: int
+    min_iou: float
+    vut_folder: str
+    world_folder: str
+    eval_folder: str
+    vut_indices: tuple[str, ...]
+    label_fields: tuple[str, ...]
+    world_fields: tuple[str, ...]
+    eval_fields: tuple[str, ...]
+    actor_types: Mapping[str, str]
+    window_s: float
+    min_frames: int
+    min_closing_speed_mps: float
+    max_same_direction_deg: float
+    speed_tolerance: float
+    jump_m: float
+    max_gap_s: float
+    standing_m: float
+
+
+@cache
+def load_format() -> RecordingFormat:
+    """The layout, from ``data/carla_ncap_format.toml``."""
+    where = "carla_ncap_format.toml"
+    table = load_toml(files(__package__) / "data" / where)
+    motion = take(table, "motion", where)
+
+    def number(name: str) -> float:
+        return take_number(table, name, where)
+
+    def moving(name: str) -> float:
+        return take_number(motion, name, f"{where}: motion")
+
+    return RecordingFormat(
+        width_px=int(number("width_px")),
+        height_px=int(number("height_px")),
+        frame_rate_hz=number("frame_rate_hz"),
+        n_reset_frames=int(number("n_reset_frames")),
+        min_iou=number("min_iou"),
+        vut_folder=take_text(table, "vut_folder", where),
+        world_folder=take_text(table, "world_folder", where),
+        eval_folder=take_text(table, "eval_folder", where),
+        vut_indices=tuple(take_list(table, "vut_indices", where)),
+        label_fields=tuple(take_list(table, "label_fields", where)),
+        world_fields=tuple(take_list(table, "world_fields", where)),
+        eval_fields=tuple(take_list(table, "eval_fields", where)),
+        actor_types=dict(take(table, "actor_types", where)),
+        window_s=moving("window_s"),
+        min_frames=int(moving("min_frames")),
+        min_closing_speed_mps=moving("min_closing_speed_mps"),
+        max_same_direction_deg=moving("max_same_direction_deg"),
+        speed_tolerance=moving("speed_tolerance"),
+        jump_m=moving("jump_m"),
+        max_gap_s=moving("max_gap_s"),
+        standing_m=moving("standing_m"),
+    )
+
+
+# ---------- one file of a recording: strict, every problem names file, line and field
+
+
+Box = tuple[float, float, float, float]
+
+
+class Label(NamedTuple):
+    """Where an actor is in a unit's image.
+
+    Attributes
+    ----------
+    class_name : str
+        "pedestrian", "bicycle" or "other".
+    box_px : (4,) float
+        Ground truth, of the visible pixels. [px]
+    distance_m : float
+        From the unit. [m]
+    """
+
+    class_name: str
+    box_px: Box
+    distance_m: float
+
+
+class Detection(NamedTuple):
+    """What a detector found in a unit's image.
+
+    Attributes
+    ----------
+    unit : str
+        As in the file.
+    class_name : str
+        "pedestrian", "bicycle" or "other".
+    box_px : (4,) float
+        Found. [px]
+    confidence : float
+        0 .. 1.
+    line_number : int
+        Where it stands in its file.
+    """
+
+    unit: str
+    class_name: str
+    box_px: Box
+    confidence: float
+    line_number: int
+
+
+class World(NamedTuple):
+    """How the bodies move in a frame.
+
+    Attributes
+    ----------
+    distance_m : float
+        Between the origins of VUT and VRU. [m]
+    vut_speed_mps, vru_speed_mps : float
+        Target speeds of the drive: the bodies may still stand. [m/s]
+    """
+
+    distance_m: float
+    vut_speed_mps: float
+    vru_speed_mps: float
+
+
+def read_labels(path: Path, form: RecordingFormat) -> tuple[list[Label], int]:
+    """Labels of a unit's frame, and how many lines repeat others.
+
+    Parameters
+    ----------
+    path : Path
+        ``UNIT/SCENARIO_FRAME.txt``; empty where nothing is in view.
+    form : RecordingFormat
+        The layout.
+
+    Returns
+    -------
+    labels : list of Label
+        Boxes as they stand there: the image does not clip them.
+    n_repeated : int
+        Lines that stand there again: the generator opens its files for appending.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a line is not what it should be.
+    """
+    lines, n_repeated = _lines(path)
+    labels = []
+    for number, line in lines:
+        fields = _fields(line, form.label_fields, path, number)
+        labels.append(
+            Label(
+                class_name=_class(fields[0], form, path, number),
+                box_px=_box(fields[1:5], form.label_fields[1:5], path, number),
+                distance_m=_number(fields[5], path, number, "dist", least=0.0),
+            )
+        )
+    return labels, n_repeated
+
+
+def read_detections(path: Path, form: RecordingFormat) -> tuple[list[Detection], int]:
+    """Detections of all units in a frame, and how many lines repeat others.
+
+    Parameters, returns and errors are those of :func:`read_labels`, for
+    ``Eval/SCENARIO_FRAME.txt``.
+    """
+    lines, n_repeated = _lines(path)
+    detections = []
+    for number, line in lines:
+        fields = _fields(line, form.eval_fields, path, number)
+        detections.append(
+            Detection(
+                unit=fields[0],
+                class_name=_class(fields[1], form, path, number),
+                box_px=_box(fields[2:6], form.eval_fields[2:6], path, number),
+                confidence=_number(fields[6], path, number, "confidence", least=0.0, most=1.0),
+                line_number=number,
+            )
+        )
+    return detections, n_repeated
+
+
+def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
+    """Distance and speeds of a frame, and how often they stand there again.
+
+    The generator ends the line without a line break: a frame that is recorded twice reads
+    ``12.5 5.6 1.412.5 5.6 1.4``.
+
+    Parameters
+    ----------
+    path : Path
+        ``WorldData/SCENARIO_FRAME.txt``.
+    form : RecordingFormat
+        The layout.
+
+    Returns
+    -------
+    world : World
+        What stands there.
+    n_repeated : int
+        How many times more.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, does not hold three numbers, or holds different ones twice.
+    """
+    text = _read_text(path).strip()
+    once, n_repeated = _once(text, len(form.world_fields))
+    fields = once.split()
+    if len(fields) != len(form.world_fields):
+        raise InputError(
+            f"{path}:1",
+            text,
+            f"{' '.join(form.world_fields)}, once or repeated exactly",
+        )
+    distance, vut_speed, vru_speed = fields
+    world = World(
+        distance_m=_number(distance, path, 1, "dist", least=0.0),
+        vut_speed_mps=_number(vut_speed, path, 1, "car_speed"),
+        vru_speed_mps=_number(vru_speed, path, 1, "vru_speed", least=0.0),
+    )
+    if world.vut_speed_mps <= 0.0:
+        raise InputError(f"{path}:1: car_speed", world.vut_speed_mps, "m/s, more than 0")
+    return world, n_repeated
+
+
+def _once(text: str, n_fields: int) -> tuple[str, int]:
+    """Text of `n_fields` words that may stand there several times, with or without line breaks."""
+    lines = [line.strip() for line in text.splitlines()]
+    if len(lines) > 1 and len(set(lines)) == 1:
+        return lines[0], len(lines) - 1
+    for n_times in range(2, len(text.split())):
+        length, rest = divmod(len(text), n_times)
+        part = text[:length]
+        if rest == 0 and part * n_times == text and len(part.split()) == n_fields:
+            return part, n_times - 1
+    return text, 0
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), Unquoted(error), "text in UTF-8") from None
+
+
+def _lines(path: Path) -> tuple[list[tuple[int, str]], int]:
+    """Lines with their numbers, each once, and how many repeat others."""
+    first_number: dict[str, int] = {}
+    n_lines = 0
+    for number, line in enumerate(_read_text(path).splitlines(), start=1):
+        text = line.strip()
+        if text:
+            n_lines += 1
+            first_number.setdefault(text, number)
+    return [(number, line) for line, number in first_number.items()], n_lines - len(first_number)
+
+
+def _fields(line: str, names: Sequence[str], path: Path, number: int) -> list[str]:
+    fields = line.split()
+    if len(fields) != len(names):
+        raise InputError(f"{path}:{number}", line, f"{len(names)} fields: {' '.join(names)}")
+    return fields
+
+
+def _class(word: str, form: RecordingFormat, path: Path, number: int) -> str:
+    if word not in form.actor_types:
+        raise InputError(
+            f"{path}:{number}: actor_type", word, "one of " + ", ".join(form.actor_types)
+        )
+    return form.actor_types[word]
+
+
+def _box(words: Sequence[str], names: Sequence[str], path: Path, number: int) -> Box:
+    x_min, y_min, x_max, y_max = (
+        _number(word, path, number, name) for word, name in zip(words, names, strict=True)
+    )
+    if x_max < x_min or y_max < y_min:
+        raise InputError(
+            f"{path}:{number}: box",
+            Unquoted(" ".join(words)),
+            "min_x <= max_x and min_y <= max_y",
+        )
+    return x_min, y_min, x_max, y_max
+
+
+def _number(
+    word: str,
+    path: Path,
+    line_number: int,
+    name: str,
+    *,
+    least: float = -math.inf,
+    most: float = math.inf,
+) -> float:
+    try:
+        # float() would also take 1_0 and other scripts' digits.
+        value = float(word) if word.isascii() and "_" not in word else math.nan
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and least <= value <= most):
+        limits = "" if least == -math.inf else f", at least {least:g}"
+        limits = limits if most == math.inf else f", {least:g} .. {most:g}"
+        raise InputError(f"{path}:{line_number}: {name}", word, f"a finite number{limits}")
+    return value

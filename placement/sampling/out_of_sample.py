@@ -1,0 +1,332 @@
+"""A layout in fresh worlds: what it is worth where it was not chosen."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import t as student_t
+
+from geometry.arrays import BoolArray, FloatArray, float_array
+from geometry.errors import InputError, Unquoted
+from scenarios.aeb import AebRule, is_in_time
+from scenarios.exposure import weight_share
+from scenarios.runs import FrameAxis, onset_times_s
+
+from ..candidates import CandidatePose
+from ..evaluation import earliest_arrival_s
+from ..layout import Layout
+from ..setting import Setting
+from .random_streams import pose_key
+from .tables import StageProgress, build_sample_tables
+from .uncertainty import Uncertainty
+from .worlds import draw_samples
+
+# ---------- many sampled worlds in a few numbers
+
+
+CONFIDENCE = 0.95
+_NO_SPREAD = 1.0e-12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeanEstimate:
+    """What is known of a mean from samples.
+
+    Attributes
+    ----------
+    mean : float
+        Of the samples.
+    standard_error : float
+        Of the mean: standard deviation / sqrt(n); NaN for a single sample.
+    low, high : float
+        Confidence interval of the true mean.
+    method : str
+        How the interval was found, in words.
+    """
+
+    mean: float
+    standard_error: float
+    low: float
+    high: float
+    method: str
+
+
+def estimate_mean(
+    values: ArrayLike, *, confidence: float = CONFIDENCE, bounds: tuple[float, float] = (0.0, 1.0)
+) -> MeanEstimate:
+    """Mean of independent samples, and between which limits the true mean lies.
+
+    Parameters
+    ----------
+    values : (n,) float
+        Samples of something that lies within `bounds`, at least one.
+    confidence : float
+        Probability that the interval holds the true mean, 0 .. 1.
+    bounds : tuple of float
+        Smallest and largest value possible.
+
+    Returns
+    -------
+    estimate : MeanEstimate
+        By Student's t, cut off at the bounds. Where all samples are equal, or there is but one,
+        they show no spread to go by: then at most a share q of all worlds differs, since n draws
+        in a row would show none of a larger share with a probability below
+        (1 - q)^n = 1 - confidence, and these may be as bad or as good as can be.
+
+    Raises
+    ------
+    InputError
+        There is no sample, or one lies outside the bounds.
+
+    References
+    ----------
+    .. [1] W. S. Gosset ("Student"), "The probable error of a mean", Biometrika 6 (1908).
+    .. [2] J. A. Hanley, A. Lippman-Hand, "If nothing goes wrong, is everything all right?", JAMA
+       249 (1983): none in n, hence with 95 % confidence at most about 3 / n.
+
+    Examples
+    --------
+    >>> estimate = estimate_mean([1.0] * 59)
+    >>> round(estimate.low, 3), estimate.high
+    (0.95, 1.0)
+    """
+    samples = float_array(values, (-1,), "samples")
+    if not 0.0 < confidence < 1.0:
+        raise InputError("confidence", confidence, "more than 0, less than 1")
+    lowest, highest = bounds
+    if len(samples) == 0:
+        raise InputError("samples", Unquoted("none"), "at least one")
+    if samples.min() < lowest - _NO_SPREAD or samples.max() > highest + _NO_SPREAD:
+        raise InputError("samples", samples.tolist(), f"{lowest:g} .. {highest:g}")
+    n = len(samples)
+    mean = min(max(math.fsum(samples) / n, lowest), highest)
+    error = float(samples.std(ddof=1)) / math.sqrt(n) if n > 1 else math.nan
+    if np.ptp(samples) <= _NO_SPREAD:
+        share = 1.0 - (1.0 - confidence) ** (1.0 / n)
+        low, high = mean + share * (lowest - mean), mean + share * (highest - mean)
+        method = f"{100.0 * confidence:g} % interval: no spread in {n} samples, rule of three"
+    else:
+        reach = float(student_t.ppf(0.5 + 0.5 * confidence, n - 1)) * error
+        low, high = max(lowest, mean - reach), min(highest, mean + reach)
+        method = f"{100.0 * confidence:g} % interval: Student's t, {n} samples"
+    return MeanEstimate(mean=mean, standard_error=error, low=low, high=high, method=method)
+
+
+def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
+    """Conditional value at risk: the mean over the worst share of equally likely worlds.
+
+    Parameters
+    ----------
+    apr_by_sample : (n_samples,) float
+        Accident prevention ratio in each world, at least one.
+    tail : float
+        The worst share that counts, 0 .. 1: 1 is the expectation; up to 1 / n_samples, 0 among
+        them, it is the worst world alone. Where the share ends within a world, that one counts in
+        part.
+
+    Returns
+    -------
+    cvar : float
+        max over t of t - mean(max(0, t - apr)) / tail.
+
+    Raises
+    ------
+    InputError
+        There is no sample, or the tail is no share.
+
+    References
+    ----------
+    .. [1] R. T. Rockafellar, S. Uryasev, "Optimization of conditional value-at-risk", Journal of
+       Risk 2 (2000).
+
+    Examples
+    --------
+    >>> cvar([0.5, 1.0, 0.9, 0.7], 0.5)
+    0.6
+    """
+    samples: FloatArray = np.sort(float_array(apr_by_sample, (-1,), "samples"))
+    if len(samples) == 0:
+        raise InputError("samples", Unquoted("none"), "at least one")
+    is_number = isinstance(tail, int | float) and not isinstance(tail, bool)
+    if not (is_number and 0.0 <= tail <= 1.0):
+        raise InputError("--tail", tail, "a share of the samples, 0 to 1")
+    n_counted = max(1.0, tail * len(samples))
+    counts = np.clip(n_counted - np.arange(len(samples)), 0.0, 1.0)
+    return math.fsum(counts * samples) / n_counted
+
+
+# ---------- A layout in fresh worlds: what it is worth where it was not chosen
+
+
+STAGE = "out of sample"
+FUSIONS = ("any", "single")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SampledApr:
+    """Accident prevention ratio of a layout, world by world.
+
+    Attributes
+    ----------
+    layout : Layout
+        Whose.
+    axis : FrameAxis
+        Runs as planned.
+    apr_by_sample : (n_samples,) float
+        In each world. 0 .. 1
+    avoided_share : (n_runs,) float
+        Of all worlds, those in which each run is avoided. 0 .. 1
+    """
+
+    layout: Layout
+    axis: FrameAxis
+    apr_by_sample: FloatArray
+    avoided_share: FloatArray
+
+    def __post_init__(self) -> None:
+        for name, shape in (("apr_by_sample", (-1,)), ("avoided_share", (self.axis.n_runs,))):
+            object.__setattr__(self, name, float_array(getattr(self, name), shape, name))
+
+    @property
+    def estimate(self) -> MeanEstimate:
+        """Mean, standard error and 95 % confidence interval."""
+        return estimate_mean(self.apr_by_sample)
+
+    @property
+    def worst(self) -> float:
+        """The smallest of all worlds."""
+        return float(self.apr_by_sample.min())
+
+    def cvar(self, tail: float) -> float:
+        """Mean over the worst share of the worlds, see :func:`.cvar`."""
+        return cvar(self.apr_by_sample, tail)
+
+    def __repr__(self) -> str:
+        return (
+            f"SampledApr({self.layout.name!r}: {self.estimate.mean:.4f} in "
+            f"{len(self.apr_by_sample)} samples)"
+        )
+
+
+def out_of_sample(
+    setting: Setting,
+    layout: Layout,
+    uncertainty: Uncertainty,
+    *,
+    n_samples: int,
+    seed: int = 0,
+    fusion: str = "any",
+    workers: int = 1,
+    on_progress: StageProgress | None = None,
+) -> SampledApr:
+    """Judge one layout in fresh worlds; see :func:`out_of_sample_layouts`."""
+    (judged,) = out_of_sample_layouts(
+        setting,
+        [layout],
+        uncertainty,
+        n_samples=n_samples,
+        seed=seed,
+        fusion=fusion,
+        workers=workers,
+        on_progress=on_progress,
+    )
+    return judged
+
+
+def out_of_sample_layouts(
+    setting: Setting,
+    layouts: Sequence[Layout],
+    uncertainty: Uncertainty,
+    *,
+    n_samples: int,
+    seed: int = 0,
+    fusion: str = "any",
+    workers: int = 1,
+    on_progress: StageProgress | None = None,
+) -> list[SampledApr]:
+    """Judge layouts in fresh worlds, all in the same ones.
+
+    Parameters
+    ----------
+    setting : Setting
+        What the layouts were planned in.
+    layouts : sequence of Layout
+        Units at the same pose in several layouts are looked from once.
+    uncertainty : Uncertainty
+        What is drawn.
+    n_samples : int
+        How many worlds.
+    seed : int
+        Of all draws. None is shared with the worlds that
+        :func:`placement.sampling.tables.sampled_table` chooses in, also not for the same seed.
+    fusion : {"any", "single"}
+        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
+    workers : int
+        Threads.
+    on_progress : callable, optional
+        Called with the stage, and how many worlds are done of how many.
+
+    Returns
+    -------
+    judged : list of SampledApr
+        One per layout, by detection tables; each unit with its own latency.
+
+    Raises
+    ------
+    InputError
+        The fusion is unknown; see :func:`placement.sampling.worlds.draw_samples`.
+    """
+    if fusion not in FUSIONS:
+        raise InputError("--fusion", fusion, "one of " + ", ".join(FUSIONS))
+    units = {_key(unit): unit for layout in layouts for unit in layout.units}
+    row = {key: index for index, key in enumerate(units)}
+    # Two layouts may call different units the same.
+    poses = [replace(unit, id=f"#{index}") for index, unit in enumerate(units.values())]
+    samples = draw_samples(
+        setting, poses, uncertainty, n_samples=n_samples, seed=seed, purpose="judge"
+    )
+    if on_progress is not None:
+        on_progress(STAGE, 0, n_samples)
+    avoided = np.zeros((len(layouts), n_samples, setting.axis.n_runs), dtype=bool)
+    worlds = build_sample_tables(samples, seed=seed, workers=workers)
+    for index, (_, table) in enumerate(worlds):
+        detected = table.detected(slice(None))
+        for which, layout in enumerate(layouts):
+            avoided[which, index] = _avoided(
+                [(unit, detected[row[_key(unit)]]) for unit in layout.units],
+                table.axis,
+                setting.rule,
+                fusion,
+            )
+        if on_progress is not None:
+            on_progress(STAGE, index + 1, n_samples)
+    weight = setting.axis.weight
+    return [
+        SampledApr(
+            layout=layout,
+            axis=setting.axis,
+            apr_by_sample=np.array([weight_share(world, weight) for world in by_sample]),
+            avoided_share=by_sample.mean(axis=0),
+        )
+        for layout, by_sample in zip(layouts, avoided, strict=True)
+    ]
+
+
+def _key(unit: CandidatePose) -> tuple[object, ...]:
+    return (unit.site_id, unit.sensor, *pose_key(unit))
+
+
+def _avoided(
+    parties: Sequence[tuple[CandidatePose, BoolArray]], axis: FrameAxis, rule: AebRule, fusion: str
+) -> BoolArray:
+    """Runs in which braking comes in time, (n_runs,)."""
+    arrivals = [(detected, unit.latency(rule)) for unit, detected in parties]
+    together = [arrivals] if fusion == "any" else [[arrival] for arrival in arrivals]
+    avoided = np.zeros(axis.n_runs, dtype=bool)
+    for fused in together:
+        arrival = earliest_arrival_s(fused, axis)
+        _, onset = onset_times_s(arrival, axis, n_confirmations=rule.n_confirmations)
+        avoided |= is_in_time(onset, axis.last_brake_time_s, latency_s=0.0)
+    return avoided

@@ -1,0 +1,202 @@
+"""Sampled worlds: how units really hang, what stands in the street, how long messages take."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geometry.actors import PlacedActor
+from geometry.arrays import FloatArray, freeze
+from geometry.poses import Pose
+from scenarios.runs import Run
+
+from ..candidates import CandidatePose
+from ..detectors import ResponseDetector
+from ..setting import Setting
+from .random_streams import Luck, check_whole, mount_key
+from .traffic import (
+    GroupKey,
+    Street,
+    Ways,
+    build_street,
+    build_ways,
+    clear_of_ways,
+    group_key,
+)
+from .uncertainty import MountingErrors, Uncertainty
+
+_CUT_OFF = 3.0  # standard deviations: who is off by more, notices
+_LOWEST_M = 0.1  # above the road
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sample:
+    """One world that may turn out to be.
+
+    Attributes
+    ----------
+    luck : Luck
+        Where its random numbers come from.
+    uncertainty : Uncertainty
+        What they are drawn of.
+    setting : Setting
+        The runs with all that stands in the street in them; deadlines less what messages take
+        longer than the rule says; the share of messages that is lost.
+    planned : tuple of CandidatePose
+        Poses as planned.
+    candidates : tuple of CandidatePose
+        The same as they really hang; ids, sites and sensors are as planned.
+    vehicles : tuple of PlacedActor
+        All that stands in the street, in whichever runs.
+    extra_latency_s : (n_runs,) float
+        What messages take longer than the rule says. [s]
+    """
+
+    luck: Luck
+    uncertainty: Uncertainty
+    setting: Setting
+    planned: tuple[CandidatePose, ...]
+    candidates: tuple[CandidatePose, ...]
+    vehicles: tuple[PlacedActor, ...]
+    extra_latency_s: FloatArray
+
+    @property
+    def drawn_detector(self) -> ResponseDetector | None:
+        """The detector whose detections are drawn frame by frame, if any are."""
+        planner = self.setting.planner
+        if self.uncertainty.draws_detections and isinstance(planner, ResponseDetector):
+            return planner
+        return None
+
+    @property
+    def looks_as_planned(self) -> bool:
+        """Whether every pose detects what it would in the plan."""
+        is_in_place = self.candidates is self.planned
+        return is_in_place and not self.vehicles and self.drawn_detector is None
+
+    def __repr__(self) -> str:
+        return (
+            f"Sample({self.luck.index}, {self.luck.purpose!r}, {len(self.vehicles)} vehicles, "
+            f"{len(self.candidates)} poses)"
+        )
+
+
+def draw_samples(
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    uncertainty: Uncertainty,
+    *,
+    n_samples: int,
+    seed: int,
+    purpose: str = "choose",
+) -> Iterator[Sample]:
+    """Draw worlds, one after the other: each is built when it is asked for.
+
+    Parameters
+    ----------
+    setting : Setting
+        What is planned in.
+    candidates : sequence of CandidatePose
+        Poses as planned.
+    uncertainty : Uncertainty
+        What is drawn.
+    n_samples : int
+        How many worlds; the first ones are the same whatever their number.
+    seed : int
+        Of all draws.
+    purpose : {"choose", "judge"}
+        Worlds of the one share no random number with worlds of the other.
+
+    Yields
+    ------
+    sample : Sample
+        The next world.
+
+    Raises
+    ------
+    InputError
+        A number cannot be, or vehicles shall stand in a scene without a junction.
+
+    Notes
+    -----
+    All poses of one site are off by the same yaw, pitch and height: those of the mount. So they
+    stay comparable with one another, and share their rays as in the plan; two units on one pole
+    are off in the same way. What stands in the street is one and the same in all runs of a world,
+    but for what would stand in the way of a case from an approach: it is left out in those runs.
+    """
+    check_whole("--samples", n_samples, least=1)
+    traffic = uncertainty.traffic
+    street = None if traffic.is_empty else build_street(setting.scene, traffic)
+    ways = {} if street is None else build_ways(setting.runs, setting.rule)
+    first, planned = Luck(seed=seed, purpose=purpose, index=0), tuple(candidates)
+    return (
+        _draw(setting, planned, uncertainty, replace(first, index=index), street, ways)
+        for index in range(n_samples)
+    )
+
+
+def _draw(
+    setting: Setting,
+    candidates: tuple[CandidatePose, ...],
+    uncertainty: Uncertainty,
+    luck: Luck,
+    street: Street | None,
+    ways: dict[GroupKey, Ways],
+) -> Sample:
+    axis = setting.axis
+    extra_s = uncertainty.latency.draw_s(
+        luck.rng("latency"), axis.n_runs, rule_latency_s=setting.rule.latency_s
+    )
+    vehicles = () if street is None else street.draw(luck.rng)
+    runs = setting.runs
+    if vehicles:
+        clearance_m = uncertainty.traffic.clearance_m
+        runs = _with_vehicles(runs, clear_of_ways(vehicles, ways, clearance_m=clearance_m))
+    return Sample(
+        luck=luck,
+        uncertainty=uncertainty,
+        setting=replace(
+            setting,
+            runs=runs,
+            axis=replace(axis, last_brake_time_s=axis.last_brake_time_s - extra_s),
+            links=replace(setting.links, packet_loss=uncertainty.packet_loss),
+        ),
+        planned=candidates,
+        candidates=_as_mounted(candidates, uncertainty.mounting, luck),
+        vehicles=vehicles,
+        extra_latency_s=freeze(extra_s),
+    )
+
+
+def _with_vehicles(
+    runs: tuple[Run, ...], standing: dict[GroupKey, tuple[PlacedActor, ...]]
+) -> tuple[Run, ...]:
+    return tuple(
+        replace(run, obstruction=(*run.obstruction, *standing[group_key(run)])) for run in runs
+    )
+
+
+def _as_mounted(
+    candidates: tuple[CandidatePose, ...], errors: MountingErrors, luck: Luck
+) -> tuple[CandidatePose, ...]:
+    spread = np.array([errors.yaw_sd_deg, errors.pitch_sd_deg, errors.height_sd_m])
+    if not spread.any():
+        return candidates
+    off: dict[tuple[object, ...], tuple[float, float, float]] = {}
+    for key in dict.fromkeys(mount_key(candidate) for candidate in candidates):
+        normal = luck.rng("mount", *key).standard_normal(3)
+        yaw, pitch, height = (spread * np.clip(normal, -_CUT_OFF, _CUT_OFF)).tolist()
+        off[key] = (yaw, pitch, height)
+    return tuple(
+        replace(candidate, pose=_off(candidate.pose, *off[mount_key(candidate)]))
+        for candidate in candidates
+    )
+
+
+def _off(pose: Pose, yaw_deg: float, pitch_deg: float, height_m: float) -> Pose:
+    east, north, up = pose.position_m.tolist()
+    return Pose(
+        position_m=np.array([east, north, max(up + height_m, min(up, _LOWEST_M))]),
+        yaw_deg=pose.yaw_deg + yaw_deg,
+        pitch_deg=float(np.clip(pose.pitch_deg + pitch_deg, -90.0, 90.0)),
+    )

@@ -1,0 +1,1 @@
+"""Certificates, and their check without the optimiser's code."""

@@ -1,0 +1,339 @@
+"""``certificate.json``: what was solved, what was found, and how good it is said to be.
+
+Beside it lies ``instance.npz``, the problem itself (:mod:`.instances`): together they are
+enough to check the claim without the optimiser, see :mod:`placement.verification.verify`.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from geometry.errors import InputError, Unquoted
+from geometry.files import (
+    take,
+    take_list,
+    take_number,
+    take_text,
+    write_atomically,
+)
+
+from ..layout import Certificate, Stage
+from ..optimiser import PlacementProblem, PresolveStatistics
+from .instances import KIND, problem_hash, save_problem
+
+SCHEMA = "place-rsus/certificate/1"
+CERTIFICATE_FILE = "certificate.json"
+INSTANCE_FILE = "instance.npz"
+
+_FORMULAS: Mapping[str, str] = {
+    "units": "least sum_c x_c: the number of units",
+    "cost_eur": "least sum_c price_c x_c + sum_s price_s u_s, u_s = 1 if site s carries a unit",
+    "apr_survived": "most of what is left of the APR when any `survive` of the units fail",
+    "apr": "most A(avoided): sum_r w_r a_r over the runs; with a tail, its mean over the worst "
+    "share `tail` of the sampled worlds (conditional value at risk)",
+    "apr_one_failed": "most of min over the chosen c of the APR without c",
+    "smallest_margin_s": "largest min over the avoided runs with weight of last brake time - "
+    "(confirmation + latency)",
+    "mean_margin_s": "largest sum_r w_r a_r margin_r / sum_r w_r a_r",
+    "weighted": "largest sum of apr, apr_one_failed, smallest_margin_s and mean_margin_s times "
+    "their weights, less cost_eur times its own",
+}
+_FUSIONS: Mapping[str, str] = {
+    "any": "frame f is seen if a chosen pose detects in it: y_f <= sum_c V[c,f] x_c",
+    "single": "one chosen pose must detect in all frames of the window by itself",
+}
+_AVOIDED = (
+    "a_r = 1 if a window of n frames in a row of run r is seen and the time of its last frame "
+    "+ latency <= last brake time of r"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StoredCertificate:
+    """What a ``certificate.json`` claims, read and checked for form only.
+
+    Attributes
+    ----------
+    sha256 : str
+        Hash of the problem, see :func:`placement.verification.instances.problem_hash`.
+    model : mapping of str to object
+        What :func:`model_of` says, and the names of the "stages" in order.
+    pose_index : tuple of int
+        Rows of the detection table.
+    pose_ids : tuple of str
+        Their names there.
+    units : tuple of mapping
+        The units as ``layout.json`` has them.
+    stages : tuple of Stage
+        Objectives in order, each with what is claimed of it.
+    is_proven : tuple of bool
+        Whether each stage is claimed to be optimal.
+    all_proven : bool
+        Whether the layout is.
+    solver : str
+        Name and version of what the proof rests on.
+    presolve : mapping of str to (int, int)
+        Sizes before and after.
+    """
+
+    sha256: str
+    model: Mapping[str, Any]
+    pose_index: tuple[int, ...]
+    pose_ids: tuple[str, ...]
+    units: tuple[Mapping[str, Any], ...]
+    stages: tuple[Stage, ...]
+    is_proven: tuple[bool, ...]
+    all_proven: bool
+    solver: str
+    presolve: Mapping[str, tuple[int, int]]
+
+    def __repr__(self) -> str:
+        return f"StoredCertificate({list(self.pose_ids)}, {self.solver!r})"
+
+
+def build_certificate(
+    problem: PlacementProblem,
+    certificate: Certificate,
+    *,
+    pose_index: Sequence[int],
+    units: Sequence[Mapping[str, Any]],
+    presolve: PresolveStatistics,
+    seconds: Mapping[str, float],
+    versions: Mapping[str, str],
+) -> dict[str, Any]:
+    """The document that ``certificate.json`` holds.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        What was solved.
+    certificate : Certificate
+        What is claimed.
+    pose_index : sequence of int
+        Rows of the detection table, in the order of `units`.
+    units : sequence of mapping
+        The same units as the layout's file has them.
+    presolve : PresolveStatistics
+        Sizes before and after.
+    seconds : mapping of str to float
+        Time that the steps took. [s]
+    versions : mapping of str to str
+        Of the programs that the numbers depend on.
+
+    Returns
+    -------
+    document : dict
+        Plain values for JSON; an infinite gap is None.
+    """
+    axis = problem.table.axis
+    return {
+        "schema": SCHEMA,
+        "instance": {
+            "file": INSTANCE_FILE,
+            "kind": KIND,
+            "sha256": problem_hash(problem),
+            "n_poses": problem.table.n_poses,
+            "n_sites": problem.limits.n_sites,
+            "n_runs": axis.n_runs,
+            "n_frames": axis.n_frames,
+        },
+        "model": {
+            **model_of(problem),
+            "stages": [stage.name for stage in certificate.stages],
+            "in_words": {
+                "fusion": _FUSIONS[problem.fusion],
+                "avoided": _AVOIDED,
+                **{stage.name: _FORMULAS[stage.name] for stage in certificate.stages},
+            },
+        },
+        "layout": [
+            {"row": int(row), "pose": problem.table.pose_ids[row], "unit": dict(unit)}
+            for row, unit in zip(pose_index, units, strict=True)
+        ],
+        "stages": [
+            {
+                **asdict(stage),
+                "gap": stage.gap if math.isfinite(stage.gap) else None,  # JSON has no infinity
+                "is_proven": stage.gap == 0.0,
+            }
+            for stage in certificate.stages
+        ],
+        "is_proven": certificate.is_proven,
+        "solver": certificate.solver,
+        "presolve": {name: list(sizes) for name, sizes in asdict(presolve).items()},
+        "seconds": dict(seconds),
+        "versions": dict(versions),
+    }
+
+
+def save_certificate(folder: Path, document: Mapping[str, Any], problem: PlacementProblem) -> None:
+    """Write ``certificate.json`` and ``instance.npz`` into a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Where; it must exist.
+    document : mapping
+        Of :func:`build_certificate`.
+    problem : PlacementProblem
+        What it is about.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be written to.
+    """
+    save_problem(folder / INSTANCE_FILE, problem)
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    write_atomically(folder / CERTIFICATE_FILE, lambda file: file.write(text.encode()))
+
+
+def load_certificate(path: Path) -> StoredCertificate:
+    """Read a ``certificate.json``; whether its claims are true is not looked at.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    stored : StoredCertificate
+        What it claims.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no certificate, or a field is missing or not of its kind.
+    """
+    where = str(path)
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
+    except RecursionError:
+        raise InputError(where, Unquoted("JSON nested too deep"), "a certificate") from None
+    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
+        raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        got = document.get("schema") if isinstance(document, dict) else Unquoted("no object")
+        raise InputError(f"{where}: schema", got, SCHEMA)
+    instance = _take_table(document, "instance", where)
+    presolve = _take_table(document, "presolve", where)
+    units = _take_objects(document, "layout", where)
+    stages = _take_objects(document, "stages", where)
+    return StoredCertificate(
+        sha256=take_text(instance, "sha256", f"{where}: instance"),
+        model=_take_table(document, "model", where),
+        pose_index=tuple(_take_count(unit, "row", here) for here, unit in units),
+        pose_ids=tuple(take_text(unit, "pose", here) for here, unit in units),
+        units=tuple(_take_table(unit, "unit", here) for here, unit in units),
+        stages=tuple(_read_stage(stage, here) for here, stage in stages),
+        is_proven=tuple(_take_flag(stage, "is_proven", here) for here, stage in stages),
+        all_proven=_take_flag(document, "is_proven", where),
+        solver=take_text(document, "solver", where),
+        presolve={
+            field.name: _take_pair(presolve, field.name, f"{where}: presolve")
+            for field in fields(PresolveStatistics)
+        },
+    )
+
+
+def model_of(problem: PlacementProblem) -> dict[str, Any]:
+    """What a problem asks, and within which limits, as plain values for JSON.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        To describe; what is long (prices, sites, who is forced) is only counted.
+    """
+    axis, limits, samples = problem.table.axis, problem.limits, problem.sample_index
+    weights = problem.stage_weights
+    return {
+        "fusion": problem.fusion,
+        "goal": problem.goal,
+        "survive": problem.survive,
+        "stage_weights": None if weights is None else [float(weight) for weight in weights],
+        "tail": problem.tail,
+        "n_samples": 0 if samples is None else int(samples.max()) + 1,
+        "limits": {
+            "budget_units": limits.budget_units,
+            "budget_eur": limits.budget_eur,
+            "n_forced_units": int(limits.is_forced.sum()),
+            "n_forbidden_units": int(limits.is_forbidden.sum()),
+            "n_forced_sites": int(limits.is_forced_site.sum()),
+            "n_rival_pairs": len(limits.rivals),
+        },
+        "floors": [
+            {
+                "name": floor.name,
+                "apr": float(floor.share),
+                "n_failures": floor.n_failures,
+                "n_runs": axis.n_runs if floor.is_counted is None else int(floor.is_counted.sum()),
+            }
+            for floor in problem.floors
+        ],
+        "rule": asdict(problem.rule),
+    }
+
+
+def _take_table(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+    value = take(table, key, where)
+    if not isinstance(value, dict):
+        raise InputError(f"{where}.{key}", value, "an object")
+    return value
+
+
+def _take_objects(
+    table: Mapping[str, Any], key: str, where: str
+) -> list[tuple[str, Mapping[str, Any]]]:
+    """Objects of a list that is not empty, and where each stands."""
+    values = take_list(table, key, where)
+    if not values:
+        raise InputError(f"{where}.{key}", values, "at least one")
+    objects: list[tuple[str, Mapping[str, Any]]] = []
+    for index, value in enumerate(values):
+        here = f"{where}.{key}[{index}]"
+        if not isinstance(value, dict):
+            raise InputError(here, value, "an object")
+        objects.append((here, value))
+    return objects
+
+
+def _take_flag(table: Mapping[str, Any], key: str, where: str) -> bool:
+    value = take(table, key, where)
+    if not isinstance(value, bool):
+        raise InputError(f"{where}.{key}", value, "true or false")
+    return value
+
+
+def _take_count(table: Mapping[str, Any], key: str, where: str) -> int:
+    return _count(take(table, key, where), f"{where}.{key}")
+
+
+def _take_pair(table: Mapping[str, Any], key: str, where: str) -> tuple[int, int]:
+    values = take_list(table, key, where)
+    if len(values) != 2:
+        raise InputError(f"{where}.{key}", values, "two numbers: before, after")
+    before, after = (_count(value, f"{where}.{key}") for value in values)
+    return before, after
+
+
+def _count(value: object, where: str) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise InputError(where, value, "a whole number, at least 0")
+    return value
+
+
+def _read_stage(table: Mapping[str, Any], where: str) -> Stage:
+    has_gap = take(table, "gap", where) is not None
+    return Stage(
+        name=take_text(table, "name", where),
+        objective=take_number(table, "objective", where),
+        bound=take_number(table, "bound", where),
+        gap=take_number(table, "gap", where) if has_gap else math.inf,
+        seconds=take_number(table, "seconds", where),
+    )

@@ -1,0 +1,488 @@
+"""What sets of poses are worth, recomputed from a saved problem without the optimiser's code.
+
+Nothing here is shared with :mod:`placement.optimiser` but the problem itself, as it lies in a file:
+the table's bits, the limits and the weights. Frames are gone through one after the other, counting
+detections in a row; there is no presolve, no window and no model. It checks the optimiser, so it
+is to be read against design.md and not against the optimiser.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+
+from ..layout import Stage
+
+if TYPE_CHECKING:
+    from ..optimiser import Floor, PlacementProblem
+
+
+# ---------- what sets of poses are worth
+
+
+EPSILON = 1.0e-9
+"""Shares and times that differ by no more are equal: they carry rounding noise."""
+EPSILON_EUR = 1.0e-6
+"""So are sums of prices."""
+LEAST_IS_BEST = ("units", "cost_eur")
+"""Stages that are minimised; all others are maximised."""
+WEIGHTED = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eur")
+"""What a problem's stage weights belong to."""
+
+_BLOCK_BYTES = 1 << 22
+
+
+def stage_names(problem: "PlacementProblem") -> tuple[str, ...]:
+    """Objectives of a problem in order: design.md's, behind what a goal or failures put first."""
+    first = {"best": [], "fewest": ["units"], "cheapest": ["cost_eur"]}[problem.goal]
+    if problem.survive:
+        first = [*first, "apr_survived"]
+    if problem.stage_weights is not None:
+        return (*first, "weighted")
+    last = [] if problem.goal == "cheapest" else ["cost_eur"]
+    return (*first, "apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", *last)
+
+
+def stage_values(problem: "PlacementProblem", name: str, sets: IntArray) -> FloatArray:
+    """Value of sets of poses in a stage: (n_sets, n_units) -> (n_sets,).
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        The table, the rule, the prices.
+    name : str
+        One of :func:`stage_names`.
+    sets : (n_sets, n_units) int
+        Rows of the table; distinct within a set.
+    """
+    if name == "units":
+        return np.full(len(sets), float(sets.shape[1]))
+    if name == "cost_eur":
+        return costs_eur(problem, sets)
+    if name == "apr_survived":
+        return _of_blocks(problem, sets, lambda block: _left(problem, block, problem.survive))
+    if name == "apr_one_failed":
+        return _of_blocks(problem, sets, lambda block: _left(problem, block, 1))
+    if name == "weighted":
+        assert problem.stage_weights is not None
+        total = np.zeros(len(sets))
+        for part, weight in zip(WEIGHTED, problem.stage_weights, strict=True):
+            sign = -1.0 if part in LEAST_IS_BEST else 1.0
+            total += sign * weight * stage_values(problem, part, sets)
+        return total
+    values = {"apr": _apr, "smallest_margin_s": _smallest_s, "mean_margin_s": _mean_s}[name]
+    return _of_blocks(problem, sets, lambda block: values(problem, margins_s(problem, block)))
+
+
+def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
+    """Time left until the last moment to brake, per set and run.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        The table and the rule.
+    sets : (n_sets, n_units) int
+        Rows of the table.
+
+    Returns
+    -------
+    margin_s : (n_sets, n_runs) float
+        last brake time - (confirmation + latency); minus infinity where that is too late or there
+        is no confirmation. [s]
+    """
+    packed, n_units = problem.table.packed, sets.shape[1]
+    if n_units == 0:
+        return np.full((len(sets), problem.table.axis.n_runs), -np.inf)
+    if problem.fusion == "single":  # each for itself: the first to confirm counts
+        poses, where = np.unique(sets, return_inverse=True)
+        alone = _margins_of_bits(problem, packed[poses])
+        margin_s: FloatArray = alone[where.reshape(sets.shape)].max(axis=1)
+        return margin_s
+    bits = packed[sets[:, 0]].copy()
+    for unit in range(1, n_units):
+        bits |= packed[sets[:, unit]]
+    return _margins_of_bits(problem, bits)
+
+
+def margins_of_all_s(problem: "PlacementProblem", poses: IntArray) -> FloatArray:
+    """Margins if all of some poses were mounted at once, whatever the limits, (n_runs,)."""
+    everything = np.full(problem.table.axis.n_runs, -np.inf)
+    if problem.fusion == "any" and len(poses):
+        union = np.zeros((1, problem.table.packed.shape[1]), dtype=np.uint8)
+        for pose in poses:
+            union |= problem.table.packed[pose]
+        of_union: FloatArray = _margins_of_bits(problem, union)[0]
+        return of_union
+    for block in _blocks(problem, poses[:, None]):
+        everything = np.maximum(everything, margins_s(problem, block).max(axis=0))
+    return everything
+
+
+def costs_eur(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
+    """Price of sets: each unit, and each site once, in euros: (n_sets, n_units) -> (n_sets,)."""
+    limits = problem.limits
+    total = np.zeros(len(sets))
+    for unit in range(sets.shape[1]):
+        pose = sets[:, unit]
+        total += limits.unit_cost_eur[pose]
+        site = limits.site_index[pose]
+        is_paid = np.zeros(len(sets), dtype=bool)
+        for earlier in range(unit):
+            is_paid |= limits.site_index[sets[:, earlier]] == site
+        total += np.where(is_paid, 0.0, limits.site_cost_eur[site])
+    return total
+
+
+def limit_checks(problem: "PlacementProblem", sets: IntArray) -> dict[str, BoolArray]:
+    """Which sets are within each limit, (n_sets,) by the name of the limit."""
+    limits, n_units = problem.limits, sets.shape[1]
+    n_sets, sites = len(sets), limits.site_index[sets]
+
+    def each(is_so: bool) -> BoolArray:
+        return np.full(n_sets, is_so)
+
+    checks: dict[str, BoolArray] = {"units": each(n_units >= 1)}
+    if limits.budget_units is not None:
+        checks["units"] &= each(n_units <= limits.budget_units)
+    if limits.budget_eur is not None:
+        checks["money"] = costs_eur(problem, sets) <= limits.budget_eur + EPSILON_EUR
+    checks["site capacity"] = each(True)
+    for unit in range(n_units):
+        beside: IntArray = (sites == sites[:, unit : unit + 1]).sum(axis=1)
+        checks["site capacity"] &= beside <= limits.site_capacity[sites[:, unit]]
+    if limits.is_forced.any():
+        checks["forced units"] = each(True)
+        for pose in np.flatnonzero(limits.is_forced):
+            checks["forced units"] &= _any(sets == pose)
+    if limits.is_forbidden.any():
+        checks["forbidden units"] = ~_any(limits.is_forbidden[sets])
+    if limits.is_forced_site.any():
+        checks["forced sites"] = each(True)
+        for site in np.flatnonzero(limits.is_forced_site):
+            checks["forced sites"] &= _any(sites == site)
+    if len(limits.rivals):
+        checks["rival sites"] = each(True)
+        for one, other in limits.rivals:
+            checks["rival sites"] &= ~(_any(sites == one) & _any(sites == other))
+    return checks
+
+
+def floor_values(problem: "PlacementProblem", floor: "Floor", sets: IntArray) -> FloatArray:
+    """What sets reach of a floor, after the failures that it allows for, (n_sets,)."""
+    return _of_blocks(problem, sets, lambda block: _left(problem, block, floor.n_failures, floor))
+
+
+def apr_of_margins(problem: "PlacementProblem", margin_s: FloatArray) -> FloatArray:
+    """Accident prevention ratio of sets by the margins of all runs, (n_sets,)."""
+    return _apr(problem, margin_s)
+
+
+def _any(flags: BoolArray) -> BoolArray:
+    """Rows with a flag that is set."""
+    result: BoolArray = np.logical_or.reduce(flags, axis=1)
+    return result
+
+
+def _left(
+    problem: "PlacementProblem", sets: IntArray, n_failures: int, floor: "Floor | None" = None
+) -> FloatArray:
+    """Smallest ratio that is left when any so many units of each set fail, (n_sets,)."""
+    n_units = sets.shape[1]
+    if n_failures > n_units:
+        return np.zeros(len(sets))
+    smallest = np.full(len(sets), np.inf)
+    for working in combinations(range(n_units), n_units - n_failures):
+        margin_s = margins_s(problem, sets[:, list(working)])
+        smallest = np.minimum(smallest, _apr(problem, margin_s, floor))
+    return smallest
+
+
+def _apr(
+    problem: "PlacementProblem", margin_s: FloatArray, floor: "Floor | None" = None
+) -> FloatArray:
+    """Weight of the avoided runs; of a floor's own runs, or of the worst worlds on average."""
+    is_avoided: BoolArray = margin_s > -np.inf
+    weight = problem.table.axis.weight
+    if floor is not None and floor.is_counted is not None:
+        counted = np.where(floor.is_counted, weight, 0.0)
+        share: FloatArray = (is_avoided * (counted / counted.sum())).sum(axis=1)
+        return share
+    if problem.tail == 1.0:
+        share = (is_avoided * weight).sum(axis=1)
+        return share
+    # Rockafellar and Uryasev (2000): the mean of the worst share `tail` of the worlds is the
+    # largest t - E[(t - ratio)+] / tail over all t, and a world's own ratio is such a t.
+    world = np.zeros(len(weight), np.int64)
+    if problem.sample_index is not None:
+        world = problem.sample_index
+    n_worlds = int(world.max()) + 1
+    chance = np.array([weight[world == index].sum() for index in range(n_worlds)])
+    chance = chance / chance.sum()
+    ratio = np.stack(
+        [(is_avoided * weight)[:, world == index].sum(axis=1) for index in range(n_worlds)], axis=1
+    )
+    ratio = ratio / chance
+    best = np.full(len(margin_s), -np.inf)
+    for index in range(n_worlds):
+        threshold = ratio[:, index]
+        shortfall = np.maximum(threshold[:, None] - ratio, 0.0) @ chance
+        best = np.maximum(best, threshold - shortfall / problem.tail)
+    return best
+
+
+def _smallest_s(problem: "PlacementProblem", margin_s: FloatArray) -> FloatArray:
+    """Smallest margin of the avoided runs that have weight; 0 where there is none, (n_sets,)."""
+    counts = (margin_s > -np.inf) & (problem.table.axis.weight > 0.0)
+    smallest = np.where(counts, margin_s, np.inf).min(axis=1)
+    return np.where(counts.any(axis=1), smallest, 0.0)
+
+
+def _mean_s(problem: "PlacementProblem", margin_s: FloatArray) -> FloatArray:
+    """Mean margin of the avoided runs by their weights; 0 where there is none, (n_sets,)."""
+    counts = np.where(margin_s > -np.inf, problem.table.axis.weight, 0.0)
+    total = counts.sum(axis=1)
+    summed = (counts * np.where(counts > 0.0, margin_s, 0.0)).sum(axis=1)
+    return np.where(total > 0.0, summed / np.where(total > 0.0, total, 1.0), 0.0)
+
+
+def _margins_of_bits(problem: "PlacementProblem", bits: NDArray[np.uint8]) -> FloatArray:
+    """Margins if the frames with set bits are seen: (n, n_bytes) -> (n, n_runs)."""
+    axis, rule = problem.table.axis, problem.rule
+    start, length = axis.run_start[:-1], np.diff(axis.run_start)
+    margin_s = np.full((len(bits), axis.n_runs), -np.inf)
+    in_a_row = np.zeros((len(bits), axis.n_runs), dtype=np.int32)
+    for position in range(int(length.max())):
+        runs = np.flatnonzero(length > position)  # those that have such a frame
+        frame = start[runs] + position
+        is_seen = (bits[:, frame // 8] >> (frame % 8).astype(np.uint8)) & 1
+        in_a_row[:, runs] = (in_a_row[:, runs] + 1) * is_seen
+        onset_s = axis.time_s[frame] + rule.latency_s
+        left_s = axis.last_brake_time_s[runs] - onset_s
+        # The first confirmation leaves the most time; one that is too late leaves none.
+        confirms = (in_a_row[:, runs] >= rule.n_confirmations) & (left_s >= -EPSILON)
+        margin_s[:, runs] = np.maximum(margin_s[:, runs], np.where(confirms, left_s, -np.inf))
+    return margin_s
+
+
+def _blocks(problem: "PlacementProblem", sets: IntArray) -> Iterator[IntArray]:
+    """Sets, as many at a time as fit into a moderate piece of memory."""
+    axis = problem.table.axis
+    per_set = problem.table.packed.shape[1] + 64 * axis.n_runs
+    size = max(1, _BLOCK_BYTES // per_set)
+    for start in range(0, len(sets), size):
+        yield sets[start : start + size]
+
+
+def _of_blocks(
+    problem: "PlacementProblem", sets: IntArray, values: Callable[[IntArray], FloatArray]
+) -> FloatArray:
+    if not len(sets):
+        return np.zeros(0)
+    return np.concatenate([values(block) for block in _blocks(problem, sets)])
+
+
+# ---------- how good a layout can be at best, told from all poses together without choosing any
+
+
+def usable_poses(problem: "PlacementProblem") -> IntArray:
+    """Poses that some layout can contain."""
+    limits = problem.limits
+    has_room = limits.site_capacity[limits.site_index] > 0
+    poses: IntArray = np.flatnonzero(has_room & ~limits.is_forbidden)
+    return poses
+
+
+def most_units(problem: "PlacementProblem") -> int:
+    """No layout has more units."""
+    limits, usable = problem.limits, usable_poses(problem)
+    most = sum(
+        min(int(limits.site_capacity[site]), int((limits.site_index[usable] == site).sum()))
+        for site in np.unique(limits.site_index[usable])
+    )
+    if limits.budget_units is not None:
+        most = min(most, limits.budget_units)
+    if limits.budget_eur is not None:
+        spent = np.cumsum(np.sort(limits.unit_cost_eur[usable]))
+        most = min(most, int((spent <= limits.budget_eur + EPSILON_EUR).sum()))
+    return most
+
+
+def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[str, float]:
+    """What no layout can be better than in each stage, by a look at all poses at once.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        Table, rule, limits.
+    stages : sequence of Stage
+        What is claimed of a layout: limits of later stages are of those as good in earlier ones.
+
+    Returns
+    -------
+    limits : dict of str to float
+        By the name of the stage, also of those that the problem does not have.
+
+    Notes
+    -----
+    The more poses, the earlier each run is confirmed: all usable poses together avoid every run
+    that any layout avoids, with the largest margin. If the layout avoids as much as they do, every
+    layout as good as it avoids the very same runs, so that their margins bound it.
+    """
+    limits, weight = problem.limits, problem.table.axis.weight
+    usable = usable_poses(problem)
+    margin_s = margins_of_all_s(problem, usable)
+    counts = (margin_s > -np.inf) & (weight > 0.0)
+    most_apr = float(apr_of_margins(problem, margin_s[None, :])[0])
+    smallest_s = mean_s = float(margin_s[counts].max(initial=-np.inf)) if counts.any() else 0.0
+    claimed = {stage.name: stage.objective for stage in stages}
+    if counts.any() and problem.tail == 1.0 and claimed.get("apr", 0.0) >= most_apr - EPSILON:
+        smallest_s = float(margin_s[counts].min())
+        mean_s = float(np.average(margin_s[counts], weights=weight[counts]))
+    most = most_units(problem)
+    forced = np.flatnonzero(limits.is_forced)
+    price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
+    least_eur = float(price[usable].min(initial=np.inf))
+    if len(forced):
+        least_eur = float(costs_eur(problem, forced[None, :])[0])
+    n_open = int(limits.is_forced_site.sum()) - int(
+        limits.is_forced_site[np.unique(limits.site_index[forced])].sum()
+    )
+    found = {
+        "units": float(max(1, len(forced) + n_open)),
+        "cost_eur": least_eur,
+        "apr": most_apr,
+        "apr_survived": most_apr if most > problem.survive else 0.0,
+        "apr_one_failed": most_apr if most > 1 else 0.0,
+        "smallest_margin_s": smallest_s,
+        "mean_margin_s": mean_s,
+    }
+    if problem.stage_weights is not None:
+        found["weighted"] = sum(
+            weight * (-found[name] if name in LEAST_IS_BEST else found[name])
+            for name, weight in zip(WEIGHTED, problem.stage_weights, strict=True)
+        )
+    return found
+
+
+# ---------- sets of poses that would disprove a certificate
+
+
+class BestOther(NamedTuple):
+    """The best of the sets that were compared in a stage.
+
+    Attributes
+    ----------
+    name : str
+        The stage.
+    value : float
+        Of the best set that is as good as the layout in all stages before; NaN if none is.
+    poses : tuple of int
+        The set.
+    """
+
+    name: str
+    value: float
+    poses: tuple[int, ...]
+
+
+def noise(name: str) -> float:
+    """Difference up to which two values of a stage are equal."""
+    return EPSILON_EUR if name == "cost_eur" else EPSILON
+
+
+def excess(name: str, value: float, other: float) -> float:
+    """How much better a value of a stage is than another."""
+    return other - value if name in LEAST_IS_BEST else value - other
+
+
+def n_sets_of_all(problem: "PlacementProblem") -> int:
+    """How many sets :func:`all_sets` goes through."""
+    n_usable = len(usable_poses(problem))
+    return sum(math.comb(n_usable, size) for size in range(1, most_units(problem) + 1))
+
+
+def all_sets(problem: "PlacementProblem") -> Iterator[IntArray]:
+    """All sets of usable poses that are not too large, (n_sets, n_units) for each size."""
+    usable = usable_poses(problem)
+    for size in range(1, most_units(problem) + 1):
+        yield np.array(list(combinations(usable.tolist(), size)), dtype=np.int64)
+
+
+def neighbours(problem: "PlacementProblem", rows: Sequence[int]) -> Iterator[IntArray]:
+    """The layout, and all sets with one unit left out, exchanged or added, size by size."""
+    layout = np.array(rows, dtype=np.int64)
+    others = np.setdiff1d(usable_poses(problem), layout)
+    fewer = [np.delete(layout, index) for index in range(len(layout))]
+    if len(layout) > 1:
+        yield np.array(fewer)
+    exchanged = [_with_each(left, others) for left in fewer]
+    yield np.concatenate([layout[None, :], *exchanged])
+    yield _with_each(layout, others)
+
+
+def n_neighbours(problem: "PlacementProblem", rows: Sequence[int]) -> int:
+    """How many sets :func:`neighbours` goes through."""
+    n_others = len(np.setdiff1d(usable_poses(problem), rows))
+    n_fewer = len(rows) if len(rows) > 1 else 0
+    return n_fewer + 1 + (len(rows) + 1) * n_others
+
+
+def best_others(
+    problem: "PlacementProblem", stages: Sequence[Stage], families: Iterator[IntArray]
+) -> list[BestOther]:
+    """Best value of each stage among sets of poses.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        Table, rule, limits.
+    stages : sequence of Stage
+        As claimed; what a layout must be as good as.
+    families : iterator of (n_sets, n_units) int
+        Sets to compare; those that are not allowed, or miss a floor, are left out.
+
+    Returns
+    -------
+    best : list of BestOther
+        One per stage.
+    """
+    alive = [kept for sets in families if len(kept := _allowed(problem, sets))]
+    best = []
+    for stage in stages:
+        found = BestOther(stage.name, math.nan, ())
+        still_alive = []
+        for sets in alive:
+            value = stage_values(problem, stage.name, sets)
+            first = int(np.argmin(value) if stage.name in LEAST_IS_BEST else np.argmax(value))
+            if not found.poses or excess(stage.name, float(value[first]), found.value) > 0.0:
+                found = BestOther(stage.name, float(value[first]), tuple(sets[first].tolist()))
+            kept = sets[_as_good(stage, value)]
+            if len(kept):
+                still_alive.append(kept)
+        best.append(found)
+        alive = still_alive
+    return best
+
+
+def _allowed(problem: "PlacementProblem", sets: IntArray) -> IntArray:
+    """Those of the sets that are within all limits and reach all floors."""
+    kept = sets[np.logical_and.reduce(list(limit_checks(problem, sets).values()))]
+    for floor in problem.floors:
+        kept = kept[floor_values(problem, floor, kept) >= floor.share - EPSILON]
+    return kept
+
+
+def _as_good(stage: Stage, value: FloatArray) -> BoolArray:
+    if stage.name in LEAST_IS_BEST:
+        return value <= stage.objective + noise(stage.name)
+    return value >= stage.objective - noise(stage.name)
+
+
+def _with_each(units: IntArray, others: IntArray) -> IntArray:
+    """Some units together with each of other poses in turn, (n_others, n_units + 1)."""
+    return np.column_stack([np.tile(units, (len(others), 1)), others])

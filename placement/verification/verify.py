@@ -1,0 +1,320 @@
+"""An independent check of a certificate: everything that can be recomputed is recomputed.
+
+What a certificate says of the layout (that it is within all limits, and what it is worth) is
+recomputed from the saved problem by :mod:`.recomputation`. What it says of all other
+layouts (that none is better than the bound) is proven again where that is easy: where all poses
+together reach no more, or where there are so few sets that all can be compared. Elsewhere the proof
+rests on the solver that the certificate names, and this says so; but every layout that differs in
+one unit is compared, if they are not too many, and a bound that one of them beats is found out.
+
+Whether the detection table is right is not looked at here: that is what the evaluator is for.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..layout import Stage
+from .certificates import StoredCertificate, model_of
+from .instances import problem_hash
+from .recomputation import (
+    EPSILON,
+    LEAST_IS_BEST,
+    all_sets,
+    best_others,
+    excess,
+    floor_values,
+    limit_checks,
+    n_neighbours,
+    n_sets_of_all,
+    neighbours,
+    noise,
+    simple_limits,
+    stage_names,
+    stage_values,
+)
+
+if TYPE_CHECKING:
+    from ..optimiser import PlacementProblem
+
+MAX_SETS = 50_000
+"""So many sets of poses are compared at most."""
+_MAX_LOOKS = 2_000_000_000  # sets times frames; half a minute
+_ROUNDED_GAP = 1.0e-9  # certificates round gaps
+_SIZES = ("poses", "frames", "windows", "runs")
+_SOLVER_TOLERANCE = 1.0e-6  # relative; solvers meet their rows and whole numbers up to this
+
+
+class Check(NamedTuple):
+    """Something that was looked at.
+
+    Attributes
+    ----------
+    name : str
+        What.
+    passed : bool
+        Whether it is as it should be.
+    detail : str
+        In words.
+    """
+
+    name: str
+    passed: bool
+    detail: str
+
+
+class StageProof(NamedTuple):
+    """What stands behind a stage of a certificate.
+
+    Attributes
+    ----------
+    name : str
+        The stage.
+    claims_optimum : bool
+        Whether the certificate says that the layout is proven best in this stage.
+    is_proven_again : bool
+        Whether that was proven here, without a solver.
+    reason : str
+        How; or what it rests on instead.
+    """
+
+    name: str
+    claims_optimum: bool
+    is_proven_again: bool
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verification:
+    """What a check of a certificate came to.
+
+    Attributes
+    ----------
+    checks : tuple of Check
+        In the order in which they were made.
+    proofs : tuple of StageProof
+        Of every stage; none if the layout itself could not be made out.
+    """
+
+    checks: tuple[Check, ...]
+    proofs: tuple[StageProof, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether everything that was looked at is as it should be."""
+        return all(check.passed for check in self.checks)
+
+
+def verify_certificate(
+    problem: "PlacementProblem",
+    stored: StoredCertificate,
+    shown: Sequence[Mapping[str, Any]],
+    *,
+    max_sets: int = MAX_SETS,
+    on_stage: Callable[[str], None] | None = None,
+) -> Verification:
+    """Check a certificate against the problem that it is about.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        As it was saved.
+    stored : StoredCertificate
+        What is claimed.
+    shown : sequence of mapping
+        Units of the layout file beside it.
+    max_sets : int
+        Compare so many sets of poses at most.
+    on_stage : callable, optional
+        Called with what is done next.
+
+    Returns
+    -------
+    verification : Verification
+        Every check, also after one has failed, as far as it can be made.
+    """
+    tell = on_stage or (lambda stage: None)
+    tell("recompute the layout's values")
+    checks = [_instance_check(problem, stored), *_model_checks(problem, stored)]
+    checks += [*_pose_checks(problem, stored), _layout_check(problem, stored, shown)]
+    if not all(check.passed for check in checks if check.name in ("poses", "stages")):
+        return Verification(checks=tuple(checks), proofs=())  # there is nothing to recompute
+    chosen = np.array([stored.pose_index], dtype=np.int64)
+    checks += [
+        Check(name, bool(within[0]), "within the limit" if within[0] else "beyond the limit")
+        for name, within in limit_checks(problem, chosen).items()
+    ]
+    for floor in problem.floors:
+        reached = float(floor_values(problem, floor, chosen)[0])
+        failing = f" when any {floor.n_failures} fail" if floor.n_failures else ""
+        text = f"{reached:.9g} is reached{failing}, {floor.share:.9g} is asked for"
+        checks.append(Check(f"floor {floor.name}", reached >= floor.share - EPSILON, text))
+    limits = simple_limits(problem, stored.stages)
+    proofs = []
+    for stage, is_proven in zip(stored.stages, stored.is_proven, strict=True):
+        value = float(stage_values(problem, stage.name, chosen)[0])
+        limit = limits[stage.name]
+        checks += _stage_checks(stage, is_proven, value, limit)
+        is_simple = excess(stage.name, limit, stage.objective) <= noise(stage.name)
+        proofs.append(
+            StageProof(
+                stage.name,
+                is_proven,
+                is_proven and is_simple,
+                f"{_limit_words(stage.name)} {limit:.9g}" if is_simple else stored.solver,
+            )
+        )
+    checks, proofs = _compare(problem, stored, checks, proofs, max_sets, tell)
+    return Verification(checks=tuple(checks), proofs=tuple(proofs))
+
+
+def _instance_check(problem: "PlacementProblem", stored: StoredCertificate) -> Check:
+    found = problem_hash(problem)
+    same = found == stored.sha256
+    text = f"SHA-256 {found[:16]}.."
+    return Check("instance", same, text if same else f"{text}, not {stored.sha256[:16]}..")
+
+
+def _model_checks(problem: "PlacementProblem", stored: StoredCertificate) -> list[Check]:
+    asked = model_of(problem)
+    wrong = [name for name, value in asked.items() if stored.model.get(name) != value]
+    names = [stage.name for stage in stored.stages]
+    expected = list(stage_names(problem))
+    is_so = names == expected and stored.model.get("stages") == expected
+    table, axis = problem.table, problem.table.axis
+    n_windows = np.maximum(np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0).sum()
+    sizes = (table.n_poses, axis.n_frames, int(n_windows), axis.n_runs)
+    before = tuple(pair[0] for pair in stored.presolve.values())
+    return [
+        Check(
+            "model",
+            not wrong,
+            "the certificate says " + ("another " + ", ".join(wrong) if wrong else "what is asked"),
+        ),
+        Check(
+            "proof",
+            stored.all_proven == all(stored.is_proven),
+            "claimed to be " + ("complete" if stored.all_proven else "incomplete"),
+        ),
+        Check("stages", is_so, ", ".join(names) + ("" if is_so else ": not those that are asked")),
+        Check(
+            "presolve",
+            before == sizes and all(pair[0] >= pair[1] for pair in stored.presolve.values()),
+            "from " + ", ".join(f"{n} {noun}" for n, noun in zip(before, _SIZES, strict=True)),
+        ),
+    ]
+
+
+def _pose_checks(problem: "PlacementProblem", stored: StoredCertificate) -> list[Check]:
+    """Whether the poses exist; "poses" fails if nothing can be made of them."""
+    table, rows = problem.table, stored.pose_index
+    missing = [row for row in rows if row >= table.n_poses]
+    if missing or len(set(rows)) < len(rows):
+        text = f"row {missing[0]} of {table.n_poses}" if missing else "a row twice"
+        return [Check("poses", False, text)]
+    wrong = [
+        f"row {row} is {table.pose_ids[row]}, not {name}"
+        for row, name in zip(rows, stored.pose_ids, strict=True)
+        if table.pose_ids[row] != name
+    ]
+    return [
+        Check("poses", True, f"rows {', '.join(map(str, rows))} of {table.n_poses}"),
+        Check("pose names", not wrong, wrong[0] if wrong else ", ".join(stored.pose_ids)),
+    ]
+
+
+def _layout_check(
+    problem: "PlacementProblem", stored: StoredCertificate, shown: Sequence[Mapping[str, Any]]
+) -> Check:
+    """Whether the layout file has the same units, and sites where the problem has."""
+    if [dict(unit) for unit in shown] != [dict(unit) for unit in stored.units]:
+        return Check("layout file", False, "it does not show the certificate's units")
+    sites = [unit.get("site") for unit in shown]
+    rows = stored.pose_index
+    for (site, row), (other_site, other_row) in combinations(zip(sites, rows, strict=True), 2):
+        if not (site and other_site) or max(row, other_row) >= problem.table.n_poses:
+            continue
+        index = problem.limits.site_index
+        if (site == other_site) != (index[row] == index[other_row]):
+            return Check("layout file", False, f"rows {row} and {other_row} stand on other sites")
+    return Check("layout file", True, f"it shows the same {len(shown)} units")
+
+
+def _stage_checks(stage: Stage, is_proven: bool, value: float, limit: float) -> list[Check]:
+    """What a stage claims of the layout, and whether its numbers fit together."""
+    name, objective, bound = stage.name, stage.objective, stage.bound
+    distance = abs(bound - objective)
+    gap = 0.0 if distance <= EPSILON * max(1.0, abs(objective)) else math.inf
+    if gap and objective:
+        gap = distance / abs(objective)
+    has_gap = gap == stage.gap or abs(gap - stage.gap) <= _ROUNDED_GAP * max(1.0, gap)
+    fits = excess(name, bound, objective) >= -noise(name)
+    side = "above" if name in LEAST_IS_BEST else "below"
+    return [
+        Check(
+            name,
+            abs(value - objective) <= noise(name),
+            f"recomputed {value:.9g}, claimed {objective:.9g}",
+        ),
+        Check(
+            f"{name}: bound",
+            fits,
+            f"{bound:.9g} is {'not ' if fits else ''}{side} the value",
+        ),
+        Check(
+            f"{name}: gap",
+            has_gap and is_proven == (stage.gap == 0.0),
+            f"{stage.gap:.3g}, claimed {'proven' if is_proven else 'open'}",
+        ),
+        Check(
+            f"{name}: reach",
+            excess(name, value, limit) <= noise(name),
+            f"{_limit_words(name)} {limit:.9g}",
+        ),
+    ]
+
+
+def _limit_words(name: str) -> str:
+    return "no layout has less than" if name in LEAST_IS_BEST else "no poses reach more than"
+
+
+def _compare(
+    problem: "PlacementProblem",
+    stored: StoredCertificate,
+    checks: list[Check],
+    proofs: list[StageProof],
+    max_sets: int,
+    tell: Callable[[str], None],
+) -> tuple[list[Check], list[StageProof]]:
+    """Look for a set of poses that a bound does not allow for: among all, or near the layout."""
+    if all(proof.is_proven_again for proof in proofs):
+        return checks, proofs
+    most = min(max_sets, _MAX_LOOKS // problem.table.axis.n_frames)
+    n_all, n_near = n_sets_of_all(problem), n_neighbours(problem, stored.pose_index)
+    is_all = n_all <= most
+    if is_all:
+        tell(f"compare all {n_all} sets of poses")
+        families, words = all_sets(problem), f"all {n_all} sets of poses"
+    elif n_near <= most:
+        tell(f"compare {n_near} sets that differ in one unit")
+        families = neighbours(problem, stored.pose_index)
+        words = f"{n_near} sets that differ in one unit"
+    else:
+        return checks, proofs
+    best = best_others(problem, stored.stages, families)
+    checks, proofs = checks.copy(), proofs.copy()
+    for index, (stage, other) in enumerate(zip(stored.stages, best, strict=True)):
+        slack = _SOLVER_TOLERANCE * max(1.0, abs(stage.bound))
+        holds = not other.poses or excess(stage.name, other.value, stage.bound) <= slack
+        text = f"none of {words} is better"
+        if not holds:
+            text = f"rows {', '.join(map(str, other.poses))} reach {other.value:.9g}"
+        checks.append(Check(f"{stage.name}: others", holds, text))
+        if is_all and proofs[index].claims_optimum:
+            reason = f"{words} compared" if holds else "disproved"
+            proofs[index] = StageProof(stage.name, True, holds, reason)
+    return checks, proofs

@@ -1,0 +1,573 @@
+import json
+import logging
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.jobs import placement
+from experiments.progress import StageProgress
+from geometry.catalogue import load_cameras
+
+UNIT = {
+    "id": "A",
+    "site": "",
+    "x_m": -115.0,
+    "y_m": 8.6,
+    "z_m": 8.0,
+    "yaw_deg": -135.0,
+    "pitch_deg": -25.0,
+    "camera": "carla-ncap-rgb",
+}
+HEAVY = ("numpy", "scipy", "open3d", "trimesh", "cvxpy", "matplotlib", "pandas", "rich")
+KEYS = {
+    "layout",
+    "budget",
+    "fusion",
+    "runs",
+    "apr",
+    "bound",
+    "gap",
+    "apr_without_worst_unit",
+    "evaluation",
+    "baseline",
+    "surrogate_disagreement",
+    "seconds",
+    "versions",
+}
+STAGES = ("setting", "detection table", "optimise", "greedy", "evaluate", "write results")
+
+
+@pytest.fixture
+def layout_file(tmp_path):
+    """Writes a layout file of one unit with some fields replaced, or removed (...)."""
+
+    def write(name: str = "mine.json", **fields: object) -> Path:
+        unit = {key: value for key, value in (UNIT | fields).items() if value is not ...}
+        path: Path = tmp_path / name
+        path.write_text(json.dumps({"layout": [unit]}), encoding="utf-8")
+        return path
+
+    return write
+
+
+def assert_refused(result: tuple[int, str, str], message: str) -> None:
+    assert result == (2, "", f"place-rsus: {message}\n")
+
+
+# Start-up and help
+
+
+def test_nothing_heavy_is_imported_before_it_is_used():
+    code = f"import sys, experiments.cli.main; print([m for m in {HEAVY} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_help_starts_in_half_a_second():
+    seconds = []
+    for _ in range(3):
+        began_s = time.monotonic()
+        subprocess.run(
+            [sys.executable, "-m", "experiments.cli.main", "--help"],
+            capture_output=True,
+            check=True,
+        )
+        seconds.append(time.monotonic() - began_s)
+    assert min(seconds) < 0.5
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        [],
+        ["evaluate"],
+        ["compare"],
+        ["export"],
+        ["latency"],
+        ["pareto"],
+        ["retrofit"],
+        ["solve"],
+        ["verify"],
+        ["scenarios", "list"],
+        ["scenarios", "show"],
+        ["scenarios", "export"],
+    ],
+)
+def test_every_help_has_an_example(run, command):
+    code, out, err = run(*command, "--help")
+    assert (code, err) == (0, "")
+    assert re.search(r"^ +place-rsus " + " ".join(command) + ".* --", out, re.MULTILINE)
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_version_is_told(run):
+    code, out, err = run("--version")
+    assert (code, err) == (0, "")
+    assert re.fullmatch(r"place-rsus, version \d+\.\d+\.\d+\n", out)
+
+
+# Bad input
+
+
+@pytest.mark.parametrize("value", ["0", "-1", "1.5", "x", "", " 3", "1_0", "٣", "9" * 150])
+def test_a_budget_that_is_no_whole_number_is_refused(run, value):
+    assert_refused(
+        run("--budget", value),
+        f"--budget: got {value!r}; expected a whole number of units, at least 1",
+    )
+
+
+@pytest.mark.parametrize("value", ["57", "1" + 30 * "0"])
+def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
+    code, out, err = run("--budget", value)
+    assert (code, out) == (2, "")
+    assert re.fullmatch(
+        rf"place-rsus: --budget: got {value}; expected a whole number of units, 1 to \d+ "
+        r"\(what town05's sites can carry\)\n",
+        err,
+    )
+    assert os.listdir() == []  # noqa: PTH208
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            "",
+            "--budget: got nothing; expected a whole number of units, at least 1 (or --target, or "
+            "--budget-cost)",
+        ),
+        ("--budget", "Option '--budget' requires an argument."),
+        ("--budget 1 --fusion all", "--fusion: got 'all'; expected one of any, single"),
+        ("--budget 1 --workers 0", "--workers: got '0'; expected a number of threads, at least 1"),
+        ("--budget 1 --seed -1", "--seed: got '-1'; expected a whole number, at least 0"),
+        ("--budget 1 --time-limit nan", "--time-limit: got 'nan'; expected seconds, more than 0"),
+        (
+            "--budget 1 --packet-loss 1.2",
+            "--packet-loss: got '1.2'; expected a share of lost messages, 0 to 1",
+        ),
+        (
+            "evaluate --layout carlancap-12 --vam-rate nan",
+            "--vam-rate: got 'nan'; expected a share of equipped road users, 0 to 1",
+        ),
+        ("--budget 1 --xyzzy 2", "No such option '--xyzzy'."),
+        ("place", "No such command 'place'."),
+        (
+            "--budget 1 evaluate --layout carlancap-12",
+            "--budget: options of evaluate go behind its name",
+        ),
+        ("evaluate", "--layout: got nothing; expected it once"),
+        ("evaluate --layout a --layout b", "--layout: got 2 layouts; expected it once"),
+        ("compare --layout carlancap-12", "LAYOUT: got one layout; expected two layouts or more"),
+        ("compare", "LAYOUT: got nothing; expected two layouts or more"),
+        ("compare a b c", "LAYOUT: got 'a'; expected carlancap-12, or a layout file that exists"),
+        ("export --layout carlancap-12", "Missing option '--format'."),
+        (
+            "export --layout carlancap-12 --format xml",
+            "--format: got 'xml'; expected one of json, csv, parquet, geojson, gpkg, kml, carla, "
+            "opencv, ros, openlabel, cpm",
+        ),
+        (
+            "evaluate --layout carlancap-13",
+            "--layout: got 'carlancap-13'; expected carlancap-12, or a layout file that exists",
+        ),
+    ],
+)
+def test_wrong_arguments_are_one_line(run, arguments, message):
+    assert_refused(run(*arguments.split()), message)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "Expecting value: line 1 column 1 (char 0); expected JSON in UTF-8"),
+        (b"\xff\x00", "'utf-8' codec can't decode byte 0xff"),
+        (b"place-rsus", "Expecting value: line 1 column 1"),
+        (b"[" * 100_000, "JSON nested too deep; expected a layout"),
+        (b"9" * 5000, "Exceeds the limit (4300 digits)"),
+        (b"[]", "no list 'layout'; expected an object"),
+    ],
+)
+def test_a_file_that_is_no_layout_is_refused(run, tmp_path, content, message):
+    path = tmp_path / "bad.json"
+    path.write_bytes(content)
+    code, out, err = run("evaluate", "--layout", path)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"place-rsus: {path}: got {message}")
+
+
+def test_an_empty_layout_and_repeated_ids_are_refused(run, tmp_path):
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps({"layout": []}))
+    assert_refused(
+        run("evaluate", "--layout", path), "layout mine: got no unit; expected at least one unit"
+    )
+    path.write_text(json.dumps({"layout": [UNIT, UNIT]}))
+    assert_refused(
+        run("evaluate", "--layout", path), "layout mine: id: got 'A'; expected every id once"
+    )
+
+
+def test_a_folder_is_no_layout_file(run, tmp_path):
+    assert_refused(
+        run("evaluate", "--layout", tmp_path),
+        f"{tmp_path}: got Is a directory; expected a readable file",
+    )
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"x_m": ...}, "layout[0].x_m: got nothing; expected a value"),
+        ({"yaw_deg": float("nan")}, "layout[0].yaw_deg: got nan; expected a finite number"),
+        ({"z_m": float("inf")}, "layout[0].z_m: got inf; expected a finite number"),
+        ({"z_m": "8"}, "layout[0].z_m: got '8'; expected a finite number"),
+        (
+            {"camera": "x"},
+            "layout[0].camera: got 'x'; expected one of " + ", ".join(sorted(load_cameras())),
+        ),
+    ],
+)
+def test_a_wrong_field_of_a_layout_file_is_named(run, layout_file, fields, message):
+    path = layout_file(**fields)
+    assert_refused(run("evaluate", "--layout", path), f"{path}: {message}")
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"z_m": -1}, "layout mine: A.z_m: got -1.0; expected a height above the road, > 0 m"),
+        (
+            {"site": "x"},
+            "layout mine: A.site: got 'x'; expected a site of town05, or an empty text",
+        ),
+        (
+            {"id": "vut"},
+            "layout mine: id: got 'vut'; expected another name: vut, rsu_all, vut_and_rsus, vam, "
+            "all_sources mean other sensing parties",
+        ),
+        ({"id": "\ud800"}, "layout: name or id: got '\\ud800'; expected printable text"),
+    ],
+)
+def test_a_unit_that_cannot_be_is_refused(run, layout_file, fields, message):
+    path = layout_file(**fields)
+    assert_refused(run("export", "--layout", path, "--format", "csv"), message)
+
+
+def test_a_unit_inside_a_building_or_far_away_is_refused(run, layout_file, small_setting):
+    scene = small_setting.scene
+    building = next(i for i, it in enumerate(scene.instances) if it.class_name == "building")
+    corners = scene.vertices_m[scene.triangles[scene.triangle_instance == building].ravel()]
+    x_m, y_m, z_m = (0.5 * (corners.min(axis=0) + corners.max(axis=0))).tolist()
+    code, _, err = run(
+        *("export", "--format", "csv", "--layout", layout_file(x_m=x_m, y_m=y_m, z_m=z_m))
+    )
+    assert code == 2
+    assert err == (
+        f"place-rsus: layout mine: A: got a pose inside building {scene.instances[building].id}; "
+        "expected a pose in the open air\n"
+    )
+    code, _, err = run("export", "--format", "csv", "--layout", layout_file(x_m=1e300))
+    assert code == 2
+    assert err == (
+        "place-rsus: layout mine: A: got a pose 1e+300 m from the middle of town05; "
+        "expected at most 1000 m\n"
+    )
+
+
+def test_a_bad_out_is_refused_before_anything_is_computed(run, small_study, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    message = "got '{0}/file'; expected a folder, not a file"
+    for command in (["--budget", 1], ["evaluate", "--layout", "carlancap-12"]):
+        code, out, err = run(*command, "--quiet", "--out", tmp_path / "file")
+        assert (code, out) == (2, "")
+        assert err == f"place-rsus: --out: {message.format(tmp_path)}\n"
+    code, out, err = run(
+        *("export", "--layout", "carlancap-12", "--format", "csv", "--out", tmp_path / "file/x")
+    )
+    assert (code, out) == (2, "")
+    assert err == (
+        f"place-rsus: --out: got {tmp_path}/file/x: Not a directory; "
+        "expected a file that can be written\n"
+    )
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+# Results
+
+
+def test_placement_prints_one_object_and_writes_a_report(run, small_study):
+    code, out, err = run("--budget", 2, "--json", "--workers", 2)
+    assert code == 0
+    assert err.splitlines()[0] == "setting ..."
+    summary = json.loads(out, parse_constant=pytest.fail)
+    assert set(summary) >= KEYS
+    assert [list(unit) for unit in summary["layout"]] == [list(UNIT)] * 2
+    assert (summary["budget"], summary["fusion"]) == (2, "any")
+    assert summary["runs"] == len(small_study.runs)
+    assert set(summary["evaluation"]) == {
+        "vut",
+        "rsu_all",
+        "vut_and_rsus",
+        "units",
+        "apr_without_worst_unit",
+    }
+    assert set(summary["evaluation"]["units"]) == {unit["id"] for unit in summary["layout"]}
+    assert set(summary["baseline"]["units"]) == {f"RSU{number}" for number in range(12)}
+    for part in ("evaluation", "baseline"):
+        for party in ("vut", "rsu_all", "vut_and_rsus"):
+            ratios = summary[part][party]
+            assert set(ratios["by_case"]) == {"CPNC-50", "CBNA", "CBLA"}
+            assert all(
+                0.0 <= ratio <= 1.0 for ratio in (ratios["all"], *ratios["by_case"].values())
+            )
+    assert 0.0 <= summary["apr_without_worst_unit"] <= summary["apr"] <= summary["bound"] <= 1.0
+    assert {path.name for path in Path("results/latest").iterdir()} == {
+        "report.html",
+        "certificate.json",
+        "instance.npz",
+        "layout.json",
+        "layout.csv",
+        "layout.geojson",
+        "apr.csv",
+        "bill_of_materials.csv",
+        "runs.parquet",
+        "summary.json",
+        "plan.png",
+        "apr_by_case.png",
+        "heatmap_CPNC-50_east_55.png",
+        "heatmap_CBNA_east_60.png",
+        "heatmap_CBLA_east_50.png",
+    }
+    assert json.loads(Path("results/latest/summary.json").read_text()) == summary
+    assert list(Path("results").iterdir()) == [Path("results/latest")]
+    # What was written is read again.
+    code, out, err = run("evaluate", "--layout", "results/latest/layout.json", "--json", "--quiet")
+    assert (code, err) == (0, "")
+    again = json.loads(out, parse_constant=pytest.fail)
+    assert set(again) >= KEYS
+    assert again["layout"] == summary["layout"]
+    assert again["evaluation"] == summary["evaluation"]
+
+
+def test_two_calls_give_the_same_but_for_the_time(run, small_study, without_figures):
+    results = []
+    for workers in (1, 2):
+        code, out, err = run(
+            *("--budget", 1, "--json", "--quiet", "--workers", workers, "--no-cache")
+        )
+        assert (code, err) == (0, "")
+        summary = json.loads(out)
+        for point in (summary, *summary["front"]["points"]):
+            for stage in point["stages"]:
+                del stage["seconds"]
+        del summary["seconds"]
+        results.append(summary)
+    assert results[0] == results[1]
+
+
+def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_figures):
+    path = layout_file("a rather long name for a layout, and still longer.json", id="B" * 40)
+    for arguments in (
+        ["--budget", 2, "--fusion", "single", "--out", "o"],
+        ["evaluate", "--layout", path],
+        ["compare", path, "carlancap-12", "--layout", path],
+    ):
+        code, out, err = run(*arguments, "--quiet")
+        assert (code, err) == (0, "")
+        assert max(map(len, out.splitlines()[1:])) <= 80  # the first line holds the name
+        assert "100.0 %" in out
+
+
+def test_comparison_of_a_layout_with_itself_finds_no_difference(run, small_study, layout_file):
+    path = layout_file()
+    code, out, err = run(
+        *("compare", "--layout", path, "--layout", path, "--json", "--quiet", "--out", "out")
+    )
+    assert (code, err) == (0, "")
+    summary = json.loads(out, parse_constant=pytest.fail)
+    assert set(summary) >= KEYS
+    assert (summary["name"], summary["baseline_name"]) == ("mine", "mine (2)")
+    assert summary["evaluation"] == summary["baseline"]
+    assert summary["runs_gained"] == summary["runs_lost"] == []
+    assert "mine (2)" in Path("out/report.html").read_text()
+
+
+def test_what_json_lacks_becomes_null(run, monkeypatch):
+    monkeypatch.setattr(
+        placement, "run_evaluation", lambda *given, **options: {"gap": float("inf")}
+    )
+    assert run("evaluate", "--layout", "carlancap-12", "--json", "--quiet") == (
+        0,
+        '{\n  "gap": null\n}\n',
+        "",
+    )
+
+
+def test_export_writes_to_stdout_or_to_a_file(run):
+    code, text, err = run("export", "--layout", "carlancap-12", "--format", "carla")
+    assert (code, err) == (0, "")
+    assert len(json.loads(text)) == 12
+    arguments = ["export", "--layout", "carlancap-12", "--format", "carla", "--out", "rsus.json"]
+    assert run(*arguments) == (0, "", "")
+    assert Path("rsus.json").read_text() == text
+
+
+def test_a_full_disk_is_one_line(run, monkeypatch):
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        code, _, err = run("export", "--layout", "carlancap-12", "--format", "csv")
+        with suppress(OSError):
+            full.close()
+    assert (code, err) == (2, "place-rsus: No space left on device\n")
+
+
+def test_a_reader_that_goes_away_gets_no_traceback():
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-m", "experiments.cli.main", "--help"],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (1, b"")
+
+
+# Warnings
+
+
+def test_one_line_warns_where_open3d_cannot_load(run, small_study, monkeypatch, caplog):
+    problem = "Open3D cannot load (libX11.so.6 is missing): apt-get install libx11-6"
+    monkeypatch.setattr("geometry.raycast.open3d_problem", lambda: problem)
+    with caplog.at_level(logging.WARNING):
+        code, out, _ = run("evaluate", "--layout", "carlancap-12", "--json", "--quiet")
+    assert code == 0
+    json.loads(out)
+    assert [record.getMessage() for record in caplog.records] == [problem]
+
+
+# Interruptions
+
+
+@pytest.fixture
+def interrupt_at(monkeypatch):
+    """Sends a signal as soon as a stage begins."""
+    call = StageProgress.__call__
+
+    def arm(stage: str, signum: int = signal.SIGINT) -> None:
+        def call_interrupted(progress: StageProgress, name: str, done: int, total: int) -> None:
+            call(progress, name, done, total)
+            if name == stage:
+                signal.raise_signal(signum)
+
+        monkeypatch.setattr(StageProgress, "__call__", call_interrupted)
+
+    return arm
+
+
+def test_a_damaged_cache_file_is_made_anew(run, small_study, tmp_path, caplog, interrupt_at):
+    interrupt_at("optimise")
+    run("--budget", 1)
+    (table,) = (tmp_path / "cache").iterdir()
+    good = np.load(table)["packed"]
+    table.write_bytes(b"no table")
+    code, _, err = run("--budget", 1)
+    assert (code, err.splitlines()[:3]) == (
+        130,
+        ["setting ...", "detection table ...", "optimise ..."],
+    )
+    (record,) = [r for r in caplog.records if r.name.startswith("placement")]
+    assert "\n" not in record.getMessage()
+    assert record.getMessage().startswith(f"cached detection table not used, made anew: {table}")
+    assert np.array_equal(np.load(table)["packed"], good)
+
+
+def test_a_cache_that_cannot_be_written_to_is_done_without(
+    run, small_study, monkeypatch, caplog, interrupt_at
+):
+    Path("file").write_text("mine")
+    monkeypatch.setenv("PLACE_RSUS_CACHE", "file")
+    interrupt_at("optimise")
+    assert run("--budget", 1, "--quiet", "--out", "out") == (
+        130,
+        "",
+        "place-rsus: interrupted in stage 'optimise': nothing was written to out\n",
+    )
+    assert all("\n" not in record.getMessage() for record in caplog.records)
+    assert caplog.records[-1].getMessage().startswith("detection table not cached: ")
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_an_interruption_says_what_was_kept_and_leaves_nothing(
+    run, small_study, interrupt_at, stage
+):
+    interrupt_at(stage)
+    code, out, err = run("--budget", 1)
+    assert (code, out) == (130, "")
+    kept = "nothing was written to results/latest"
+    if stage not in STAGES[:2]:
+        kept += "; the detection table is kept for the next call"
+    assert err.splitlines()[-1] == f"place-rsus: interrupted in stage '{stage}': {kept}"
+    assert os.listdir() == []  # noqa: PTH208
+
+
+def test_an_interruption_leaves_earlier_results_as_they_were(run, small_study, interrupt_at):
+    out = Path("out")
+    run("evaluate", "--layout", "carlancap-12", "--out", out, "--quiet")
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    for stage, signum, code in (
+        ("evaluate", signal.SIGINT, 130),
+        ("write results", signal.SIGTERM, 143),
+    ):
+        interrupt_at(stage, signum)
+        arguments = ["evaluate", "--layout", "carlancap-12", "--out", out, "--quiet"]
+        assert run(*arguments) == (
+            code,
+            "",
+            f"place-rsus: interrupted in stage '{stage}': the earlier results in out are "
+            "unchanged\n",
+        )
+        assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert list(Path().iterdir()) == [out]
+
+
+def test_an_interruption_of_an_evaluation_needs_no_folder(run, small_study, interrupt_at):
+    interrupt_at("evaluate")
+    code, _, err = run("evaluate", "--layout", "carlancap-12", "--quiet")
+    assert (code, err) == (
+        130,
+        "place-rsus: interrupted in stage 'evaluate': nothing was written\n",
+    )
+
+
+def test_ctrl_c_ends_the_real_program(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli.main", "--budget", "1", "--workers", "2"],
+        cwd=tmp_path,
+        env=os.environ | {"PLACE_RSUS_CACHE": str(tmp_path / "cache"), "PYTHONPATH": os.getcwd()},  # noqa: PTH109
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line == "detection table ...\n":
+            break
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (130, "")
+    assert err == (
+        "place-rsus: interrupted in stage 'detection table': "
+        "nothing was written to results/latest\n"
+    )
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,146 @@
+"""``place-rsus scenarios``, and the options that say what is driven."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiments.export.openscenario import load_xosc
+
+KEYS = {"case", "approach", "speeds_kmh", "n_runs", "last_brake_time_s", "reason"}
+
+
+def refusal(result):
+    """The one line of a refused call."""
+    code, out, err = result
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert line.startswith("place-rsus: ")
+    return line.removeprefix("place-rsus: ")
+
+
+def test_the_list_as_json_has_one_last_moment_per_speed(run):
+    code, out, err = run("scenarios", "list", "--cases", "study", "--json", "--quiet")
+    assert (code, err) == (0, "")
+    rows = json.loads(out, parse_constant=pytest.fail)
+    assert len(rows) == 13 * 4
+    for row in rows:
+        assert set(row) == KEYS
+        assert len(row["speeds_kmh"]) == len(row["last_brake_time_s"]) == row["n_runs"]
+        assert all(time_s < 0.0 for time_s in row["last_brake_time_s"])
+        assert row["reason"] is None
+    assert sum(row["n_runs"] for row in rows) == 240
+
+
+def test_the_list_fits_a_terminal(run):
+    code, out, err = run(
+        "scenarios", "list", "--cases", "CBTAns,CBLA-25", "--approaches", "east,west", "--quiet"
+    )
+    assert (code, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 80
+    assert "CBTAns-side" in out
+    assert out.splitlines()[-1] == "18 runs of 3 cases"
+
+
+def test_show_writes_a_film_strip_where_results_lie(run):
+    arguments = ("scenarios", "show", "CPNA-25", "--approach", "east", "--speed", "40", "--quiet")
+    path = Path("results/scenarios/CPNA-25_east_40.png")
+    assert run(*arguments) == (0, f"Written to {path}.\n", "")
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_run_is_exported_as_openscenario(run):
+    pytest.importorskip("scenariogeneration")
+    arguments = ("scenarios", "export", "CPTAns-50", "--approach", "east", "--speed", "10")
+    code, text, err = run(*arguments)
+    assert (code, err) == (0, "")
+    assert '<LogicFile filepath="Town05.xodr"' in text
+    assert run(*arguments, "--out", "turn.xosc") == (0, "", "")
+    assert Path("turn.xosc").read_text(encoding="utf-8") == text
+
+
+def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "scenariogeneration.xosc", None)
+    load_xosc.cache_clear()
+    line = refusal(run("scenarios", "export", "CPNA-25", "--approach", "east", "--speed", "40"))
+    assert "place-rsus[openscenario]" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--cases", "CPXX"], "--cases: got 'CPXX'; expected one of study, protocol-4.5.1, all"),
+        (["--cases", ""], "--cases: got ''; expected one of study"),
+        (["--speeds", "fast"], "--speeds: got 'fast'; expected km/h with commas between"),
+        (["--cases", "CBLA", "--speeds", "70"], "--speeds: got 70; expected 25 to 60 km/h"),
+        (["--approaches", "up"], "--approaches: got 'up'; expected one or more of east, north,"),
+        (["--weather", "snow"], "--weather: got 'snow'; expected one or more of day, night, rain"),
+        (["--deceleration", "0"], "--deceleration: got '0'; expected m/s^2, more than 0"),
+        (["--deceleration", "nan"], "--deceleration: got 'nan'; expected m/s^2, more than 0"),
+        (["--brake-build-up", "-1"], "--brake-build-up: got '-1'; expected seconds, at least 0"),
+        (["--latency", "inf"], "--latency: got 'inf'; expected seconds, at least 0"),
+        (["--confirmations", "0"], "--confirmations: got '0'; expected a number of frames, at le"),
+        (["--phase", "best"], "--phase: got 'best'; expected one of aligned, worst"),
+    ],
+)
+@pytest.mark.parametrize(
+    "command", [["--budget", "1"], ["evaluate", "--layout", "carlancap-12"], ["scenarios", "list"]]
+)
+def test_options_that_cannot_be_are_one_line(run, command, arguments, message):
+    assert refusal(run(*command, *arguments, "--quiet")).startswith(message)
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize("how", ["speed", "missing.csv"])
+def test_unknown_weights_are_one_line(run, how):
+    line = refusal(run("--budget", "1", "--cases", "CBLA", "--weights", how, "--quiet"))
+    assert line == (
+        f"--weights: got '{how}'; expected run, case, euroncap-rating-2026, "
+        "or a CSV file that exists"
+    )
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("CBLA,east,-1", "exposure.csv: line 2: weight: got '-1'; expected a number, at least 0"),
+        ("CBLA,east,0", "exposure.csv: weight: got 0 in all rows; expected one weight more than 0"),
+        ("CPNA-25,east,1", "exposure.csv: line 2: got 'CPNA-25', 'east'; expected a case that is"),
+    ],
+)
+def test_weights_that_do_not_fit_are_one_line(run, rows, message):
+    Path("exposure.csv").write_text(f"case,approach,weight\n{rows}\n", encoding="utf-8")
+    arguments = ("--budget", "1", "--cases", "CBLA", "--weights", "exposure.csv", "--quiet")
+    assert refusal(run(*arguments)).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["CPNA"], "CPNA: got 2 runs (CPNA-25/east/40, CPNA-75/east/40); expected one run"),
+        (["CPTAns-50"], "--speeds: got 40; expected 10 to 10 km/h as the protocol drives"),
+        (["CPNA-25", "--out", "film.mov"], "--out: got 'film.mov'; expected a name that ends in"),
+        (["CPNA-25", "--out", "no/a.png"], "--out: got no/a.png: No such file or directory"),
+    ],
+)
+def test_shows_that_cannot_be_are_one_line(run, arguments, message):
+    result = run("scenarios", "show", *arguments, "--approach", "east", "--speed", "40", "--quiet")
+    assert refusal(result).startswith(message)
+
+
+def test_forced_speeds_are_driven_with_a_warning(run, caplog):
+    code, out, _ = run(
+        "scenarios",
+        "list",
+        "--cases",
+        "CPTAns-50",
+        "--speeds",
+        "15",
+        "--force",
+        "--json",
+        "--quiet",
+    )
+    assert code == 0
+    assert [row["speeds_kmh"] for row in json.loads(out)] == [[15.0]] * 4
+    assert "15 km/h are not speeds of the protocol" in caplog.text

@@ -1,0 +1,122 @@
+"""What the terminal offers: help, sections, completion, how much is told."""
+
+import logging
+import re
+import shutil
+import subprocess
+
+import click
+import pytest
+from click.shell_completion import ShellComplete
+
+from experiments.cli.main import cli
+from experiments.cli.options import _SECTIONS
+from experiments.progress import StderrLog
+
+
+def _commands(group=cli, path=()):
+    yield path, group
+    for name, command in getattr(group, "commands", {}).items():
+        yield from _commands(command, (*path, name))
+
+
+def _help_of(path, command):
+    context = click.Context(cli, info_name="place-rsus")
+    for name in path:
+        context = click.Context(command, parent=context, info_name=name)
+    return command.get_help(click.Context(command, info_name=" ".join(("place-rsus", *path))))
+
+
+@pytest.mark.parametrize(("path", "command"), list(_commands()), ids=lambda value: str(value)[:30])
+def test_every_help_fits_80_columns_and_shows_examples(path, command):
+    text = _help_of(path, command)
+    assert max(map(len, text.splitlines())) <= 80
+    if path and not isinstance(command, click.Group):
+        assert "Examples:" in text
+    assert command.help
+
+
+def test_sections_hold_every_option_once():
+    text = _help_of((), cli)
+    for param in cli.params:
+        assert len(re.findall(rf"^  {max(param.opts, key=len)}(?![-\w])", text, flags=re.M)) == 1
+    assert text.index("Commands:") < text.index("What is asked:") < text.index("--budget N")
+    known = {str(param.name) for _, command in _commands() for param in command.params}
+    named = {name for names in _SECTIONS.values() for name in names}
+    assert named - known - {"_click_default_help"} == set()
+
+
+def test_help_of_a_command_is_that_of_its_option(run):
+    code, out, err = run("help", "scene", "import")
+    assert (code, err) == (0, "")
+    assert out.strip() == run("scene", "import", "--help")[1].strip()
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (("scen",), "one of compare, completion"),
+        (("scene", "imp"), "one of check, import, show"),
+        (("sheet", "more"), "nothing behind sheet"),
+    ],
+)
+def test_help_of_what_is_not_there_names_what_is(run, names, expected):
+    code, out, err = run("help", *names)
+    assert (code, out) == (2, "")
+    assert f"got '{' '.join(names)}'; expected {expected}" in err
+    assert len(err.splitlines()) == 1
+
+
+def _completed(*words):
+    shell = ShellComplete(cli, {}, "place-rsus", "_PLACE_RSUS_COMPLETE")
+    return [(item.value, item.type) for item in shell.get_completions(list(words[:-1]), words[-1])]
+
+
+def test_a_shell_completes_commands_options_words_and_files():
+    assert ("evaluate", "plain") in _completed("e")
+    assert ("--budget-cost", "plain") in _completed("--bud")
+    assert _completed("export", "--format", "g") == [("geojson", "plain"), ("gpkg", "plain")]
+    assert _completed("--fusion", "") == [("any", "plain"), ("single", "plain")]
+    assert _completed("evaluate", "--layout", "carl") == [("carlancap-12", "plain")]
+    assert _completed("evaluate", "--layout", "my/lay") == [("my/lay", "file")]
+    assert _completed("--scene", "") == [("", "file")]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_scripts_are_what_their_shell_reads(run, shell):
+    code, script, err = run("completion", shell)
+    assert (code, err) == (0, "")
+    assert "_PLACE_RSUS_COMPLETE" in script
+    if shutil.which(shell) is None:
+        pytest.skip(f"no {shell} here to read it")
+    checked = subprocess.run([shell, "-n"], input=script, capture_output=True, text=True)
+    assert (checked.returncode, checked.stderr) == (0, "")
+
+
+def test_verbose_tells_sizes_bounds_and_seconds(run, small_study, without_figures, caplog):
+    code, out, _ = run("--budget", 1, "--verbose", "--json", "--out", "found")
+    assert code == 0
+    assert out.startswith("{")
+    for line in (
+        r"detection table: \d+ poses, \d+ frames",
+        r"presolve: \d+ -> \d+ poses.*",
+        r"apr: bound [\d.]+ after [\d.]+ s",
+        r"evaluate: [\d.]+ s",
+    ):
+        assert any(re.fullmatch(line, told) for told in caplog.messages)
+    caplog.clear()
+    run("--budget", 1, "--json", "--out", "found")
+    assert not caplog.messages  # the next call tells no more than it is asked to
+
+
+def test_logs_go_to_what_is_stderr_at_the_moment(capsys):
+    record = logging.LogRecord("placement", logging.INFO, "", 0, "%d poses", (7,), None)
+    StderrLog().emit(record)
+    assert capsys.readouterr() == ("", "7 poses\n")
+
+
+def test_quiet_and_verbose_are_one_or_the_other(run):
+    code, out, err = run("--budget", 1, "--verbose", "--quiet")
+    assert (code, out) == (2, "")
+    assert err == "place-rsus: --quiet, --verbose: got both; expected one of them\n"
+    assert not logging.getLogger("placement").isEnabledFor(logging.INFO)  # whatever comes next

@@ -1,0 +1,235 @@
+"""``place-rsus pareto`` on a few runs and poses; its table, figure and CSV."""
+
+import csv
+import io
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from small_tables import avoiding_problem
+
+from experiments.cli import main
+from experiments.cli.pareto import leave_out, pareto
+from experiments.figures.front import plot_front
+from experiments.jobs import pareto as pareto_job
+from experiments.jobs.pareto import front_table, front_text, summarise_front
+from placement.layout import layout_from_records
+from placement.optimiser.cost_front import cost_front
+from placement.optimiser.front import tightened
+from placement.optimiser.units_front import pareto_front
+
+HEAVY = ("numpy", "scipy", "open3d", "trimesh", "cvxpy", "matplotlib", "pandas", "rich")
+
+
+@pytest.fixture
+def run_pareto(run, small_study, monkeypatch):
+    """Runs the command on a few runs."""
+    monkeypatch.setattr(pareto_job, "build_setting", lambda question, scene: small_study)
+    main.cli.add_command(pareto)
+    return lambda *arguments: run("pareto", "--quiet", *arguments)
+
+
+@pytest.fixture
+def loosened_front():
+    """A front of two units whose second point is not proven."""
+    front = pareto_front(avoiding_problem(["1100", "0110", "0011"]), max_units=2)
+    first, second = front.points
+    stage = replace(second.certificate.stages[1], bound=0.75, gap=0.5)
+    certificate = replace(second.certificate, stages=(second.certificate.stages[0], stage))
+    return replace(front, points=(first, replace(second, certificate=certificate)), settled=None)
+
+
+# The whole command
+
+
+def test_every_number_of_units_has_a_proven_layout(run_pareto):
+    folder = Path("there/front")
+    folder.mkdir(parents=True)
+    (folder / "notes.txt").write_text("kept")
+    code, out, err = run_pareto("--max", 3, "--all-stages", "--out", folder, "--json")
+    assert (code, err) == (0, "")
+    summary = json.loads(out)
+    assert (summary["by"], summary["optimised"], summary["is_proven"]) == ("units", "all", True)
+    points = summary["points"]
+    assert [point["units"] for point in points] == [1, 2, 3]
+    values = [(point["apr"], point["apr_one_failed"]) for point in points]
+    assert all(fewer <= more for fewer, more in pairwise(values))
+    for point in points:
+        assert [stage["gap"] for stage in point["stages"]] == [0.0] * 5
+        layout = layout_from_records("any", point["layout"], "pareto.json")
+        assert len(layout.units) == len(point["pose_ids"]) <= point["units"]
+        assert point["cost_eur"] == sum(unit.sensor.price_eur for unit in layout.units)
+    assert summary["sentences"][0].startswith("The first unit reaches an APR of ")
+    assert {path.name for path in folder.iterdir()} == {
+        "notes.txt",
+        "pareto.csv",
+        "pareto.json",
+        "pareto.png",
+    }
+    assert json.loads((folder / "pareto.json").read_text()) == summary
+    rows = list(csv.DictReader(io.StringIO((folder / "pareto.csv").read_text())))
+    assert [float(row["apr_bound"]) for row in rows] == [point["apr"] for point in points]
+    with Image.open(folder / "pareto.png") as picture:
+        assert picture.width == 1088
+
+
+def test_money_and_kept_units_and_the_text(run_pareto):
+    code, out, _ = run_pareto("--by", "cost", "--site-cost", 1000, "--max", 2, "--json")
+    assert code == 0
+    summary = json.loads(out)
+    costs = [point["cost_eur"] for point in summary["points"]]
+    assert costs[0] == 2500.0
+    assert all(cheaper < dearer for cheaper, dearer in pairwise(costs))
+    assert summary["sentences"][0].startswith("2,500 EUR buy an APR of ")
+
+    code, out, err = run_pareto("--keep", "carlancap-12", "--max", 1)
+    assert (code, err) == (0, "")
+    rows = [line.split() for line in out.splitlines()]
+    assert [row[0] for row in rows if row[-1:] == ["proven"]] == ["12", "13"]
+    assert max(map(len, out.splitlines())) <= 80
+    assert "The 12 that hang there reach an APR of" in " ".join(out.split())
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--max", "0"), "--max: got '0'; expected a whole number of units, at least 1"),
+        (("--by", "luck"), "--by: got 'luck'; expected one of units, cost"),
+        (("--budget", "3"), "No such option '--budget'"),
+        (("--target", "max"), "No such option '--target'"),
+        (
+            ("--out", "mine.txt"),
+            "--out: got mine.txt: Not a directory; expected a folder that can be written to",
+        ),
+    ],
+)
+def test_what_cannot_be_is_one_line(run_pareto, arguments, message):
+    Path("mine.txt").write_text("a file")
+    code, out, err = run_pareto(*arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"place-rsus: {message}")
+    assert err.count("\n") == 1
+    assert [path.name for path in Path().iterdir()] == ["mine.txt"]
+
+
+def test_a_wish_that_cannot_be_met_is_told(run_pareto):
+    code, out, err = run_pareto("--budget-cost", 100, "--max", 2)
+    assert (code, out) == (2, "")
+    assert err.startswith("place-rsus: --budget-cost: got 100.0; expected at least 1500.00 EUR")
+
+
+def test_help_has_an_example_and_is_narrow(run_pareto):
+    code, out, err = run_pareto("--help")
+    assert (code, err) == (0, "")
+    assert re.search(r"^ +place-rsus pareto .*--max", out, re.MULTILINE)
+    assert max(map(len, out.splitlines())) <= 80
+    assert "--time-limit" in out
+    assert "--stage-weights" not in out
+
+
+def test_nothing_heavy_is_imported_before_it_is_used():
+    modules = "experiments.cli.pareto, experiments.cli.retrofit"
+    code = f"import sys, {modules}; print([m for m in {HEAVY} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_options_that_are_left_out_do_not_reach_other_commands():
+    from experiments.cli.retrofit import retrofit
+
+    names = {param.name for param in main.cli.params}
+    assert {"budget", "target", "stage_weights", "keep"} <= names
+    (limit,) = (param for param in main.cli.params if param.name == "time_limit_s")
+    assert limit.default == 20.0
+    assert "keep" in {param.name for param in pareto.params}
+    assert "keep" not in {param.name for param in retrofit.params}
+    assert callable(leave_out)
+
+
+# Text, table, figure
+
+
+def candidates_of(problem, unit_poses):
+    return [unit_poses(name) for name in problem.table.pose_ids]
+
+
+@pytest.fixture
+def unit_poses(camera):
+    from geometry.poses import Pose
+    from placement.candidates import CandidatePose
+
+    pose = Pose(position_m=np.array([0.0, 0.0, 5.0]), yaw_deg=0.0, pitch_deg=-20.0)
+    return lambda name: CandidatePose(id=f"p{name}", site_id="", pose=pose, sensor=camera)
+
+
+def test_the_text_says_what_is_not_proven(loosened_front, unit_poses):
+    problem = avoiding_problem(["1100", "0110", "0011"])
+    summary = summarise_front(loosened_front, problem, candidates_of(problem, unit_poses))
+    text = front_text(summary, None)
+    rows = [line.split() for line in text.splitlines()]
+    assert ["1", "50.0", "%", "0.0", "%", "0.065", "s", "0.065", "s", "1,000", "proven"] in rows
+    assert rows[4][-4:] == ["left", "<=", "75.00", "%"]
+    assert summary["is_proven"] is False
+    assert max(map(len, text.splitlines())) <= 80
+    table = front_table(loosened_front, candidates_of(problem, unit_poses))
+    assert table["apr_one_failed_bound"].tolist() == [0.0, 0.75]
+    assert table["mean_margin_s_bound"].isna().all()
+    assert table["poses"].tolist() == ["p0", "p0 p2"]
+
+
+def test_open_bounds_are_drawn_apart_and_kinds_differ_by_more_than_colour(loosened_front):
+    axes = plot_front(loosened_front)
+    lines = {line.get_gid(): line for line in axes.get_lines() if line.get_gid()}
+    assert lines["apr"].get_ydata().tolist() == [50.0, 100.0]
+    assert lines["apr_one_failed"].get_ydata().tolist() == [0.0, 50.0]
+    assert lines["apr_one_failed bound"].get_xdata().tolist() == [2.0]
+    assert lines["apr_one_failed bound"].get_ydata().tolist() == [75.0]
+    assert lines["apr_one_failed bound"].get_markerfacecolor() == "none"
+    assert "apr bound" not in lines
+    assert lines["apr"].get_marker() != lines["apr_one_failed"].get_marker()
+    assert not [patch for patch in axes.patches if patch.get_gid() == "settled"]
+
+
+def test_where_nothing_grows_the_ground_is_grey():
+    problem = avoiding_problem(["11", "11", "10"])
+    front = pareto_front(problem, max_units=4)
+    axes = plot_front(front)
+    (shade,) = (patch for patch in axes.patches if patch.get_gid() == "settled")
+    assert shade.get_x() == front.settled == 2.0
+    assert shade.get_x() + shade.get_width() == pytest.approx(axes.get_xlim()[1])
+
+
+def test_times_to_spare_have_axes_of_their_own_where_they_were_optimised():
+    problem = avoiding_problem(["11", "10"])
+    axes = plot_front(pareto_front(problem, max_units=2, stages="all"))
+    upper, lower = axes.figure.axes
+    assert axes is upper
+    assert "runs" in upper.get_ylabel()
+    assert lower.get_ylabel() == "time to spare (s)"
+
+
+def test_costs_are_drawn_as_steps_to_the_right_edge():
+    problem = avoiding_problem(["1100", "0011"], price_eur=[1000.0, 2000.0])
+    axes = plot_front(cost_front(problem))
+    steps = [line for line in axes.get_lines() if line.get_drawstyle() == "steps-post"]
+    assert steps[0].get_xdata().tolist() == [1000.0, 3000.0, axes.get_xlim()[1]]
+    assert steps[0].get_ydata().tolist() == [50.0, 100.0, 100.0]
+    assert axes.get_xlabel() == "cost (EUR)"
+
+
+def test_a_bound_is_only_ever_tightened():
+    stage = pareto_front(avoiding_problem(["1100"]), max_units=1).points[0].certificate.stages[0]
+    loose = replace(stage, bound=0.9, gap=0.8)
+    assert tightened(loose, 0.7).bound == 0.7
+    assert tightened(loose, 0.95).bound == 0.9
+    assert tightened(loose, 0.5).gap == 0.0

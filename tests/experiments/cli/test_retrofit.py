@@ -1,0 +1,224 @@
+"""``place-rsus retrofit`` on a few runs and poses; its table and words."""
+
+import csv
+import io
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from experiments.cli import main
+from experiments.cli.retrofit import retrofit
+from experiments.jobs import retrofit as retrofit_job
+from experiments.jobs.retrofit import describe_retrofit, retrofit_text
+from placement.layout import layout_from_records
+from placement.retrofit import load_labour
+
+UNIT = {
+    "site": "mast-e",
+    "x_m": -115.0,
+    "y_m": 8.6,
+    "z_m": 8.0,
+    "yaw_deg": -135.0,
+    "pitch_deg": -25.0,
+    "camera": "carla-ncap-rgb",
+}
+
+
+@pytest.fixture
+def layout_file(tmp_path):
+    """Two units at one place that look apart."""
+    units = [{"id": "A", **UNIT}, {"id": "B", **UNIT, "yaw_deg": 40.0}]
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps({"name": "mine", "layout": units}), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def run_retrofit(run, small_study, monkeypatch, layout_file):
+    """Runs the command on a few runs."""
+    monkeypatch.setattr(retrofit_job, "build_setting", lambda question, scene: small_study)
+    main.cli.add_command(retrofit)
+    return lambda *arguments: run("retrofit", "--quiet", "--layout", layout_file, *arguments)
+
+
+# The whole command
+
+
+def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
+    folder = Path("there/retrofit")
+    code, out, err = run_retrofit(
+        "--budget-cost", 2100, "--site-cost", 0, "--out", folder, "--json"
+    )
+    assert (code, err) == (0, "")
+    summary = json.loads(out)
+    labour = load_labour()
+    before = summary["before"]
+    assert [change["actions"][0]["action"] for change in summary["removals"]] == ["remove"] * 2
+    assert {change["price_eur"] for change in summary["removals"]} == {labour.remove_eur}
+    assert {change["price_eur"] for change in summary["re_aims"]} == {labour.re_aim_eur}
+    for change in summary["removals"]:
+        assert change["apr"] <= before["apr"]
+        assert len(change["layout"]) == 1
+        assert not change["gained"]
+    for change in summary["re_aims"]:
+        (action,) = change["actions"]
+        moved = {record["id"]: record for record in change["layout"]}[action["unit"]]
+        assert (moved["x_m"], moved["y_m"], moved["z_m"]) == (-115.0, 8.6, 8.0)
+        assert change["compared"] == 2 * 4
+    addition, combination = summary["addition"], summary["combination"]
+    assert addition["price_eur"] == 1500.0
+    assert [record["id"] for record in addition["layout"]] == ["A", "B", "N1"]
+    layout_from_records("any", addition["layout"], "retrofit.json")
+    assert combination["price_eur"] <= 2100.0
+    assert combination["is_better"]
+    every = [*summary["removals"], *summary["re_aims"], addition, combination]
+    assert all(change["is_proven"] for change in every)
+    best_alone = max((c["apr"], c["apr_one_failed"]) for c in [*summary["re_aims"], addition])
+    assert (combination["apr"], combination["apr_one_failed"]) >= best_alone
+
+    assert {path.name for path in folder.iterdir()} == {"retrofit.csv", "retrofit.json"}
+    assert json.loads((folder / "retrofit.json").read_text()) == summary
+    rows = list(csv.DictReader(io.StringIO((folder / "retrofit.csv").read_text())))
+    assert [row["kind"] for row in rows] == [
+        "as it is",
+        *["remove"] * 2,
+        *["re-aim"] * 2,
+        "add",
+        "combine",
+    ]
+    assert rows[1]["change"] == summary["removals"][0]["actions"][0]["words"]
+
+
+def test_the_text_is_narrow_and_has_the_users_price(run_retrofit):
+    code, out, err = run_retrofit("--visit-cost", 123)
+    assert (code, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 80
+    assert len(re.findall(r"^ +remove [AB] +123 ", out, re.MULTILINE)) == 2
+    words = " ".join(out.split())
+    assert "A visit costs 123 EUR: --visit-cost." in words
+    assert "together:" not in words
+    assert "is needed least" in words
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--layout", "carlancap-12"), "--layout: got 2 layouts; expected it once"),
+        (("--visit-cost", "-1"), "--visit-cost: got '-1'; expected euros, at least 0"),
+        (("--keep", "carlancap-12"), "No such option '--keep'"),
+        (
+            ("--out", "mine.txt"),
+            "--out: got mine.txt: Not a directory; expected a folder that can be written to",
+        ),
+    ],
+)
+def test_what_cannot_be_is_one_line(run_retrofit, arguments, message):
+    Path("mine.txt").write_text("a file")
+    code, out, err = run_retrofit(*arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"place-rsus: {message}")
+    assert err.count("\n") == 1
+
+
+def test_no_layout_is_told(run):
+    main.cli.add_command(retrofit)
+    assert run("retrofit") == (2, "", "place-rsus: --layout: got nothing; expected it once\n")
+
+
+def test_help_has_an_example_and_is_narrow(run):
+    main.cli.add_command(retrofit)
+    code, out, _ = run("retrofit", "--help")
+    assert code == 0
+    assert re.search(r"^ +place-rsus retrofit --layout", out, re.MULTILINE)
+    assert max(map(len, out.splitlines())) <= 80
+
+
+# Words
+
+
+def change(words, *, better=True, gained=(), lost=(), price_eur=500.0, proven=True, apr=0.9):
+    return {
+        "actions": [
+            {"action": word.split()[0], "unit": word.split()[1], "words": word} for word in words
+        ],
+        "price_eur": price_eur,
+        "apr": apr,
+        "apr_one_failed": 0.8,
+        "smallest_margin_s": 0.1,
+        "mean_margin_s": 1.234,
+        "gained": list(gained),
+        "lost": list(lost),
+        "is_better": better,
+        "is_proven": proven,
+        "compared": 9,
+    }
+
+
+def summary_of(**changes):
+    return {
+        "name": "mine",
+        "layout": [{"id": "A"}, {"id": "B"}],
+        "runs": 10,
+        "fusion": "any",
+        "before": {"apr": 0.9, "apr_one_failed": 0.8},
+        "budget_eur": 3000.0,
+        "labour": {"re_aim_eur": 500.0, "source": "a test"},
+        "removals": [change(["remove B"], better=False, lost=["r1"])] * 2,
+        "re_aims": [change(["re-aim A to yaw 0, pitch -15"], gained=["r1", "r2"], lost=["r3"])],
+        "addition": change(["add N1 at mast-e"], price_eur=1500.0, gained=["r4"]),
+        "combination": change(
+            ["re-aim A to yaw 0, pitch -15", "add N1 at mast-e"], price_eur=2000.0, proven=False
+        ),
+        **changes,
+    }
+
+
+def test_sentences_tell_what_is_gained_lost_paid_and_proven():
+    assert describe_retrofit(summary_of()) == [
+        "Of all 2 units, B is needed least: without it 1 run is lost (r1); 80.0 % are left when "
+        "one more fails.",
+        "The best of 9 re-aims, for 500 EUR: re-aim A to yaw 0, pitch -15. It gains 2 runs (r1, "
+        "r2) and loses 1 run (r3); APR 90.0 %, 80.0 % when one fails, 1.23 s of mean time to "
+        "spare.",
+        "The best new unit within 3,000 EUR costs 1,500 EUR: add N1 at mast-e. It gains 1 run "
+        "(r4); APR 90.0 %, 80.0 % when one fails, 1.23 s of mean time to spare. Proven: nothing "
+        "of its kind is better.",
+        "The best re-aims and additions together within 3,000 EUR cost 2,000 EUR: re-aim A to yaw "
+        "0, pitch -15; add N1 at mast-e. It avoids the same runs; APR 90.0 %, 80.0 % when one "
+        "fails, 1.23 s of mean time to spare. Not proven in the time given.",
+    ]
+
+
+def test_sentences_tell_where_nothing_is_better():
+    useless = change(["re-aim A to yaw 0, pitch -15"], better=False)
+    many = [f"r{number}" for number in range(10)]
+    summary = summary_of(
+        removals=[change(["remove A"], lost=many)],
+        re_aims=[useless],
+        addition=None,
+        combination=None,
+    )
+    assert describe_retrofit(summary) == [
+        "A is the only unit: without it, only the car itself is left.",
+        "No re-aim is better than to leave all as it is: of all 9, the best one would be to re-aim "
+        "A to yaw 0, pitch -15.",
+        "No unit that can be added within 3,000 EUR is better than none.",
+        "Within 3,000 EUR nothing is better than to leave all as it is.",
+    ]
+    lost = describe_retrofit(summary | {"removals": [change(["remove A"], lost=many)] * 2})[0]
+    assert "10 runs are lost (r0, r1, r2, r3, r4, r5, r6, r7 and 2 more)" in lost
+    none = describe_retrofit(summary | {"removals": [change(["remove A"])] * 2})[0]
+    assert "without it no run is lost" in none
+
+
+def test_the_table_has_a_row_for_every_change():
+    text = retrofit_text(summary_of() | {"sentences": []}, Path("there"))
+    assert re.search(r"^    remove B +500 +90\.0 % +80\.0 % +0 +1$", text, re.MULTILINE)
+    assert re.search(r"^    add N1 at mast-e +1,500 +90\.0 % +80\.0 % +1 +0$", text, re.MULTILINE)
+    assert text.endswith("Written to there: retrofit.csv and retrofit.json.")
+    assert max(map(len, text.splitlines())) <= 80

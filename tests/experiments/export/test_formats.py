@@ -1,0 +1,156 @@
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from pyproj import Transformer
+
+from experiments.export.carla import to_carla
+from experiments.export.formats import FORMATS
+from experiments.export.geojson import to_geojson
+from experiments.export.json import to_json, to_json_text
+from experiments.export.tables import to_csv
+from experiments.study.layout import load_carlancap_layout
+from geometry.errors import InputError
+from geometry.frames import from_carla_pose
+from geometry.lidar import load_lidars
+from geometry.poses import Pose
+from geometry.scene_files import load_study_scene
+from placement.candidates import CandidatePose
+from placement.layout import Layout, layout_records, load_layout
+
+CRS = load_study_scene().crs
+
+
+def test_csv_reads_back_bit_by_bit(layout, tmp_path):
+    path = tmp_path / "layout.csv"
+    path.write_text(to_csv(layout), encoding="utf-8")
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row, record in zip(rows, layout_records(layout), strict=True):
+        assert {key: type(record[key])(value) for key, value in row.items()} == record
+    # pandas' own parser may be off by the last bit.
+    by_pandas = pd.read_csv(path)
+    pd.testing.assert_frame_equal(by_pandas, pd.DataFrame(layout_records(layout)), rtol=1e-15)
+
+
+def test_layout_json_reads_back_bit_by_bit(layout, tmp_path):
+    path = tmp_path / "layout.json"
+    path.write_text(to_json(layout), encoding="utf-8")
+    again = load_layout(path)
+    assert again.name == layout.name
+    assert layout_records(again) == layout_records(layout)
+
+
+def test_geojson_lies_in_the_world_frame_within_a_centimetre():
+    layout = load_carlancap_layout()
+    document = json.loads(to_geojson(layout, CRS))
+    assert document["type"] == "FeatureCollection"
+    to_local = Transformer.from_crs("EPSG:4326", CRS, always_xy=True)
+    for unit, feature in zip(layout.units, document["features"], strict=True):
+        assert feature["geometry"]["type"] == "Point"
+        longitude, latitude, height = feature["geometry"]["coordinates"]
+        back = [*to_local.transform(longitude, latitude), height]
+        np.testing.assert_allclose(back, unit.pose.position_m, atol=0.01, rtol=0.0)
+        # West of 8 degrees east: the study's junction has negative x.
+        assert 7.99 < longitude < 8.0
+        assert 48.99 < latitude < 49.01
+    assert [feature["properties"] for feature in document["features"]] == layout_records(layout)
+
+
+def test_geojson_says_which_crs_is_unknown(layout):
+    with pytest.raises(InputError) as caught:
+        to_geojson(layout, "no such system")
+    assert str(caught.value) == (
+        "crs: got 'no such system'; expected a coordinate reference system that pyproj knows"
+    )
+
+
+def test_geojson_refuses_a_layout_outside_its_crs(layout, camera):
+    far = CandidatePose(
+        id="far", site_id="", pose=Pose(position_m=[1.0e12, 0.0, 7.0], yaw_deg=0.0), sensor=camera
+    )
+    with pytest.raises(InputError) as caught:
+        to_geojson(Layout(name="far", units=(far,)), CRS)
+    assert str(caught.value) == (
+        f"crs: got {CRS!r}; expected a coordinate reference system that contains the layout"
+    )
+
+
+@pytest.mark.parametrize("build", [load_carlancap_layout, None])
+def test_carla_transforms_come_back_as_the_poses(layout, build):
+    layout = build() if build else layout
+    records = json.loads(to_carla(layout))
+    assert [record["id"] for record in records] == [unit.id for unit in layout.units]
+    for unit, record in zip(layout.units, records, strict=True):
+        location, rotation = (record["transform"][key] for key in ("location", "rotation"))
+        pose = from_carla_pose(
+            position_m=[location["x"], location["y"], location["z"]],
+            yaw_deg=rotation["yaw"],
+            pitch_deg=rotation["pitch"],
+        )
+        np.testing.assert_array_equal(pose.position_m, unit.pose.position_m)
+        assert pose.yaw_deg == pytest.approx(unit.pose.yaw_deg, abs=1e-12)
+        assert pose.pitch_deg == unit.pose.pitch_deg
+        assert rotation["roll"] == 0.0
+        assert record["blueprint"] == "sensor.camera.rgb"
+        assert record["attributes"] == {
+            "image_size_x": "1920",
+            "image_size_y": "1080",
+            "fov": "110.0",
+            "sensor_tick": "0.1",
+        }
+
+
+def test_a_lidar_is_exported_with_its_scan_pattern(layout):
+    lidar = load_lidars()["carla-ncap-lidar"]
+    unit = replace(layout.units[0], sensor=lidar, latency_s=0.1)
+    mixed = Layout(name="mixed", units=(unit, layout.units[1]))
+    first, second = json.loads(to_carla(mixed))
+    assert (first["blueprint"], second["blueprint"]) == (
+        "sensor.lidar.ray_cast",
+        "sensor.camera.rgb",
+    )
+    # CarlaNCAP, table of sensors: 72 x 30 deg, 52 lines, 10 Hz, 250 m, 90 k points/s.
+    assert first["attributes"] == {
+        "channels": "52",
+        "range": "250.0",
+        "points_per_second": "90000",
+        "rotation_frequency": "10.0",
+        "upper_fov": "15.0",
+        "lower_fov": "-15.0",
+        "horizontal_fov": "72.0",
+        "sensor_tick": "0.1",
+    }
+    with_header = list(csv.DictReader(to_csv(mixed).splitlines()))
+    assert [row["lidar"] for row in with_header] == ["carla-ncap-lidar", ""]
+    assert [row["camera"] for row in with_header] == ["", "carla-ncap-rgb"]
+    assert [row["latency_s"] for row in with_header] == ["0.1", ""]
+
+
+def test_carla_has_no_minus_zero(layout):
+    assert "-0.0" not in to_carla(Layout(name="origin", units=layout.units[2:]))
+
+
+def test_every_format_is_text_of_the_whole_layout(layout):
+    for name in ("json", "csv", "geojson", "kml", "carla", "opencv", "ros", "openlabel", "cpm"):
+        text = FORMATS[name](layout, load_study_scene())
+        assert all(unit.id in text for unit in layout.units)
+        assert text.endswith("\n")
+
+
+def test_json_text_has_null_for_what_json_lacks():
+    document = {
+        "a": [np.inf, -np.inf, np.nan, 1.0],
+        "b": {"c": np.float64("nan")},
+        "d": np.int64(3),
+    }
+    text = to_json_text(document | {"e": (np.array([0.5, np.inf]), True, None, "Inf")})
+    assert json.loads(text) == {
+        "a": [None, None, None, 1.0],
+        "b": {"c": None},
+        "d": 3,
+        "e": [[0.5, None], True, None, "Inf"],
+    }

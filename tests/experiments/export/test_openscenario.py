@@ -1,0 +1,448 @@
+import importlib.metadata
+import importlib.util
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.export.openscenario import load_xosc, to_openscenario, validate_openscenario
+from geometry.actors import Shape, load_actors
+from geometry.errors import InputError, MissingExtraError
+from geometry.scene_files import load_study_scene
+from scenarios.aeb import load_aeb_rule
+from scenarios.cases import load_cases
+from scenarios.runs import WEATHERS, build_runs
+
+CASES = {
+    "CPNA-25": 30.0,  # straight, nothing hides the adult
+    "CPNCO-50": 40.0,  # straight, a child behind two parked cars
+    "CPTAfs-50": 10.0,  # turning
+    "CBLA-50": 45.0,  # longitudinal, a cyclist
+    "CBNA": 20.0,  # a cyclist behind the corner
+}
+needs_library = pytest.mark.skipif(
+    importlib.util.find_spec("scenariogeneration") is None,
+    reason="the extra openscenario is not installed",
+)
+
+
+@pytest.fixture(scope="module")
+def some_runs():
+    """By case and weather: one run each, from the first approach that carries the case."""
+    cases = [
+        replace(load_cases()[name], vut_speeds_kmh=(speed_kmh,))
+        for name, speed_kmh in CASES.items()
+    ]
+    runs, _ = build_runs(
+        load_study_scene(),
+        cases,
+        vut=load_actors()["vut"],
+        rule=load_aeb_rule(),
+        weathers=WEATHERS,
+    )
+    return {(run.case.name, run.weather): run for run in reversed(runs)}
+
+
+def rear_axle_m(actor):
+    """Ahead of the middle of the box, by the facts (bicycle: ISO 19206-4)."""
+    if actor.name == "cyclist":
+        return actor.reference_ahead_m - 0.62
+    return actor.front_axle_ahead_m - actor.wheelbase_m
+
+
+def read_trajectories(text):
+    """By entity, read by the library: time, x, y, yaw, (n, 4). [s, m, m, deg]"""
+    from scenariogeneration import xosc
+
+    scenario = xosc.Scenario.parse(ET.fromstring(text))
+    found = {}
+    for group in scenario.storyboard.stories[0].acts[0].maneuvergroup:
+        (entity,) = group.actors.actors
+        (action,) = group.maneuvers[0].events[0].action
+        line = action.action.trajectory.shapes
+        assert action.action.timeref.get_attributes() == {
+            "domainAbsoluteRelative": "absolute",
+            "scale": "1.0",
+            "offset": "0.0",
+        }
+        found[entity.entity] = np.array(
+            [
+                [time, at.x, at.y, np.degrees(at.h)]
+                for time, at in zip(line.time, line.positions, strict=True)
+            ]
+        )
+    return found
+
+
+def middles_m(track, ahead_m):
+    """From reference points back to the middles of the footprints, (n, 2)."""
+    yaw_rad = np.radians(track[:, 3])
+    return track[:, 1:3] - ahead_m * np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=1)
+
+
+def init_position(root, entity):
+    private = next(p for p in root.iter("Private") if p.get("entityRef") == entity)
+    place = private.find("PrivateAction/TeleportAction/Position/WorldPosition")
+    return np.array([float(place.get(key)) for key in ("x", "y", "z", "h")])
+
+
+def init_speed_mps(root, entity):
+    private = next(p for p in root.iter("Private") if p.get("entityRef") == entity)
+    return float(next(private.iter("AbsoluteTargetSpeed")).get("value"))
+
+
+def box_of(root, entity):
+    body = next(o for o in root.iter("ScenarioObject") if o.get("name") == entity)[0]
+    center, size = body.find("BoundingBox/Center"), body.find("BoundingBox/Dimensions")
+    return body, {key: float(center.get(key)) for key in "xyz"} | {
+        key: float(size.get(key)) for key in ("length", "width", "height")
+    }
+
+
+@needs_library
+@pytest.mark.parametrize("weather", WEATHERS)
+@pytest.mark.parametrize("case", CASES)
+def test_the_schema_accepts_every_kind_of_run(some_runs, case, weather):
+    import xmlschema
+
+    text = to_openscenario(some_runs[case, weather], road_network="Town05.xodr")
+    (path,) = (
+        file.locate()
+        for file in importlib.metadata.files("scenariogeneration")
+        if file.name == "OpenSCENARIO_1_3_1.xsd"
+    )
+    xmlschema.XMLSchema(str(path)).validate(ET.fromstring(text))
+
+
+@needs_library
+@pytest.mark.parametrize("case", CASES)
+def test_trajectories_read_back_are_the_frames_to_a_millimetre(some_runs, case):
+    run = some_runs[case, "day"]
+    tracks = read_trajectories(to_openscenario(run, road_network="Town05.xodr"))
+    assert set(tracks) == {"vut", "vru"}
+    ahead_m = {
+        "vut": rear_axle_m(run.encounter.vut),
+        "vru": rear_axle_m(run.encounter.vru) if run.encounter.vru.name == "cyclist" else 0.0,
+    }
+    for name, position_m, yaw_deg in (
+        ("vut", run.vut_position_m, run.vut_yaw_deg),
+        ("vru", run.vru_position_m, run.vru_yaw_deg),
+    ):
+        track = tracks[name]
+        np.testing.assert_allclose(track[:, 0], run.time_s - run.time_s[0], rtol=0.0, atol=1e-6)
+        np.testing.assert_allclose(middles_m(track, ahead_m[name]), position_m, rtol=0.0, atol=1e-3)
+        turned_deg = (track[:, 3] - yaw_deg + 180.0) % 360.0 - 180.0
+        np.testing.assert_allclose(turned_deg, 0.0, atol=1e-3)
+        assert (np.abs(np.diff(track[:, 3])) < 90.0).all()
+
+
+@needs_library
+@pytest.mark.parametrize("case", ["CPNA-25", "CPTAfs-50", "CBLA-50"])
+def test_a_run_whose_last_frame_is_before_the_impact_still_ends_at_the_impact(some_runs, case):
+    whole = some_runs[case, "day"]
+    n_frames = len(whole.time_s) - 1
+    early = replace(
+        whole,
+        **{
+            name: getattr(whole, name)[:n_frames]
+            for name in (
+                "time_s",
+                "vut_position_m",
+                "vut_yaw_deg",
+                "vru_position_m",
+                "vru_yaw_deg",
+                "vru_shape",
+            )
+        },
+    )
+    assert to_openscenario(early, road_network="a.xodr") == to_openscenario(
+        whole, road_network="a.xodr"
+    )
+
+
+@needs_library
+@pytest.mark.parametrize("case", CASES)
+def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, case):
+    run = some_runs[case, "day"]
+    text = to_openscenario(run, road_network="Town05.xodr")
+    root, tracks = ET.fromstring(text), read_trajectories(text)
+    for name, motion in (
+        ("vut", run.encounter.vut_motion),
+        ("vru", run.encounter.vru_motion),
+    ):
+        x_m, y_m, z_m, yaw_rad = init_position(root, name)
+        np.testing.assert_array_equal([x_m, y_m, z_m], [*tracks[name][0, 1:3], 0.0])
+        assert np.degrees(yaw_rad) == pytest.approx(tracks[name][0, 3])
+        step_s = np.array([0.0, 1.0e-4])
+        slope_mps = np.diff(motion.distance_m(run.time_s[0] + step_s))[0] / 1.0e-4
+        assert init_speed_mps(root, name) == pytest.approx(slope_mps, abs=2e-3)
+    assert {init_speed_mps(root, "vut")} <= {0.0, round(run.vut_speed_kmh / 3.6, 3)}
+
+
+@needs_library
+@pytest.mark.parametrize("case", CASES)
+def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(some_runs, case):
+    run = some_runs[case, "day"]
+    root = ET.fromstring(to_openscenario(run, road_network="Town05.xodr"))
+    bodies = {"vut": run.encounter.vut, "vru": run.encounter.vru} | {
+        f"obstruction-{index}": placed.actor for index, placed in enumerate(run.obstruction, 1)
+    }
+    assert [o.get("name") for o in root.iter("ScenarioObject")] == list(bodies)
+    for name, actor in bodies.items():
+        body, box = box_of(root, name)
+        is_vehicle = actor.class_name in ("vehicle", "parked vehicle", "cyclist")
+        middle_m = -rear_axle_m(actor) if is_vehicle else 0.0
+        assert box == pytest.approx(
+            {
+                "x": middle_m,
+                "y": 0.0,
+                "z": actor.height_m / 2.0,
+                "length": actor.length_m,
+                "width": actor.width_m,
+                "height": actor.height_m,
+            }
+        )
+        if is_vehicle:
+            front, rear = body.find("Axles/FrontAxle"), body.find("Axles/RearAxle")
+            assert float(rear.get("positionX")) == 0.0
+            inside_m = [middle_m - actor.length_m / 2.0, middle_m + actor.length_m / 2.0]
+            radius_m = float(front.get("wheelDiameter")) / 2.0
+            assert inside_m[0] <= -radius_m + 1e-9
+            assert float(front.get("positionX")) + radius_m <= inside_m[1] + 1e-9
+            assert float(front.get("positionZ")) == pytest.approx(radius_m)
+
+
+@needs_library
+def test_parked_bodies_stand_where_the_run_has_them(some_runs):
+    n_seen = 0
+    for case in CASES:
+        run = some_runs[case, "day"]
+        root = ET.fromstring(to_openscenario(run, road_network="Town05.xodr"))
+        for index, placed in enumerate(run.obstruction, 1):
+            x_m, y_m, _, yaw_rad = init_position(root, f"obstruction-{index}")
+            _, box = box_of(root, f"obstruction-{index}")
+            track = np.array([[0.0, x_m, y_m, np.degrees(yaw_rad)]])
+            (middle_m,) = middles_m(track, -box["x"])
+            np.testing.assert_allclose(middle_m, placed.pose.position_m[:2], atol=1e-3, rtol=0.0)
+            assert np.degrees(yaw_rad) == pytest.approx(placed.pose.yaw_deg, abs=1e-3)
+            n_seen += 1
+    assert n_seen >= 2
+
+
+@needs_library
+@pytest.mark.parametrize(
+    ("case", "element", "category"),
+    [
+        ("CPNA-25", "Pedestrian", "pedestrian"),
+        ("CPNCO-50", "Pedestrian", "pedestrian"),
+        ("CBLA-50", "Vehicle", "bicycle"),
+    ],
+)
+def test_the_vru_is_a_pedestrian_or_a_bicycle_with_its_rider(some_runs, case, element, category):
+    root = ET.fromstring(to_openscenario(some_runs[case, "day"], road_network="Town05.xodr"))
+    body, _ = box_of(root, "vru")
+    assert body.tag == element
+    assert body.get(f"{element.lower()}Category") == category
+    notes = [p.get("value") for p in body.iter("Property") if p.get("name") == "note"]
+    assert any("rider" in note for note in notes) == (category == "bicycle")
+
+
+@needs_library
+def test_a_wall_is_an_object_that_is_no_vehicle(some_runs):
+    run = some_runs["CPNCO-50", "day"]
+    corners = np.zeros((3, 3))
+    wall = replace(
+        run.encounter.vut,
+        name="wall 20 x 0.25 x 2.2 m",
+        class_name="wall",
+        length_m=20.0,
+        width_m=0.25,
+        height_m=2.2,
+        shapes=(Shape(vertices_m=corners, triangles=np.array([[0, 1, 2]])),),
+        wheelbase_m=0.0,
+        front_axle_ahead_m=0.0,
+    )
+    placed = replace(run.obstruction[0], actor=wall)
+    root = ET.fromstring(
+        to_openscenario(replace(run, obstruction=(placed,)), road_network="Town05.xodr")
+    )
+    body, box = box_of(root, "obstruction-1")
+    assert body.tag == "MiscObject"
+    assert (box["x"], box["z"], box["length"]) == (0.0, 1.1, 20.0)
+    np.testing.assert_allclose(
+        init_position(root, "obstruction-1")[:2], placed.pose.position_m[:2], atol=1e-6
+    )
+
+
+@needs_library
+def test_every_body_of_the_catalogue_and_every_weather_is_described(some_runs):
+    run = some_runs["CPNCO-50", "day"]
+    (placed, *_) = run.obstruction
+    everybody = tuple(replace(placed, actor=actor) for actor in load_actors().values())
+    for weather in WEATHERS:
+        to_openscenario(
+            replace(run, obstruction=everybody, weather=weather), road_network="Town05.xodr"
+        )
+
+
+@needs_library
+def test_weather_sets_sun_rain_road_and_lights(some_runs):
+    sky = {}
+    for weather in WEATHERS:
+        run = some_runs["CPNA-25", weather]
+        root = ET.fromstring(to_openscenario(run, road_network="Town05.xodr"))
+        (found,) = root.iter("Weather")
+        sky[weather] = (
+            float(found.find("Sun").get("elevation")) > 0.0,
+            found.find("Precipitation").get("precipitationType"),
+            float(found.find("Precipitation").get("precipitationIntensity")) > 0.0,
+            float(found.find("Fog").get("visualRange")) < 1000.0,  # WMO-No. 8: less is fog
+            next(root.iter("RoadCondition")).get("wetness"),
+            [light.get("vehicleLightType") for light in root.iter("VehicleLight")],
+        )
+    assert sky == {
+        "day": (True, "dry", False, False, "dry", []),
+        "night": (False, "dry", False, False, "dry", ["lowBeam"]),
+        "rain": (True, "rain", True, False, "wetWithPuddles", []),
+        "fog": (True, "dry", False, True, "moist", ["lowBeam"]),
+    }
+
+
+@needs_library
+def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs):
+    run = some_runs["CPNCO-50", "night"]
+    root = ET.fromstring(to_openscenario(run, road_network="maps/Town05.xodr"))
+    assert root.find("RoadNetwork/LogicFile").get("filepath") == "maps/Town05.xodr"
+    header = root.find("FileHeader")
+    assert (header.get("revMajor"), header.get("revMinor")) == ("1", "3")
+    assert {p.get("name"): p.get("value") for p in header.iter("Property")} == {
+        "run": run.id,
+        "case": "CPNCO-50",
+        "source": "protocol-4.5.1",
+        "approach": run.approach,
+        "weather": "night",
+        "vut_speed_kmh": "40",
+        "vru_speed_kmh": "5",
+        "is_avoidable_by_braking": "true",
+    }
+    times_s = {p.get("name"): float(p.get("value")) for p in root.iter("ParameterDeclaration")}
+    assert times_s == pytest.approx(
+        {
+            "impact_time_s": -run.time_s[0],
+            "last_brake_time_s": run.last_brake_time_s - run.time_s[0],
+        },
+        abs=1e-6,
+    )
+    stop = root.find("Storyboard/StopTrigger")
+    (condition,) = stop.iter("SimulationTimeCondition")
+    assert condition.get("rule") == "greaterThan"
+    assert float(condition.get("value")) == times_s["impact_time_s"]
+
+
+@needs_library
+def test_a_run_that_no_braking_avoids_has_no_last_brake_time(some_runs):
+    run = replace(some_runs["CPNA-25", "day"], last_brake_time_s=-np.inf)
+    root = ET.fromstring(to_openscenario(run, road_network="Town05.xodr"))
+    assert [p.get("name") for p in root.iter("ParameterDeclaration")] == ["impact_time_s"]
+    (avoidable,) = (
+        p.get("value") for p in root.iter("Property") if p.get("name").startswith("is_avoidable")
+    )
+    assert avoidable == "false"
+
+
+@needs_library
+def test_the_same_run_gives_the_same_text_whatever_the_library_wrote_before(some_runs):
+    from scenariogeneration import xosc
+
+    run = some_runs["CPNA-25", "night"]
+    first = to_openscenario(run, road_network="Town05.xodr")
+    xosc.VersionBase().setVersion(minor=0)
+    try:
+        assert to_openscenario(run, road_network="Town05.xodr") == first
+    finally:
+        xosc.VersionBase().setVersion(minor=3)
+    values = [value for part in ET.fromstring(first).iter() for value in part.attrib.values()]
+    assert "-0.0" not in values
+
+
+@needs_library
+def test_headings_do_not_jump_by_a_full_turn(some_runs):
+    run = some_runs["CPTAfs-50", "day"]
+    yaw_deg = np.array(run.vut_yaw_deg)
+    yaw_deg[len(yaw_deg) // 2 :] -= 360.0
+    assert to_openscenario(
+        replace(run, vut_yaw_deg=yaw_deg), road_network="Town05.xodr"
+    ) == to_openscenario(run, road_network="Town05.xodr")
+
+
+@needs_library
+def test_words_of_a_case_are_escaped(some_runs):
+    run = some_runs["CPNA-25", "day"]
+    title = 'adult <"fast"> & far'
+    root = ET.fromstring(
+        to_openscenario(
+            replace(run, case=replace(run.case, title=title)), road_network="a & b.xodr"
+        )
+    )
+    assert root.find("FileHeader").get("description") == f"{run.id}: {title}"
+    assert root.find("RoadNetwork/LogicFile").get("filepath") == "a & b.xodr"
+
+
+@needs_library
+@pytest.mark.parametrize(
+    ("break_it", "where", "reason"),
+    [
+        (lambda text: text.partition("<Entities>")[0], "OpenSCENARIO", "no element found"),
+        (
+            lambda text: text.replace('vehicleCategory="car"', ""),
+            "OpenSCENARIO: /OpenSCENARIO/Entities/ScenarioObject[1]/Vehicle",
+            "vehicleCategory",
+        ),
+        (
+            lambda text: text.replace('followingMode="position"', 'followingMode="almost"'),
+            "TrajectoryFollowingMode",
+            "almost",
+        ),
+    ],
+)
+def test_a_file_that_the_schema_rejects_is_named_with_place_and_reason(
+    some_runs, break_it, where, reason
+):
+    text = to_openscenario(some_runs["CPNA-25", "day"], road_network="Town05.xodr")
+    validate_openscenario(text)
+    with pytest.raises(InputError) as caught:
+        validate_openscenario(break_it(text))
+    assert where in caught.value.where
+    assert reason in str(caught.value)
+    assert caught.value.expected == "XML that OpenSCENARIO_1_3_1.xsd accepts"
+
+
+@needs_library
+def test_what_cannot_be_exported_is_refused(some_runs):
+    run = some_runs["CPNA-25", "day"]
+    with pytest.raises(InputError, match="road_network: got ''"):
+        to_openscenario(run, road_network="")
+    with pytest.raises(
+        InputError, match="weather: got 'hail'; expected one of day, fog, night, rain"
+    ):
+        to_openscenario(replace(run, weather="hail"), road_network="Town05.xodr")
+    for changes, reason in (
+        ({"wheelbase_m": 0.0}, "actor vut.wheelbase_m: got 0.0; expected > 0 metres"),
+        ({"name": "x", "class_name": "tram"}, "class_name: got 'tram'; expected one of"),
+    ):
+        odd = replace(run.encounter, vut=replace(run.encounter.vut, **changes))
+        with pytest.raises(InputError) as caught:
+            to_openscenario(replace(run, encounter=odd), road_network="Town05.xodr")
+        assert reason in str(caught.value)
+
+
+def test_without_the_library_the_extra_is_named(some_runs, monkeypatch):
+    monkeypatch.setitem(sys.modules, "scenariogeneration.xosc", None)
+    load_xosc.cache_clear()
+    try:
+        with pytest.raises(MissingExtraError, match=r"pip install place-rsus\[openscenario\]"):
+            to_openscenario(some_runs["CPNA-25", "day"], road_network="Town05.xodr")
+    finally:
+        load_xosc.cache_clear()

@@ -1,0 +1,228 @@
+from dataclasses import replace
+from itertools import pairwise
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from experiments.figures.evaluation import (
+    describe_run,
+    plot_apr_by_case,
+    plot_heatmap,
+    plot_heatmaps,
+    to_png,
+    unit_labels,
+)
+from experiments.results.text import percent
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.evaluation import (
+    Evaluation,
+    Verdict,
+    apr,
+    apr_by_case,
+)
+from placement.layout import Layout
+from scenarios.runs import FrameAxis
+
+matplotlib.use("agg")
+RED = "#CC0000"
+
+
+def build_evaluation(axis, camera, *, name="mine", ids=("RSU0", "RSU1"), seed=3):
+    """Random detections and verdicts that need not belong together."""
+    rng = np.random.default_rng(seed)
+
+    def verdict():
+        confirmation = rng.choice([np.inf, -0.1, -0.2], axis.n_runs)
+        return Verdict(
+            detected=rng.random(axis.n_frames) < 0.5,
+            confirmation_time_s=confirmation,
+            onset_time_s=confirmation,
+            is_avoided=rng.random(axis.n_runs) < 0.5,
+        )
+
+    pose = Pose(position_m=[1.0, 2.0, 7.0], yaw_deg=30.0, pitch_deg=-20.0)
+    units = tuple(
+        CandidatePose(id=unit_id, site_id="s", pose=pose, sensor=camera) for unit_id in ids
+    )
+    return Evaluation(
+        layout=Layout(name=name, units=units),
+        axis=axis,
+        vut=verdict(),
+        units={unit_id: verdict() for unit_id in ids},
+        rsu_all=verdict(),
+        vut_and_rsus=verdict(),
+    )
+
+
+@pytest.fixture
+def evaluation(frame_axis, camera):
+    return build_evaluation(frame_axis, camera)
+
+
+def texts(figure):
+    return [text.get_text() for text in figure.findobj(matplotlib.text.Text)]
+
+
+def test_heatmap_cells_are_the_detections(evaluation):
+    panels = plot_heatmaps(evaluation, [0, 1, 2])
+    for run_index, axes in enumerate(panels):
+        (image,) = axes.get_images()
+        frames = evaluation.axis.frames_of(run_index)
+        rows = [evaluation.vut, *evaluation.units.values(), evaluation.rsu_all]
+        np.testing.assert_array_equal(
+            np.asarray(image.get_array()), [row.detected[frames] for row in rows]
+        )
+        labels = [label.get_text() for label in axes.get_yticklabels()]
+        assert labels == ["VUT", "RSU0", "RSU1", "all RSUs"]
+
+
+def test_heatmap_cells_are_centred_on_their_frames(evaluation):
+    for run_index in range(evaluation.axis.n_runs):
+        axes = plot_heatmap(evaluation, run_index)
+        times = evaluation.axis.time_s[evaluation.axis.frames_of(run_index)]
+        left, right, bottom, top = axes.get_images()[0].get_extent()
+        edges = np.linspace(left, right, len(times) + 1)
+        np.testing.assert_allclose(0.5 * (edges[1:] + edges[:-1]), times, atol=1e-12)
+        assert (bottom, top) == (3.5, -0.5)
+
+
+def test_heatmap_draws_the_last_brake_time_as_a_dashed_red_line(evaluation):
+    for run_index, last_brake_s in enumerate(evaluation.axis.last_brake_time_s[:2]):
+        axes = plot_heatmap(evaluation, run_index)
+        (line,) = [line for line in axes.get_lines() if line.get_gid() == "last brake time"]
+        assert list(line.get_xdata()) == [last_brake_s] * 2
+        assert line.get_color() == RED
+        assert line.is_dashed()
+
+
+def test_heatmap_says_so_where_no_braking_helps(evaluation):
+    axes = plot_heatmap(evaluation, 2)  # its last brake time is minus infinity
+    assert not [line for line in axes.get_lines() if line.get_gid() == "last brake time"]
+    assert any("no braking" in text for text in texts(axes.figure))
+
+
+def test_heatmap_marks_confirmations_and_names_outcomes(evaluation):
+    for run_index in range(evaluation.axis.n_runs):
+        axes = plot_heatmap(evaluation, run_index)
+        (marks,) = [line for line in axes.get_lines() if line.get_marker() == "D"]
+        rows = [evaluation.vut, *evaluation.units.values(), evaluation.rsu_all]
+        times = [row.confirmation_time_s[run_index] for row in rows]
+        assert list(marks.get_xdata()) == times
+        (outcomes,) = axes.child_axes
+        for label, row, time_s in zip(outcomes.get_yticklabels(), rows, times, strict=True):
+            late = "too late" if np.isfinite(time_s) else "never confirmed"
+            assert label.get_text() == ("avoided" if row.is_avoided[run_index] else late)
+
+
+def test_cells_tell_the_apr_of_every_case_and_party(frame_axis, camera):
+    evaluations = {
+        name: build_evaluation(frame_axis, camera, name=name, seed=seed)
+        for seed, name in enumerate(["found", "greedy", "carlancap-12"])
+    }
+    axes = plot_apr_by_case(evaluations)
+    found = evaluations["found"]
+    verdicts = [*(item.rsu_all for item in evaluations.values()), found.vut, found.vut_and_rsus]
+    expected = np.array(
+        [
+            [apr(verdict, frame_axis), *apr_by_case(verdict, frame_axis).values()]
+            for verdict in verdicts
+        ]
+    ).T
+    np.testing.assert_array_equal(np.asarray(axes.get_images()[0].get_array()), expected)
+    cells = {text.get_position(): text.get_text() for text in axes.texts}
+    assert cells == {
+        (column, row): percent(share) for (row, column), share in np.ndenumerate(expected)
+    }
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["all runs", "A", "B"]
+    assert len(axes.get_xticklabels()) == len(verdicts)
+
+
+def test_cells_are_the_darker_the_more_is_left_and_their_numbers_stand_out(frame_axis, camera):
+    evaluation = build_evaluation(frame_axis, camera, name="a")
+    axes = plot_apr_by_case({"a": evaluation})
+    (image,) = axes.get_images()
+    lightness = image.cmap(image.norm(np.linspace(0.0, 1.0, 11)))[:, :3].mean(axis=1)
+    assert (np.diff(lightness) > 0.0).all()
+    for text in axes.texts:
+        column, row = text.get_position()
+        cell = image.cmap(image.norm(image.get_array()[row, column]))[0]
+        assert abs(cell - (1.0 if text.get_color() == "white" else 0.0)) > 0.35
+
+
+def test_figures_are_the_same_bytes_each_time(evaluation):
+    assert to_png(plot_heatmap(evaluation, 0)) == to_png(plot_heatmap(evaluation, 0))
+
+
+def test_figures_leave_no_trace_in_pyplot(evaluation):
+    import matplotlib.pyplot as plt
+
+    assert isinstance(plot_heatmap(evaluation, 0), Axes)
+    assert plt.get_fignums() == []
+
+
+def test_figures_are_drawn_where_the_caller_wants_them(evaluation):
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    assert plot_apr_by_case({"mine": evaluation}, axes=left) is left
+    assert plot_heatmap(evaluation, 0, axes=right) is right
+    assert to_png(left) == to_png(figure)
+    assert any(text.endswith("%") for text in texts(left))
+
+
+@pytest.mark.parametrize("name", ["$x^{", "_hidden", "雪", "a\\b", "%s {}"])
+def test_any_name_can_be_drawn(frame_axis, camera, name):
+    evaluation = build_evaluation(frame_axis, camera, name=name, ids=(name, f"{name}2"))
+    assert to_png(plot_apr_by_case({name: evaluation})).startswith(b"\x89PNG")
+    assert to_png(plot_heatmap(evaluation, 0)).startswith(b"\x89PNG")
+
+
+def test_unit_labels_are_ids_only_where_all_are_short(frame_axis, camera):
+    short = build_evaluation(frame_axis, camera).layout
+    assert unit_labels(short) == {"RSU0": "RSU0", "RSU1": "RSU1"}
+    long = build_evaluation(frame_axis, camera, ids=("RSU0", "corner-ne/7m/45")).layout
+    assert unit_labels(long) == {"RSU0": "#1", "corner-ne/7m/45": "#2"}
+
+
+def test_a_run_in_words_names_its_weather_unless_it_is_day(frame_axis, camera):
+    axis = replace(frame_axis, weathers=("day", "night", "rain"))
+    words = [describe_run(axis, index) for index in range(3)]
+    place = [
+        f"{case} from the {approach} at {speed:g} km/h"
+        for case, approach, speed in zip(
+            axis.cases, axis.approaches, axis.vut_speed_kmh, strict=True
+        )
+    ]
+    assert words == [place[0], f"{place[1]}, night", f"{place[2]}, rain"]
+    drawn = texts(plot_heatmap(build_evaluation(axis, camera), 1))
+    assert any(text.startswith(f"{words[1]}: ") for text in drawn)
+
+
+@pytest.mark.parametrize("n_cases", [1, 13, 30])
+def test_every_row_stands_apart_however_many_cases_there_are(camera, n_cases):
+    axis = FrameAxis(
+        run_ids=tuple(f"CBTAfs-{case}/north/20" for case in range(n_cases)),
+        cases=tuple(f"CBTAfs-{case}" for case in range(n_cases)),
+        approaches=("north",) * n_cases,
+        weathers=("day",) * n_cases,
+        vut_speed_kmh=np.full(n_cases, 20.0),
+        weight=np.full(n_cases, 1.0 / n_cases),
+        last_brake_time_s=np.full(n_cases, -0.5),
+        run_start=np.arange(n_cases + 1),
+        time_s=np.zeros(n_cases),
+    )
+    axes = plot_apr_by_case({"found": build_evaluation(axis, camera, name="found")})
+    figure = axes.figure
+    figure.draw_without_rendering()
+    boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
+    assert len(boxes) == n_cases + 1
+    for above, below in pairwise(boxes):
+        assert above.y0 > below.y1
+    page = figure.bbox
+    for text in (*axes.get_xticklabels(), *axes.get_yticklabels(), *axes.texts):
+        box = text.get_window_extent()
+        assert page.x0 <= box.x0 < box.x1 <= page.x1
+        assert page.y0 <= box.y0 < box.y1 <= page.y1

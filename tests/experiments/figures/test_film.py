@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+from PIL import Image
+
+from experiments.figures.film import plot_film, save_film
+from geometry.errors import InputError
+from geometry.scene_files import load_study_scene
+from placement.question import Question
+from placement.setting import drive_one
+
+
+def run_of(case, approach="east", speeds="40"):
+    return drive_one(Question(cases=case, approaches=approach, speeds=speeds), load_study_scene())
+
+
+@pytest.fixture(scope="module")
+def child():
+    return run_of("CPNCO-50")
+
+
+def captions(panels):
+    return [axes.get_title() for axes in panels]
+
+
+def test_a_strip_leads_over_the_last_useful_frame_to_the_impact(child):
+    titles = captions(plot_film(load_study_scene(), child))
+    assert len(titles) == 6
+    last = child.time_s[child.time_s <= child.last_brake_time_s].max()
+    assert titles[3].startswith(f"\N{MINUS SIGN}{-last:.1f} s: ")
+    assert titles[5].startswith("impact: ")
+
+
+def test_the_parked_cars_hide_the_child_until_late(child):
+    titles = captions(plot_film(load_study_scene(), child))
+    shares = [int(title.split(": ")[1].split()[0]) for title in titles]
+    assert shares[0] == 0
+    # At the impact the child is too near to fit into the image.
+    assert shares[:-1] == sorted(shares[:-1])
+    assert shares[-2] == 100
+
+
+def test_an_open_crossing_is_in_sight_all_along():
+    titles = captions(plot_film(load_study_scene(), run_of("CPFA-50")))
+    assert all(": 100 %" in title for title in titles[:-1])
+
+
+def test_a_cyclist_beside_a_turning_vut_is_not_in_its_image():
+    panels = plot_film(load_study_scene(), run_of("CBTAfs-side", "south", "15"))
+    assert [title.split(": ")[1].split()[0] for title in captions(panels)] == ["0"] * 6
+
+
+def test_bodies_stand_where_the_run_has_them(child):
+    panels = plot_film(load_study_scene(), child)
+    vut = child.encounter.vut
+    corners = panels[-1].patches
+    middles = np.array(
+        [
+            np.asarray(patch.get_xy())[:4].mean(axis=0)
+            for patch in corners
+            if hasattr(patch, "get_xy") and len(np.atleast_2d(patch.get_xy())) == 5
+        ]
+    )
+    for position in (child.vut_position_m[-1], child.vru_position_m[-1]):
+        assert np.hypot(*(middles - position).T).min() == pytest.approx(0.0, abs=1e-9)
+    assert vut.length_m > 4.0
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_stills_are_written_in_the_form_that_the_name_asks_for(child, tmp_path, suffix):
+    path = tmp_path / f"film{suffix}"
+    save_film(path, load_study_scene(), child)
+    begin = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[suffix]
+    assert path.read_bytes().startswith(begin)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_animation_has_a_picture_per_frame_and_tells_its_progress(tmp_path):
+    run = run_of("CPNCO-50", speeds="60")
+    path, told = tmp_path / "film.gif", []
+    save_film(path, load_study_scene(), run, on_progress=lambda *done: told.append(done))
+    with Image.open(path) as film:
+        n_frames, milliseconds = film.n_frames, film.info["duration"]
+    shown = run.time_s >= max(run.encounter.vru_motion.start_time_s, run.last_brake_time_s - 4.0)
+    assert n_frames == len(told) == shown.sum()
+    assert milliseconds == 100
+
+
+def test_an_unknown_form_is_refused_before_anything_is_written(child, tmp_path):
+    with pytest.raises(InputError) as caught:
+        save_film(tmp_path / "film.mov", load_study_scene(), child)
+    assert str(caught.value) == (
+        f"--out: got '{tmp_path}/film.mov'; expected a name that ends in .png, .svg, .pdf, .gif"
+    )
+    assert list(tmp_path.iterdir()) == []

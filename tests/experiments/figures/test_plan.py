@@ -1,0 +1,123 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.path import Path
+
+from experiments.figures.evaluation import to_png
+from experiments.figures.plan import ground_footprint, plot_plan
+from experiments.study.layout import load_carlancap_layout
+from geometry.catalogue import load_cameras
+from geometry.poses import Pose
+from geometry.scene_files import load_study_scene
+from geometry.sensors import project_points
+from placement.candidates import CandidatePose
+from placement.layout import Layout
+from placement.question import Question
+from placement.setting import build_setting
+
+CAMERA = load_cameras()["carla-ncap-rgb"]
+
+
+@pytest.fixture(scope="module")
+def setting():
+    return build_setting(Question(cases="CPNC-50,CBNA,CBLA"), load_study_scene())
+
+
+def is_inside(points_m, corners_m):
+    """Whether points lie in a convex counter-clockwise polygon; and how near to its edge."""
+    edges = np.roll(corners_m, -1, axis=0) - corners_m
+    lengths = np.hypot(*edges.T)
+    edges, starts = edges[lengths > 1e-9], corners_m[lengths > 1e-9]
+    normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / lengths[lengths > 1e-9, None]
+    depth = ((points_m[:, None] - starts) * normals).sum(axis=2).min(axis=1)
+    return depth
+
+
+@given(st.floats(-180.0, 180.0), st.floats(-85.0, 40.0), st.floats(2.0, 12.0), st.floats(5.0, 60.0))
+def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
+    yaw_deg, pitch_deg, height_m, max_range_m
+):
+    pose = Pose(position_m=[3.0, -4.0, height_m], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    unit = CandidatePose(id="u", site_id="", pose=pose, sensor=CAMERA)
+    corners = ground_footprint(unit, max_range_m=max_range_m)
+    rng = np.random.default_rng(0)
+    points = pose.position_m[:2] + rng.uniform(-1.1, 1.1, (400, 2)) * max_range_m
+    column, row, depth = project_points(np.column_stack([points, np.zeros(400)]), pose, CAMERA).T
+    range_m = np.hypot(*(points - pose.position_m[:2]).T)
+    seen = (
+        (depth > 0.0)
+        & (column >= 0.0)
+        & (column <= CAMERA.width_px)
+        & (row >= 0.0)
+        & (row <= CAMERA.height_px)
+        & (range_m <= max_range_m)
+    )
+    if len(corners) == 0:
+        assert not seen.any()
+        return
+    inside = is_inside(points, corners)
+    # The disc is a polygon of 180 corners: 0.02 % too small at most.
+    clear = np.abs(inside) > 1e-3 * max_range_m
+    np.testing.assert_array_equal(inside[clear] > 0.0, seen[clear])
+
+
+def test_footprint_is_empty_above_the_horizon():
+    pose = Pose(position_m=[0.0, 0.0, 7.0], yaw_deg=0.0, pitch_deg=80.0)
+    unit = CandidatePose(id="u", site_id="", pose=pose, sensor=CAMERA)
+    assert ground_footprint(unit, max_range_m=50.0).shape == (0, 2)
+
+
+def test_plan_marks_every_unit_at_its_position(setting):
+    layout = load_carlancap_layout()
+    axes = plot_plan(setting, layout)
+    marks = {line.get_gid(): line for line in axes.get_lines()}
+    names = {text.get_text(): text for text in axes.texts}
+    for unit in layout.units:
+        np.testing.assert_array_equal(
+            np.ravel(marks[f"unit:{unit.id}"].get_data()), unit.pose.position_m[:2]
+        )
+        np.testing.assert_array_equal(names[unit.id].xy, unit.pose.position_m[:2])
+
+
+def test_plan_draws_other_layouts_but_labels_only_its_own(setting):
+    baseline = load_carlancap_layout()
+    mine = Layout(name="mine", units=baseline.units[:2])
+    axes = plot_plan(setting, mine, others=[baseline])
+    open_marks = [
+        line
+        for line in axes.get_lines()
+        if line.get_markerfacecolor() == "white" and isinstance(line.get_marker(), Path)
+    ]
+    assert len(open_marks) == 12
+    assert not {"RSU2", "RSU11"} & {text.get_text() for text in axes.texts}
+    legend = axes.get_legend()
+    assert "carlancap-12: camera" in [text.get_text() for text in legend.get_texts()]
+
+
+def test_plan_is_in_metres_north_up_around_the_junction(setting):
+    axes = plot_plan(setting, load_carlancap_layout(), half_size_m=45.0)
+    assert axes.get_aspect() == 1.0
+    for limits, column in ((axes.get_xlim(), 0), (axes.get_ylim(), 1)):
+        outline = setting.scene.outline_m[:, column]
+        assert limits[1] - limits[0] == pytest.approx(90.0)
+        assert limits[0] < outline.min() < outline.max() < limits[1]
+    assert "N" in [text.get_text() for text in axes.texts]
+
+
+def test_plan_draws_a_scene_with_nothing_in_it(setting):
+    bare = dataclasses.replace(setting.scene, lanes=(), sites=())
+    axes = plot_plan(dataclasses.replace(setting, scene=bare), load_carlancap_layout())
+    assert to_png(axes).startswith(b"\x89PNG")
+
+
+def test_the_tip_of_a_camera_points_where_it_looks(setting):
+    units = load_carlancap_layout().units[:4]
+    axes = plot_plan(setting, Layout(name="mine", units=units))
+    lines = {line.get_gid(): line for line in axes.get_lines()}
+    for unit in units:
+        tip = lines[f"unit:{unit.id}"].get_marker().vertices[0]
+        yaw_deg = np.degrees(np.arctan2(tip[1], tip[0]))
+        np.testing.assert_allclose(yaw_deg, unit.pose.yaw_deg)

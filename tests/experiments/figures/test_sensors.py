@@ -1,0 +1,160 @@
+"""LiDARs that scan all round, as they are drawn and told."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.patches import PathPatch
+
+from experiments.figures.plan import ground_footprint, plot_plan
+from experiments.figures.scene import new_axes
+from experiments.figures.sensors import (
+    blind_footprint,
+    compass_word,
+    ground_rings,
+    looking_words,
+)
+from experiments.jobs.sheet import _direction, _draw_plan, _tilt
+from experiments.report.interactive.records import field_lines, unit_records
+from experiments.report.tables import unit_table
+from geometry.catalogue import load_cameras
+from geometry.lidar import load_lidars
+from geometry.poses import Pose
+from geometry.scene_files import load_study_scene
+from placement.candidates import CandidatePose
+from placement.explain.unavoided import is_in_view
+from placement.layout import Layout
+
+RING = load_lidars()["ouster-os1-128"]
+PLACE = np.array([-120.0, 3.0, 6.0])
+
+
+def _unit(sensor=RING, yaw_deg=0.0, pitch_deg=0.0, unit_id="U1"):
+    pose = Pose(position_m=PLACE, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    return CandidatePose(id=unit_id, site_id="", pose=pose, sensor=sensor)
+
+
+def test_a_level_ring_sees_the_ground_between_two_circles():
+    unit = _unit(yaw_deg=70.0)
+    outer, inner = ground_rings(unit, max_range_m=35.0)
+    np.testing.assert_allclose(np.hypot(*(outer - PLACE[:2]).T), 35.0)
+    blind_m = 6.0 / math.tan(math.radians(22.5))
+    np.testing.assert_allclose(np.hypot(*(inner - PLACE[:2]).T), blind_m, atol=0.1)
+    np.testing.assert_array_equal(ground_footprint(unit, max_range_m=35.0), outer)
+    np.testing.assert_array_equal(blind_footprint(unit, max_range_m=35.0), inner)
+
+
+def test_a_ring_sees_no_ground_where_its_lowest_beams_end_beyond():
+    flat = _unit(replace(RING, vertical_fov_deg=4.0))
+    assert [len(ring) for ring in ground_rings(flat, max_range_m=35.0)] == [0, 0]
+    assert ground_footprint(flat, max_range_m=35.0).shape == (0, 2)
+
+
+@pytest.mark.parametrize("horizontal_fov_deg", [180.0, 270.0, 360.0])
+@pytest.mark.parametrize("pitch_deg", [0.0, -30.0, -70.0])
+def test_the_rings_hold_exactly_the_ground_in_view(horizontal_fov_deg, pitch_deg):
+    unit = _unit(replace(RING, horizontal_fov_deg=horizontal_fov_deg), 25.0, pitch_deg)
+    outer, inner = ground_rings(unit, max_range_m=30.0)
+    rng = np.random.default_rng(1)
+    points = PLACE[:2] + rng.uniform(-32.0, 32.0, (4000, 2))
+    is_seen = is_in_view(unit, np.column_stack([points, np.zeros(4000)]))
+    is_seen &= np.hypot(*(points - PLACE[:2]).T) < 30.0
+    drawn = shapely.contains_xy(shapely.Polygon(outer).buffer(0.0), points)
+    if len(inner):
+        drawn &= ~shapely.contains_xy(shapely.Polygon(inner).buffer(0.0), points)
+    # 2 degrees between bearings, and a tenth of a metre: only what is near to a border may differ.
+    assert (drawn == is_seen).mean() > 0.97
+    assert 0.05 < is_seen.mean() < 0.9
+
+
+def test_cameras_and_narrow_lidars_have_no_blind_disc():
+    for sensor in (next(iter(load_cameras().values())), load_lidars()["carla-ncap-lidar"]):
+        assert len(blind_footprint(_unit(sensor, pitch_deg=-20.0), max_range_m=35.0)) == 0
+
+
+def test_the_words_say_that_it_scans_all_round():
+    assert [compass_word(_unit(yaw_deg=90.0)), looking_words(_unit())] == [
+        "all round",
+        "scanning all round",
+    ]
+    camera = _unit(next(iter(load_cameras().values())), yaw_deg=90.0)
+    assert [compass_word(camera), looking_words(camera)] == ["north", "looking to the north"]
+    layout = Layout(name="two", units=(_unit(), replace(camera, id="U2")))
+    assert [row[8] for row in unit_table("two", layout)["rows"]] == ["all round", "north"]
+
+
+def test_the_plan_marks_a_ring_by_a_disc_and_draws_its_blind_spot(small_setting):
+    camera = _unit(next(iter(load_cameras().values())), pitch_deg=-30.0, unit_id="U2")
+    axes = plot_plan(small_setting, Layout(name="two", units=(_unit(), camera)))
+    marks = {line.get_gid(): line for line in axes.get_lines()}
+    assert marks["unit:U1"].get_marker() == "o"
+    assert marks["unit:U2"].get_marker() != "o"
+    legend = axes.get_legend()
+    assert legend is not None
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert "two: LiDAR that scans all round" in texts
+    assert any(text.startswith("two: camera") for text in texts)
+    fill = next(p for p in axes.patches if isinstance(p, PathPatch) and p.get_alpha() is not None)
+    # What runs the other way round inside is a hole.
+    outer, inner = fill.get_path().to_polygons()
+    assert shapely.LinearRing(outer).is_ccw
+    assert not shapely.LinearRing(inner).is_ccw
+    assert shapely.Polygon(outer).contains(shapely.Polygon(inner))
+    alone = plot_plan(small_setting, Layout(name="one", units=(_unit(),))).get_legend()
+    assert alone is not None
+    assert not any("camera" in text.get_text() for text in alone.get_texts())
+
+
+def test_the_sheet_says_how_a_ring_hangs_and_draws_an_arrow_only_where_it_helps():
+    level, tilted = _unit(yaw_deg=90.0), _unit(yaw_deg=90.0, pitch_deg=-12.0)
+    assert _direction(level).startswith("all round: turned it sees the same")
+    assert _direction(tilted).startswith("all round\nits front to the north")
+    assert _tilt(level) == "none: level, its axis upright"
+    assert _tilt(tilted) == "its front 12.0\N{DEGREE SIGN} down, its back as much the other way"
+    arrows = []
+    for unit in (level, tilted):
+        axes = new_axes(4.0, 4.0)
+        _draw_plan(axes, unit, "U1", load_study_scene())
+        arrows.append(sum(text.arrow_patch is not None for text in axes.texts))
+    assert arrows == [0, 1]
+
+
+def test_the_player_gets_a_round_sign_and_the_blind_disc():
+    camera = _unit(next(iter(load_cameras().values())), pitch_deg=-30.0, unit_id="U2")
+    ring, other = unit_records(Layout(name="two", units=(_unit(), camera)))
+    assert (ring["kind"], other["kind"]) == ("ring", "camera")
+    assert (len(ring["blind"]) > 20, other["blind"]) == (True, [])
+    assert "scans all round" in ring["title"]
+    assert "scans all round" not in other["title"]
+    radii_m = np.hypot(*(0.01 * np.array(ring["sees"]) - PLACE[:2]).T)
+    np.testing.assert_allclose(radii_m, 35.0, atol=0.02)
+
+
+def test_the_view_draws_where_a_ring_begins_and_ends_and_its_lowest_beams():
+    outer, inner, *beams = field_lines(_unit(), max_range_m=35.0)
+    for circle, radius_m in ((outer, 35.0), (inner, 6.0 / math.tan(math.radians(22.5)))):
+        np.testing.assert_array_equal(circle[0], circle[-1])
+        np.testing.assert_allclose(np.hypot(*(circle[:, :2] - PLACE[:2]).T), radius_m, atol=0.1)
+        assert (circle[:, 2] < 0.2).all()
+    assert len(beams) == 4
+    assert all((beam[0] == PLACE).all() for beam in beams)
+    flat = field_lines(_unit(replace(RING, vertical_fov_deg=4.0)), max_range_m=35.0)
+    assert len(flat) == 5  # no ground: the border of the scan itself
+
+
+@given(st.floats(-720.0, 720.0), st.floats(-22.0, 22.0), st.floats(1.0, 60.0))
+def test_nothing_beside_a_ring_is_out_of_its_view(azimuth_deg, elevation_deg, distance_m):
+    """At no azimuth, that of the seam included: what it does not detect is never to the side."""
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    way = [
+        math.cos(elevation) * math.cos(azimuth),
+        math.cos(elevation) * math.sin(azimuth),
+        math.sin(elevation),
+    ]
+    points = PLACE + distance_m * np.array([way, [-1.0, 0.0, 0.0], [-1.0, -0.0, 0.0]])
+    assert is_in_view(_unit(), points).all()
+    assert is_in_view(_unit(yaw_deg=math.remainder(azimuth_deg, 360.0)), points).all()

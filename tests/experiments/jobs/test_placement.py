@@ -1,0 +1,253 @@
+import json
+import re
+from dataclasses import fields
+
+import pytest
+
+from experiments.export.formats import export_layout
+from experiments.jobs import placement
+from experiments.progress import StageProgress
+from experiments.study.layout import load_carlancap_layout
+from geometry.errors import InputError
+from placement.layout import Layout, load_layout
+from placement.question import Planning, Question
+
+
+def place(out, **options):
+    given = {
+        "out": out,
+        "seed": 0,
+        "workers": 2,
+        "cache_folder": None,
+        "command": "place-rsus --budget 1 <&>",
+        "progress": StageProgress(),
+    }
+    asked = {"budget": 1, "time_limit_s": 60.0}
+    names = {field.name for field in fields(Planning)} & set(options)
+    asked |= {name: options.pop(name) for name in names}
+    question = options.pop("question", Question())
+    return placement.run_placement(question, Planning(**asked), **(given | options))
+
+
+def evaluate(layout, out=None):
+    return placement.run_evaluation(
+        Question(),
+        layout=layout,
+        out=out,
+        seed=0,
+        workers=2,
+        command="place-rsus",
+        progress=StageProgress(),
+    )
+
+
+def named(name: str, n_units: int = 1) -> Layout:
+    return Layout(name=name, units=load_carlancap_layout().units[:n_units])
+
+
+def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
+    progress = StageProgress()
+    summary = place(tmp_path / "out", progress=progress)
+    assert json.loads((tmp_path / "out/summary.json").read_text()) == summary
+    assert load_layout(tmp_path / "out/layout.json").name == "best-1"
+    stages = ["setting", "detection table", "optimise", "greedy", "explain"]
+    assert list(summary["seconds"]) == [
+        "start",
+        *stages,
+        "evaluate",
+        "what if",
+        "write results",
+        "total",
+    ]
+    page = (tmp_path / "out/report.html").read_text()
+    assert "place-rsus --budget 1 &lt;&amp;&gt;" in page
+    assert "1 <&>" not in page
+    assert len(summary["front"]["sentences"]) == 1
+    assert summary["front"]["sentences"][0] in page
+    (part,) = summary["explained"]["contributions"]
+    assert part["unit"] == summary["layout"][0]["id"]
+    assert "Why these poses" in page
+    assert "Other layouts as good" not in page
+    assert progress.kept == f"the results are in {tmp_path}/out"
+
+
+def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(small_study, tmp_path):
+    question = Question(packet_loss=0.25)
+    summary = place(tmp_path / "out", question=question, samples=2, pool=3, budget=2)
+    assert summary["sampled"]["uncertainty"]["messages"]["packet_loss"] == 0.25
+    explained = summary["explained"]
+    assert {entry["unit"] for entry in explained["not_avoided"]} <= {"", "U1", "U2"}
+    assert [len(entry["units"]) for entry in explained["pool"]["sets"]] == [2, 2, 2]
+    page = (tmp_path / "out/report.html").read_text()
+    assert "If the world is not as planned" in page
+    assert "25.0 % of the messages lost" in page
+    assert "Other layouts as good" in page
+
+
+def test_the_studys_poses_are_candidates_only_if_asked_for(small_study, tmp_path, monkeypatch):
+    class Asked(Exception):
+        pass
+
+    def ask(setting, candidates, **options):
+        raise Asked({candidate.id for candidate in candidates})
+
+    monkeypatch.setattr(placement, "place", ask)
+    ids = []
+    for included in (True, False):
+        with pytest.raises(Asked) as caught:
+            place(tmp_path / "out", study_poses=included)
+        ids.append(caught.value.args[0])
+    assert ids[1] < ids[0]
+    assert ids[0] - ids[1] == {unit.id for unit in load_carlancap_layout().units}
+
+
+def test_every_sensor_asked_for_is_tried_at_every_pose(small_study, tmp_path, monkeypatch):
+    class Asked(Exception):
+        pass
+
+    def ask(setting, candidates, **options):
+        raise Asked([(*c.pose.position_m, c.pose.yaw_deg, c.sensor.name) for c in candidates])
+
+    monkeypatch.setattr(placement, "place", ask)
+    names = ["carla-ncap-lidar", "carla-ncap-rgb"]
+    found = []
+    for sensors in ("", names[0], "carla-ncap-rgb, carla-ncap-lidar"):
+        with pytest.raises(Asked) as caught:
+            place(tmp_path / "out", study_poses=False, sensors=sensors)
+        found.append({name: set() for *_, name in caught.value.args[0]})
+        for *pose, name in caught.value.args[0]:
+            found[-1][name].add(tuple(pose))
+    assert [sorted(poses) for poses in found] == [names[1:], names[:1], names]
+    assert found[2] == found[0] | found[1]
+    with pytest.raises(InputError, match=r"--sensors: got .radar.; expected one of .*carla-ncap-"):
+        place(tmp_path / "out", sensors="radar")
+
+
+def test_a_layout_brings_its_own_sensors_along(small_study, tmp_path):
+    catalogue = tmp_path / "mine.toml"
+    catalogue.write_text(
+        """
+        [cameras.wide]
+        width_px = 1920
+        height_px = 1080
+        horizontal_fov_deg = 120.0
+        frame_rate_hz = 10.0
+        near_m = 0.5
+        price_eur = 100.0
+        """
+    )
+    summary = place(tmp_path / "out", sensors=f"{catalogue}:wide", study_poses=False)
+    assert summary["layout"][0]["camera"] == "wide"
+    catalogue.unlink()
+    layout = load_layout(tmp_path / "out/layout.json")
+    assert layout.units[0].sensor.horizontal_fov_deg == 120.0
+    assert evaluate(layout)["cost_eur"] == 100.0
+    catalogue.write_text("[cameras]")
+    with pytest.raises(InputError, match="got no model"):
+        place(tmp_path / "out", sensors=str(catalogue))
+
+
+def test_a_budget_that_is_too_large_is_refused_before_anything_else(tmp_path, monkeypatch):
+    monkeypatch.setattr(placement, "build_setting", pytest.fail)
+    with pytest.raises(InputError, match="--budget: got 10000; expected a whole number"):
+        place(tmp_path / "a/b", budget=10_000)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_written_where_no_folder_is_given(small_study, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    summary = evaluate(named("one"))
+    assert list(tmp_path.iterdir()) == []
+    assert list(summary["seconds"]) == ["start", "setting", "evaluate", "total"]
+
+
+def test_an_evaluation_of_one_unit_is_that_of_all(small_study):
+    evaluation = evaluate(named("one"))["evaluation"]
+    assert evaluation["units"] == {"RSU0": evaluation["rsu_all"]}
+    assert evaluation["vut_and_rsus"]["all"] >= evaluation["rsu_all"]["all"]
+
+
+def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
+    summary = placement.run_comparison(
+        Question(),
+        layouts=[named("twin", 2), named("twin", 1), named("other", 3)],
+        out=tmp_path / "out",
+        seed=0,
+        workers=2,
+        command="place-rsus",
+        progress=StageProgress(),
+    )
+    assert (summary["name"], summary["baseline_name"]) == ("twin", "twin (2)")
+    assert summary["runs_lost"] == []
+    names = re.findall(
+        r"^([^,]*),vut,all,all,all,all,", (tmp_path / "out/apr.csv").read_text(), re.M
+    )
+    assert names == ["twin", "twin (2)", "other"]
+    assert [other["name"] for other in summary["compared"]] == ["twin (2)", "other"]
+    assert summary["baseline"] == summary["compared"][0]["evaluation"]
+    page = (tmp_path / "out/report.html").read_text()
+    assert all(name in page for name in names)
+
+
+def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(small_study, tmp_path):
+    summary = placement.run_comparison(
+        Question(),
+        layouts=[named("two", 2), named("one", 1)],
+        samples=3,
+        out=tmp_path / "out",
+        seed=0,
+        workers=2,
+        command="place-rsus",
+        progress=StageProgress(),
+    )
+    (gain,) = summary["sampled"]["gains"]
+    assert gain["over"] == "one"
+    assert gain["low"] <= gain["mean"] <= gain["high"]
+    assert (tmp_path / "out/sampled_apr.png").exists()
+
+
+def test_a_layout_may_be_called_greedy(small_study):
+    assert evaluate(named("greedy"))["name"] == "greedy (2)"
+
+
+def test_names_with_markup_are_escaped_in_the_report(small_study, tmp_path):
+    evaluate(named("<script>alert(1)</script>"), tmp_path / "out")
+    page = (tmp_path / "out/report.html").read_text()
+    assert "<script>alert" not in page
+    assert "&lt;script&gt;alert(1)" in page
+
+
+@pytest.mark.parametrize("name", sorted(["csv", "geojson", "carla"]))
+def test_every_export_names_every_unit(name):
+    text = export_layout(load_carlancap_layout(), name)
+    assert all(unit.id in text for unit in load_carlancap_layout().units)
+
+
+def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
+    small_study, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
+    summary = place(tmp_path / "out", samples=2, risk="worst", budget=2)
+    sampled = summary["sampled"]
+    assert sampled["samples"] == 3
+    assert sampled["tail"] == 0.5
+    subject, *others = sampled["layouts"]
+    assert subject["name"] == "best-2"
+    assert len(others) == 2
+    assert len(subject["apr_by_sample"]) == 3
+    assert subject["worst"] == min(subject["apr_by_sample"])
+    assert summary["surrogate_disagreement"] is not None
+    assert (tmp_path / "out/sampled_apr.png").is_file()
+
+
+def test_a_refined_layout_is_no_worse(small_study, tmp_path):
+    plain = place(tmp_path / "plain")
+    refined = place(tmp_path / "refined", refine=True)
+    assert refined["candidates"] >= plain["candidates"]
+    assert refined["apr"] >= plain["apr"]
+    assert "refinement" in refined
+
+
+def test_refinement_is_refused_where_poses_are_given(tmp_path):
+    with pytest.raises(InputError, match="--refine: got it beside --within; expected one of them"):
+        place(tmp_path / "out", refine=True, within="carlancap-12")

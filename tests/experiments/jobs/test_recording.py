@@ -1,0 +1,273 @@
+import json
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles import naive_confirmed
+
+from experiments.cli.tables import recorded_placement_table, recording_table
+from experiments.jobs.recording import run_recorded_placement, run_recording
+from experiments.jobs.verify import run_verification
+from experiments.progress import StageProgress
+from geometry.errors import InputError
+from placement.question import Planning, Question
+from placement.recordings import WrittenDrive, write_recording
+from scenarios.aeb import load_aeb_rule
+
+BOX = np.array([100.0, 200.0, 140.0, 300.0])
+N_UNITS, N_DRIVES, N_FRAMES = 6, 5, 14
+SPEEDS_MPS = (6.0, 7.0, 8.0, 9.0, 10.0)
+
+
+def _write(folder, detected, *, vut=True):
+    """Pedestrians that cross; detected: (n_units + 1, n_drives, n_frames), the car comes last."""
+    names = [str(unit) for unit in range(len(detected) - 1)] + ["car"]
+    seen = {name: rows for name, rows in zip(names, detected, strict=True) if vut or name != "car"}
+    drives = [
+        WrittenDrive(
+            scenario=index % 2,
+            vru_class="pedestrian",
+            vut_speed_mps=speed,
+            vru_speed_mps=1.5,
+            distance_m=2.0 + speed * np.arange(N_FRAMES)[::-1] / 10.0,
+            labels_px={name: np.tile(BOX, (N_FRAMES, 1)) for name in seen},
+            detections_px={name: rows[index][:, None] * BOX for name, rows in seen.items()},
+            label_distance_m={name: np.full(N_FRAMES, 20.0) for name in seen},
+        )
+        for index, speed in enumerate(SPEEDS_MPS)
+    ]
+    write_recording(folder, drives)
+    # Drives are read scenario by scenario.
+    order = sorted(range(N_DRIVES), key=lambda index: index % 2)
+    return detected[:, order], np.array(SPEEDS_MPS)[order]
+
+
+def _random(seed, share=0.4):
+    return np.random.default_rng(seed).random((N_UNITS + 1, N_DRIVES, N_FRAMES)) < share
+
+
+def _in_time(frames, speed_mps):
+    """Whether a drive is avoided, frame by frame: a = 7.72 m/s^2, 25 ms, three in a row."""
+    for index, confirmed in enumerate(naive_confirmed(frames, 3)):
+        if confirmed:
+            return (index - N_FRAMES + 1) / 10.0 + 0.025 <= -speed_mps / (2.0 * 7.72)
+    return False
+
+
+def _avoided(detected, speeds_mps, units, fusion):
+    """Drives that some units avoid, by the definition."""
+    if fusion == "any":
+        rows = [detected[list(units)].any(axis=0)] if units else []
+    else:
+        rows = list(detected[list(units)])
+    return [
+        any(_in_time(frames[index], speed) for frames in rows)
+        for index, speed in enumerate(speeds_mps)
+    ]
+
+
+def _place(folder, **options):
+    given = {
+        "min_confidence": 0.0,
+        "out": None,
+        "progress": StageProgress(),
+    }
+    asked = {"budget": options.pop("budget_units", 2), "fusion": options.pop("fusion", "any")}
+    planning = Planning(**asked, time_limit_s=60.0)
+    return run_recorded_placement(Question(), folder=folder, planning=planning, **(given | options))
+
+
+def _evaluate(folder, question=None, **options):
+    given = {"min_confidence": 0.0, "out": None, "progress": StageProgress()}
+    return run_recording(question or Question(), folder=folder, **(given | options))
+
+
+def test_every_partys_apr_is_that_of_the_definition(tmp_path):
+    detected, speeds = _write(tmp_path / "data", _random(1))
+    summary = _evaluate(tmp_path / "data")
+    everyone = range(N_UNITS)
+    for key, units in (
+        ("vut", [N_UNITS]),
+        ("rsu_all", everyone),
+        ("vut_and_rsus", range(N_UNITS + 1)),
+    ):
+        avoided = _avoided(detected, speeds, units, "any")
+        assert summary["evaluation"][key]["all"] == pytest.approx(np.mean(avoided))
+        assert summary["evaluation"][key]["by_case"] == {
+            "scenario-0-pedestrian": pytest.approx(np.mean(avoided[:3])),
+            "scenario-1-pedestrian": pytest.approx(np.mean(avoided[3:])),
+        }
+        frames = detected[list(units)].any(axis=0)
+        assert summary["detected_share"][key] == pytest.approx(frames.mean())
+    for unit in everyone:
+        ratios = summary["evaluation"]["units"][f"RSU{unit}"]
+        assert ratios["all"] == pytest.approx(np.mean(_avoided(detected, speeds, [unit], "any")))
+    worst = min(
+        np.mean(_avoided(detected, speeds, [u for u in everyone if u != failed], "any"))
+        for failed in everyone
+    )
+    assert summary["apr_without_worst_unit"] == pytest.approx(worst)
+    assert summary["apr"] == summary["evaluation"]["rsu_all"]["all"]
+
+
+@pytest.mark.parametrize("fusion", ["any", "single"])
+@pytest.mark.parametrize(("seed", "share"), [(1, 0.4), (2, 0.5), (3, 0.6)])
+def test_no_other_choice_of_units_prevents_more(tmp_path, fusion, seed, share):
+    detected, speeds = _write(tmp_path / "data", _random(seed, share))
+    for budget in (1, 2, 3, N_UNITS):
+        summary = _place(tmp_path / "data", budget_units=budget, fusion=fusion)
+        chosen = [int(unit["folder"]) for unit in summary["layout"]]
+        aprs = {
+            units: np.mean(_avoided(detected, speeds, units, fusion))
+            for units in combinations(range(N_UNITS), budget)
+        }
+        best = max(aprs.values())
+        assert summary["apr"] == pytest.approx(best)
+        # What adds nothing is left out.
+        assert len(chosen) <= budget
+        assert np.mean(_avoided(detected, speeds, chosen, fusion)) == pytest.approx(best)
+        assert summary["bound"] == pytest.approx(best)
+        assert summary["gap"] == 0.0
+        # Among the best ones, none loses less when one unit fails.
+        robust = {
+            units: min(
+                np.mean(_avoided(detected, speeds, [u for u in units if u != failed], fusion))
+                for failed in units
+            )
+            for units, apr in aprs.items()
+            if apr == pytest.approx(best)
+        }
+        if best > 0.0:
+            assert summary["apr_without_worst_unit"] == pytest.approx(max(robust.values()))
+        everything = np.mean(_avoided(detected, speeds, range(N_UNITS), "any"))
+        assert summary["baseline"]["rsu_all"]["all"] == pytest.approx(everything)
+        assert [stage["name"] for stage in summary["stages"]] == [
+            "apr",
+            "apr_one_failed",
+            "smallest_margin_s",
+            "mean_margin_s",
+            "cost_eur",
+        ]
+
+
+def test_the_chosen_units_are_evaluated_alone(tmp_path):
+    detected, speeds = _write(tmp_path / "data", _random(4))
+    summary = _place(tmp_path / "data", budget_units=2)
+    units = [int(unit["folder"]) for unit in summary["layout"]]
+    assert [unit["id"] for unit in summary["layout"]] == [f"RSU{unit}" for unit in units]
+    assert list(summary["evaluation"]["units"]) == [f"RSU{unit}" for unit in units]
+    avoided = np.mean(_avoided(detected, speeds, [*units, N_UNITS], "any"))
+    assert summary["evaluation"]["vut_and_rsus"]["all"] == pytest.approx(avoided)
+    assert summary["candidates"] == N_UNITS
+    assert len(summary["greedy"]["layout"]) == 2
+
+
+def test_a_budget_beyond_the_recorded_units_is_refused(tmp_path):
+    _write(tmp_path / "data", _random(1))
+    with pytest.raises(InputError) as caught:
+        _place(tmp_path / "data", budget_units=7)
+    assert str(caught.value) == "--budget: got 7; expected at most 6, the units recorded"
+
+
+def test_how_the_vut_confirms_and_brakes_is_asked_for(tmp_path):
+    _write(tmp_path / "data", np.ones_like(_random(1)))
+    assert _evaluate(tmp_path / "data")["apr"] == 1.0
+    # The third of 14 frames is at -1.1 s, the onset at -1.075: v / (2 * 3.5) is less to 7.525 m/s.
+    summary = _evaluate(tmp_path / "data", Question(deceleration_mps2=3.5))
+    assert summary["apr"] == pytest.approx(0.4)
+    assert [drive["is_avoided"] for drive in summary["drives"]].count(True) == 2
+
+
+def test_weak_detections_do_not_count(tmp_path):
+    _write(tmp_path / "data", np.ones_like(_random(1)))
+    for path in (tmp_path / "data/Eval").iterdir():
+        path.write_text(path.read_text().replace(" 1.0\n", " 0.3\n"))
+    assert _evaluate(tmp_path / "data", min_confidence=0.3)["apr"] == 1.0
+    assert _evaluate(tmp_path / "data", min_confidence=0.31)["apr"] == 0.0
+
+
+def test_drives_frames_and_what_was_skipped_are_told(tmp_path):
+    _write(tmp_path / "data", _random(1))
+    (tmp_path / "data/WorldData/0_3.txt").unlink()
+    summary = _evaluate(tmp_path / "data")
+    assert summary["frames"] == {
+        "recorded": N_DRIVES * (N_FRAMES + 30) - 1,
+        "in_drives": N_DRIVES * N_FRAMES,
+        "missing_in_drives": 1,
+        "several_vrus_in_view": 0,
+    }
+    assert summary["skipped"] == {
+        "frames without WorldData": 1,
+        "frames between drives (bodies back at their starts)": 150,
+    }
+    assert (summary["runs"], summary["weathers"]) == (5, ["recorded"])
+    first = summary["drives"][0]
+    assert (first["run"], first["case"], first["motion"]) == (
+        "recording/0/22",
+        "scenario-0-pedestrian",
+        "crossing",
+    )
+    assert (first["first_frame"], first["frames"], first["missing_frames"]) == (0, N_FRAMES, 1)
+    assert first["last_brake_time_s"] == pytest.approx(-6.0 / 15.44)
+    assert first["closing_speed_mps"] == pytest.approx(6.0)
+
+
+def test_without_the_vuts_camera_there_is_no_verdict_of_it(tmp_path):
+    _write(tmp_path / "data", _random(1), vut=False)
+    summary = _evaluate(tmp_path / "data")
+    assert summary["evaluation"]["vut"] is None
+    assert summary["evaluation"]["vut_and_rsus"] is None
+    assert "car" not in recording_table(summary, None).split("Read:")[0]
+
+
+def test_nothing_is_written_unless_asked_for_and_then_little(tmp_path, monkeypatch):
+    _write(tmp_path / "data", _random(1))
+    monkeypatch.chdir(tmp_path)
+    _evaluate(Path("data"))
+    _place(Path("data"))
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+    for run in (_evaluate, _place):
+        progress = StageProgress()
+        summary = run(Path("data"), out=Path("out"), progress=progress)
+        names = {path.name for path in Path("out").iterdir()}
+        proof = {"certificate.json", "instance.npz"} if run is _place else set()
+        assert names == {"summary.json"} | proof
+        assert json.loads(Path("out/summary.json").read_text()) == summary
+        assert progress.kept == "the results are in out"
+    assert "Written to out: summary.json." in recorded_placement_table(summary, Path("out"))
+
+
+def test_a_folder_with_other_things_is_not_replaced(tmp_path):
+    _write(tmp_path / "data", _random(1))
+    with pytest.raises(InputError, match=r"--out: got .*data, which holds 0; expected a new or"):
+        _evaluate(tmp_path / "data", out=tmp_path / "data")
+    assert (tmp_path / "data/Eval/0_0.txt").exists()
+
+
+def test_tables_fit_80_columns_and_show_every_party(tmp_path):
+    _write(tmp_path / "data", _random(1))
+    evaluation = recording_table(_evaluate(tmp_path / "data"), None)
+    placement = recorded_placement_table(_place(tmp_path / "data"), None)
+    for text in (evaluation, placement):
+        assert max(map(len, text.splitlines()[1:])) <= 80
+    names = [*(f"RSU{unit}" for unit in range(N_UNITS)), "RSU_all", "car", "car + RSU_all"]
+    rows = [line[2:18].strip() for line in evaluation.splitlines()]
+    assert [row for row in rows if row in names] == names
+    assert "Skipped: 150 frames between drives (bodies back at their starts)." in evaluation
+    assert "12 (where no unit has that number) and -1 mean car" in evaluation.replace("\n", " ")
+    assert "proven" in placement
+    assert load_aeb_rule().deceleration_mps2 == 7.72  # what the numbers of this file stand on
+
+
+def test_a_recorded_choice_has_a_certificate_that_holds(tmp_path):
+    _write(tmp_path / "data", _random(5))
+    out = tmp_path / "out"
+    summary = _place(tmp_path / "data", out=out)
+    assert run_verification(out, progress=StageProgress())["is_verified"]
+    summary["layout"][0]["folder"] = "another"
+    (out / "summary.json").write_text(json.dumps(summary))
+    assert not run_verification(out, progress=StageProgress())["is_verified"]
+    (out / "summary.json").write_text("[]")
+    with pytest.raises(InputError, match=r"layout\.json: got No such file"):
+        run_verification(out, progress=StageProgress())

@@ -1,0 +1,86 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placement.detection_table import pack_table
+from placement.optimiser import Limits, PlacementProblem
+from placement.verification.instances import save_problem
+from scenarios.aeb import AebRule
+
+
+@pytest.fixture
+def problem(frame_axis):
+    """Pose 0 avoids run 1, pose 1 run 0, nothing run 2; each at a site of its own."""
+    axis = replace(
+        frame_axis,
+        time_s=np.array([-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, -0.1, 0.0]) - 0.1,
+    )
+    detected = np.zeros((2, 10), dtype=bool)
+    detected[0, 3:6] = True
+    detected[1, 0:2] = True
+    return PlacementProblem(
+        table=pack_table(("west", "east"), axis, detected),
+        limits=Limits(
+            site_index=np.array([0, 1]),
+            site_capacity=np.array([1, 1]),
+            budget_units=1,
+            unit_cost_eur=np.array([5.0, 7.0]),
+        ),
+        fusion="any",
+        rule=AebRule(
+            deceleration_mps2=7.72, latency_s=0.025, n_confirmations=2, frame_rate_hz=10.0
+        ),
+    )
+
+
+def solve(run, *arguments):
+    code, out, err = run("solve", *arguments, "--json", "--quiet")
+    assert (code, err) == (0, "")
+    return json.loads(out)
+
+
+def test_a_placement_problem_is_solved_as_it_was_asked(run, problem, tmp_path):
+    save_problem(tmp_path / "one.npz", problem)
+    summary = solve(run, tmp_path / "one.npz")
+    assert summary["chosen_names"] == ["east"]
+    assert (summary["objective"], summary["bound"], summary["gap"]) == (0.5, 0.5, 0.0)
+    assert summary["cost"] == 7.0
+    assert [stage["name"] for stage in summary["stages"]][-1] == "cost_eur"
+
+
+def test_another_question_may_be_asked(run, problem, tmp_path):
+    save_problem(tmp_path / "one.npz", problem)
+    assert solve(run, tmp_path / "one.npz", "--budget", 2)["chosen_names"] == ["west", "east"]
+    assert solve(run, tmp_path / "one.npz", "--budget-cost", 5)["chosen_names"] == ["west"]
+    summary = solve(run, tmp_path / "one.npz", "--target", "max")
+    assert summary["goal"] == "fewest"
+    assert (summary["objective"], summary["chosen"]) == (2.0, [0, 1])
+    assert solve(run, tmp_path / "one.npz", "--target", "0.2")["objective"] == 1.0
+
+
+def test_a_question_without_an_answer_says_the_best_there_is(run, problem, tmp_path):
+    save_problem(tmp_path / "one.npz", problem)
+    code, out, err = run("solve", tmp_path / "one.npz", "--target", "0.9", "--quiet")
+    assert (code, out) == (2, "")
+    assert err == (
+        "place-rsus: --target: got 0.9; expected at most 0.75, what all candidate poses together "
+        "reach\n"
+    )
+
+
+def test_the_table_is_printed(run, problem, tmp_path):
+    save_problem(tmp_path / "one.npz", problem)
+    code, out, _ = run("solve", tmp_path / "one.npz", "--quiet")
+    assert code == 0
+    assert "apr" in out
+    assert "proven" in out
+    assert "east" in out
+
+
+def test_placement_problems_are_not_written_again(run, problem, tmp_path):
+    save_problem(tmp_path / "one.npz", problem)
+    code, _, err = run("solve", tmp_path / "one.npz", "--out", tmp_path / "two.npz")
+    assert code == 2
+    assert "expected it with covering problems only" in err

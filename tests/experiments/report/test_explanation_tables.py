@@ -1,0 +1,328 @@
+"""Explanations in sentences, as tables, on a terminal and in the report."""
+
+from importlib.resources import files
+
+import pytest
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+
+from experiments.report.explanation import (
+    contribution_sentences,
+    contribution_table,
+    explanation_text,
+    missed_sentences,
+    missed_table,
+    pool_sentences,
+    pool_table,
+    report_part,
+    site_table,
+)
+
+
+def explained(**parts):
+    without = {
+        "apr": 0.5,
+        "apr_one_failed": 0.0,
+        "smallest_margin_s": 0.25,
+        "mean_margin_s": 1.5,
+        "cost_eur": 1500.0,
+    }
+    part = {
+        "unit": "a",
+        "only_runs": ["r1", "r2", "r3", "r4"],
+        "marginal_apr": 0.4,
+        "first_share": 0.7,
+        "mean_delay_s": 0.3,
+        "max_delay_s": 0.9,
+        "without": without,
+    }
+    other = part | {"unit": "b", "only_runs": [], "marginal_apr": 0.0}
+    return {
+        "contributions": [part, other],
+        "not_avoided": [],
+        "runs_without_weight": 0,
+        "pool": None,
+    } | parts
+
+
+def missed(run, outcome="never seen", *, late_s=None, reasons=(), rescue=None, unit="a"):
+    return {
+        "run": run,
+        "outcome": outcome,
+        "late_s": late_s,
+        "frames_in_time": 30,
+        "frames_seen": 2,
+        "unit": unit,
+        "reasons": [
+            {"cause": cause, "thing": thing, "frames": frames} for cause, thing, frames in reasons
+        ],
+        "rescue": rescue,
+    }
+
+
+HELPER = {"unit": "c", "site": "pole", "distance_m": 12.34, "margin_s": 0.5}
+MISSED = [
+    missed("r5", reasons=[("hidden", "wall-ne-1", 20), ("out of view", "", 8)], rescue=HELPER),
+    missed("r6", reasons=[("hidden", "wall-ne-1", 28)], rescue=HELPER | {"distance_m": 0.0}),
+    missed("r7", "too late", late_s=0.125, reasons=[("too far", "", 28)]),
+    missed("r8", "hopeless", unit=""),
+]
+POOL = {
+    "stage": "apr",
+    "tolerance": 0.0,
+    "is_complete": True,
+    "within": 1234,
+    "sets": [
+        {
+            "units": ["a", "b"],
+            "objective": 0.9,
+            "apr": 0.9,
+            "apr_one_failed": 0.5,
+            "smallest_margin_s": 0.25,
+            "mean_margin_s": 1.5,
+            "cost_eur": 3000.0,
+        }
+    ],
+    "sites": [{"site": "pole", "share": 1.0}, {"site": "mast", "share": 0.25}],
+    "poses": [],
+}
+
+
+def test_units_that_something_hangs_on_are_counted():
+    both = explained()
+    assert contribution_sentences(both) == ["Of 2 units, 1 saves runs that no other one saves."]
+    first, other = both["contributions"]
+    each = explained(contributions=[first, first])
+    assert contribution_sentences(each) == ["Each unit saves runs that no other one saves."]
+    none = explained(contributions=[other, other])
+    assert contribution_sentences(none)[0].startswith("No run hangs on a single unit")
+    assert "whichever fails, the other avoids all" in contribution_sentences(none)[0]
+    more = explained(contributions=[other, other, other])
+    assert "whichever fails, the others avoid all" in contribution_sentences(more)[0]
+    one = explained(contributions=[first])
+    assert contribution_sentences(one) == ["Everything that is avoided hangs on this one unit."]
+    idle = other | {"without": other["without"] | {"apr": 0.0}}
+    assert contribution_sentences(explained(contributions=[idle])) == ["This unit avoids nothing."]
+    assert contribution_sentences(explained(contributions=[idle, idle])) == [
+        "These units avoid nothing."
+    ]
+    table = contribution_table(both, {"a": "#1"})
+    assert table["rows"][0] == [
+        "#1", "4", "40.0 %", "50.0 %", "0.25", "1.50", "0.30", "0.90", "70.0 %",
+    ]  # fmt: skip
+    assert {len(row) for row in table["rows"]} == {len(table["columns"])}
+    alone = first | {"without": first["without"] | {"apr": 0.0}}
+    row = contribution_table(explained(contributions=[alone]))["rows"][0]
+    assert row[4:8] == ["\N{EN DASH}"] * 4
+
+
+def test_runs_that_are_not_avoided_are_told_with_causes_and_remedies():
+    found = explained(not_avoided=MISSED)
+    assert missed_sentences(found) == [
+        "On the detection table, 4 runs are not avoided: 2 never seen, 1 confirmed too late, "
+        "1 too short for any unit.",
+        "The most frequent cause: hidden by wall-ne-1, in 2 runs.",
+        "2 runs could each be saved by a further unit.",
+    ]
+    assert missed_sentences(explained()) == ["On the detection table, every run is avoided."]
+    rows = missed_table(found)["rows"]
+    assert rows[0] == [
+        "r5",
+        "never seen",
+        "for a: hidden by wall-ne-1 in 20 of 30 frames; out of view in 8 of 30 frames",
+        "c, 12.3 m away, 0.50 s to spare",
+    ]
+    assert rows[1][3] == "c, at the same mount, 0.50 s to spare"
+    assert rows[2][1:] == [
+        "confirmed too late, by 0.12 s",
+        "for a: too small or too thin at that distance in 28 of 30 frames",
+        "\N{EN DASH}",
+    ]
+    assert rows[3][2] == "the road user is there too late for any confirmation in time"
+
+
+HIDDEN = [("hidden", "wall-ne-1", 20)]
+
+
+@pytest.mark.parametrize(
+    ("runs", "sentences"),
+    [
+        ([missed("r", "hopeless", unit="")], ["1 run is not avoided: too short for any unit."]),
+        (
+            [missed("r", reasons=HIDDEN, rescue=HELPER)],
+            [
+                "1 run is not avoided: never seen.",
+                "The main cause: hidden by wall-ne-1.",
+                "It could be saved by a further unit.",
+            ],
+        ),
+        (
+            [missed("r", reasons=HIDDEN, rescue=HELPER), missed("s", reasons=[("too far", "", 3)])],
+            ["2 runs are not avoided: all never seen.", "1 run could be saved by a further unit."],
+        ),
+        (
+            [missed("r", reasons=HIDDEN, rescue=HELPER), missed("s", rescue=HELPER)],
+            [
+                "2 runs are not avoided: all never seen.",
+                "The most frequent cause: hidden by wall-ne-1, in 1 run.",
+                "Each of them could be saved by a further unit.",
+            ],
+        ),
+    ],
+)
+def test_one_run_is_told_as_one_and_several_as_several(runs, sentences):
+    told = missed_sentences(explained(not_avoided=runs))
+    assert len(told) == len(sentences)
+    for sentence, expected in zip(told, sentences, strict=True):
+        assert expected in sentence
+
+
+def test_runs_without_weight_are_counted_in_one_sentence_and_nowhere_else():
+    found = explained(runs_without_weight=1)
+    assert missed_sentences(found) == [
+        "On the detection table, every run that counts is avoided.",
+        "Left out: 1 run of weight 0.",
+    ]
+    found |= {"not_avoided": MISSED[2:3], "runs_without_weight": 7}
+    assert missed_sentences(found)[:2] == [
+        "On the detection table, 1 run is not avoided: confirmed too late.",
+        "Left out: 7 runs of weight 0.",
+    ]
+    assert "Left out: 7 runs of weight 0." in explanation_text(found)
+
+
+@pytest.mark.parametrize(
+    ("pool", "sentences"),
+    [
+        (
+            POOL,
+            [
+                "All choices were gone through: 1,234 layouts with the best APR.",
+                "The best one is listed.",
+                "Each of them has a unit at pole.",
+            ],
+        ),
+        (
+            POOL | {"tolerance": 0.01, "within": 1},
+            [
+                "All choices were gone through: 1 layout with the best APR, or up to 1.0 % of the "
+                "runs less."
+            ],
+        ),
+        (
+            POOL | {"stage": "cost_eur", "tolerance": 0.1, "within": 1},
+            ["All choices were gone through: 1 layout with the least cost, or up to 10.0 % more."],
+        ),
+        (
+            POOL | {"is_complete": False, "within": 20},
+            [
+                "Found by exchanging units one for one: 20 layouts with the best APR. There may be "
+                "more, and better ones among them in what comes after."
+            ],
+        ),
+    ],
+)
+def test_a_pool_says_what_it_holds_and_whether_that_is_all(pool, sentences):
+    assert pool_sentences(explained(pool=pool)) == sentences
+
+
+def test_tables_of_the_pool_have_a_row_for_each_layout_and_site():
+    found = explained(pool=POOL)
+    assert pool_table(found)["rows"] == [["a + b", "90.0 %", "50.0 %", "0.25", "1.50", "3,000"]]
+    assert site_table(found) == {
+        "caption": "How often each site carries a unit, of all 1,234 layouts",
+        "columns": ["site", "share of the layouts"],
+        "rows": [["pole", "100.0 %"], ["mast", "25.0 %"]],
+    }
+    found["pool"] = POOL | {"is_complete": False, "within": 20}
+    assert "of the listed 20 layouts" in site_table(found)["caption"]
+    found["pool"] = POOL | {"within": 1}
+    assert site_table(found)["caption"] == "How often each site carries a unit, of 1 layout"
+
+
+def test_a_terminal_shows_it_in_80_columns():
+    sets = [POOL["sets"][0] | {"units": [f"a-rather-long-name-of-a-pose-{i}"]} for i in range(7)]
+    runs = [missed(f"run-{i}", reasons=[("hidden", f"wall-{i}", 3)]) for i in range(10)]
+    text = explanation_text(explained(not_avoided=MISSED + runs, pool=POOL | {"sets": sets}))
+    assert max(map(len, text.splitlines())) <= 80
+    words = " ".join(text.split())
+    for expected in (
+        "a: only it saves 4 runs (r1, r2, r3 and 1 more), 40.0 points of the APR; without it what "
+        "the other saves is confirmed 0.30 s later on average",
+        "b: no run hangs on it alone",
+        "r5, r6: never seen; for a hidden by wall-ne-1; would be saved by c",
+        "r7: confirmed too late; for a too small",
+        "and 5 more in summary.json",
+        "and 2 more in summary.json",
+        "a-rather-long-name-of-a-pose-0: APR 90.0 %, if one fails 50.0 %, 0.25 s to spare",
+        "sites: pole 100.0 %, mast 25.0 %",
+    ):
+        assert expected in words
+    assert "pose-5" not in text
+
+
+def test_a_terminal_names_what_would_save_runs_once():
+    alike = explained(not_avoided=MISSED[:2])
+    text = " ".join(explanation_text(alike).split())
+    assert text.count("would be saved by c") == text.count("hidden by wall-ne-1") == 1
+    assert text.count("never seen") == 1
+    assert "2 runs are not avoided. r5, r6: never seen; for a hidden" in text
+    text = " ".join(explanation_text(explained(not_avoided=MISSED)).split())
+    assert text.count("saved by c") == 1
+
+
+def test_units_are_told_in_the_singular_and_in_the_plural():
+    first, other = explained()["contributions"]
+    alone = first | {"only_runs": ["r1"], "without": first["without"] | {"apr": 0.0}}
+    assert explanation_text(explained(contributions=[alone])).splitlines()[:2] == [
+        "Why this unit, on the detection table:",
+        "  a: saves 1 run (r1), an APR of 40.0 %",
+    ]
+    idle = alone | {"only_runs": [], "marginal_apr": 0.0}
+    assert explanation_text(explained(contributions=[idle])).splitlines()[:2] == [
+        "Why this unit, on the detection table:",
+        "  This unit avoids nothing.",
+    ]
+    text = explanation_text(explained(contributions=[first, other, other | {"mean_delay_s": 0.0}]))
+    words = " ".join(text.split())
+    assert "Why these units" in words
+    assert "without it what the others save is confirmed 0.30 s later on average" in words
+    assert "without it what the others save is confirmed as early" in words
+
+
+def render(part):
+    """The page's part, with the report's own macros."""
+    folder = files("experiments") / "templates"
+
+    def read(name):
+        return (folder / name).read_text(encoding="utf-8")
+
+    environment = Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=FunctionLoader(read),
+    )
+    macros = read("report.html.j2").partition("<!DOCTYPE")[0]
+    page = environment.from_string(macros + '{% include "explanations.html.j2" %}')
+    return page.render(explained=part)
+
+
+def test_the_report_has_a_section_for_each_question():
+    assert render(report_part(None, {})).strip() == ""
+    page = render(report_part(explained(), {}))
+    assert "Why these poses</h2>" in page
+    assert "every run is avoided" in page
+    assert "Other layouts" not in page
+    assert "<details" not in page
+    page = render(report_part(explained(not_avoided=MISSED, pool=POOL), {"a": "<#1>"}))
+    assert "&lt;#1&gt;" in page
+    assert "Runs that are not avoided</h2>" in page
+    assert "hidden by wall-ne-1 in 20 of 30 frames" in page
+    assert "Other layouts as good</h2>" in page
+    assert "1,234 layouts" in page
+    assert page.count("<table>") == page.count("</table>") == 4
+    assert "4 runs: why, and what would save them" in page
+    assert "1 run: why, and what would save it" in render(
+        report_part(explained(not_avoided=MISSED[:1]), {})
+    )

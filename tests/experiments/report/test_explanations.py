@@ -1,0 +1,120 @@
+"""Explanations as plain objects: what the library has found."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.report.explanation import (
+    explanation_text,
+    missed_table,
+    pool_sentences,
+    summarise_explanations,
+)
+from experiments.study.layout import load_carlancap_layout
+from placement.detection_table import pack_table
+from placement.explain import find_contributions, find_pool, find_unavoided
+from placement.pipeline import place
+from placement.wishes import Wishes
+
+
+@pytest.fixture(scope="module")
+def candidates():
+    return load_carlancap_layout().units
+
+
+@pytest.fixture(scope="module")
+def placement(small_setting, candidates):
+    return place(small_setting, candidates, wishes=Wishes(budget_units=2))
+
+
+@pytest.fixture(scope="module")
+def summary(placement, small_setting, candidates):
+    found = summarise_explanations(placement, small_setting, candidates, n_pool=4, tolerance=0.2)
+    return json.loads(json.dumps(found, allow_nan=False))
+
+
+def test_the_summary_says_what_the_library_found(summary, placement, small_setting, candidates):
+    problem, chosen = placement.problem, placement.pose_index
+    ids = problem.table.pose_ids
+    for record, part in zip(
+        summary["contributions"], find_contributions(problem, chosen), strict=True
+    ):
+        assert record["unit"] == ids[part.pose_index]
+        assert len(record["only_runs"]) == len(part.only_runs)
+        assert record["marginal_apr"] == part.marginal_apr
+        assert record["without"] == part.without._asdict()
+    missed = find_unavoided(small_setting, problem, candidates, chosen)
+    assert [record["run"] for record in summary["not_avoided"]] == [e.run_id for e in missed]
+    pool = find_pool(problem, chosen, n_sets=4, tolerance=0.2)
+    record = summary["pool"]
+    assert record["is_complete"] == (pool.scope == "all")
+    assert record["within"] == pool.n_within
+    assert record["sets"][0]["units"] == [ids[pose] for pose in pool.sets[0].pose_index]
+    assert [entry["apr"] for entry in record["sets"]] == [e.value.apr for e in pool.sets]
+    shares = [entry["share"] for entry in record["poses"]]
+    assert sorted(shares, reverse=True) == shares
+    assert sum(shares) == pytest.approx(pool.pose_share.sum())
+    by_site = {entry["site"]: entry["share"] for entry in record["sites"]}
+    assert set(by_site) <= {candidate.site_id for candidate in candidates}
+    assert max(by_site.values()) == pytest.approx(pool.site_share.max())
+
+
+def test_what_one_unit_misses_is_explained_run_by_run(small_setting, candidates):
+    placement = place(small_setting, candidates[8:9], wishes=Wishes(budget_units=1))
+    found = summarise_explanations(placement, small_setting, candidates[8:9])
+    assert found["pool"] is None
+    assert len(found["not_avoided"]) > 0
+    for entry in found["not_avoided"]:
+        assert entry["unit"] == candidates[8].id
+        assert sum(r["frames"] for r in entry["reasons"]) == (
+            entry["frames_in_time"] - entry["frames_seen"]
+        )
+        assert entry["rescue"] is None  # there is no other candidate
+    assert pool_sentences(found) == []
+    table = missed_table(found)
+    assert len(table["rows"]) == len(found["not_avoided"])
+    text = explanation_text(found)
+    assert f"{len(found['not_avoided'])} runs are not avoided" in " ".join(text.split())
+
+
+def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
+    """The runs of one unit, with weight and without: all lists and counts say the same."""
+    poses = candidates[8:9]
+    everything = place(small_setting, poses, wishes=Wishes(budget_units=1))
+    found = summarise_explanations(everything, small_setting, poses)
+    assert found["runs_without_weight"] == 0
+    missed_runs = {entry["run"] for entry in found["not_avoided"]}
+    saved_runs = set(found["contributions"][0]["only_runs"])
+    axis = small_setting.axis
+    assert missed_runs | saved_runs == set(axis.run_ids)
+    assert missed_runs
+    assert len(saved_runs) > 1
+    out = {*missed_runs, min(saved_runs)}
+    weight = np.array([0.0 if run in out else 1.0 for run in axis.run_ids])
+    weighted = replace(small_setting, axis=replace(axis, weight=weight / weight.sum()))
+    placement = place(weighted, poses, wishes=Wishes(budget_units=1))
+    found = summarise_explanations(placement, weighted, poses)
+    assert found["not_avoided"] == missed_table(found)["rows"] == []
+    assert set(found["contributions"][0]["only_runs"]) == saved_runs - out
+    assert found["contributions"][0]["marginal_apr"] == pytest.approx(1.0)
+    assert found["runs_without_weight"] == len(out)
+    assert "not avoided" not in explanation_text(found)
+
+
+def test_sampled_worlds_are_explained_in_the_world_as_planned(placement, small_setting, candidates):
+    alone = list(placement.pose_index)
+    table = placement.problem.table
+    nominal = replace(
+        placement.problem,
+        table=pack_table(
+            tuple(table.pose_ids[pose] for pose in alone), table.axis, table.detected(alone) & False
+        ),
+        limits=placement.problem.limits.of_poses(np.array(alone)),
+    )
+    sampled = replace(placement, nominal=nominal, nominal_index=tuple(range(len(alone))))
+    found = summarise_explanations(sampled, small_setting, candidates)
+    assert {entry["run"] for entry in found["not_avoided"]} == set(table.axis.run_ids)
+    assert all(entry["rescue"] is None for entry in found["not_avoided"])
+    assert [part["unit"] for part in found["contributions"]] == [table.pose_ids[c] for c in alone]

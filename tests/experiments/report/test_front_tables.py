@@ -1,0 +1,115 @@
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from partial_pages import render_partial
+from small_tables import avoiding_problem
+
+from experiments.export.json import to_json_text
+from experiments.figures.front import plot_front
+from experiments.jobs.pareto import summarise_front
+from experiments.report.front import (
+    front_part,
+    front_rows,
+    proof_sentences,
+    read_front,
+)
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.optimiser import solve_placement
+from placement.optimiser.units_front import front_below, pareto_front
+
+
+@pytest.fixture
+def candidates(camera):
+    pose = Pose(position_m=np.array([0.0, 0.0, 5.0]), yaw_deg=0.0)
+    return [
+        CandidatePose(id=f"p<{index}>", site_id="", pose=pose, sensor=camera) for index in range(8)
+    ]
+
+
+def front_of(n_units):
+    """Every unit of n avoids a run of its own."""
+    rows = ["".join("1" if run == unit else "0" for run in range(8)) for unit in range(8)]
+    problem = avoiding_problem(rows, budget_units=n_units)
+    solution = solve_placement(problem)
+    return problem, front_below(problem, solution.pose_index, solution.certificate)
+
+
+@pytest.mark.parametrize("n_units", [1, 2, 8])
+def test_any_number_of_points_is_shown_with_its_proof(n_units, candidates):
+    problem, front = front_of(n_units)
+    summary = summarise_front(front, problem, candidates)
+    part = front_part(json.loads(to_json_text(summary)))
+    assert [row[0] for row in part["table"]["rows"]] == [str(n + 1) for n in range(n_units)]
+    assert [row[1] for row in part["table"]["rows"]] == [
+        f"{12.5 * (n + 1):.1f} %" for n in range(n_units)
+    ]
+    assert {row[-1] for row in part["table"]["rows"]} == {"proven"}
+    assert "roven" in part["proof"][0]
+    page = render_partial("front.html.j2", front=part)
+    assert page.count("<img") == 1
+    assert "p&lt;0&gt;" in page
+    for sentence in summary["sentences"]:
+        assert sentence in part["sentences"]
+
+
+def test_a_front_survives_its_plain_object(candidates):
+    problem, front = front_of(3)
+    back = read_front(json.loads(to_json_text(summarise_front(front, problem, candidates))))
+    assert [point.value for point in back.points] == [point.value for point in front.points]
+    assert [point.certificate for point in back.points] == [
+        point.certificate for point in front.points
+    ]
+    assert (back.by, back.stages, back.settled) == (front.by, front.stages, front.settled)
+    drawn, again = (
+        [line.get_ydata().tolist() for line in plot_front(one).get_lines()] for one in (front, back)
+    )
+    assert drawn == again
+
+
+def loosened(front, index, stage_index, bound):
+    point = front.points[index]
+    stages = list(point.certificate.stages)
+    stages[stage_index] = replace(stages[stage_index], bound=bound, gap=math.inf)
+    certificate = replace(point.certificate, stages=tuple(stages))
+    points = list(front.points)
+    points[index] = replace(point, certificate=certificate)
+    return replace(front, points=tuple(points))
+
+
+def test_what_is_open_is_said_and_never_called_proven(candidates):
+    problem, front = front_of(2)
+    half = loosened(front, 1, 0, 0.875)
+    assert proof_sentences(half)[0].startswith("1 of 2 points are proven")
+    assert [row[-1] for row in front_rows(half)] == ["proven", "open: APR no more than 87.50 %"]
+    none = loosened(half, 0, 4, 10.0)
+    assert proof_sentences(none)[0].startswith("None of the 2 points is proven")
+    assert front_rows(none)[0][-1] == "open: cost (EUR) no less than 10.000"
+    unknown = loosened(front, 1, 1, math.inf)
+    part = front_part(json.loads(to_json_text(summarise_front(unknown, problem, candidates))))
+    assert part["table"]["rows"][1][-1].startswith("open: nothing is proven of the APR if")
+    _, single = front_of(1)
+    assert proof_sentences(loosened(single, 0, 0, 1.0))[0].startswith("Not proven")
+
+
+def test_a_settled_front_says_from_where_on():
+    front = pareto_front(avoiding_problem(["11", "11", "10"]), max_units=4)
+    assert "from 2 units on nothing grows" in proof_sentences(front)[-1]
+
+
+def test_given_axes_get_the_shares_alone(candidates):
+    _, front = front_of(2)
+    axes = plot_front(front)
+    assert len(axes.figure.axes) == 2
+    other = plot_front(pareto_front(avoiding_problem(["11"]), max_units=1))
+    other.clear()
+    assert plot_front(front, axes=other) is other
+    assert len(other.figure.axes) == 1
+    assert other.get_xlabel() == "units"
+
+
+def test_without_a_front_there_is_no_section():
+    assert render_partial("front.html.j2", front=front_part(None)).strip() == ""

@@ -1,0 +1,164 @@
+import json
+from dataclasses import replace
+
+import geopandas
+import numpy as np
+import pytest
+from shapely import box
+
+from experiments.jobs.planning import build_plan
+from experiments.report.private_ground import (
+    is_decent,
+    load_private_ground,
+    private_sentences,
+    summarise_private_ground,
+)
+from experiments.study.layout import load_carlancap_layout
+from geometry.errors import InputError
+from geometry.frames import to_geographic
+from geometry.scene_files import load_study_scene
+from placement.private_ground import private_shares
+from placement.question import Planning
+from placement.wishes import build_limits
+
+
+@pytest.fixture
+def scene():
+    return load_study_scene()
+
+
+@pytest.fixture
+def garden(scene, tmp_path):
+    """Twenty metres of the north-eastern pavement, as GeoJSON."""
+    corners = np.array([[-110.0, 10.0], [-100.0, 10.0], [-100.0, 12.0], [-110.0, 12.0]])
+    ring = to_geographic(corners, scene.crs).tolist()
+    feature = {
+        "type": "Feature",
+        "properties": {"name": "garden"},
+        "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
+    }
+    path = tmp_path / "garden.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    return path
+
+
+def test_polygons_come_into_the_world_frame(garden, scene):
+    ground = load_private_ground(garden, scene)
+    assert ground.names == ("garden",)
+    assert ground.area_m2 == pytest.approx([20.0], rel=1e-3)
+    low, high = ground.points_m[:, :2].min(axis=0), ground.points_m[:, :2].max(axis=0)
+    assert low == pytest.approx([-109.5, 10.5], abs=0.05)
+    assert high == pytest.approx([-100.5, 11.5], abs=0.05)
+
+
+@pytest.mark.filterwarnings("ignore:'crs' was not provided")
+def test_a_map_of_no_known_place_takes_its_own_coordinates(scene, tmp_path):
+    lost = replace(scene, crs="", source_origin_m=np.array([1000.0, 2000.0]))
+    path = tmp_path / "a.gpkg"
+    frame = geopandas.GeoDataFrame({"name": ["a"]}, geometry=[box(1010, 2010, 1020, 2020)])
+    frame.to_file(path, driver="GPKG")
+    ground = load_private_ground(path, lost)
+    assert ground.points_m[:, :2].min(axis=0) == pytest.approx([10.5, 10.5])
+    frame.set_crs("EPSG:25832").to_file(tmp_path / "b.gpkg", driver="GPKG")
+    with pytest.raises(InputError, match="expected a scene that says where on earth it lies"):
+        load_private_ground(tmp_path / "b.gpkg", lost)
+
+
+def test_poses_that_look_in_are_no_candidates(garden, scene):
+    plan = build_plan(Planning(budget=1, no_look=str(garden)), scene)
+    everything = build_plan(Planning(budget=1), scene)
+    assert 0 < len(plan.candidates) < len(everything.candidates)
+    assert (private_shares(scene, plan.candidates, plan.private) == 0.0).all()
+    some = build_plan(Planning(budget=1, no_look=str(garden), no_look_share=0.5), scene)
+    assert len(plan.candidates) < len(some.candidates) <= len(everything.candidates)
+    summary = summarise_private_ground(plan.candidates[:2], scene, plan.private)
+    assert private_sentences(summary) == ["No camera has the private area in its picture."]
+
+
+def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
+    ground = load_private_ground(garden, scene)
+    units = load_carlancap_layout().units
+    shares = private_shares(scene, units, ground)[:, 0]
+    summary = summarise_private_ground(units, scene, ground)
+    (sentence,) = private_sentences(summary)
+    for unit, share in zip(units, shares, strict=True):
+        assert summary["units"][unit.id] == {"garden": share}
+        assert (f"{unit.id} sees " in sentence) == (share > 0.0)
+    watching = [unit for unit, share in zip(units, shares, strict=True) if share > 0.0]
+    assert watching
+    with pytest.raises(InputError, match=r"--no-look-share: got 0\.0 %; expected at least 0\."):
+        is_decent(private_shares(scene, watching, ground), most=0.0)
+    with pytest.raises(InputError, match="--refine: got it beside --no-look"):
+        build_plan(Planning(budget=1, no_look=str(garden), refine=True), scene)
+
+
+def test_a_price_forbids_nothing_and_counts_every_square_metre(garden, scene):
+    everything = build_plan(Planning(budget=1), scene)
+    plan = build_plan(Planning(budget=1, no_look=str(garden), no_look_price=30.0), scene)
+    assert [c.id for c in plan.candidates] == [c.id for c in everything.candidates]
+    prices = dict(plan.wishes.surcharges_eur)
+    seen_m2 = private_shares(scene, plan.candidates, plan.private)[:, 0] * plan.private.area_m2[0]
+    assert [prices.get(unit.id, 0.0) for unit in plan.candidates] == pytest.approx(30.0 * seen_m2)
+    costs = build_limits(plan.wishes, scene, plan.candidates).unit_cost_eur
+    sensors = np.array([unit.sensor.price_eur for unit in plan.candidates])
+    assert costs == pytest.approx(sensors + 30.0 * seen_m2)
+    both = Planning(budget=1, no_look=str(garden), no_look_price=30.0, no_look_share=0.5)
+    assert len(build_plan(both, scene).candidates) < len(everything.candidates)
+    units = load_carlancap_layout().units
+    summary = summarise_private_ground(units, scene, plan.private, eur_per_m2=30.0)
+    assert summary["price_eur"] == pytest.approx(sum(prices.get(unit.id, 0.0) for unit in units))
+    assert f"{summary['price_eur']:,.0f} EUR, 30 EUR a square" in private_sentences(summary)[1]
+
+
+def test_the_cheapest_layout_looks_away_from_what_has_a_price(garden, run, small_study):
+    """Where any of several cameras does, the price decides which."""
+    common = ("--target", "0.5", "--least", "cost", "--no-look", garden, "--json", "--quiet")
+    free = json.loads(run(*common, "--no-look-share", "1")[1])
+    priced = json.loads(run(*common, "--no-look-price", "1000")[1])
+    assert free["private_ground"]["price_eur"] == 0.0
+    money = priced["cost_eur"] + priced["private_ground"]["price_eur"]
+    assert priced["spent_eur"] == pytest.approx(money)
+    assert priced["private_ground"]["price_eur"] <= 1.0
+
+
+@pytest.mark.parametrize("option", ["--no-look-share", "--no-look-price"])
+def test_what_belongs_to_areas_needs_areas(run, option):
+    code, _, err = run("--budget", 1, option, "0.5")
+    assert code == 2
+    assert err.endswith(f"place-rsus: {option}: got 0.5; expected --no-look beside it\n")
+
+
+@pytest.mark.parametrize("command", ["evaluate", "compare"])
+def test_layouts_are_judged_by_what_they_see_of_private_ground(garden, run, small_study, command):
+    asked = ("--no-look", garden, "--quiet")
+    layouts = ("--layout", "carlancap-12")
+    if command == "compare":
+        layouts = ("carlancap-12", "carlancap-12")
+    summary = json.loads(run(command, *layouts, *asked, "--json")[1])
+    seen = summary["private_ground"]["units"]
+    ground = load_private_ground(garden, load_study_scene())
+    expected = private_shares(load_study_scene(), load_carlancap_layout().units, ground)[:, 0]
+    assert [shares["garden"] for shares in seen.values()] == pytest.approx(expected)
+    if command == "compare":
+        assert summary["compared"][0]["private_ground"] == summary["private_ground"]
+    _, text, _ = run(command, *layouts, *asked)
+    assert "Of private ground, RSU" in text
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{}", "a.geojson"),
+        ('{"type": "FeatureCollection", "features": []}', "a.geojson"),
+        (
+            '{"type": "Feature", "properties": {}, "geometry": {"type": "Point", '
+            '"coordinates": [8.0, 49.0]}}',
+            "no polygon",
+        ),
+    ],
+)
+def test_files_without_areas_are_refused(scene, tmp_path, content, message):
+    path = tmp_path / "a.geojson"
+    path.write_text(content)
+    with pytest.raises(InputError, match=message):
+        load_private_ground(path, scene)

@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+
+from experiments.figures.evaluation import to_png
+from experiments.report.sampled_worlds import (
+    MAX_STAIRCASES,
+    plot_differences,
+    plot_intervals,
+    plot_sampled_apr,
+)
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.layout import Layout
+from placement.sampling import SampledApr
+
+
+@pytest.fixture
+def judged(frame_axis, camera):
+    unit = CandidatePose(
+        id="U1", site_id="", pose=Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0), sensor=camera
+    )
+    generator = np.random.default_rng(3)
+    return [
+        SampledApr(
+            layout=Layout(name=f"_layout ${number}$", units=(unit,)),
+            axis=frame_axis,
+            apr_by_sample=generator.uniform(0.2, 0.8, 6),
+            avoided_share=np.ones(3),
+        )
+        for number in range(MAX_STAIRCASES + 1)
+    ]
+
+
+def dots(axes):
+    return [
+        (container[0].get_xdata()[0], container[0].get_ydata()[0]) for container in axes.containers
+    ]
+
+
+def test_more_layouts_than_styles_have_intervals(judged):
+    axes = plot_sampled_apr(judged)
+    means = [100.0 * item.estimate.mean for item in judged]
+    assert [x for x, _ in dots(axes)] == pytest.approx(means)
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        rf" _layout \${number}\$" for number in range(len(judged))
+    ]
+    low, high = axes.get_ylim()
+    assert low > high  # the first one on top
+    assert to_png(axes).startswith(b"\x89PNG")
+
+
+def test_whiskers_are_the_intervals_and_thin_lines_the_worlds(judged):
+    axes = plot_intervals(judged[:2])
+    for container, item in zip(axes.containers, judged, strict=False):
+        (bar,) = container[2]
+        (segment,) = bar.get_segments()
+        assert segment[:, 0] == pytest.approx(
+            [100.0 * item.estimate.low, 100.0 * item.estimate.high]
+        )
+    spans = [line.get_segments()[0][:, 0] for line in axes.collections[:1]]
+    assert spans[0] == pytest.approx(
+        [100.0 * judged[0].apr_by_sample.min(), 100.0 * judged[0].apr_by_sample.max()]
+    )
+
+
+def test_a_difference_that_may_be_zero_has_an_open_dot():
+    pair = {"first": "a", "second": "b", "mean": 0.1, "low": 0.05, "high": 0.15}
+    axes = plot_differences([pair, {**pair, "low": -0.05}])
+    faces = [container[0].get_markerfacecolor() for container in axes.containers]
+    assert faces[1] == "white"
+    assert faces[0] != "white"
+    labels = [label.get_text() for label in axes.get_yticklabels()]
+    assert labels == ["a\nminus b", "a\nminus b"]
+    low, high = axes.get_xlim()
+    assert low <= -5.0 < 15.0 <= high
+    axes.clear()
+    assert plot_differences([pair], axes=axes) is axes

@@ -1,0 +1,184 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from partial_pages import render_partial
+
+from experiments.figures.evaluation import to_png
+from experiments.report.sensitivity import (
+    TITLES,
+    phrase,
+    plot_sensitivity,
+    sensitivity_part,
+    sensitivity_sentences,
+    sensitivity_table,
+    summarise_sensitivity,
+    value_text,
+)
+from geometry.errors import InputError
+from placement.explain.outcomes import Outcome
+from placement.explain.sensitivity import RANGES, Assumption, Sensitivity, Varied
+
+
+def outcome(apr, margin_s, one_failed=0.5):
+    return Outcome(
+        apr=apr, apr_one_failed=one_failed, smallest_margin_s=margin_s, avoided_share=np.ones(2)
+    )
+
+
+PLANNED = outcome(0.9, 0.5)
+
+
+def sensitivity(name, *varied, planned_value=0.0, left_out=""):
+    return Sensitivity(
+        assumption=Assumption(name=name, values=(1.0,), reason="<so> it is", is_ours=True),
+        planned_value=planned_value,
+        planned=PLANNED,
+        varied=varied,
+        left_out=left_out,
+    )
+
+
+def varied(value, found, *lost, unmoved=()):
+    return Varied(value=value, outcome=found, lost_runs=lost, unmoved=unmoved)
+
+
+@pytest.fixture
+def summary():
+    return summarise_sensitivity(
+        [
+            sensitivity(
+                "latency_s",
+                varied(0.0, outcome(0.9, 0.525)),
+                varied(0.5, outcome(0.9, 0.025)),
+                planned_value=0.025,
+            ),
+            sensitivity("packet_loss", varied(0.2, outcome(0.85, None), "A/north/20")),
+            sensitivity(
+                "deceleration_mps2",
+                varied(5.0, outcome(0.6, 0.7), "A/north/20", "B/north/30"),
+                varied(9.0, outcome(1.0, 0.4)),
+                planned_value=7.72,
+            ),
+            sensitivity("height_m", varied(0.25, outcome(0.9, 0.5), unmoved=("U<1>",))),
+            sensitivity("min_iou", planned_value=None, left_out="no such limit"),
+        ]
+    )
+
+
+def test_the_summary_is_plain_and_has_every_number(summary):
+    assert json.loads(json.dumps(summary)) == summary
+    assert summary["planned"] == {"apr": 0.9, "apr_one_failed": 0.5, "smallest_margin_s": 0.5}
+    brakes = summary["assumptions"][2]
+    assert [value["apr"] for value in brakes["varied"]] == [0.6, 1.0]
+    assert brakes["varied"][0]["lost_runs"] == ["A/north/20", "B/north/30"]
+
+
+def test_the_sentences_name_what_hits_hardest_first(summary):
+    first, second, third = sensitivity_sentences(summary)
+    assert first == (
+        "Of 4 assumptions, varied one at a time, 2 lower the APR of 90.0 % as planned: "
+        "a deceleration of 5 m/s\N{SUPERSCRIPT TWO} (60.0 %); 20 % of the messages lost (85.0 %)."
+    )
+    assert "0.50 s as planned, shrinks most with an end-to-end latency of 500 ms: to 0.03" in second
+    assert third.endswith("inside something: U<1>.")
+
+
+def test_where_nothing_lowers_the_apr_that_is_said():
+    calm = summarise_sensitivity([sensitivity("yaw_deg", varied(2.0, outcome(0.9, 0.5)))])
+    (only,) = sensitivity_sentences(calm)
+    assert "none lowers the APR below the 90.0 %" in only
+    nothing = summarise_sensitivity([sensitivity("min_iou", left_out="no")])
+    assert sensitivity_sentences(nothing) == ["No assumption was varied."]
+    assert sensitivity_part(nothing)["figures"] == []
+
+
+def test_the_table_has_the_plan_and_a_row_for_each_value(summary):
+    table = sensitivity_table(summary)
+    assert len({len(row) for row in table["rows"]} | {len(table["columns"])}) == 1
+    assert table["rows"][0][3:6] == ["90.0 %", "50.0 %", "0.50"]
+    rows = [row for row in table["rows"] if row[0] == "deceleration"]
+    assert rows[0] == [
+        "deceleration", "7.72 m/s\N{SUPERSCRIPT TWO}", "5 m/s\N{SUPERSCRIPT TWO}",
+        "60.0 %", "50.0 %", "0.70", "2",
+    ]  # fmt: skip
+    (lost,) = (row for row in table["rows"] if row[0] == "messages lost")
+    assert lost[5] == "by chance"
+    (left_out,) = (row for row in table["rows"] if row[0] == TITLES["min_iou"])
+    assert left_out[2] == "no such limit"
+
+
+def bars(axes):
+    return {
+        patch.get_gid(): (patch.get_x(), patch.get_x() + patch.get_width())
+        for container in axes.containers
+        for patch in container.patches
+    }
+
+
+def test_bars_reach_from_the_plan_to_the_worst_and_the_best(summary):
+    axes = plot_sensitivity(summary)
+    found = bars(axes)
+    assert found["deceleration_mps2 worse"] == pytest.approx((60.0, 90.0))
+    assert found["deceleration_mps2 better"] == pytest.approx((90.0, 100.0))
+    assert found["packet_loss worse"] == pytest.approx((85.0, 90.0))
+    assert not [name for name in found if name.startswith(("latency", "height"))]
+    # The widest on top; told apart without colour.
+    labels = [label.get_text() for label in axes.get_yticklabels()]
+    assert labels[-1] == "deceleration"
+    assert TITLES["min_iou"] not in labels
+    hatches = {patch.get_hatch() for group in axes.containers for patch in group.patches}
+    assert len(hatches) == 2
+    assert to_png(axes).startswith(b"\x89PNG")
+
+
+def test_times_have_a_star_where_runs_are_lost_and_no_bar_where_chance_decides(summary):
+    axes = plot_sensitivity(summary, quantity="smallest_margin_s")
+    texts = [text.get_text() for text in axes.texts]
+    assert "5 m/s\N{SUPERSCRIPT TWO}*" in texts
+    assert "left to chance" in texts
+    assert bars(axes)["latency_s worse"] == pytest.approx((0.025, 0.5))
+    with pytest.raises(InputError, match="quantity"):
+        plot_sensitivity(summary, quantity="colour")
+
+
+def test_given_axes_are_drawn_on(summary):
+    axes = plot_sensitivity(summary)
+    axes.clear()
+    assert plot_sensitivity(summary, axes=axes) is axes
+
+
+def test_the_section_shows_all_and_escapes_names(summary):
+    part = sensitivity_part(summary)
+    assert len(part["figures"]) == 2
+    assert all(len(picture.alt) > 40 for picture in part["figures"])
+    page = render_partial("sensitivity.html.j2", sensitivity=part)
+    assert page.count("<img") == page.count('alt="Bars of the') == 2
+    assert "U&lt;1&gt;" in page
+    assert "&lt;so&gt; it is" in page
+    assert "A/north/20, B/north/30" in page
+    assert render_partial("sensitivity.html.j2", sensitivity=sensitivity_part(None)).strip() == ""
+
+
+def test_where_nothing_is_avoided_the_figures_still_stand():
+    nothing = replace(PLANNED, apr=0.0, smallest_margin_s=None)
+    summary = summarise_sensitivity(
+        [
+            replace(
+                sensitivity("yaw_deg", varied(2.0, nothing), varied(4.0, outcome(0.1, 0.2))),
+                planned=nothing,
+            )
+        ]
+    )
+    page = sensitivity_part(summary)
+    assert len(page["figures"]) == 2
+    assert page["table"]["rows"][0][5] == "\N{EN DASH}"
+
+
+def test_every_assumption_has_words():
+    assert set(TITLES) == set(RANGES)
+    for name in RANGES:
+        assert value_text(name, 1.0) in phrase(name, 1.0)
+    assert value_text("height_m", -0.25) == "\N{MINUS SIGN}25 cm"
+    assert value_text("yaw_deg", 2.0) == "+2\N{DEGREE SIGN}"

@@ -1,0 +1,251 @@
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.figures.evaluation import to_png
+from experiments.report.sampled_worlds import (
+    plot_sampled_apr,
+    summarise_uncertainty,
+    uncertainty_record,
+    uncertainty_sentences,
+    uncertainty_text,
+    what_is_uncertain,
+)
+from geometry.errors import InputError
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.latency import load_latency_budget
+from placement.layout import Layout
+from placement.sampling import (
+    LatencyJitter,
+    SampledApr,
+    Uncertainty,
+    load_uncertainty,
+)
+
+
+@pytest.fixture
+def judge(frame_axis, camera):
+    unit = CandidatePose(
+        id="U1", site_id="", pose=Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0), sensor=camera
+    )
+
+    def build(name, apr_by_sample, avoided_share=(1.0, 0.5, 0.25)):
+        return SampledApr(
+            layout=Layout(name=name, units=(unit,)),
+            axis=frame_axis,
+            apr_by_sample=apr_by_sample,
+            avoided_share=np.array(avoided_share),
+        )
+
+    return build
+
+
+@pytest.fixture
+def judged(judge):
+    return [judge("best-3", [0.9, 0.8, 1.0, 0.9]), judge("study", [0.5, 0.5, 0.6, 0.5])]
+
+
+@pytest.fixture
+def summary(judged):
+    return summarise_uncertainty(
+        judged,
+        load_uncertainty(),
+        tail=0.5,
+        seed=7,
+        planned_apr={"best-3": 1.0, "study": 0.55},
+        chosen_apr={"best-3": 0.95},
+    )
+
+
+def test_the_summary_holds_the_numbers_of_the_judgement(summary, judged):
+    assert (summary["samples"], summary["seed"], summary["tail"]) == (4, 7, 0.5)
+    ours, theirs = summary["layouts"]
+    assert (ours["name"], theirs["name"]) == ("best-3", "study")
+    assert (ours["planned"], ours["in_sample"]) == (1.0, 0.95)
+    assert (theirs["planned"], theirs["in_sample"]) == (0.55, None)
+    assert ours["mean"] == pytest.approx(0.9)
+    assert ours["cvar"] == pytest.approx(0.85)
+    assert ours["worst"] == 0.8
+    assert ours["apr_by_sample"] == [0.9, 0.8, 1.0, 0.9]
+    assert (ours["low"], ours["high"]) == (judged[0].estimate.low, judged[0].estimate.high)
+    assert ours["least_sure_runs"] == [
+        {"run": "B/north/20", "avoided_share": 0.25},
+        {"run": "A/north/30", "avoided_share": 0.5},
+    ]
+
+
+def test_a_gain_is_taken_world_by_world(summary, judge):
+    (gain,) = summary["gains"]
+    assert gain["over"] == "study"
+    assert gain["mean"] == pytest.approx(0.375)
+    differences = np.array([0.4, 0.3, 0.4, 0.4])
+    assert gain["standard_error"] == pytest.approx(differences.std(ddof=1) / 2.0)
+    # Worlds that are bad for both take nothing from a difference that is always the same.
+    pair = [judge("a", np.linspace(0.1, 0.9, 60) + 0.05), judge("b", np.linspace(0.1, 0.9, 60))]
+    (sure,) = summarise_uncertainty(pair, Uncertainty(), tail=1.0, seed=0)["gains"]
+    assert sure["mean"] == pytest.approx(0.05)
+    assert 0.0 <= sure["high"] - sure["low"] < 0.15
+
+
+def test_the_summary_is_plain_json(summary):
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+
+
+def test_what_is_uncertain_is_recorded_under_the_names_of_its_file(summary):
+    record = summary["uncertainty"]
+    assert record["name"] == "default"
+    assert record["mounting"] == {"yaw_sd_deg": 1.0, "pitch_sd_deg": 1.0, "height_sd_m": 0.05}
+    assert record["messages"] == {"packet_loss": 0.05}
+    assert record["detector"] == {"is_drawn": True}
+    assert "vehicles" not in record["traffic"]
+    assert record["traffic"]["waiting_share"] == load_uncertainty().traffic.waiting_share
+    assert [kind["name"] for kind in record["vehicles"]][-1] == "bus"
+    drawn = Uncertainty(latency=LatencyJitter(budget=load_latency_budget("cpm-50ms")))
+    assert uncertainty_record(drawn)["latency"] == {"budget": "cpm-50ms", "drawn_per": "run"}
+
+
+def test_sentences_say_mean_interval_plan_tail_gain_and_what_is_least_sure(summary):
+    first, chosen, tail, gain, unsure = uncertainty_sentences(summary)
+    low, high = (summary["layouts"][0][key] for key in ("low", "high"))
+    assert first.startswith("In 4 fresh sampled worlds (units off by 1\N{DEGREE SIGN} in yaw, ")
+    assert first.endswith(
+        "best-3 avoids 90.0 % of the accidents on average (95 % interval: Student's t, 4 samples: "
+        f"{100 * low:.1f} % to {100 * high:.1f} %); as planned 100.0 %."
+    )
+    assert chosen == (
+        "In the worlds that it was chosen in, it avoids 95.0 %: a choice looks better where it "
+        "was made."
+    )
+    assert tail == (
+        "In the worst 50.0 % of these worlds it avoids 85.0 % on average, in the very worst 80.0 %."
+    )
+    assert gain.startswith("best-3 avoids 37.5 points more than study (95 % interval 29.5 to 45.5)")
+    assert unsure == (
+        "Least sure, with the share of worlds that avoid them: B/north/20 (25.0 %), "
+        "A/north/30 (50.0 %)."
+    )
+
+
+def test_sentences_say_when_a_difference_is_not_sure_or_a_loss(judge):
+    close = [judge("a", [0.5, 0.6, 0.5]), judge("b", [0.55, 0.5, 0.5])]
+    said = uncertainty_sentences(summarise_uncertainty(close, Uncertainty(), tail=1.0, seed=0))
+    assert any(s.startswith("Between a and b there is no sure difference") for s in said)
+    assert "(nothing is uncertain)" in said[0]
+    assert "as planned" not in said[0]
+    worse = [judge("a", [0.5, 0.51, 0.5]), judge("b", [0.9, 0.9, 0.91])]
+    said = uncertainty_sentences(summarise_uncertainty(worse, Uncertainty(), tail=1.0, seed=0))
+    assert any(s.startswith("a avoids 40.0 points less than b") for s in said)
+
+
+def test_nothing_is_least_sure_where_all_is_avoided(judge, frame_axis):
+    sure = judge("a", [1.0, 1.0], avoided_share=(1.0, 1.0, 1.0))
+    summary = summarise_uncertainty([sure], Uncertainty(), tail=1.0, seed=0)
+    assert summary["layouts"][0]["least_sure_runs"] == []
+    assert not any("Least sure" in s for s in uncertainty_sentences(summary))
+    # A run of no weight is nobody's worry.
+    free = replace(frame_axis, weight=np.array([0.5, 0.5, 0.0]))
+    item = replace(judge("a", [1.0]), axis=free, avoided_share=np.array([1.0, 1.0, 0.0]))
+    alone = summarise_uncertainty([item], Uncertainty(), tail=1.0, seed=0)
+    assert alone["layouts"][0]["least_sure_runs"] == []
+    assert math.isnan(alone["layouts"][0]["standard_error"])
+
+
+def test_every_uncertainty_has_its_words(judge):
+    def words(uncertainty):
+        item = judge("a", [1.0])
+        return what_is_uncertain(summarise_uncertainty([item], uncertainty, tail=1.0, seed=0))
+
+    assert words(load_uncertainty()) == (
+        "units off by 1\N{DEGREE SIGN} in yaw, 1\N{DEGREE SIGN} in pitch and 5 cm in height, "
+        "messages 10 ms later on average, 5.0 % of the messages lost, detections drawn where the "
+        "detector gives a probability, 50.0 % of the parking places taken, vehicles waiting in "
+        "30.0 % of the lanes"
+    )
+    drawn = Uncertainty(latency=LatencyJitter(budget=load_latency_budget("cpm-50ms")))
+    assert words(drawn) == "latency drawn from the budget cpm-50ms"
+
+
+def test_the_text_is_a_table_of_80_columns(summary):
+    lines = uncertainty_text(summary).split("\n")
+    assert len(lines) == 4
+    assert max(map(len, lines)) <= 80
+    assert lines[0] == "APR in 4 fresh sampled worlds, uncertainty default"
+    heads, ours, theirs = (line.split() for line in lines[1:])
+    assert heads[:3] == ["layout", "planned", "mean"]
+    assert ours[0] == "best-3"
+    assert ours[1:5] == ["100.0", "%", "90.0", "%"]
+    assert theirs[0] == "study"
+
+
+def test_long_names_are_cut_in_the_text(judge):
+    item = judge("a layout with a name that goes on and on", [0.5, 0.6])
+    text = uncertainty_text(summarise_uncertainty([item], Uncertainty(), tail=0.1, seed=0))
+    assert "a layout with a nam\N{HORIZONTAL ELLIPSIS}" in text
+    assert max(map(len, text.split("\n"))) <= 80
+
+
+def test_what_was_not_judged_alike_is_not_compared(judge):
+    for items, got in (
+        ([], "layouts: got none"),
+        ([judge("a", [1.0]), judge("b", [1.0, 1.0])], r"samples: got \[1, 2\]"),
+    ):
+        with pytest.raises(InputError, match=got):
+            summarise_uncertainty(items, Uncertainty(), tail=1.0, seed=0)
+
+
+# Figure
+
+
+def test_the_figure_shows_the_share_of_worlds_below_each_apr(judged):
+    axes = plot_sampled_apr(judged)
+    stairs = [line for line in axes.lines if len(line.get_xdata()) > 4]
+    for line, item in zip(stairs, judged, strict=True):
+        x, y = np.array(line.get_xdata(), dtype=float), np.array(line.get_ydata(), dtype=float)
+        for value in np.unique(item.apr_by_sample):
+            expected = (item.apr_by_sample <= value).mean()
+            assert y[np.isclose(x, value)].max() == pytest.approx(expected)
+    assert to_png(axes).startswith(b"\x89PNG")
+
+
+def test_layouts_are_told_apart_without_colour(judged):
+    axes = plot_sampled_apr(judged)
+    stairs = [line for line in axes.lines if len(line.get_xdata()) > 4]
+    assert len({line.get_linestyle() for line in stairs}) == 2
+    handles, labels = axes.get_legend_handles_labels()
+    assert labels == ["best-3: mean 90.0 %", "study: mean 52.5 %"]
+    marks = {handle[0].get_marker() for handle in handles}
+    assert len(marks) == 2
+    assert np.diff([handle[0].get_xdata()[0] for handle in handles]) == pytest.approx([-0.375])
+
+
+def test_one_world_alone_can_be_drawn(judge):
+    assert to_png(plot_sampled_apr([judge("a", [0.7])])).startswith(b"\x89PNG")
+
+
+def test_a_figure_without_layouts_is_refused():
+    with pytest.raises(InputError, match="layouts: got none"):
+        plot_sampled_apr([])
+
+
+# Pairs
+
+
+def test_every_pair_of_layouts_is_compared_world_by_world(judge):
+    judged = [
+        judge("a", [0.9, 0.8, 1.0, 0.9]),
+        judge("b", [0.5, 0.9, 1.0, 0.5]),
+        judge("c", [0.6, 0.6, 0.6, 0.6]),
+    ]
+    summary = summarise_uncertainty(judged, load_uncertainty(), tail=1.0, seed=0)
+    named = {(pair["first"], pair["second"]): pair for pair in summary["pairs"]}
+    assert list(named) == [("a", "b"), ("a", "c"), ("b", "c")]
+    first = named["a", "b"]
+    assert (first["more_share"], first["equal_share"], first["less_share"]) == (0.5, 0.25, 0.25)
+    assert first["mean"] == pytest.approx(np.mean([0.4, -0.1, 0.0, 0.4]))
+    assert named["a", "c"]["mean"] == pytest.approx(summary["gains"][1]["mean"])
+    assert named["a", "c"]["low"] == pytest.approx(summary["gains"][1]["low"])
+    json.dumps(summary)

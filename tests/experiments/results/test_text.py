@@ -1,0 +1,247 @@
+import re
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from experiments.results.text import (
+    comparison_table,
+    evaluation_table,
+    percent,
+    placement_table,
+)
+
+OUT = Path("results/latest")
+NAN = float("nan")
+
+
+def ratios(n_cases, start=0.5):
+    """APR of all runs, and of each case another."""
+    return {
+        "all": start,
+        "by_case": {f"CBTAfs-{100 + case}": (start + 0.01 * case) % 1.0 for case in range(n_cases)},
+    }
+
+
+def unit(unit_id):
+    return {
+        "id": unit_id,
+        "site": "corner-ne",
+        "x_m": -115.4,
+        "y_m": 8.85,
+        "z_m": 5.0,
+        "yaw_deg": -135.0,
+        "pitch_deg": -45.0,
+    }
+
+
+def evaluation_summary(n_cases, ids, name="mine"):
+    return {
+        "name": name,
+        "runs": 240,
+        "layout": [unit(unit_id) for unit_id in ids],
+        "cost_eur": 4000.0 * len(ids),
+        "evaluation": {
+            "units": {
+                unit_id: ratios(n_cases, 0.1 + 0.05 * index) for index, unit_id in enumerate(ids)
+            },
+            "rsu_all": ratios(n_cases, 0.9),
+            "vut_and_rsus": ratios(n_cases, 1.0),
+            "vut": ratios(n_cases, 0.3),
+        },
+    }
+
+
+def comparison_summary(n_cases, name="mine", other="carlancap-12", gained=(), lost=()):
+    baseline = {"rsu_all": ratios(n_cases, 0.4), "vut_and_rsus": ratios(n_cases, 0.6)}
+    runs = {"runs_gained": list(gained), "runs_lost": list(lost)}
+    return evaluation_summary(n_cases, ["U1"], name) | {
+        "baseline_name": other,
+        "baseline": baseline,
+        "compared": [{"name": other, "evaluation": baseline, **runs}],
+    }
+
+
+def placement_summary(n_cases, ids=("U1", "U2", "U3"), gap=0.0):
+    return comparison_summary(n_cases) | {
+        "layout": [unit(unit_id) for unit_id in ids],
+        "candidates": 5772,
+        "fusion": "any",
+        "stages": [
+            {"name": "apr", "objective": 0.97, "bound": 0.97, "gap": 0.0},
+            {"name": "apr_one_failed", "objective": 0.9, "bound": 0.9, "gap": 0.0},
+            {"name": "smallest_margin_s", "objective": 2.305, "bound": 2.305, "gap": 0.0},
+            {"name": "mean_margin_s", "objective": 6.718, "bound": 6.756, "gap": gap},
+        ],
+        "greedy": {"rsu_all": ratios(n_cases, 0.7)},
+        "surrogate_disagreement": 0.0004,
+        "disagreements": [],
+    }
+
+
+def cells(text):
+    """What the table of ratios says: by case, its ratios from left to right, blocks joined."""
+    found = {}
+    for line in text.splitlines():
+        if match := re.match(r"  (all runs|CBTAfs-\d+) +(.*%.*)$", line):
+            found.setdefault(match[1], []).extend(re.split(r"(?<=%) +", match[2]))
+    return found
+
+
+def expected(*parties):
+    rows = {"all runs": [percent(party["all"]) for party in parties]}
+    for case in parties[0]["by_case"]:
+        rows[case] = [percent(party["by_case"][case]) for party in parties]
+    return rows
+
+
+@pytest.mark.parametrize(("n_cases", "n_units"), [*product([1, 3, 13, 25], [1, 5, 12])])
+def test_an_evaluation_shows_every_ratio_once_in_80_columns(n_cases, n_units):
+    ids = [f"RSU{index}" for index in range(n_units)]
+    summary = evaluation_summary(n_cases, ids)
+    text = evaluation_table(summary, OUT)
+    assert all(len(line) <= 80 and line == line.rstrip() for line in text.splitlines())
+    evaluation = summary["evaluation"]
+    assert cells(text) == expected(
+        *evaluation["units"].values(),
+        evaluation["rsu_all"],
+        evaluation["vut_and_rsus"],
+        evaluation["vut"],
+    )
+    heads = [line for line in text.splitlines() if line.startswith("  APR")]
+    assert "".join(heads).split("APR", 1)[1].split()[0] == "RSU0"
+    assert all(f" {unit_id}" in "".join(heads) for unit_id in ids)
+
+
+@pytest.mark.parametrize("n_cases", [1, 13, 25])
+def test_a_placement_shows_every_ratio_once_in_80_columns(n_cases):
+    summary = placement_summary(n_cases)
+    text = placement_table(summary, OUT)
+    assert all(len(line) <= 80 for line in text.splitlines())
+    evaluation = summary["evaluation"]
+    assert cells(text) == expected(
+        evaluation["rsu_all"],
+        evaluation["vut_and_rsus"],
+        evaluation["vut"],
+        summary["greedy"]["rsu_all"],
+        summary["baseline"]["rsu_all"],
+    )
+    assert "disagree on <0.1 % of the runs." in text
+    assert "fused: in each frame, any of the units may detect; greedy: " in text
+
+
+def test_the_first_five_disagreements_are_told_and_how_many_more_there_are():
+    entry = {
+        "party": "corner-ne/5m/-135/-45",
+        "run_id": "CBTAfs-100/north/20",
+        "on_table": True,
+        "n_frames": 3,
+        "cause": "sample points and pixels differ at the limit (40.1 px high, 52 % seen, IoU 0.51)",
+    }
+    for n_entries in (1, 5, 7):
+        entries = [entry | {"on_table": index % 2 == 0} for index in range(n_entries)]
+        text = placement_table(placement_summary(1) | {"disagreements": entries}, OUT)
+        assert all(len(line) <= 80 for line in text.splitlines())
+        words = " ".join(text.split())
+        told = "corner-ne/5m/-135/-45 in CBTAfs-100/north/20: only the"
+        assert words.count(told) == min(n_entries, 5)
+        assert words.count(f"{told} table avoids; {entry['cause']}") == min((n_entries + 1) // 2, 3)
+        assert ("and 2 more in summary.json" in words) == (n_entries == 7)
+
+
+def test_road_users_that_announce_themselves_have_columns_where_there_are_any():
+    summary = evaluation_summary(3, ["U1"])
+    assert "VAM" not in evaluation_table(summary, None)
+    evaluation = summary["evaluation"]
+    evaluation |= {"vam": ratios(3, 0.2), "all_sources": ratios(3, 0.95)}
+    text = evaluation_table(summary, None)
+    assert cells(text) == expected(
+        evaluation["units"]["U1"],
+        *(evaluation[key] for key in ("rsu_all", "vut_and_rsus", "vut", "vam", "all_sources")),
+    )
+
+
+def test_the_sensors_cost_is_that_of_all_units():
+    text = evaluation_table(evaluation_summary(1, ["U1", "U2", "U3"]), None)
+    assert "  sensors: 12,000 EUR by the catalogue, without poles or mounting\n" in text
+
+
+@pytest.mark.parametrize("n_cases", [1, 13, 25])
+def test_a_comparison_shows_every_ratio_once_and_the_runs_that_differ(n_cases):
+    gained = [f"CBTAfs-{100 + run}/north/{run}" for run in range(60)]
+    summary = comparison_summary(n_cases, gained=gained)
+    text = comparison_table(summary, OUT)
+    assert all(len(line) <= 80 for line in text.splitlines())
+    evaluation, baseline = summary["evaluation"], summary["baseline"]
+    assert cells(text) == expected(
+        evaluation["rsu_all"],
+        evaluation["vut_and_rsus"],
+        baseline["rsu_all"],
+        baseline["vut_and_rsus"],
+        evaluation["vut"],
+    )
+    assert all(run in text for run in gained)
+    assert "  runs lost:   none" in text
+
+
+@pytest.mark.parametrize(
+    "name", ["x" * 70, "a layout with a name of many words, none of them short", "-", "$x^{"]
+)
+def test_long_names_are_broken_not_cut(name):
+    text = comparison_table(comparison_summary(13, name=name), OUT)
+    lines = text.splitlines()
+    assert all(len(line) <= 80 for line in lines)
+    title_end = next(index for index, line in enumerate(lines) if "240 runs:" in line)
+    heads = lines[title_end + 1 : next(i for i, line in enumerate(lines) if "all runs" in line)]
+    width = len("CBTAfs-100") + 4
+    first_column = "".join(line[width : width + 13] for line in heads)
+    assert first_column.replace(" ", "") == name.replace(" ", "")
+
+
+@pytest.mark.parametrize(("n_units", "n_blocks"), [(1, 1), (3, 1), (4, 1), (5, 2), (12, 3)])
+def test_columns_are_narrower_where_that_saves_a_block(n_units, n_blocks):
+    ids = [f"U{index}" for index in range(n_units)]
+    text = evaluation_table(evaluation_summary(13, ids), None)
+    assert text.count("all runs") == n_blocks
+
+
+def test_ids_are_cut_in_no_table_up_to_22_letters():
+    ids = ["corner-ne/5m/-135/-45", "corner-ne/5m/-135/-30"]
+    lines = evaluation_table(evaluation_summary(3, ids), None).splitlines()
+    assert [line.split()[0] for line in lines[2:4]] == ids
+    assert all(len(line) <= 80 for line in lines)
+
+
+def test_a_case_without_weight_has_a_dash():
+    summary = evaluation_summary(2, ["U1"])
+    for party in (summary["evaluation"][key] for key in ("rsu_all", "vut_and_rsus", "vut")):
+        party["by_case"]["CBTAfs-101"] = NAN
+    summary["evaluation"]["units"]["U1"]["by_case"]["CBTAfs-101"] = NAN
+    text = evaluation_table(summary, None)
+    assert "nan" not in text
+    (row,) = (line for line in text.splitlines() if "CBTAfs-101" in line)
+    assert row.split()[1:] == ["\N{EN DASH}"] * 4
+
+
+@pytest.mark.parametrize(
+    ("gap", "words"), [(0.0, "proven"), (0.0056, "0.56 %"), (float("inf"), "open")]
+)
+def test_a_gap_is_proven_or_a_number_or_open(gap, words):
+    (row,) = (
+        line
+        for line in placement_table(placement_summary(1, gap=gap), OUT).splitlines()
+        if line.startswith("  mean margin")
+    )
+    assert row.endswith(f" {words}")
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(1.0, "100.0 %"), (0.9996, ">99.9 %"), (0.9994, "99.9 %"), (0.0, "0.0 %"), (0.0004, "<0.1 %")],
+)
+def test_percent_never_rounds_to_all_or_nothing(share, text):
+    assert percent(share) == text
+
+
+def test_percent_of_nothing_is_a_dash():
+    assert percent(NAN) == "\N{EN DASH}"

@@ -1,0 +1,85 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.study import reproduction
+from experiments.study.reproduction import (
+    Variant,
+    build_variants,
+    load_published,
+    quantities,
+    write_reproduction,
+)
+from geometry.errors import InputError
+from placement.evaluation import apr, detected_share
+from placement.evaluator import evaluate_layout
+from placement.layout import Layout
+from scenarios.exposure import weight_per_run
+from scenarios.runs import build_frame_axis
+
+SOME = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50", "CPNC-50/west/20")
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Two variants of the study on four of its runs."""
+
+    variants = []
+    for variant in (build_variants()[0], build_variants()[-1]):
+        runs = tuple(run for run in variant.setting.runs if run.id in SOME)
+        axis = build_frame_axis(runs, weight_per_run(runs))
+        setting = replace(variant.setting, runs=runs, axis=axis)
+        variants.append(Variant(name=variant.name, setting=setting, layout=variant.layout))
+    return tuple(variants)
+
+
+def test_the_published_figures_are_those_of_the_study():
+    # CarlaNCAP study, results in daylight.
+    figures = {(figure.quantity, figure.case): figure.value for figure in load_published()}
+    assert figures["frames of the VUT", "CPNC-50"] == 0.1397
+    assert figures["frames of the VUT", "CBLA"] == 0.8920
+    assert figures["frames of the VUT", "CBNA"] == 0.0512
+    assert figures["frames of any RSU", "CPNC-50"] == 0.9893
+    assert figures["APR of the VUT", "CPNC-50"] == 0.6563
+    assert {f.use for f in load_published()} == {"set by it", "compared"}
+
+
+def test_quantities_are_shares_by_case(small):
+    units = small[0].layout.units[2:4]
+    evaluation = evaluate_layout(Layout(name="two", units=units), small[0].setting)
+    found = quantities(evaluation)
+    axis = evaluation.axis
+    for case in ("CPNC-50", "CBNA", "CBLA"):
+        mask = np.array(axis.cases) == case
+        assert found["APR of the VUT", case] == apr(evaluation.vut, axis, mask)
+        assert found["frames of any RSU", case] == detected_share(evaluation.rsu_all, axis, mask)
+        assert found["APR of RSU3", case] == apr(evaluation.units["RSU3"], axis, mask)
+
+
+def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkeypatch):
+    monkeypatch.setattr(reproduction, "build_variants", lambda: small)
+    monkeypatch.setattr(reproduction, "DETECTORS", ())
+    stages = []
+    write_reproduction(tmp_path, workers=2, on_progress=lambda *step: stages.append(step))
+    text = (tmp_path / "reproduction.md").read_text(encoding="utf-8")
+    for figure in load_published():
+        assert f"| {figure.quantity} | {figure.case} | {100 * figure.value:.2f} % |" in text
+    assert "| field of view 90 deg, not 110 |" in text
+    assert "## Predictions" in text
+    assert (tmp_path / "reproduction_heatmaps.png").read_bytes().startswith(b"\x89PNG")
+    assert stages[0] == ("evaluate variants", 0, 2)
+    assert sorted(path.name for path in Path(tmp_path).iterdir()) == [
+        "reproduction.md",
+        "reproduction_heatmaps.png",
+    ]
+
+
+def test_a_use_that_does_not_exist_is_named(monkeypatch):
+    entry = {"quantity": "x", "case": "y", "value": 0.5, "use": "fitted", "depends_on": "z"}
+    monkeypatch.setattr(reproduction, "load_toml", lambda source: {"figures": [entry]})
+    load_published.cache_clear()
+    with pytest.raises(InputError, match=r"figures\[0\].use: got 'fitted'"):
+        load_published()
+    load_published.cache_clear()

@@ -1,0 +1,94 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.errors import InputError
+from geometry.maps.importing import ReadingOptions, read_map
+from geometry.maps.junctions import choose_junction, survey_junctions
+from geometry.maps.source_map import MapJunction, MapLane, SourceMap
+
+SQUARE_M = 8.0 * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
+
+
+def junction(name, middle, n_arms):
+    turns = np.radians(90.0 * np.arange(n_arms))
+    lanes = []
+    for index, (east, north) in enumerate(np.stack([np.cos(turns), np.sin(turns)], axis=1)):
+        for is_in, side in ((True, 1.5), (False, -1.5)):
+            near, far = (
+                np.array([r * east - side * north, r * north + side * east]) + middle
+                for r in (8.0, 60.0)
+            )
+            points = np.array([far, near] if is_in else [near, far])
+            lanes.append(
+                MapLane(
+                    id=f"{name}-{index}-{is_in}",
+                    kind="driving",
+                    width_m=3.0,
+                    centreline_m=np.column_stack([points, np.zeros(2)]),
+                    to_junction=name if is_in else "",
+                    from_junction="" if is_in else name,
+                )
+            )
+    return MapJunction(id=name, name=f"{name} Street", outline_m=SQUARE_M + middle), lanes
+
+
+@pytest.fixture
+def source():
+    parts = [
+        junction("small", (0.0, 0.0), 3),
+        junction("large", (500.0, 0.0), 4),
+        junction("other", (900.0, 0.0), 3),
+    ]
+    return SourceMap(
+        name="m.xodr",
+        crs="",
+        junctions=tuple(one for one, _ in parts),
+        lanes=tuple(lane for _, lanes in parts for lane in lanes),
+    )
+
+
+def test_junctions_are_listed_by_arms_and_the_first_is_taken(source):
+    found = survey_junctions(source)
+    assert [(one.junction.id, len(one.arms), one.n_lanes) for one in found] == [
+        ("large", 4, 8),
+        ("other", 3, 6),  # nearer to the middle of the map
+        ("small", 3, 6),
+    ]
+    assert choose_junction(source, found).junction.id == "large"
+    assert choose_junction(source, found, name="OTHER street").junction.id == "other"
+    assert choose_junction(source, found, name="small").junction.id == "small"
+    assert choose_junction(source, found, at=(910.0, 30.0)).junction.id == "other"
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ({"name": "street"}, "--junction: got 'street'; expected one of large"),
+        ({"name": "lane"}, "--junction: got 'lane'"),
+        ({"at": (0.0, 500.0)}, "X,Y: it is the other way round"),
+        ({"at": (0.0, 300.0)}, "the nearest one, small, is at 0, 0"),
+    ],
+)
+def test_who_is_not_meant_is_told(source, choice, message):
+    with pytest.raises(InputError, match=message):
+        choose_junction(source, survey_junctions(source), **choice)
+
+
+def test_a_map_without_junctions_is_told(source):
+    empty = replace(source, junctions=())
+    with pytest.raises(InputError, match=r"m\.xodr: got no junction; expected a map in which"):
+        choose_junction(empty, survey_junctions(empty))
+
+
+def test_a_junction_that_no_lane_reaches_has_no_arms(source):
+    lonely = MapJunction(id="lonely", name="", outline_m=SQUARE_M + 5000.0)
+    found = survey_junctions(replace(source, junctions=(*source.junctions, lonely)))
+    assert found[-1].arms == ()
+
+
+@pytest.mark.parametrize("crs", ["nonsense", "EPSG:4326", "EPSG:2263"])
+def test_a_crs_that_is_no_plane_in_metres_is_refused_before_reading(tmp_path, crs):
+    with pytest.raises(InputError, match="--crs: got"):
+        read_map(tmp_path / "gone.osm", ReadingOptions(crs=crs))

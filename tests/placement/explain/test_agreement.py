@@ -1,0 +1,96 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.study.layout import load_carlancap_layout
+from geometry.scene_files import load_study_scene
+from placement.detection_table import pack_table
+from placement.detectors import load_planning_detector
+from placement.evaluator import evaluate_layout
+from placement.explain.agreement import FUSED, find_disagreements
+from placement.layout import Layout
+from placement.setting import Links, Setting
+from placement.visibility import build_detection_table
+from scenarios.exposure import weight_per_run
+from scenarios.runs import build_frame_axis
+
+RUNS = ("CPNC-50/east/40", "CBLA/east/50")
+
+
+@pytest.fixture(scope="module")
+def setting(runs, rule):
+    few = tuple(run for run in runs if run.id in RUNS)
+    return Setting(
+        scene=load_study_scene(),
+        runs=few,
+        axis=build_frame_axis(few, weight_per_run(few)),
+        rule=rule,
+        detector=load_planning_detector(),
+        planner=load_planning_detector(),
+    )
+
+
+@pytest.fixture(scope="module")
+def layout():
+    return Layout(name="two", units=load_carlancap_layout().units[2:4])
+
+
+@pytest.fixture(scope="module")
+def evaluation(setting, layout):
+    return evaluate_layout(layout, setting)
+
+
+def _table(setting, layout, detected):
+    return pack_table(tuple(unit.id for unit in layout.units), setting.axis, detected)
+
+
+def test_both_agree_on_runs_that_are_seen_well(setting, layout, evaluation):
+    table = build_detection_table(
+        setting.scene, layout.units, setting.runs, setting.axis, detector=setting.planner
+    )
+    assert evaluation.rsu_all.is_avoided.all()
+    assert find_disagreements(setting, table, evaluation, [0, 1]) == ()
+
+
+def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
+    setting, layout, evaluation
+):
+    nothing = np.zeros((2, setting.axis.n_frames), dtype=bool)
+    found = find_disagreements(setting, _table(setting, layout, nothing), evaluation, [0, 1])
+    expected = [
+        (party, run_id)
+        for party, verdict in (*evaluation.units.items(), (FUSED, evaluation.rsu_all))
+        for run_id, is_avoided in zip(setting.axis.run_ids, verdict.is_avoided, strict=True)
+        if is_avoided
+    ]
+    assert [(entry.party, entry.run_id) for entry in found] == expected
+    assert not any(entry.on_table for entry in found)
+    axis = setting.axis
+    for entry in found:
+        frames = axis.frames_of(axis.run_ids.index(entry.run_id))
+        in_time = axis.time_s[frames] <= axis.last_brake_time_s[axis.run_ids.index(entry.run_id)]
+        seen = [
+            verdict.detected[frames] & in_time
+            for name, verdict in evaluation.units.items()
+            if entry.party in (FUSED, name)
+        ]
+        assert entry.n_frames == np.logical_or.reduce(seen).sum()
+        assert "sample points and pixels differ" in entry.cause
+
+
+def test_what_was_lost_on_the_way_is_told_from_what_was_not_seen(setting, layout, evaluation):
+    detected = np.array([verdict.detected for verdict in evaluation.units.values()])
+    lossy = evaluate_layout(layout, replace(setting, links=Links(packet_loss=1.0)))
+    found = find_disagreements(setting, _table(setting, layout, detected), lossy, [0, 1])
+    assert {entry.run_id for entry in found if entry.party == FUSED} == set(RUNS)
+    assert all(entry.on_table and "chance or a lost message" in entry.cause for entry in found)
+
+
+def test_latency_alone_can_make_the_difference(setting, layout, evaluation):
+    detected = np.array([verdict.detected for verdict in evaluation.units.values()])
+    slow = replace(layout, units=tuple(replace(unit, latency_s=60.0) for unit in layout.units))
+    # The table is asked with the units' own latencies, too: nothing differs.
+    late = evaluate_layout(slow, setting)
+    assert not late.rsu_all.is_avoided.any()
+    assert find_disagreements(setting, _table(setting, slow, detected), late, [0, 1]) == ()

@@ -1,0 +1,90 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.catalogue import load_cameras
+from geometry.poses import Pose, wrap_deg
+from geometry.scene_files import load_study_scene
+from placement.candidates import CandidatePose
+from placement.detectors import load_detector, load_planning_detector
+from placement.explain.tolerance import LIFTS_M, TURNS_DEG, find_tolerances
+from placement.optimiser import run_margins_s
+from placement.setting import Setting
+from placement.visibility import build_detection_table
+from placement.wishes import Wishes, build_problem
+from scenarios.exposure import weight_per_run
+from scenarios.runs import build_frame_axis
+
+CAMERA = load_cameras()["carla-ncap-rgb-90"]
+
+
+@pytest.fixture(scope="module")
+def setting(runs, rule):
+    ways = ("CBNA/east/60", "CPNC-50/east/55", "CPNC-50/west/60", "CBNA/south/60")
+    few = tuple(run for run in runs if run.id in ways)
+    return Setting(
+        scene=load_study_scene(),
+        runs=few,
+        axis=build_frame_axis(few, weight_per_run(few)),
+        rule=rule,
+        detector=load_detector(),
+        planner=load_planning_detector(),
+    )
+
+
+def unit(name, yaw_deg, pitch_deg=-40.0):
+    pose = Pose(position_m=np.array([-115.4, 8.85, 8.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    return CandidatePose(id=name, site_id="", pose=pose, sensor=CAMERA)
+
+
+def avoided(setting, units):
+    table = build_detection_table(
+        setting.scene, units, setting.runs, setting.axis, detector=setting.planner
+    )
+    wishes = Wishes(budget_units=1, kept=tuple(one.id for one in units[1:]))
+    problem = build_problem(setting, units, table, wishes=wishes)
+    return np.isfinite(run_margins_s(problem, range(len(units))))
+
+
+def moved(one, *, yaw_deg=0.0, pitch_deg=0.0, height_m=0.0):
+    pose = one.pose
+    return replace(
+        one,
+        pose=Pose(
+            position_m=pose.position_m + [0.0, 0.0, height_m],
+            yaw_deg=float(wrap_deg(pose.yaw_deg + yaw_deg)),
+            pitch_deg=pose.pitch_deg + pitch_deg,
+        ),
+    )
+
+
+def test_within_its_tolerances_nothing_is_lost_and_a_step_beyond_something_is(setting):
+    one = unit("a", -135.0)
+    planned = avoided(setting, [one])
+    assert planned.any()
+    (found,) = find_tolerances(setting, [one])
+    limited = 0
+    for axis, steps, (low, high) in (
+        ("yaw_deg", TURNS_DEG, found.yaw_deg),
+        ("pitch_deg", TURNS_DEG, found.pitch_deg),
+        ("height_m", LIFTS_M, found.height_m),
+    ):
+        for sign, good in ((-1.0, low), (1.0, high)):
+            within = [step for step in steps if step <= good]
+            assert good == (within[-1] if within else 0.0)
+            if within:
+                kept = avoided(setting, [moved(one, **{axis: sign * good})])
+                assert not (planned & ~kept).any()
+            beyond = [step for step in steps if step > good][:1]
+            for step in beyond:
+                limited += 1
+                assert (planned & ~avoided(setting, [moved(one, **{axis: sign * step})])).any()
+    assert limited
+
+
+def test_a_twin_lets_a_unit_be_off_by_all_that_is_tried(setting):
+    twins = [unit("a", -135.0), unit("b", -135.0)]
+    for found in find_tolerances(setting, twins):
+        assert found.yaw_deg == found.pitch_deg == (TURNS_DEG[-1], TURNS_DEG[-1])
+        assert found.height_m == (LIFTS_M[-1], LIFTS_M[-1])

@@ -1,0 +1,365 @@
+import io
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from covering_oracle import instances
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from geometry.errors import InputError
+from placement.optimiser.covering import files
+from placement.optimiser.covering.files import (
+    FORMATS,
+    KIND,
+    instance_kind,
+    load_instance,
+    save_instance,
+)
+from placement.optimiser.covering.instance import build_covering_instance
+
+ORLIB = """\
+ 3 4
+ 1 2.5 3
+ 4
+ 2
+ 1 2
+ 3
+ 2 3 4
+ 1
+ 4
+"""
+GECCO = """\
+3 4
+1 3 1 2 3
+0 2 0 1
+2 1 3
+"""
+COVERS = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 1]])
+
+
+def refusal(path, **options):
+    with pytest.raises(InputError) as caught:
+        load_instance(path, **options)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text.replace(str(path), "FILE")
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write_file(content, name="instance"):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write_file
+
+
+def test_or_library_files_name_columns_from_one(write):
+    instance = load_instance(write(ORLIB))
+    np.testing.assert_array_equal(instance.covers.toarray(), COVERS)
+    assert list(instance.cost) == [1.0, 2.5, 3.0, 4.0]
+    assert list(instance.weight) == [1.0, 1.0, 1.0]
+    assert instance.numbered_from == 1
+
+
+def test_gecco_files_name_columns_from_zero_and_samples_by_id(write):
+    instance = load_instance(write(GECCO))
+    np.testing.assert_array_equal(instance.covers.toarray(), COVERS)
+    assert list(instance.cost) == [1.0] * 4
+    assert instance.numbered_from == 0
+
+
+def test_ends_of_lines_do_not_matter(write):
+    for text in (ORLIB.replace("\n", "\r\n"), " ".join(ORLIB.split()), ORLIB.replace(" ", "\t\n")):
+        np.testing.assert_array_equal(load_instance(write(text)).covers.toarray(), COVERS)
+
+
+def to_orlib(instance):
+    columns = [np.flatnonzero(row) + 1 for row in instance.covers.toarray().T]
+    numbers = [instance.n_rows, instance.n_columns, *map(float, instance.cost)]
+    for row in columns:
+        numbers += [len(row), *row]
+    return " ".join(map(str, numbers))
+
+
+def to_gecco(instance):
+    lines = [f"{instance.n_rows} {instance.n_columns}"]
+    for sample, row in enumerate(instance.covers.toarray().T):
+        columns = np.flatnonzero(row)
+        lines.append(" ".join(map(str, (sample, len(columns), *columns))))
+    return "\n".join(lines)
+
+
+@given(instance=instances())
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_every_format_keeps_the_instance(instance, write, tmp_path):
+    own = tmp_path / "own.npz"
+    save_instance(own, instance)
+    again = [load_instance(own)]
+    if instance.n_rows and instance.n_columns:
+        again.append(load_instance(write(to_orlib(instance)), format_name="orlib"))
+        gecco = load_instance(write(to_gecco(instance)), format_name="gecco")
+        np.testing.assert_array_equal(gecco.covers.toarray(), instance.covers.toarray())
+    for each in again:
+        np.testing.assert_array_equal(each.covers.toarray(), instance.covers.toarray())
+        np.testing.assert_array_equal(each.cost, instance.cost)
+    np.testing.assert_array_equal(again[0].weight, instance.weight)
+
+
+def test_our_own_files_keep_names_and_numbers(tmp_path):
+    path = tmp_path / "any name"
+    save_instance(
+        path,
+        build_covering_instance(
+            COVERS, weight=[1.0, 2.0, 3.0], names=("a", "b", "c", "\N{EURO SIGN}"), numbered_from=1
+        ),
+    )
+    instance = load_instance(path, format_name="npz")
+    assert instance.names == ("a", "b", "c", "\N{EURO SIGN}")
+    assert instance.numbered_from == 1
+    assert list(instance.weight) == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "FILE: got an empty file; expected an instance"),
+        (" \n\n", "FILE: got an empty file; expected an instance"),
+        (
+            "id,cost\n1,2\n",
+            "FILE: line 1, number 1: got 'id,cost'; expected a number (format orlib or gecco), or "
+            "an .npz file of this program",
+        ),
+        (
+            ORLIB.replace(" 2 3 4", " 2 x 4"),
+            "FILE: line 7, number 2: got 'x'; expected a number (format orlib or gecco), or an "
+            ".npz file of this program",
+        ),
+        (
+            ORLIB.replace("2.5", "2-5"),
+            "FILE: line 2, number 2: got '2-5'; expected a number (format orlib or gecco), or an "
+            ".npz file of this program",
+        ),
+        (
+            ORLIB.replace("2.5", "1e999"),
+            "FILE: line 2, number 2: got '1e999'; expected a number (format orlib or gecco), or an "
+            ".npz file of this program",
+        ),
+        (
+            b"\x7fELF\x02\x01\x01\x00 \x00" + bytes(range(256)),
+            "FILE: line 1, number 1: got '\\x7fELF\\x02\\x01\\x01\\x00'; expected a number (format "
+            "orlib or gecco), or an .npz file of this program",
+        ),
+        (
+            ORLIB.replace("2.5", "-2"),
+            "FILE: line 2, number 2: got '-2'; expected the cost of a column, at least 0 (format "
+            "orlib)",
+        ),
+        (
+            ORLIB.replace(" 2 3 4", " 2 3 5"),
+            "FILE: line 7, number 3: got '5'; expected a column, 1 to 4 (format orlib)",
+        ),
+        (
+            ORLIB.replace(" 2 3 4", " 2 0 4"),
+            "FILE: line 7, number 2: got '0'; expected a column, 1 to 4 (format orlib)",
+        ),
+        (
+            ORLIB.replace(" 2 3 4", " 2 3 3"),
+            "FILE: line 7, number 3: got '3'; expected a column that the row has not named yet "
+            "(format orlib)",
+        ),
+        (
+            ORLIB.replace(" 3\n 2 3 4", " 5\n 2 3 4"),
+            "FILE: line 6, number 1: got '5'; expected how many columns cover row 2 of 3, 0 to 4 "
+            "(format orlib)",
+        ),
+        (
+            ORLIB.removesuffix(" 1\n 4\n"),
+            "FILE: line 7, number 3: got the end of the file after it; expected how many columns "
+            "cover row 3 of 3 (format orlib)",
+        ),
+        (
+            ORLIB.removesuffix(" 4\n"),
+            "FILE: line 8, number 1: got the end of the file after it; expected 1 more columns of "
+            "the last row (format orlib)",
+        ),
+        (
+            ORLIB + "7\n",
+            "FILE: line 10, number 1: got '7'; expected the end of the file (format orlib)",
+        ),
+        (
+            "3",
+            "FILE: line 1, number 1: got the end of the file after it; expected the number of "
+            "columns (format orlib)",
+        ),
+        (
+            "3 99999999999",
+            "FILE: line 1, number 2: got '99999999999'; expected the number of columns, 1 to "
+            "10000000 (format orlib)",
+        ),
+        (
+            "3 1000000 1",
+            "FILE: line 1, number 3: got the end of the file after it; expected the costs of "
+            "1000000 columns (format orlib)",
+        ),
+        (
+            GECCO.replace("0 2 0 1", "0 2 0 4"),
+            "FILE: line 3, number 4: got '4'; expected a column, 0 to 3 (format gecco)",
+        ),
+        (
+            GECCO.replace("0 2 0 1", "1 2 0 1"),
+            "FILE: line 3, number 1: got '1'; expected the id of a sample that has not been there "
+            "yet (format gecco)",
+        ),
+        (
+            GECCO.replace("2 1 3\n", ""),
+            "FILE: line 3, number 4: got the end of the file after it; expected the id of sample 3 "
+            "of 3 (format gecco)",
+        ),
+        (
+            GECCO + "0",
+            "FILE: line 5, number 1: got '0'; expected the end of the file (format gecco)",
+        ),
+    ],
+)
+def test_a_file_that_is_wrong_says_where_and_what_is_expected_there(write, content, message):
+    assert refusal(write(content)) == message
+
+
+def test_a_format_can_be_forced(write):
+    text = "1 1\n0 1 0\n"
+    assert load_instance(write(text), format_name="gecco").numbered_from == 0
+    assert refusal(write(text), format_name="orlib") == (
+        "FILE: line 2, number 3: got '0'; expected a column, 1 to 1 (format orlib)"
+    )
+    assert refusal(write(text), format_name="xml") == (
+        "--format: got 'xml'; expected one of " + ", ".join(FORMATS)
+    )
+
+
+BOTH = """\
+3 4
+0 2 0 1
+1 3 1 2 3
+2 1 3
+"""
+
+
+def test_numbers_that_fit_two_formats_are_told_apart_by_their_lines(write):
+    assert load_instance(write(BOTH), format_name="orlib").numbered_from == 1
+    assert load_instance(write(BOTH)).numbered_from == 0
+    for text in (" ".join(BOTH.split()) + "\n\n", BOTH.replace("4\n0 2 ", "4 0 2\n")):
+        path = write(text)
+        assert load_instance(path, format_name="gecco").numbered_from == 0
+        assert refusal(path) == (
+            "FILE: got numbers that fit more than one format; expected --format orlib or gecco"
+        )
+
+
+def test_a_file_that_cannot_be_read_says_why(tmp_path):
+    path = tmp_path / "none.txt"
+    assert refusal(path) == "FILE: got No such file or directory; expected a readable file"
+    assert refusal(tmp_path).endswith(": got no regular file; expected a file")
+    os.mkfifo(tmp_path / "pipe")
+    assert refusal(tmp_path / "pipe") == "FILE: got no regular file; expected a file"
+
+
+def test_a_huge_file_is_not_read(write, monkeypatch):
+    monkeypatch.setattr(files, "_MAX_BYTES", 20)
+    assert refusal(write(ORLIB)) == (
+        f"FILE: got {len(ORLIB)} bytes; expected an instance of at most 20 bytes"
+    )
+
+
+@pytest.fixture
+def fields(tmp_path):
+    """The arrays of a file of our own, to be spoilt."""
+    save_instance(tmp_path / "good.npz", build_covering_instance(COVERS))
+    with np.load(tmp_path / "good.npz") as stored:
+        return dict(stored)
+
+
+def to_npz(**arrays):
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kind": "a/1"}, "FILE: kind: got 'a/1'; expected 'place-rsus/covering-instance/1'"),
+        ({"kind": None}, "FILE: kind: got nothing; expected 'place-rsus/covering-instance/1'"),
+        ({"cost": None}, "FILE: cost: got nothing; expected an array"),
+        ({"cost": np.array(["a"] * 4)}, "FILE: cost: got an array of <U1; expected numbers"),
+        ({"cost": np.array([1.0])}, "FILE: cost: got shape (1,); expected shape (4,)"),
+        ({"weight": -np.ones(3)}, "FILE: weight: got -1.0; expected no negative number"),
+        (
+            {"covered_rows": np.zeros(5)},
+            "FILE: covered_rows: got an array of float64; expected whole numbers",
+        ),
+        ({"covered_rows": np.array([0, 0, 1, 1, 7])}, "FILE: covered_rows: got "),
+        ({"covered_rows_start": np.array([0, 9, 1, 2, 5])}, "FILE: covered_rows: got "),
+        ({"covered_rows_start": np.array(0)}, "FILE: covered_rows_start: got shape (); expected"),
+        ({"n_rows": np.array(-1)}, "FILE: n_rows: got -1; expected a number of rows"),
+        ({"names": np.array(["a"])}, "FILE: names: got 1 names; expected 4, or none"),
+    ],
+)
+def test_a_spoilt_file_of_our_own_names_the_field(write, fields, changes, message):
+    spoilt = {name: value for name, value in (fields | changes).items() if value is not None}
+    assert refusal(write(to_npz(**spoilt))).startswith(message)
+
+
+def test_the_kind_of_a_file_is_told_without_reading_the_rest(write, tmp_path):
+    save_instance(tmp_path / "own.npz", build_covering_instance(COVERS))
+    assert instance_kind(tmp_path / "own.npz") == KIND
+    assert instance_kind(write(to_npz(kind="another/1"))) == "another/1"
+    for content in (ORLIB, b"PK", to_npz(cost=np.ones(2)), ""):
+        assert instance_kind(write(content)) is None
+    assert instance_kind(tmp_path / "none") is None
+
+
+def test_a_damaged_file_of_our_own_is_refused(write, fields):
+    whole = to_npz(**fields)
+    for damaged in (whole[: len(whole) // 2], b"PK", b"PK\x03\x04" + bytes(100)):
+        text = refusal(write(damaged))
+        assert text.startswith("FILE: got a damaged file (")
+        assert text.endswith("); expected an .npz file of this program")
+    assert "damaged" in refusal(write(to_npz(kind=np.array([{}], dtype=object))))
+    assert "damaged" in refusal(write(ORLIB), format_name="npz")
+
+
+def test_a_file_that_unpacks_to_too_much_is_not_unpacked(write, monkeypatch):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("cost.npy", bytes(10_000_000))
+    monkeypatch.setattr(files, "_MAX_UNPACKED_BYTES", 1_000_000)
+    assert refusal(write(buffer.getvalue())) == (
+        "FILE: got 10,000,000 bytes when unpacked; expected an instance of at most 1,000,000"
+    )
+
+
+@given(data=st.binary(max_size=200) | st.text("0123456789 .-\n", max_size=80).map(str.encode))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_bytes_are_an_instance_or_refused_in_one_line(write, data):
+    path = write(data)
+    try:
+        text = f"{path}: {load_instance(path)}"
+    except InputError as error:
+        text = str(error)
+    assert text.startswith(str(path))
+    assert "\n" not in text
+
+
+def test_an_instance_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    path = Path(tmp_path, "kept.npz")
+    path.write_text("before")
+    monkeypatch.setattr(np, "savez_compressed", lambda *given, **arrays: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        save_instance(path, build_covering_instance(COVERS))
+    assert path.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [path]

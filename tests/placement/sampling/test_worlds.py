@@ -1,0 +1,183 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.errors import InputError
+from geometry.poses import Pose
+from placement.sampling import (
+    LatencyJitter,
+    MountingErrors,
+    Uncertainty,
+    draw_samples,
+)
+from placement.sampling.random_streams import Luck, mount_key, pose_key
+
+
+def _offsets(sample):
+    """How far off each pose is: yaw, pitch, height."""
+    return np.array(
+        [
+            (
+                real.pose.yaw_deg - planned.pose.yaw_deg,
+                real.pose.pitch_deg - planned.pose.pitch_deg,
+                real.pose.position_m[2] - planned.pose.position_m[2],
+            )
+            for planned, real in zip(sample.planned, sample.candidates, strict=True)
+        ]
+    )
+
+
+def _mounting(*spread):
+    names = ("yaw_sd_deg", "pitch_sd_deg", "height_sd_m")
+    return Uncertainty(mounting=MountingErrors(**dict(zip(names, spread, strict=True))))
+
+
+def _record(sample):
+    """All that is drawn, in a form that can be compared."""
+    return (
+        _offsets(sample).tolist(),
+        sample.extra_latency_s.tolist(),
+        [(v.actor.name, *v.key[1:]) for v in sample.vehicles],
+        [len(run.obstruction) for run in sample.setting.runs],
+    )
+
+
+def test_without_uncertainty_a_sample_is_the_plan(setting, candidates):
+    (sample,) = draw_samples(setting, candidates, Uncertainty(), n_samples=1, seed=0)
+    assert sample.candidates == candidates
+    assert all(a is b for a, b in zip(sample.candidates, candidates, strict=True))
+    assert sample.setting.runs == setting.runs
+    assert np.array_equal(sample.setting.axis.last_brake_time_s, setting.axis.last_brake_time_s)
+    assert sample.vehicles == ()
+
+
+def test_the_same_seed_draws_the_same_worlds_and_another_one_others(setting, candidates, default):
+    def draw(**options):
+        options = {"n_samples": 2, "seed": 5, **options}
+        return [_record(s) for s in draw_samples(setting, candidates, default, **options)]
+
+    first = draw()
+    assert draw() == first
+    assert draw(n_samples=3)[:2] == first
+    for other in (draw(seed=6), draw(purpose="judge"), first[::-1]):
+        for one, another in zip(first, other, strict=True):
+            assert all(part != same for part, same in zip(one[:3], another[:3], strict=True))
+
+
+def test_worlds_are_drawn_when_they_are_asked_for_and_wishes_checked_at_once(setting, default):
+    worlds = draw_samples(setting, (), default, n_samples=10**9, seed=0)
+    assert next(iter(worlds)).luck == Luck(seed=0, purpose="choose", index=0)
+    for field, value, message in (
+        ("n_samples", 0, "--samples: got 0; expected a whole number, at least 1"),
+        ("n_samples", 2.0, "--samples: got 2.0; expected a whole number, at least 1"),
+        ("seed", -1, "--seed: got -1; expected a whole number, at least 0"),
+        ("purpose", "play", "purpose: got 'play'; expected one of choose, judge"),
+    ):
+        with pytest.raises(InputError) as caught:
+            draw_samples(setting, (), default, **{"n_samples": 1, "seed": 0, field: value})
+        assert str(caught.value) == message
+
+
+# Mounts
+
+
+def test_errors_have_their_spread_and_no_bias(setting, look):
+    spread = (2.0, 0.5, 0.1)
+    poses = [look(f"{i}", [float(i), 0.0, 6.0], yaw_deg=0.0) for i in range(400)]
+    (sample,) = draw_samples(setting, poses, _mounting(*spread), n_samples=1, seed=1)
+    off = _offsets(sample) / spread
+    assert np.abs(off.mean(axis=0)).max() < 4.0 / np.sqrt(400)
+    assert off.std(axis=0) == pytest.approx([1.0, 1.0, 1.0], abs=0.15)
+    assert np.abs(off).max() <= 3.0 + 1e-9
+    assert np.abs(np.corrcoef(off.T)[np.triu_indices(3, 1)]).max() < 0.2
+    for planned, real in zip(poses, sample.candidates, strict=True):
+        assert real.pose.position_m[:2].tolist() == planned.pose.position_m[:2].tolist()
+        assert (real.id, real.site_id, real.sensor) == (
+            planned.id,
+            planned.site_id,
+            planned.sensor,
+        )
+
+
+def test_poses_of_one_mount_are_off_by_the_same(setting, candidates, look):
+    extra = [look(n, [0.0, 0.0, h], yaw_deg=y) for n, h, y in (("a", 6, 0), ("b", 7, 90))]
+    poses = (*candidates, *extra)
+    (sample,) = draw_samples(setting, poses, _mounting(1.0, 1.0, 0.1), n_samples=1, seed=2)
+    off = _offsets(sample).round(9)
+    mounts = [mount_key(pose) for pose in poses]
+    assert len(set(mounts)) == 3
+    by_mount = {
+        mount: {tuple(row) for row, m in zip(off, mounts, strict=True) if m == mount}
+        for mount in mounts
+    }
+    assert all(len(rows) == 1 for rows in by_mount.values())
+    assert len(set.union(*by_mount.values())) == 3
+
+
+def test_errors_do_not_depend_on_what_else_is_tried(setting, candidates, default):
+    all_of_them, last = (
+        next(iter(draw_samples(setting, some, default, n_samples=1, seed=3)))
+        for some in (candidates, candidates[-1:])
+    )
+    assert _offsets(all_of_them)[-1].tolist() == _offsets(last)[0].tolist()
+    assert [v.key for v in all_of_them.vehicles] == [v.key for v in last.vehicles]
+
+
+def test_no_sensor_ends_up_underground_or_looks_over_its_shoulder(setting, look):
+    low = [look(f"{i}", [float(i), 0.0, 0.2], yaw_deg=0.0, pitch_deg=-89.5) for i in range(50)]
+    low.append(look("lowest", [0.0, 9.0, 0.05], yaw_deg=0.0, pitch_deg=89.5))
+    (sample,) = draw_samples(setting, low, _mounting(0.0, 20.0, 0.5), n_samples=1, seed=0)
+    assert min(pose.pose.position_m[2] for pose in sample.candidates[:-1]) == 0.1
+    assert sample.candidates[-1].pose.position_m[2] >= 0.05
+    assert max(abs(pose.pose.pitch_deg) for pose in sample.candidates) == 90.0
+
+
+# Latency, messages, weather
+
+
+def test_deadlines_move_by_what_messages_take_longer(setting, candidates):
+    late = Uncertainty(latency=LatencyJitter(mean_s=0.05, sd_s=0.02))
+    (sample,) = draw_samples(setting, candidates, late, n_samples=1, seed=0)
+    moved = setting.axis.last_brake_time_s - sample.setting.axis.last_brake_time_s
+    assert moved == pytest.approx(sample.extra_latency_s, abs=1e-12)
+    assert moved.min() > 0.0
+    assert len(set(moved.tolist())) == len(setting.runs)
+    assert sample.setting.rule is setting.rule
+
+
+def test_a_run_that_no_braking_avoids_stays_one(setting, candidates):
+    hopeless = np.full(setting.axis.n_runs, -np.inf)
+    never = replace(setting, axis=replace(setting.axis, last_brake_time_s=hopeless))
+    late = Uncertainty(latency=LatencyJitter(mean_s=0.05))
+    (sample,) = draw_samples(never, candidates, late, n_samples=1, seed=0)
+    assert (sample.setting.axis.last_brake_time_s == -np.inf).all()
+
+
+def test_the_evaluator_is_told_how_many_messages_are_lost(setting, candidates):
+    lossy = replace(setting, links=replace(setting.links, packet_loss=0.4, vam_rate=0.5))
+    (sample,) = draw_samples(lossy, candidates, Uncertainty(packet_loss=0.2), n_samples=1, seed=0)
+    assert (sample.setting.links.packet_loss, sample.setting.links.vam_rate) == (0.2, 0.5)
+
+
+# Luck
+
+
+def test_every_thing_has_a_generator_of_its_own():
+    lucks = [
+        Luck(seed=seed, purpose=purpose, index=index)
+        for seed in (0, 1)
+        for purpose in ("choose", "judge")
+        for index in (0, 1)
+    ]
+    first = {luck.rng(*key).random() for luck in lucks for key in (("a",), ("b",), ("a", 1))}
+    assert len(first) == 24
+    assert lucks[0].rng("a").random() == lucks[0].rng("a").random()
+
+
+def test_a_pose_keeps_its_luck_under_another_name(candidates):
+    one, other = candidates[:2]
+    assert pose_key(replace(one, id="U1")) == pose_key(one) != pose_key(other)
+    moved = replace(one, pose=Pose(position_m=one.pose.position_m + 1.0, yaw_deg=one.pose.yaw_deg))
+    assert pose_key(moved) != pose_key(one)
+    assert mount_key(moved) == mount_key(one)

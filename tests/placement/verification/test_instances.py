@@ -1,0 +1,337 @@
+"""Whole problems as files, and their hash."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from problems import questions
+
+from geometry.errors import InputError
+from placement.detection_table import DetectionTable
+from placement.optimiser import Floor, Limits, PlacementProblem
+from placement.verification.instances import (
+    KIND,
+    instance_kind,
+    load_problem,
+    problem_hash,
+    save_problem,
+)
+from scenarios.aeb import AebRule
+
+SHARED_FOLDER = settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100
+)
+
+
+@pytest.fixture
+def problem(frame_axis) -> PlacementProblem:
+    """Three runs, three poses on two sites, everything that can be asked at once."""
+    rng = np.random.default_rng(1)
+    packed = np.packbits(rng.random((3, 10)) < 0.6, axis=1, bitorder="little")
+    return PlacementProblem(
+        table=DetectionTable(pose_ids=("a", "b", "c"), axis=frame_axis, packed=packed),
+        limits=Limits(
+            site_index=np.array([0, 1, 1]),
+            site_capacity=np.array([1, 2]),
+            budget_units=2,
+            budget_eur=9000.0,
+            unit_cost_eur=np.array([1000.0, 2000.0, 3000.0]),
+            site_cost_eur=np.array([500.0, 0.0]),
+            is_forced=np.array([True, False, False]),
+            is_forbidden=np.array([False, True, False]),
+            is_forced_site=np.array([False, True]),
+            rivals=np.zeros((0, 2), dtype=np.int64),
+        ),
+        fusion="any",
+        rule=AebRule(
+            deceleration_mps2=7.72, latency_s=0.025, n_confirmations=1, frame_rate_hz=10.0
+        ),
+        floors=(
+            Floor(name="--target", share=0.5),
+            Floor(
+                name="--min-case-apr in A",
+                share=0.25,
+                is_counted=np.array([True, True, False]),
+                n_failures=1,
+            ),
+        ),
+        goal="fewest",
+        survive=1,
+        stage_weights=(1.0, 0.0, 0.5, 0.0, 0.25),
+        sample_index=np.array([0, 1, 0]),
+        tail=0.5,
+    )
+
+
+def assert_same(one: Any, other: Any) -> None:
+    """Compare everything that two problems are made of, bit by bit."""
+    assert type(one) is type(other)
+    if hasattr(one, "__dataclass_fields__"):
+        for field in fields(one):
+            assert_same(getattr(one, field.name), getattr(other, field.name))
+    elif isinstance(one, np.ndarray):
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+    elif isinstance(one, tuple) and one and hasattr(one[0], "__dataclass_fields__"):
+        assert len(one) == len(other)
+        for mine, theirs in zip(one, other, strict=True):
+            assert_same(mine, theirs)
+    else:
+        assert one == other
+
+
+@given(problem=questions())
+@SHARED_FOLDER
+def test_every_problem_comes_back_as_it_was(problem: PlacementProblem, tmp_path: Path) -> None:
+    floors = tuple(replace(floor, share=float(floor.share)) for floor in problem.floors)
+    problem = replace(problem, floors=floors)
+    path = tmp_path / "instance.npz"
+    save_problem(path, problem)
+    loaded = load_problem(path)
+    assert_same(loaded, problem)
+    assert problem_hash(loaded) == problem_hash(problem)
+    assert instance_kind(path) == KIND
+    assert [entry.name for entry in tmp_path.iterdir()] == ["instance.npz"]
+
+
+def test_a_problem_with_every_wish_comes_back_and_makes_the_same_file(problem, tmp_path):
+    for name in ("one.npz", "two.npz"):
+        save_problem(tmp_path / name, problem)
+    assert_same(load_problem(tmp_path / "one.npz"), problem)
+    assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
+
+
+def variations(problem: PlacementProblem) -> dict[str, PlacementProblem]:
+    """The problem with one thing changed at a time."""
+    limits, table, axis = problem.limits, problem.table, problem.table.axis
+    packed = table.packed.copy()
+    packed[1, 0] ^= 4
+
+    def limited(**values: Any) -> PlacementProblem:
+        return replace(problem, limits=replace(limits, **values))
+
+    def on_axis(**values: Any) -> PlacementProblem:
+        return replace(problem, table=replace(table, axis=replace(axis, **values)))
+
+    first, second = problem.floors
+    return {
+        "a bit": replace(problem, table=replace(table, packed=packed)),
+        "a pose": replace(problem, table=replace(table, pose_ids=("a", "b", "d"))),
+        "names run together": replace(problem, table=replace(table, pose_ids=("a,b", "", "c"))),
+        "a run": on_axis(run_ids=("A/north/20", "A/north/30", "B/north/21")),
+        "cases": on_axis(cases=("A", "B", "B")),
+        "approaches": on_axis(approaches=("north", "north", "east")),
+        "weathers": on_axis(weathers=("day", "day", "fog")),
+        "speeds": on_axis(vut_speed_kmh=np.array([20.0, 30.0, 21.0])),
+        "weights": on_axis(weight=np.array([0.25, 0.5, 0.25])),
+        "last brake times": on_axis(last_brake_time_s=np.array([-0.1, -0.1, -np.inf])),
+        "frames of runs": on_axis(run_start=np.array([0, 3, 7, 10]), time_s=np.arange(10) / 10),
+        "times": on_axis(time_s=axis.time_s - 0.01),
+        "sites": limited(site_index=np.array([0, 0, 1])),
+        "capacity": limited(site_capacity=np.array([1, 3])),
+        "units": limited(budget_units=3),
+        "any number of units": limited(budget_units=None),
+        "money": limited(budget_eur=9001.0),
+        "any money": limited(budget_eur=None),
+        "price": limited(unit_cost_eur=np.array([1000.0, 2000.0, 3001.0])),
+        "site price": limited(site_cost_eur=np.array([500.0, 1.0])),
+        "forced": limited(is_forced=np.zeros(3, dtype=bool)),
+        "forbidden": limited(is_forbidden=np.zeros(3, dtype=bool)),
+        "forced site": limited(is_forced_site=np.zeros(2, dtype=bool)),
+        "rivals": limited(rivals=np.array([[0, 1]])),
+        "fusion": replace(problem, fusion="single"),
+        "goal": replace(problem, goal="cheapest"),
+        "survive": replace(problem, survive=2),
+        "stage weights": replace(problem, stage_weights=(1.0, 0.0, 0.5, 0.0, 0.5)),
+        "stages in order": replace(problem, stage_weights=None),
+        "samples": replace(problem, sample_index=np.array([0, 1, 1])),
+        "one world": replace(problem, sample_index=None),
+        "tail": replace(problem, tail=0.25),
+        "no floor": replace(problem, floors=()),
+        "floor": replace(problem, floors=(replace(first, share=0.75), second)),
+        "floor's failures": replace(problem, floors=(first, replace(second, n_failures=2))),
+        "floor's runs": replace(
+            problem, floors=(first, replace(second, is_counted=np.array([True, False, False])))
+        ),
+        "floor of all runs": replace(problem, floors=(first, replace(second, is_counted=None))),
+        **{
+            field: replace(problem, rule=replace(problem.rule, **{field: 2}))
+            for field in (
+                "deceleration_mps2",
+                "build_up_s",
+                "latency_s",
+                "n_confirmations",
+                "frame_rate_hz",
+            )
+        },
+    }
+
+
+def test_the_hash_changes_with_whatever_changes(problem):
+    hashes = {name: problem_hash(other) for name, other in variations(problem).items()}
+    hashes["nothing"] = problem_hash(problem)
+    assert len(set(hashes.values())) == len(hashes)
+    assert all(len(text) == 64 for text in hashes.values())
+
+
+def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(problem, tmp_path):
+    packed = problem.table.packed.copy()
+    packed[:, -1] |= 0b11111100  # ten frames
+    axis = replace(problem.table.axis, time_s=-1.0 * -problem.table.axis.time_s)
+    limits = replace(problem.limits, site_cost_eur=np.array([500.0, -0.0]))
+    table = replace(problem.table, axis=axis, packed=packed)
+    same = replace(problem, table=table, limits=limits)
+    assert problem_hash(same) == problem_hash(problem)
+    save_problem(tmp_path / "a.npz", same)
+    assert problem_hash(load_problem(tmp_path / "a.npz")) == problem_hash(problem)
+
+
+def test_a_name_that_numpy_would_cut_is_refused(problem, tmp_path):
+    table = replace(problem.table, pose_ids=("a", "b", "c\0"))
+    with pytest.raises(InputError, match=r"pose_ids: got .*; expected names without a null"):
+        save_problem(tmp_path / "a.npz", replace(problem, table=table))
+    assert list(tmp_path.iterdir()) == []
+
+
+# Bad files
+
+
+def rewrite(path: Path, problem: PlacementProblem, **changes: Any) -> None:
+    """The problem's file with some arrays replaced, added, or removed (...)."""
+    save_problem(path, problem)
+    with np.load(path) as archive:
+        arrays = {name: archive[name] for name in archive.files} | changes
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not ...})
+
+
+OPTIONAL = ("budget_units", "budget_eur", "stage_weights", "sample_index")
+
+
+def test_every_field_that_is_missing_is_named(problem, tmp_path):
+    path = tmp_path / "a.npz"
+    save_problem(path, problem)
+    with np.load(path) as archive:
+        names = set(archive.files)
+    for name in names - set(OPTIONAL):
+        rewrite(path, problem, **{name: ...})
+        with pytest.raises(InputError, match=rf"a\.npz: {name}: got nothing; expected"):
+            load_problem(path)
+
+
+def test_what_may_be_missing_is_none(problem, tmp_path):
+    path = tmp_path / "a.npz"
+    rewrite(path, problem, **dict.fromkeys(OPTIONAL, ...))
+    limits = replace(problem.limits, budget_units=None, budget_eur=None)
+    bare = replace(problem, limits=limits, stage_weights=None, sample_index=None)
+    assert problem_hash(load_problem(path)) == problem_hash(bare)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kind": np.array("place-rsus/covering/1")}, "kind: got 'place-rsus/covering/1'"),
+        ({"kind": np.array(1)}, "kind: got no text"),
+        ({"kind": np.array(["x"])}, "kind: got no text"),
+        ({"more": np.zeros(3)}, "more: got a field; expected none of this name"),
+        ({"weight": np.ones(3, dtype=np.int64)}, "weight: got type int64; expected float64"),
+        ({"pose_ids": np.arange(3)}, "pose_ids: got type int64; expected str"),
+        ({"site_index": np.array([0.0, 1.0, 1.0])}, "site_index: got type float64; expected int64"),
+        ({"weight": np.array([[0.5, 0.25, 0.25]])}, r"weight: got 2 axes; expected 1 \(runs\)"),
+        ({"tail": np.array([0.5])}, r"tail: got 1 axes; expected 0 \(a single value\)"),
+        ({"weight": np.array([0.5, 0.5])}, r"weight: got shape \(2,\); expected 3 runs"),
+        ({"pose_ids": np.array(["a", "b"])}, r"packed: got shape \(3, 2\); expected 2 poses"),
+        ({"packed": np.zeros((3, 1), np.uint8)}, r"packed: got shape \(3, 1\); expected shape"),
+        ({"packed": np.full((3, 2), 255, np.uint8)}, "packed: got bits behind the last frame"),
+        ({"pose_ids": np.array(["a", "b", "a"])}, "pose_ids: got an id twice"),
+        ({"rivals": np.zeros((1, 3), np.int64)}, r"rivals: got shape \(1, 3\); expected 2 2"),
+        ({"rivals": np.array([[0, 5]])}, "rivals: got"),
+        ({"floor_shares": np.zeros(1)}, r"floor_shares: got shape \(1,\); expected 2 floors"),
+        ({"floor_shares": np.array([np.nan, 0.5])}, "--target: got nan; expected a share"),
+        ({"weight": np.array([0.5, 0.5, 0.5])}, "weight: got .*; expected shares >= 0"),
+        ({"weight": np.array([0.5, np.nan, 0.5])}, "weight: got .*; expected finite numbers"),
+        ({"time_s": np.full(10, np.inf)}, "time_s: got .*; expected finite numbers"),
+        ({"last_brake_time_s": np.full(3, np.inf)}, "last_brake_time_s: got inf"),
+        ({"last_brake_time_s": np.full(3, np.nan)}, "last_brake_time_s: got"),
+        ({"run_start": np.array([0, 3, 2, 10])}, "run_start: got"),
+        ({"run_start": np.array([0, 3, 8, 11])}, "time_s: got 10 frames; expected 11"),
+        ({"unit_cost_eur": np.array([1.0, np.inf, 1.0])}, "unit_cost_eur: got"),
+        ({"site_index": np.array([0, 1, 2])}, r"site_index: got \[0, 1, 2\]; expected sites 0..1"),
+        ({"site_capacity": np.array([-1, 2])}, "site_capacity: got"),
+        ({"budget_units": np.array(0)}, "--budget: got 0"),
+        ({"budget_eur": np.array(np.nan)}, "--budget-cost: got nan"),
+        ({"fusion": np.array("both")}, "--fusion: got 'both'; expected one of any, single"),
+        ({"goal": np.array("most")}, "goal: got 'most'"),
+        ({"survive": np.array(7)}, "--survive: got 7"),
+        ({"stage_weights": np.ones(4)}, "--stage-weights: got"),
+        ({"tail": np.array(0.0)}, "tail: got 0.0"),
+        ({"tail": np.array(np.nan)}, "tail: got nan"),
+        ({"sample_index": np.array([0, 5, 0])}, "sample_index: got a sample without weight"),
+        ({"sample_index": np.array([0, -1, 0])}, "sample_index: got other samples"),
+        ({"latency_s": np.array(np.nan)}, "aeb.latency_s: got nan"),
+        ({"n_confirmations": np.array(0)}, "aeb.n_confirmations: got 0"),
+    ],
+)
+def test_a_value_that_cannot_be_is_named(problem, tmp_path, changes, message):
+    path = tmp_path / "a.npz"
+    rewrite(path, problem, **changes)
+    with pytest.raises(InputError, match=rf"a\.npz: {message}"):
+        load_problem(path)
+
+
+def test_objects_are_never_loaded(problem, tmp_path):
+    path = tmp_path / "a.npz"
+    rewrite(path, problem, pose_ids=np.array(["a", None, "c"], dtype=object))
+    with pytest.raises(InputError, match=r"a\.npz: pose_ids: got Object arrays cannot be loaded"):
+        load_problem(path)
+
+
+@pytest.mark.parametrize("load", [load_problem, instance_kind])
+def test_a_file_that_is_no_instance_is_refused(load, tmp_path):
+    path = tmp_path / "a.npz"
+    with pytest.raises(InputError, match=r"a\.npz: got No such file .*; expected a readable"):
+        load(path)
+    with pytest.raises(InputError, match="got Is a directory; expected a readable"):
+        load(tmp_path)
+    for content in (b"", b"PK\3\4", b"4 5\n1 1 1 1 1\n"):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"a\.npz: got .*; expected an undamaged instance"):
+            load(path)
+    with path.open("wb") as file:
+        np.save(file, np.zeros(3))
+    with pytest.raises(InputError, match="got File is not a zip file; expected an undamaged"):
+        load(path)
+    np.savez(path, rows=np.zeros(3))
+    with pytest.raises(InputError, match=r"a\.npz: kind: got nothing; expected a text such as"):
+        load(path)
+
+
+def test_a_truncated_file_is_refused_wherever_it_ends(problem, tmp_path):
+    path = tmp_path / "a.npz"
+    save_problem(path, problem)
+    content = path.read_bytes()
+    for length in range(0, len(content), 97):
+        path.write_bytes(content[:length])
+        with pytest.raises(InputError):
+            load_problem(path)
+
+
+@given(where=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
+@SHARED_FOLDER
+def test_a_damaged_byte_is_never_taken_for_data(
+    problem: PlacementProblem, tmp_path: Path, where: float, flip: int
+) -> None:
+    path = tmp_path / "a.npz"
+    save_problem(path, problem)
+    content = bytearray(path.read_bytes())
+    content[int(where * len(content))] ^= flip
+    path.write_bytes(content)
+    try:
+        loaded = load_problem(path)
+    except InputError:
+        pass
+    else:  # a date, or something else that is not data
+        assert problem_hash(loaded) == problem_hash(problem)

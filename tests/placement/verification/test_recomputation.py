@@ -1,0 +1,225 @@
+"""What sets of poses are worth, told twice: by the optimiser's code and by the checker's."""
+
+import ast
+import inspect
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import questions
+
+from placement.layout import Stage
+from placement.optimiser import (
+    PlacementProblem,
+    apr_failed,
+    cost_eur,
+    floor_value,
+    is_allowed,
+    is_feasible,
+    placement_value,
+    run_margins_s,
+    solve_placement,
+)
+from placement.verification import (
+    recomputation,
+    verify,
+)
+from placement.verification.recomputation import (
+    LEAST_IS_BEST,
+    costs_eur,
+    floor_values,
+    limit_checks,
+    margins_of_all_s,
+    margins_s,
+    stage_names,
+    stage_values,
+)
+
+
+def sets_of(problem: PlacementProblem, size: int, limit: int = 25) -> np.ndarray:
+    """Some sets of a size."""
+    all_of_size = list(combinations(range(problem.table.n_poses), size))[:limit]
+    return np.array(all_of_size, dtype=np.int64).reshape(len(all_of_size), size)
+
+
+def test_the_checker_calls_nothing_of_the_optimiser():
+    for module in (recomputation, recomputation, recomputation, verify):
+        tree = ast.parse(inspect.getsource(module))
+        for node in tree.body:  # imports for types alone stand deeper, under TYPE_CHECKING
+            if isinstance(node, ast.ImportFrom | ast.Import):
+                names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+                names += [alias.name for alias in node.names]
+                assert not any("optimiser" in name for name in names), module.__name__
+        inner = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+        from_optimiser = {
+            alias.name for node in inner if node.module == "optimiser" for alias in node.names
+        }
+        assert from_optimiser <= {"PlacementProblem", "Floor"}
+
+
+@given(problem=questions(), size=st.integers(0, 4))
+@settings(max_examples=80)
+def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> None:
+    sets = sets_of(problem, size)
+    problem = replace(problem, survive=2)
+    margin_s = margins_s(problem, sets)
+    found = {
+        name: stage_values(problem, name, sets)
+        for name in (
+            "units",
+            "apr_survived",
+            "apr",
+            "apr_one_failed",
+            "smallest_margin_s",
+            "mean_margin_s",
+            "cost_eur",
+        )
+    }
+    allowed = np.logical_and.reduce(list(limit_checks(problem, sets).values()))
+    floors = [floor_values(problem, floor, sets) for floor in problem.floors]
+    for index, poses in enumerate(sets.tolist()):
+        np.testing.assert_allclose(margin_s[index], run_margins_s(problem, poses), atol=1e-12)
+        value = placement_value(problem, poses)
+        for name in value._fields:
+            assert found[name][index] == pytest.approx(getattr(value, name), abs=1e-12)
+        assert found["units"][index] == len(poses)
+        assert found["apr_survived"][index] == pytest.approx(apr_failed(problem, poses, 2))
+        assert allowed[index] == (size > 0 and is_allowed(problem.limits, poses))
+        assert costs_eur(problem, sets)[index] == pytest.approx(cost_eur(problem.limits, poses))
+        for floor, reached in zip(problem.floors, floors, strict=True):
+            assert reached[index] == pytest.approx(floor_value(problem, floor, poses), abs=1e-12)
+
+
+@given(problem=questions(), weights=st.tuples(*[st.sampled_from([0.0, 1.0, 0.3])] * 5))
+@settings(max_examples=30)
+def test_a_weighted_sum_is_that_of_the_five_values(
+    problem: PlacementProblem, weights: tuple[float, ...]
+) -> None:
+    if not any(weights):
+        return
+    problem = replace(problem, stage_weights=weights)
+    sets = sets_of(problem, min(2, problem.table.n_poses))
+    for poses, total in zip(sets, stage_values(problem, "weighted", sets), strict=True):
+        value = placement_value(problem, poses.tolist())
+        signed = (*value[:4], -value.cost_eur)
+        assert total == pytest.approx(sum(w * v for w, v in zip(weights, signed, strict=True)))
+
+
+@given(problem=questions())
+@settings(max_examples=50)
+def test_all_poses_together_are_the_margins_of_one_set_of_them_all(
+    problem: PlacementProblem,
+) -> None:
+    everything = np.arange(problem.table.n_poses)
+    np.testing.assert_allclose(
+        margins_of_all_s(problem, everything), run_margins_s(problem, everything.tolist())
+    )
+
+
+@given(problem=questions())
+@settings(max_examples=50)
+def test_small_blocks_change_nothing(problem: PlacementProblem) -> None:
+    sets = sets_of(problem, min(2, problem.table.n_poses))
+    names = stage_names(problem)
+    whole = [stage_values(problem, name, sets) for name in names]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recomputation, "_BLOCK_BYTES", 1)
+        for name, values in zip(names, whole, strict=True):
+            np.testing.assert_array_equal(stage_values(problem, name, sets), values)
+
+
+@given(problem=questions())
+@settings(max_examples=100)
+def test_no_set_is_better_than_the_simple_limits(problem: PlacementProblem) -> None:
+    limits = recomputation.simple_limits(problem, ())
+    usable = recomputation.usable_poses(problem)
+    for size in range(1, problem.table.n_poses + 1):
+        for poses in combinations(range(problem.table.n_poses), size):
+            if not is_allowed(problem.limits, list(poses)):
+                continue
+            assert size <= recomputation.most_units(problem)
+            assert set(poses) <= set(usable.tolist())
+            for name in stage_names(problem):
+                (value,) = stage_values(problem, name, np.array([poses]))
+                sign = -1.0 if name in LEAST_IS_BEST else 1.0
+                assert sign * value <= sign * limits[name] + 1e-9
+
+
+@given(problem=questions())
+@settings(max_examples=100)
+def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(
+    problem: PlacementProblem,
+) -> None:
+    problem = replace(problem, goal="best", floors=(), survive=0)
+    best = recomputation.simple_limits(problem, ())["apr"]
+    claim = Stage(name="apr", objective=best, bound=best, gap=0.0, seconds=0.0)
+    limits = recomputation.simple_limits(problem, [claim])
+    for size in range(1, min(problem.table.n_poses, 3) + 1):
+        for poses in combinations(range(problem.table.n_poses), size):
+            value = placement_value(problem, poses)
+            if value.apr >= best - 1e-12 and is_allowed(problem.limits, list(poses)):
+                assert value.smallest_margin_s <= limits["smallest_margin_s"] + 1e-9
+                assert value.mean_margin_s <= limits["mean_margin_s"] + 1e-9
+
+
+@given(problem=questions())
+@settings(max_examples=60)
+def test_neighbours_are_all_sets_that_differ_in_one_unit(problem: PlacementProblem) -> None:
+    rows = list(recomputation.usable_poses(problem)[:3])
+    if not rows:
+        return
+    usable = set(recomputation.usable_poses(problem).tolist())
+    found = [
+        frozenset(poses)
+        for sets in recomputation.neighbours(problem, rows)
+        for poses in sets.tolist()
+    ]
+    layout = frozenset(int(row) for row in rows)
+    expected = {
+        poses
+        for size in range(1, len(usable) + 1)
+        for poses in map(frozenset, combinations(usable, size))
+        if len(layout - poses) <= 1 and len(poses - layout) <= 1
+    }
+    assert len(found) == len(set(found)) == recomputation.n_neighbours(problem, rows)
+    assert set(found) == expected
+
+
+@given(problem=questions())
+@settings(max_examples=60)
+def test_all_sets_are_all_that_may_be_allowed(problem: PlacementProblem) -> None:
+    found = {
+        frozenset(poses) for sets in recomputation.all_sets(problem) for poses in sets.tolist()
+    }
+    assert len(found) == recomputation.n_sets_of_all(problem)
+    allowed = {
+        frozenset(poses)
+        for size in range(1, problem.table.n_poses + 1)
+        for poses in combinations(range(problem.table.n_poses), size)
+        if is_feasible(problem, poses)
+    }
+    assert allowed <= found
+
+
+def test_the_best_others_of_a_solved_problem_are_the_solution_itself(frame_axis, rule):
+    from placement.detection_table import pack_table
+    from placement.optimiser import Limits
+
+    rng = np.random.default_rng(3)
+    detected = rng.random((6, frame_axis.n_frames)) < 0.7
+    problem = PlacementProblem(
+        table=pack_table(tuple("abcdef"), frame_axis, detected),
+        limits=Limits(
+            site_index=np.arange(6), site_capacity=np.ones(6, dtype=np.int64), budget_units=2
+        ),
+        fusion="any",
+        rule=replace(rule, n_confirmations=2),
+    )
+    solution = solve_placement(problem)
+    stages = solution.certificate.stages
+    best = recomputation.best_others(problem, stages, recomputation.all_sets(problem))
+    assert [other.value for other in best] == pytest.approx([stage.objective for stage in stages])
+    assert [other.name for other in best] == [stage.name for stage in stages]
