@@ -1,16 +1,15 @@
-"""What is driven, how much it counts, how it brakes: a user's words. Imports nothing heavy."""
+"""The question: what a user asks, in the words of the command line. Imports nothing heavy."""
 
 from dataclasses import dataclass
 
-# ---------- what is driven
-
-
 DEFAULT_CASES = "study"
+BASELINE_NAME = "carlancap-12"
+"""What a user calls the study's own layout."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """The options that say what a layout is placed for; texts as a user writes them.
+    """What is asked: what is driven and how it brakes, what may be mounted, how hard to look.
 
     Attributes
     ----------
@@ -36,39 +35,6 @@ class Question:
         Of the VUT itself, with commas between, see :class:`placement.setting.Setting`.
     packet_loss, vam_rate : float
         See :class:`placement.setting.Links`.
-    """
-
-    scene: str = ""
-    cases: str = DEFAULT_CASES
-    speeds: str = ""
-    approaches: str = ""
-    weather: str = "day"
-    weights: str = "run"
-    phase: str = "aligned"
-    force: bool = False
-    deceleration_mps2: float | None = None
-    build_up_s: float | None = None
-    latency_s: float | None = None
-    n_confirmations: int | None = None
-    detector: str = "geometric"
-    vut_sensors: str = "camera"
-    packet_loss: float = 0.0
-    vam_rate: float = 0.0
-
-
-# ---------- what is asked of a layout
-
-
-BASELINE_NAME = "carlancap-12"
-"""What a user calls the study's own layout."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Planning:
-    """The options that say what is asked of a layout, and how it is looked for; a user's words.
-
-    Attributes
-    ----------
     budget : int, optional
         Units.
     budget_cost : float, optional
@@ -114,6 +80,22 @@ class Planning:
         "mean", "worst", or the share of the worst worlds whose mean counts.
     """
 
+    scene: str = ""
+    cases: str = DEFAULT_CASES
+    speeds: str = ""
+    approaches: str = ""
+    weather: str = "day"
+    weights: str = "run"
+    phase: str = "aligned"
+    force: bool = False
+    deceleration_mps2: float | None = None
+    build_up_s: float | None = None
+    latency_s: float | None = None
+    n_confirmations: int | None = None
+    detector: str = "geometric"
+    vut_sensors: str = "camera"
+    packet_loss: float = 0.0
+    vam_rate: float = 0.0
     budget: int | None = None
     budget_cost: float | None = None
     target: str = ""

@@ -92,7 +92,7 @@ TABLE = """<table id="sorted"><thead><tr><th scope="col">name</th><th scope="col
 def page_around(part):
     """A small page with the interactive part and one more table behind it."""
     environment = Environment(
-        loader=PackageLoader("experiments"),
+        loader=PackageLoader("experiments.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -9,7 +9,7 @@ REPORT = "report.html.j2"
 
 def render_partial(name: str, **context: Any) -> str:
     """A partial as the report includes it: escaped, and every variable must be there."""
-    loader = PackageLoader("experiments")
+    loader = PackageLoader("experiments.report")
     environment = Environment(
         loader=loader,
         autoescape=True,

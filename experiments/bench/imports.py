@@ -28,7 +28,7 @@ from geometry.maps.source_map import SourceMap
 from placement.evaluation import apr
 from placement.evaluator import evaluate_layout
 from placement.pipeline import place
-from placement.question import Planning, Question
+from placement.question import Question
 from placement.setting import build_setting
 
 from ..figures.evaluation import to_png
@@ -124,7 +124,7 @@ def _run(task: _Task, budget: int, pictures: Path) -> list[str]:
     (pictures / f"{stem}.png").write_bytes(to_png(plot_scene_plan(scene)))
     began_s = time.perf_counter()
     setting = build_setting(Question(), scene)
-    plan = build_plan(Planning(budget=budget), scene)
+    plan = build_plan(Question(budget=budget), scene)
     placement = place(
         setting, plan.candidates, wishes=plan.wishes, effort=plan.effort, workers=_WORKERS
     )

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import click
 from click.shell_completion import get_completion_class
 
-from placement.question import Planning, Question
+from placement.question import Question
 
 from ..progress import (
     Interrupted,
@@ -160,7 +160,6 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 def cli(
     context: click.Context,
     *,
-    planning: Planning,
     recording: Path | None,
     min_confidence: float,
     question: Question,
@@ -189,7 +188,7 @@ def cli(
                 f"{given[0]}: options of {context.invoked_subcommand} go behind its name"
             )
         return
-    check_asked(planning)
+    check_asked(question)
     progress: StageProgress = context.obj
     check_recording_options(recording)
     if recording is not None:
@@ -200,7 +199,6 @@ def cli(
         summary = recording_job.run_recorded_placement(
             question,
             folder=recording,
-            planning=planning,
             min_confidence=min_confidence,
             out=folder,
             progress=progress,
@@ -210,7 +208,6 @@ def cli(
     placement = _start(progress, quiet=quiet)
     summary = placement.run_placement(
         question,
-        planning,
         out=out,
         seed=seed,
         workers=workers,

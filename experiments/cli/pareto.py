@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from placement.question import Planning, Question
+from placement.question import Question
 
 from ..progress import (
     StageProgress,
@@ -84,7 +84,6 @@ def pareto(
     by: str,
     all_stages: bool,
     out: Path | None,
-    planning: Planning,
     question: Question,
     as_json: bool,
     quiet: bool,
@@ -103,7 +102,6 @@ def pareto(
     warn_of_slow_rays()
     summary = run_pareto(
         question,
-        planning,
         by=by,
         max_units=max_units,
         all_stages=all_stages,

@@ -1,13 +1,11 @@
 """Options that say what is asked of a layout, and how it is looked for."""
 
 from collections.abc import Callable
-from dataclasses import fields
-from functools import wraps
 from typing import Any
 
 import click
 
-from placement.question import Planning
+from placement.question import Question
 
 from .options import (
     Number,
@@ -215,7 +213,7 @@ _POOL = (
 
 
 def planning_options(*, has_samples: bool = True) -> Decorator:
-    """Options of a command that plans; it gets them as one `planning`.
+    """Options of a command that plans; beside `question_options`, they become one `question`.
 
     Parameters
     ----------
@@ -226,20 +224,14 @@ def planning_options(*, has_samples: bool = True) -> Decorator:
     options = (*_ASKED, *_SITES, *_LOOKING, *more)
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        @wraps(command)
-        def with_planning(*args: Any, **values: Any) -> Any:
-            names = [field.name for field in fields(Planning) if field.name in values]
-            planning = Planning(**{name: values.pop(name) for name in names})
-            return command(*args, planning=planning, **values)
-
         for option in reversed(options):
-            with_planning = option(with_planning)
-        return with_planning
+            command = option(command)
+        return command
 
     return decorate
 
 
-def check_asked(planning: Planning) -> None:
+def check_asked(question: Question) -> None:
     """Refuse to plan for nothing.
 
     Raises
@@ -247,7 +239,7 @@ def check_asked(planning: Planning) -> None:
     click.UsageError
         Neither units nor money nor a target is given.
     """
-    if planning.budget is None and planning.budget_cost is None and not planning.target:
+    if question.budget is None and question.budget_cost is None and not question.target:
         raise click.UsageError(
             "--budget: got nothing; expected a whole number of units, at least 1 (or --target, or "
             "--budget-cost)"

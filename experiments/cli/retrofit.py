@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from placement.question import Planning, Question
+from placement.question import Question
 
 from ..progress import (
     StageProgress,
@@ -73,7 +73,6 @@ def retrofit(
     layout_names: tuple[str, ...],
     visit_eur: float | None,
     out: Path | None,
-    planning: Planning,
     question: Question,
     as_json: bool,
     quiet: bool,
@@ -93,7 +92,6 @@ def retrofit(
     warn_of_slow_rays()
     summary = run_retrofit(
         question,
-        planning,
         layout=layout,
         visit_eur=visit_eur,
         out=out,

@@ -17,7 +17,7 @@ from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import Front, FrontPoint, StageChoice
 from placement.optimiser.units_front import pareto_front
 from placement.pipeline import obtain_table, pick_layout
-from placement.question import Planning, Question
+from placement.question import Question
 from placement.setting import build_setting
 from placement.wishes import build_problem
 
@@ -40,7 +40,6 @@ _STAGES = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_
 
 def run_pareto(
     question: Question,
-    planning: Planning,
     *,
     by: str,
     max_units: int,
@@ -58,7 +57,7 @@ def run_pareto(
     ----------
     question : Question
         What is driven.
-    planning : Planning
+    question : Question
         What is asked beside the number of units, and how it is looked for: its time is for all
         points together.
     by : {"units", "cost"}
@@ -91,7 +90,7 @@ def run_pareto(
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
-    plan = build_plan(replace(planning, budget=1), scene)
+    plan = build_plan(replace(question, budget=1), scene)
     wishes = replace(plan.wishes, budget_units=max_units)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
@@ -103,7 +102,7 @@ def run_pareto(
         cache_folder=cache_folder,
         on_progress=progress,
     )
-    fusion = cast(Fusion, planning.fusion)
+    fusion = cast(Fusion, question.fusion)
     problem = build_problem(setting, plan.candidates, table, wishes=wishes, fusion=fusion)
     progress("front", 0, 0)
     n_kept = 0 if plan.kept is None else len(plan.kept.units)

@@ -15,7 +15,7 @@ from placement.optimiser import Fusion
 from placement.optimiser.front import Front
 from placement.optimiser.units_front import front_below
 from placement.pipeline import Placement, place
-from placement.question import Planning, Question
+from placement.question import Question
 from placement.refinement.refine import refine
 from placement.sampling import load_uncertainty, out_of_sample_layouts
 from placement.setting import Setting, build_setting
@@ -46,7 +46,6 @@ MIN_FRESH_WORLDS = 60
 
 def run_placement(
     question: Question,
-    planning: Planning,
     *,
     out: Path,
     seed: int,
@@ -69,12 +68,12 @@ def run_placement(
     """
     check_result_folder(out)
     scene = find_scene(question.scene)
-    plan = build_plan(planning, scene)
+    plan = build_plan(question, scene)
     progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
     study = find_baseline(scene)
-    uncertainty = load_uncertainty(planning.uncertainty, where="--uncertainty")
+    uncertainty = load_uncertainty(question.uncertainty, where="--uncertainty")
     if question.packet_loss:
         uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
 
@@ -87,17 +86,17 @@ def run_placement(
         setting,
         plan.candidates,
         wishes=plan.wishes,
-        fusion=cast(Fusion, planning.fusion),
+        fusion=cast(Fusion, question.fusion),
         effort=plan.effort,
         uncertainty=uncertainty,
-        n_samples=planning.samples,
+        n_samples=question.samples,
         seed=seed,
         workers=workers,
         cache_folder=cache_folder,
         on_progress=report,
     )
     refinement = None
-    if planning.refine:
+    if question.refine:
         refinement = refine(
             setting,
             placement,
@@ -114,8 +113,8 @@ def run_placement(
         placement,
         setting,
         poses,
-        n_pool=planning.pool,
-        tolerance=planning.pool_tolerance,
+        n_pool=question.pool,
+        tolerance=question.pool_tolerance,
         seed=seed,
     )
     front = _front_below(placement, plan, progress)
@@ -130,24 +129,24 @@ def run_placement(
             front, placement.problem, poses, n_kept=len(plan.wishes.kept)
         )
     summary["sensitivity"] = _what_if(
-        setting, placement.layout, seed, workers, progress, fusion=planning.fusion
+        setting, placement.layout, seed, workers, progress, fusion=question.fusion
     )
     if plan.private is not None:
         units = placement.layout.units
         summary["private_ground"] = summarise_private_ground(
-            units, scene, plan.private, eur_per_m2=planning.no_look_price
+            units, scene, plan.private, eur_per_m2=question.no_look_price
         )
     if refinement is not None:
         summary["refinement"] = summarise_refinement(refinement)
     sampled_figure = None
-    if planning.samples:
+    if question.samples:
         judged = out_of_sample_layouts(
             setting,
             layouts,
             uncertainty,
-            n_samples=max(planning.samples, MIN_FRESH_WORLDS),
+            n_samples=max(question.samples, MIN_FRESH_WORLDS),
             seed=seed,
-            fusion=planning.fusion,
+            fusion=question.fusion,
             workers=workers,
             on_progress=progress,
         )
@@ -175,7 +174,7 @@ def run_placement(
         bill=build_bill(
             placement.layout,
             scene,
-            site_cost_eur=planning.site_cost_eur,
+            site_cost_eur=question.site_cost_eur,
             kept_ids=plan.wishes.kept,
         ),
         sampled_figure=sampled_figure,

@@ -21,7 +21,7 @@ from placement.layout import Layout, check_layout
 from placement.optimiser import Effort, PlacementValue
 from placement.optimiser.milp import DEFAULT_SOLVER, SolverName, check_solver
 from placement.private_ground import PrivateGround, private_shares
-from placement.question import Planning
+from placement.question import Question
 from placement.wishes import Wishes, check_wishes
 
 from ..report.private_ground import is_decent, load_private_ground
@@ -53,12 +53,12 @@ class Plan:
     private: PrivateGround | None = None
 
 
-def build_plan(planning: Planning, scene: Scene) -> Plan:
+def build_plan(question: Question, scene: Scene) -> Plan:
     """Read planning options.
 
     Parameters
     ----------
-    planning : Planning
+    question : Question
         A user's words.
     scene : Scene
         Its sites.
@@ -74,39 +74,39 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
         A word is unknown, a layout does not fit the scene, or a wish cannot be met at its sites.
     """
     for option, is_given in (
-        ("--within", planning.within),
-        ("--samples", planning.samples),
-        ("--no-look", planning.no_look),
+        ("--within", question.within),
+        ("--samples", question.samples),
+        ("--no-look", question.no_look),
     ):
-        if planning.refine and is_given:
+        if question.refine and is_given:
             raise InputError(
                 "--refine", Unquoted(f"it beside {option}"), "one of them: poses stay as they are"
             )
     for option, value in (
-        ("--no-look-share", planning.no_look_share),
-        ("--no-look-price", planning.no_look_price),
+        ("--no-look-share", question.no_look_share),
+        ("--no-look-price", question.no_look_price),
     ):
-        if value and not planning.no_look:
+        if value and not question.no_look:
             raise InputError(option, value, "--no-look beside it")
-    if planning.pool_tolerance and not planning.pool:
-        raise InputError("--pool-tolerance", planning.pool_tolerance, "--pool beside it")
-    study = find_baseline(scene) if planning.study_poses else None
-    kept = _layout(planning.keep, "--keep", scene)
-    within = _layout(planning.within, "--within", scene)
+    if question.pool_tolerance and not question.pool:
+        raise InputError("--pool-tolerance", question.pool_tolerance, "--pool beside it")
+    study = find_baseline(scene) if question.study_poses else None
+    kept = _layout(question.keep, "--keep", scene)
+    within = _layout(question.within, "--within", scene)
     if within is not None:
         candidates = tuple(_distinct([within, kept]))
     else:
         extra = _distinct([study, kept])
-        candidates = build_candidates(scene, grid_of(planning.sensors), extra=extra)
+        candidates = build_candidates(scene, grid_of(question.sensors), extra=extra)
     private = None
     surcharges: tuple[tuple[str, float], ...] = ()
-    if planning.no_look:
-        private = load_private_ground(Path(planning.no_look), scene)
-        most = planning.no_look_share
+    if question.no_look:
+        private = load_private_ground(Path(question.no_look), scene)
+        most = question.no_look_share
         if most is None:
-            most = 1.0 if planning.no_look_price else 0.0
+            most = 1.0 if question.no_look_price else 0.0
         shares = private_shares(scene, candidates, private)
-        prices_eur = planning.no_look_price * (shares @ private.area_m2)
+        prices_eur = question.no_look_price * (shares @ private.area_m2)
         chosen = np.flatnonzero(is_decent(shares, most=most))
         surcharges = tuple(
             (candidates[row].id, float(prices_eur[row])) for row in chosen if prices_eur[row] > 0.0
@@ -115,37 +115,37 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
         if kept is not None:  # what hangs there hangs there
             candidates = tuple(_distinct([Layout(name="all", units=candidates), kept]))
     wishes = Wishes(
-        budget_units=planning.budget,
-        budget_eur=planning.budget_cost,
-        target=_target(planning.target),
-        saves=planning.least,
-        min_case_apr=planning.min_case_apr,
-        survive=planning.survive,
+        budget_units=question.budget,
+        budget_eur=question.budget_cost,
+        target=_target(question.target),
+        saves=question.least,
+        min_case_apr=question.min_case_apr,
+        survive=question.survive,
         kept=() if kept is None else tuple(unit.id for unit in kept.units),
-        forced_sites=_words(planning.force_site),
-        forbidden_sites=_words(planning.forbid_site),
-        site_capacity=planning.site_capacity,
-        site_cost_eur=planning.site_cost_eur,
-        separation_m=planning.separation_m,
+        forced_sites=_words(question.force_site),
+        forbidden_sites=_words(question.forbid_site),
+        site_capacity=question.site_capacity,
+        site_cost_eur=question.site_cost_eur,
+        separation_m=question.separation_m,
         surcharges_eur=surcharges,
-        stage_weights=_stage_weights(planning.stage_weights),
-        tail=_tail(planning.risk, planning.samples),
+        stage_weights=_stage_weights(question.stage_weights),
+        tail=_tail(question.risk, question.samples),
     )
     check_wishes(wishes, scene)
-    if within is not None and planning.budget is not None and planning.budget > len(candidates):
+    if within is not None and question.budget is not None and question.budget > len(candidates):
         raise InputError(
-            "--budget", planning.budget, f"at most {len(candidates)}, the units of --within"
+            "--budget", question.budget, f"at most {len(candidates)}, the units of --within"
         )
     return Plan(
         wishes=wishes,
-        effort=effort_of(planning),
+        effort=effort_of(question),
         candidates=candidates,
         kept=kept,
         private=private,
     )
 
 
-def effort_of(planning: Planning) -> Effort:
+def effort_of(question: Question) -> Effort:
     """How hard the optimiser tries.
 
     Raises
@@ -154,12 +154,12 @@ def effort_of(planning: Planning) -> Effort:
         A solver that is not installed, a number that cannot be.
     """
     return Effort(
-        solver=cast(SolverName, planning.solver),
-        time_limit_s=planning.time_limit_s,
-        gap=planning.gap,
+        solver=cast(SolverName, question.solver),
+        time_limit_s=question.time_limit_s,
+        gap=question.gap,
         milp_solver=DEFAULT_SOLVER
-        if planning.milp_solver == DEFAULT_SOLVER
-        else check_solver(planning.milp_solver),
+        if question.milp_solver == DEFAULT_SOLVER
+        else check_solver(question.milp_solver),
     )
 
 

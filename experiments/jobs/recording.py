@@ -23,7 +23,7 @@ from placement.optimiser import (
     solve_greedy,
     solve_placement,
 )
-from placement.question import Planning, Question
+from placement.question import Question
 from placement.recordings import (
     RecordedEvaluation,
     Recording,
@@ -88,7 +88,6 @@ def run_recorded_placement(
     question: Question,
     *,
     folder: Path,
-    planning: Planning,
     min_confidence: float,
     out: Path | None,
     progress: StageProgress,
@@ -99,7 +98,7 @@ def run_recorded_placement(
     ----------
     question, folder, min_confidence, out, progress
         As for :func:`run_recording`.
-    planning : Planning
+    question : Question
         Budget, fusion, how hard to try; a recording has no sites and no prices.
 
     Returns
@@ -116,7 +115,7 @@ def run_recorded_placement(
     rule = build_rule(question)
     recording, everything = _evaluate(folder, rule, min_confidence, out, progress)
     n_units = len(recording.units)
-    budget_units, fusion = planning.budget, cast(Fusion, planning.fusion)
+    budget_units, fusion = question.budget, cast(Fusion, question.fusion)
     if budget_units is None:
         raise InputError("--budget", Unquoted("nothing"), "units, beside a recording")
     if budget_units > n_units:
@@ -127,7 +126,7 @@ def run_recorded_placement(
     solution = solve_placement(
         problem,
         reduced,
-        effort=effort_of(planning),
+        effort=effort_of(question),
         on_stage=lambda stage: progress(f"optimise: {stage}", 0, 0),
     )
     greedy = _pick(recording, solve_greedy(problem, reduced))

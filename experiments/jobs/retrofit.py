@@ -13,7 +13,7 @@ from placement.candidates import CandidatePose
 from placement.layout import Layout, check_layout, layout_records
 from placement.optimiser import Fusion, PlacementValue, is_better
 from placement.pipeline import obtain_table
-from placement.question import Planning, Question
+from placement.question import Question
 from placement.retrofit import (
     Change,
     Labour,
@@ -214,7 +214,6 @@ CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"
 
 def run_retrofit(
     question: Question,
-    planning: Planning,
     *,
     layout: Layout,
     visit_eur: float | None,
@@ -231,7 +230,7 @@ def run_retrofit(
     ----------
     question : Question
         What is driven.
-    planning : Planning
+    question : Question
         What may be added, the money for all together, and how it is looked for.
     layout : Layout
         What hangs.
@@ -261,8 +260,8 @@ def run_retrofit(
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
     check_layout(layout, scene)
-    plan = build_plan(replace(planning, budget=1, budget_cost=None, study_poses=False), scene)
-    poses = build_retrofit_poses(layout, grid_of(planning.sensors), plan.candidates)
+    plan = build_plan(replace(question, budget=1, budget_cost=None, study_poses=False), scene)
+    poses = build_retrofit_poses(layout, grid_of(question.sensors), plan.candidates)
     wishes = replace(plan.wishes, kept=tuple(unit.id for unit in layout.units))
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
@@ -280,21 +279,21 @@ def run_retrofit(
         poses.candidates,
         table,
         wishes=wishes,
-        fusion=cast(Fusion, planning.fusion),
+        fusion=cast(Fusion, question.fusion),
     )
     labour = load_labour() if visit_eur is None else _at_price(visit_eur)
     retrofit = find_retrofit(
         problem,
         poses,
         labour=labour,
-        budget_eur=planning.budget_cost,
+        budget_eur=question.budget_cost,
         effort=plan.effort,
     )
     summary = summarise_retrofit(retrofit, poses, layout)
     summary |= {
         "runs": setting.axis.n_runs,
-        "fusion": planning.fusion,
-        "budget_eur": planning.budget_cost,
+        "fusion": question.fusion,
+        "budget_eur": question.budget_cost,
         "labour": asdict(labour) | {"re_aim_eur": labour.re_aim_eur},
         "command": command,
         **summarise_drives(setting),

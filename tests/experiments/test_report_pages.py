@@ -15,7 +15,7 @@ from experiments.report.page import write_report
 from experiments.study.layout import load_carlancap_layout
 from placement.candidates import load_candidate_grid
 from placement.layout import Layout, layout_records
-from placement.question import Planning, Question
+from placement.question import Question
 
 KINDS = ("placement", "comparison", "missed", "many")
 """Of an optimised layout, of two, of one that misses runs, and of one of 200 units."""
@@ -50,8 +50,7 @@ def addresses(small_setting, tmp_path_factory):
         patch.setattr(planning, "load_candidate_grid", lambda: grid)
         question = Question()
         placement.run_placement(
-            question,
-            Planning(budget=2, time_limit_s=60.0),
+            replace(question, budget=2, time_limit_s=60.0),
             out=folder / "placement",
             cache_folder=None,
             **common,

@@ -258,7 +258,9 @@ def test_a_fixed_budget_has_one_bar_and_no_range(curves):
 
 def test_the_text_says_how_long_each_level_holds(curves):
     budget = load_latency_budget()
-    parties = {name: latency._summarise_curve(curve, budget, 0.5) for name, curve in curves.items()}
+    parties = {
+        name: latency_job._summarise_curve(curve, budget, 0.5) for name, curve in curves.items()
+    }
     text = latency_text(
         {
             "name": "mine",
@@ -296,7 +298,7 @@ def test_the_text_says_how_long_each_level_holds(curves):
 )
 def test_by_default_the_figure_shows_where_the_apr_falls(last_s, budget, expected_s):
     curves = {"rsu_all": _curve(*last_s)}
-    shown_s = latency._default_max_s(curves, load_latency_budget(budget))
+    shown_s = latency_job._default_max_s(curves, load_latency_budget(budget))
     assert shown_s == pytest.approx(expected_s)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from placement.optimiser.covering.files import load_instance
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "cover"
+GOLDEN = Path(__file__).parents[2] / "golden" / "cover"
 SCP41 = GOLDEN / "scp41.txt"
 SMALL = """\
 3 4

@@ -13,7 +13,7 @@ import pytest
 from experiments.jobs import placement
 from experiments.progress import StageProgress
 from experiments.results import writing
-from placement.question import Planning, Question
+from placement.question import Question
 from placement.verification.instances import load_problem, save_problem
 
 
@@ -25,8 +25,7 @@ def written(small_setting, tmp_path_factory):
         patch.setattr(placement, "build_setting", lambda question, scene: small_setting)
         patch.setattr(writing, "write_report", lambda *given, **options: None)
         placement.run_placement(
-            Question(),
-            Planning(budget=2, within="carlancap-12", time_limit_s=60.0),
+            Question(budget=2, within="carlancap-12", time_limit_s=60.0),
             out=folder,
             seed=0,
             workers=2,

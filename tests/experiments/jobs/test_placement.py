@@ -1,6 +1,6 @@
 import json
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 
@@ -10,7 +10,7 @@ from experiments.progress import StageProgress
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from placement.layout import Layout, load_layout
-from placement.question import Planning, Question
+from placement.question import Question
 
 
 def place(out, **options):
@@ -23,10 +23,10 @@ def place(out, **options):
         "progress": StageProgress(),
     }
     asked = {"budget": 1, "time_limit_s": 60.0}
-    names = {field.name for field in fields(Planning)} & set(options)
+    names = {field.name for field in fields(Question)} & set(options)
     asked |= {name: options.pop(name) for name in names}
     question = options.pop("question", Question())
-    return placement.run_placement(question, Planning(**asked), **(given | options))
+    return placement.run_placement(replace(question, **asked), **(given | options))
 
 
 def evaluate(layout, out=None):

@@ -11,7 +11,7 @@ from experiments.jobs.recording import run_recorded_placement, run_recording
 from experiments.jobs.verify import run_verification
 from experiments.progress import StageProgress
 from geometry.errors import InputError
-from placement.question import Planning, Question
+from placement.question import Question
 from placement.recordings import WrittenDrive, write_recording
 from scenarios.aeb import load_aeb_rule
 
@@ -74,8 +74,8 @@ def _place(folder, **options):
         "progress": StageProgress(),
     }
     asked = {"budget": options.pop("budget_units", 2), "fusion": options.pop("fusion", "any")}
-    planning = Planning(**asked, time_limit_s=60.0)
-    return run_recorded_placement(Question(), folder=folder, planning=planning, **(given | options))
+    question = Question(**asked, time_limit_s=60.0)
+    return run_recorded_placement(question, folder=folder, **(given | options))
 
 
 def _evaluate(folder, question=None, **options):

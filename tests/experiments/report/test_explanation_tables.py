@@ -291,7 +291,7 @@ def test_units_are_told_in_the_singular_and_in_the_plural():
 
 def render(part):
     """The page's part, with the report's own macros."""
-    folder = files("experiments") / "templates"
+    folder = files("experiments.report") / "templates"
 
     def read(name):
         return (folder / name).read_text(encoding="utf-8")

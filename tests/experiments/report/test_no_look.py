@@ -18,7 +18,7 @@ from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.scene_files import load_study_scene
 from placement.private_ground import private_shares
-from placement.question import Planning
+from placement.question import Question
 from placement.wishes import build_limits
 
 
@@ -65,11 +65,11 @@ def test_a_map_of_no_known_place_takes_its_own_coordinates(scene, tmp_path):
 
 
 def test_poses_that_look_in_are_no_candidates(garden, scene):
-    plan = build_plan(Planning(budget=1, no_look=str(garden)), scene)
-    everything = build_plan(Planning(budget=1), scene)
+    plan = build_plan(Question(budget=1, no_look=str(garden)), scene)
+    everything = build_plan(Question(budget=1), scene)
     assert 0 < len(plan.candidates) < len(everything.candidates)
     assert (private_shares(scene, plan.candidates, plan.private) == 0.0).all()
-    some = build_plan(Planning(budget=1, no_look=str(garden), no_look_share=0.5), scene)
+    some = build_plan(Question(budget=1, no_look=str(garden), no_look_share=0.5), scene)
     assert len(plan.candidates) < len(some.candidates) <= len(everything.candidates)
     summary = summarise_private_ground(plan.candidates[:2], scene, plan.private)
     assert private_sentences(summary) == ["No camera has the private area in its picture."]
@@ -89,12 +89,12 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
     with pytest.raises(InputError, match=r"--no-look-share: got 0\.0 %; expected at least 0\."):
         is_decent(private_shares(scene, watching, ground), most=0.0)
     with pytest.raises(InputError, match="--refine: got it beside --no-look"):
-        build_plan(Planning(budget=1, no_look=str(garden), refine=True), scene)
+        build_plan(Question(budget=1, no_look=str(garden), refine=True), scene)
 
 
 def test_a_price_forbids_nothing_and_counts_every_square_metre(garden, scene):
-    everything = build_plan(Planning(budget=1), scene)
-    plan = build_plan(Planning(budget=1, no_look=str(garden), no_look_price=30.0), scene)
+    everything = build_plan(Question(budget=1), scene)
+    plan = build_plan(Question(budget=1, no_look=str(garden), no_look_price=30.0), scene)
     assert [c.id for c in plan.candidates] == [c.id for c in everything.candidates]
     prices = dict(plan.wishes.surcharges_eur)
     seen_m2 = private_shares(scene, plan.candidates, plan.private)[:, 0] * plan.private.area_m2[0]
@@ -102,7 +102,7 @@ def test_a_price_forbids_nothing_and_counts_every_square_metre(garden, scene):
     costs = build_limits(plan.wishes, scene, plan.candidates).unit_cost_eur
     sensors = np.array([unit.sensor.price_eur for unit in plan.candidates])
     assert costs == pytest.approx(sensors + 30.0 * seen_m2)
-    both = Planning(budget=1, no_look=str(garden), no_look_price=30.0, no_look_share=0.5)
+    both = Question(budget=1, no_look=str(garden), no_look_price=30.0, no_look_share=0.5)
     assert len(build_plan(both, scene).candidates) < len(everything.candidates)
     units = load_carlancap_layout().units
     summary = summarise_private_ground(units, scene, plan.private, eur_per_m2=30.0)

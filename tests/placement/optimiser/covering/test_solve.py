@@ -18,7 +18,7 @@ from placement.optimiser.covering.solve import (
     solve_mclp,
 )
 
-GOLDEN = Path(__file__).parents[2] / "golden" / "cover"
+GOLDEN = Path(__file__).parents[3] / "golden" / "cover"
 OPTIMA = tomllib.loads((GOLDEN / "optima.toml").read_text())
 EXACT = st.sampled_from(["auto", "HIGHS"])
 

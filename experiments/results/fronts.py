@@ -1,0 +1,99 @@
+"""Parts of a result about other sizes and places: the front of layouts, and refinement."""
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from .record import BeforeAfter, Record, Share, StageName, StageRecord, UnitRecord, says
+
+
+class FrontPresolveRecord(Record, frozen=True, kw_only=True):
+    """Sizes of the problem."""
+
+    n_poses: Annotated[BeforeAfter, says("Poses.")]
+    n_frames: Annotated[BeforeAfter, says("Frames.")]
+    n_windows: Annotated[BeforeAfter, says("Windows of frames that confirm.")]
+    n_runs: Annotated[BeforeAfter, says("Runs.")]
+
+
+class RefusedSizeRecord(Record, frozen=True, kw_only=True):
+    """A size with which the wishes cannot be met."""
+
+    units: Annotated[int, says("Units.", ge=0)]
+    reason: Annotated[str, says("Why, in words.")]
+
+
+class FrontPointRecord(Record, frozen=True, kw_only=True):
+    """The best layout of a size."""
+
+    units: Annotated[int, says("Units allowed.", ge=0)]
+    apr: Annotated[Share, says("APR on the detection table.")]
+    apr_one_failed: Annotated[Share, says("APR if the unit that is needed most fails.")]
+    smallest_margin_s: Annotated[
+        float,
+        says("Smallest time to spare of the avoided runs, in seconds; 0 where there is none."),
+    ]
+    mean_margin_s: Annotated[
+        float,
+        says(
+            "Mean time to spare of the avoided runs by weight, in seconds; 0 where there is none."
+        ),
+    ]
+    cost_eur: Annotated[float, says("Units, and sites once, in EUR.")]
+    is_proven: Annotated[bool, says("Whether the gaps of all stages are closed.")]
+    stages: Annotated[tuple[StageRecord, ...], says("What was optimised, in order.")]
+    solver: Annotated[str, says("What the proof rests on.")]
+    layout: Annotated[tuple[UnitRecord, ...], says("The units.")]
+    pose_ids: Annotated[tuple[str, ...], says("Names of the candidate poses, in the same order.")]
+
+
+class FrontRecord(Record, frozen=True, kw_only=True):
+    """The best layout of each smaller size, and what each unit buys."""
+
+    by: Annotated[Literal["units", "cost"], says("What there is more and more of.")]
+    optimised: Annotated[
+        Literal["first", "all"],
+        says("first: APR, and APR if a unit fails; all: margins and cost, too."),
+    ]
+    candidates: Annotated[int, says("Candidate poses.", ge=0)]
+    runs: Annotated[int, says("Runs on the detection table, in all sampled worlds together.", ge=0)]
+    fusion: Annotated[Literal["any", "single"], says("As at the top.")]
+    kept: Annotated[int, says("Units that hang there already.", ge=0)]
+    settled: Annotated[
+        float | None, says("Units, or EUR, from which on nothing grows; null: unknown.")
+    ]
+    is_proven: Annotated[bool, says("Whether every point is.")]
+    presolve: Annotated[
+        FrontPresolveRecord | None, says("Once for all points; null: each was solved by itself.")
+    ]
+    refused: Annotated[tuple[RefusedSizeRecord, ...], says("Sizes that cannot be.")]
+    points: Annotated[tuple[FrontPointRecord, ...], says("In ascending order.")]
+    sentences: Annotated[tuple[str, ...], says("What each unit buys, in words.")]
+
+
+class MoveRecord(Record, frozen=True, kw_only=True):
+    """What became of a unit; changes are null where it is not at the same place."""
+
+    was: Annotated[str | None, says("Id before; null: it is new.")]
+    is_: Annotated[str | None, says("Id after; null: it is gone.")] = msgspec.field(name="is")
+    is_same_place: Annotated[
+        bool, says("Whether the same sensor hangs at the same place, maybe higher or lower.")
+    ]
+    turn_deg: Annotated[float | None, says("Change of the yaw, in degrees, counter-clockwise.")]
+    tilt_deg: Annotated[float | None, says("Change of the pitch, in degrees, up.")]
+    lift_m: Annotated[float | None, says("Change of the height, in metres, up.")]
+    zoom_deg: Annotated[float | None, says("Change of the field of view, in degrees.")]
+
+
+class RefinementRecord(Record, frozen=True, kw_only=True):
+    """Search between the poses of the grid."""
+
+    is_improved: Annotated[bool, says("Whether it found anything better.")]
+    before: Annotated[dict[StageName, float], says("Of the best layout of the grid.")]
+    after: Annotated[dict[StageName, float], says("Of the refined layout.")]
+    moves: Annotated[tuple[MoveRecord, ...], says("What became of the units that changed.")]
+    grid_candidates: Annotated[int, says("Candidate poses of the grid.", ge=0)]
+    grid_is_proven: Annotated[bool, says("Whether the grid's layout is proven best.")]
+    poses_tried: Annotated[int, says("Poses beside the grid.", ge=0)]
+    rounds: Annotated[int, says("Rounds of the search.", ge=0)]
+    seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]

@@ -1,0 +1,117 @@
+"""Records: frozen values of which results are made, with their JSON and the schema of it."""
+
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+from msgspec import UNSET, Meta, UnsetType
+
+
+class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A part of a result. Each field says what it is; fields that are UNSET are not written.
+
+    Attributes
+    ----------
+    schema_rules : mapping
+        What the JSON schema says of the keys beside their types, such as "oneOf".
+    """
+
+    schema_rules: ClassVar[dict[str, Any]] = {}
+
+
+def says(description: str, **limits: float) -> Meta:
+    """Description of a field, and limits of its value (``ge``, ``le``, ``min_length``)."""
+    return Meta(description=description, **limits)  # type: ignore[arg-type]
+
+
+Share = Annotated[
+    float,
+    Meta(ge=-1e-9, le=1.000000001, extra_json_schema={"title": "From 0 to 1, but for rounding."}),
+]
+RunId = Annotated[str, says("Name of a run, as in runs.parquet.", min_length=1)]
+StageName = Literal[
+    "units",
+    "cost_eur",
+    "apr_survived",
+    "apr",
+    "apr_one_failed",
+    "smallest_margin_s",
+    "mean_margin_s",
+]
+"""Objectives: number of units; cost in EUR; APR that is left when any units fail; APR; APR if the most
+needed unit fails; smallest and mean time to spare in seconds."""
+BeforeAfter = tuple[Annotated[int, Meta(ge=0)], Annotated[int, Meta(ge=0)]]
+"""Before presolve, after it."""
+
+
+class UnitRecord(Record, frozen=True, kw_only=True):
+    """A mounted sensor, as in layout.json. World frame: x east, y north, z up, 0 on the road."""
+
+    schema_rules: ClassVar[dict[str, Any]] = {
+        "oneOf": [{"required": ["camera"]}, {"required": ["lidar"]}]
+    }
+    id: Annotated[str, says("Name within the layout.", min_length=1)]
+    site: Annotated[str, says("Site of the scene; empty: none.")]
+    x_m: Annotated[float, says("East, in metres.")]
+    y_m: Annotated[float, says("North, in metres.")]
+    z_m: Annotated[float, says("Above the road, in metres.")]
+    yaw_deg: Annotated[float, says("Counter-clockwise from east, in degrees.")]
+    pitch_deg: Annotated[float, says("Positive up, in degrees.", ge=-90, le=90)]
+    camera: (
+        Annotated[str, says("Model of the catalogue or of layout.json; either this or lidar.")]
+        | UnsetType
+    ) = UNSET
+    lidar: (
+        Annotated[str, says("Model of the catalogue or of layout.json; either this or camera.")]
+        | UnsetType
+    ) = UNSET
+    fov_deg: (
+        Annotated[
+            float,
+            says(
+                "Horizontal field of view to which a varifocal lens is set, in degrees; missing: as in the catalogue."
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
+    latency_s: (
+        Annotated[float, says("Of this unit, in seconds; missing: that of the rule.", ge=0)]
+        | UnsetType
+    ) = UNSET
+
+
+class StageRecord(Record, frozen=True, kw_only=True):
+    """One of the objectives that are optimised in order, each holding those before it; on the
+    detection table.
+    """
+
+    name: Annotated[StageName, says("Which objective.")]
+    objective: Annotated[
+        float, says("Of the layout found, in the unit that the name ends in; shares from 0 to 1.")
+    ]
+    bound: Annotated[
+        float | None,
+        says("What no layout can exceed, or go below where least is best; null: unknown."),
+    ]
+    gap: Annotated[
+        float | None,
+        says("Distance of the two over the objective; 0: proven best; null: infinite."),
+    ]
+    seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
+
+
+class LayoutValueRecord(Record, frozen=True, kw_only=True):
+    """What units are worth on the detection table."""
+
+    apr: Annotated[Share, says("APR on the detection table.")]
+    apr_one_failed: Annotated[Share, says("APR if the unit that is needed most fails.")]
+    smallest_margin_s: Annotated[
+        float,
+        says("Smallest time to spare of the avoided runs, in seconds; 0 where there is none."),
+    ]
+    mean_margin_s: Annotated[
+        float,
+        says(
+            "Mean time to spare of the avoided runs by weight, in seconds; 0 where there is none."
+        ),
+    ]
+    cost_eur: Annotated[float, says("Units, and sites once, in EUR.")]

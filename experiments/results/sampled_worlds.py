@@ -1,0 +1,150 @@
+"""The part of a result about sampled worlds: what was drawn, and what layouts are worth there."""
+
+from typing import Annotated, Any, ClassVar, Literal
+
+from msgspec import UNSET, UnsetType
+
+from .record import Record, RunId, Share, says
+
+
+class UncertaintyMountingRecord(Record, frozen=True, kw_only=True):
+    """How units are off."""
+
+    yaw_sd_deg: Annotated[float, says("Standard deviation of the yaw, in degrees.", ge=0)]
+    pitch_sd_deg: Annotated[float, says("Of the pitch, in degrees.", ge=0)]
+    height_sd_m: Annotated[float, says("Of the height, in metres.", ge=0)]
+
+
+class UncertaintyLatencyRecord(Record, frozen=True, kw_only=True):
+    """How late messages come; either a budget or a distribution."""
+
+    schema_rules: ClassVar[dict[str, Any]] = {
+        "oneOf": [{"required": ["budget"]}, {"required": ["distribution", "mean_s", "sd_s"]}]
+    }
+    budget: Annotated[str, says("Name of a latency budget.")] | UnsetType = UNSET
+    distribution: (
+        Annotated[Literal["gamma", "uniform"], says("Kind of distribution.")] | UnsetType
+    ) = UNSET
+    mean_s: Annotated[float, says("Its mean, in seconds.", ge=0)] | UnsetType = UNSET
+    sd_s: Annotated[float, says("Its standard deviation, in seconds.", ge=0)] | UnsetType = UNSET
+    drawn_per: Annotated[
+        Literal["run", "sample"], says("How often it is drawn: for each run, or for each world.")
+    ]
+
+
+class UncertaintyMessagesRecord(Record, frozen=True, kw_only=True):
+    """What gets lost."""
+
+    packet_loss: Annotated[Share, says("Share of the messages.")]
+
+
+class UncertaintyDetectorRecord(Record, frozen=True, kw_only=True):
+    """What the detector does."""
+
+    is_drawn: Annotated[bool, says("Whether detections are drawn by their probability.")]
+
+
+class UncertaintyTrafficRecord(Record, frozen=True, kw_only=True):
+    """What stands in the streets."""
+
+    taken_share: Annotated[Share, says("Of the parking places.")]
+    waiting_share: Annotated[Share, says("Of the lanes with a vehicle that waits.")]
+    following_share: Annotated[Share, says("Of those with a further one behind it.")]
+    free_place_m: Annotated[float, says("Length of a parking place, in metres.")]
+    parked_gap_m: Annotated[float, says("Gap between parked vehicles, in metres.")]
+    clear_of_mouth_m: Annotated[
+        float, says("No parking from the mouth of the junction, in metres.")
+    ]
+    waiting_gap_m: Annotated[float, says("Gap between waiting vehicles, in metres.")]
+    crosswalk_gap_m: Annotated[float, says("From a crosswalk to who waits at it, in metres.")]
+    along_arm_m: Annotated[float, says("How far along an arm vehicles stand, in metres.")]
+    clearance_m: Annotated[
+        float, says("Nobody stands nearer to the way of vehicle or road user, in metres.")
+    ]
+
+
+class UncertaintyVehicleRecord(Record, frozen=True, kw_only=True):
+    """A kind of vehicle."""
+
+    name: Annotated[str, says("Of the actor.")]
+    parked_share: Annotated[Share, says("Among parked ones.")]
+    waiting_share: Annotated[Share, says("Among waiting ones.")]
+
+
+class UncertaintyRecord(Record, frozen=True, kw_only=True):
+    """What was drawn, as in --uncertainty."""
+
+    name: Annotated[str, says("Of the uncertainty.")]
+    mounting: Annotated[UncertaintyMountingRecord, says("How units are off.")]
+    latency: Annotated[
+        UncertaintyLatencyRecord, says("How late messages come; either a budget or a distribution.")
+    ]
+    messages: Annotated[UncertaintyMessagesRecord, says("What gets lost.")]
+    detector: Annotated[UncertaintyDetectorRecord, says("What the detector does.")]
+    traffic: Annotated[UncertaintyTrafficRecord, says("What stands in the streets.")]
+    vehicles: Annotated[tuple[UncertaintyVehicleRecord, ...], says("The mix.")]
+
+
+class LeastSureRunRecord(Record, frozen=True, kw_only=True):
+    """A run that is not avoided in all worlds."""
+
+    run: Annotated[RunId, says("Which run.")]
+    avoided_share: Annotated[Share, says("Of the worlds.")]
+
+
+class SampledLayoutRecord(Record, frozen=True, kw_only=True):
+    """A layout in these worlds."""
+
+    name: Annotated[str, says("Of the layout.")]
+    planned: Annotated[Share | None, says("APR with nothing uncertain.")]
+    in_sample: Annotated[
+        float | None,
+        says("First stage in the worlds that it was chosen in; null: not chosen in worlds."),
+    ]
+    mean: Annotated[float | None, says("Mean.")]
+    standard_error: Annotated[float | None, says("Of the mean; null for a single world.")]
+    low: Annotated[float | None, says("Lower end of the 95 % interval.")]
+    high: Annotated[float | None, says("Upper end of the 95 % interval.")]
+    method: Annotated[str, says("How the interval was found, in words.")]
+    cvar: Annotated[float | None, says("Mean APR of the worst worlds.")]
+    worst: Annotated[float | None, says("APR in the very worst one.")]
+    apr_by_sample: Annotated[tuple[float | None, ...], says("APR in each world.")]
+    least_sure_runs: Annotated[tuple[LeastSureRunRecord, ...], says("The least sure first.")]
+
+
+class SampledGainRecord(Record, frozen=True, kw_only=True):
+    """The subject's APR less another one's, world by world."""
+
+    over: Annotated[str, says("Name of the other layout.")]
+    mean: Annotated[float | None, says("Mean.")]
+    standard_error: Annotated[float | None, says("Of the mean; null for a single world.")]
+    low: Annotated[float | None, says("Lower end of the 95 % interval.")]
+    high: Annotated[float | None, says("Upper end of the 95 % interval.")]
+    method: Annotated[str, says("How the interval was found, in words.")]
+
+
+class SampledPairRecord(Record, frozen=True, kw_only=True):
+    """Any two layouts: the first one's APR less the second one's, world by world."""
+
+    first: Annotated[str, says("Name of the one layout.")]
+    second: Annotated[str, says("Name of the other one.")]
+    mean: Annotated[float | None, says("Mean.")]
+    standard_error: Annotated[float | None, says("Of the mean; null for a single world.")]
+    low: Annotated[float | None, says("Lower end of the 95 % interval.")]
+    high: Annotated[float | None, says("Upper end of the 95 % interval.")]
+    method: Annotated[str, says("How the interval was found, in words.")]
+    more_share: Annotated[Share, says("Worlds in which the first one avoids more.")]
+    equal_share: Annotated[Share, says("Worlds in which they avoid as much.")]
+    less_share: Annotated[Share, says("Worlds in which the first one avoids less.")]
+
+
+class SampledRecord(Record, frozen=True, kw_only=True):
+    """APR in sampled worlds, the same fresh ones for all layouts."""
+
+    uncertainty: Annotated[UncertaintyRecord, says("What was drawn.")]
+    samples: Annotated[int, says("Number of worlds.", ge=1)]
+    seed: Annotated[int, says("Of the draws.", ge=0)]
+    tail: Annotated[Share, says("Worst share of the worlds that cvar is about.")]
+    layouts: Annotated[tuple[SampledLayoutRecord, ...], says("The first one is the subject.")]
+    gains: Annotated[tuple[SampledGainRecord, ...], says("One for each other layout.")]
+    pairs: Annotated[tuple[SampledPairRecord, ...], says("One for any two layouts.")]
