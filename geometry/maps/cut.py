@@ -9,20 +9,9 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..junction import distance_to_outline_m
-from ..scene import (
-    Instance,
-    Lane,
-    Scene,
-    Site,
-)
+from ..scene import Instance, Lane, Scene, Site
 from .georeferences import LocalFrame, frame_at
-from .source_map import (
-    MapJunction,
-    Pole,
-    Skipped,
-    SourceMap,
-    Thing,
-)
+from .source_map import MapJunction, Pole, Skipped, SourceMap, Thing
 from .thing_kinds import build_pole_body
 
 _LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody

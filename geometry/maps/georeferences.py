@@ -257,11 +257,7 @@ def georeference(
         _refuse_no_degrees(box, where)
         target = local_crs(box.mean(axis=0), WGS84, where=where)
         return Georeference(
-            crs=target,
-            source_crs=name,
-            is_northing_first=is_swapped,
-            is_projected=True,
-            z_m=z_m,
+            crs=target, source_crs=name, is_northing_first=is_swapped, is_projected=True, z_m=z_m
         )
     _refuse_degrees(box, where)
     for northing_first in (is_swapped, not is_swapped) if follows_authority else (False,):

@@ -17,12 +17,7 @@ from .city_objects import counted, shortened, unique_id
 from .georeferences import WGS84, Georeference, georeference
 from .solids import extrude
 from .source_map import Skipped, SourceMap, Thing
-from .thing_kinds import (
-    ThingKind,
-    kind_from_name,
-    kind_of_class,
-    thing_defaults,
-)
+from .thing_kinds import ThingKind, kind_from_name, kind_of_class, thing_defaults
 
 if TYPE_CHECKING:
     from shapely import Polygon

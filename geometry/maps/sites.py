@@ -38,11 +38,7 @@ _KINDS = ("driving", "parking")
 
 
 def kerb_sites(
-    lanes: Sequence[MapLane],
-    outline_m: ArrayLike,
-    spacing_m: float,
-    *,
-    reach_m: float = REACH_M,
+    lanes: Sequence[MapLane], outline_m: ArrayLike, spacing_m: float, *, reach_m: float = REACH_M
 ) -> tuple[SiteWish, ...]:
     """Sites along both kerbs of a junction's arms, from its corners outwards.
 

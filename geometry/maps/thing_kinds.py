@@ -9,14 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, float_array
-from ..files import (
-    load_toml,
-    pick,
-    take,
-    take_list,
-    take_number,
-    take_text,
-)
+from ..files import load_toml, pick, take, take_list, take_number, take_text
 from ..scene import CLASS_NAMES
 from .source_map import Pole
 

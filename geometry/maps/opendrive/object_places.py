@@ -8,13 +8,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from .attributes import (
-    MAX_SIZE_M,
-    numbered,
-    take_number,
-    take_number_or,
-    take_size,
-)
+from .attributes import MAX_SIZE_M, numbered, take_number, take_number_or, take_size
 from .roads import Road
 
 _SIZES = ("length", "width", "height", "radius")

@@ -10,13 +10,7 @@ from ...arrays import FloatArray
 from ...errors import InputError
 from ..solids import extrude
 from .attributes import assumed, load_facts
-from .object_places import (
-    Copy,
-    Outline,
-    Sweep,
-    place,
-    stations,
-)
+from .object_places import Copy, Outline, Sweep, place, stations
 from .roads import Road
 
 # ---------- solids of things: prisms over outlines, walls along a line, trees, posts of hedges
@@ -73,11 +67,7 @@ def build_prism(
     if shapely.LinearRing(outline_m).is_ccw:
         corners, bottom, top = outline_m, bottom_m, np.maximum(top_m, bottom_m)
     else:
-        corners, bottom, top = (
-            outline_m[::-1],
-            bottom_m[::-1],
-            np.maximum(top_m, bottom_m)[::-1],
-        )
+        corners, bottom, top = (outline_m[::-1], bottom_m[::-1], np.maximum(top_m, bottom_m)[::-1])
     n = len(corners)
     roof = np.asarray(
         mapbox_earcut.triangulate_float64(corners, np.array([n], dtype=np.uint32)), dtype=np.int64
@@ -307,11 +297,7 @@ def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> 
             inside = _holes_inside(outline.points_m, holes)
             solids.append(
                 build_prism(
-                    outline.points_m,
-                    bottom_m=bottom_m,
-                    top_m=top_m,
-                    holes_m=inside,
-                    where=where,
+                    outline.points_m, bottom_m=bottom_m, top_m=top_m, holes_m=inside, where=where
                 )
             )
     return join(solids)

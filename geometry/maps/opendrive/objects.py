@@ -14,15 +14,7 @@ from ...errors import InputError, Unquoted
 from ..source_map import POLE_KINDS, MapLane, Pole, Thing
 from .attributes import Omissions, load_facts, numbered, take_number_or
 from .junctions import JunctionRecord
-from .object_places import (
-    Copy,
-    Outline,
-    Sweep,
-    box_corners,
-    place,
-    read_outlines,
-    read_places,
-)
+from .object_places import Copy, Outline, Sweep, box_corners, place, read_outlines, read_places
 from .object_shapes import build_body
 from .roads import Road
 
@@ -258,10 +250,7 @@ def read_space(one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float) 
     if min(last_m - first_m, left_m - right_m) < _MIN_SIZE_M:
         return None
     return Space(
-        first_m=float(first_m),
-        last_m=float(last_m),
-        right_m=float(right_m),
-        left_m=float(left_m),
+        first_m=float(first_m), last_m=float(last_m), right_m=float(right_m), left_m=float(left_m)
     )
 
 

@@ -369,12 +369,7 @@ class PiecewiseCubic:
         a, b, c, d = self.coefficients[np.maximum(piece, 0)].T
         h = starts_m - self.starts_m[np.maximum(piece, 0)]
         shifted = np.stack(
-            [
-                a + h * (b + h * (c + h * d)),
-                b + h * (2.0 * c + 3.0 * h * d),
-                c + 3.0 * h * d,
-                d,
-            ],
+            [a + h * (b + h * (c + h * d)), b + h * (2.0 * c + 3.0 * h * d), c + 3.0 * h * d, d],
             axis=1,
         )
         return np.where((piece >= 0)[:, None], shifted, 0.0)

@@ -236,8 +236,5 @@ def _merge(group: Sequence[Pole]) -> Pole:
     stands = next((pole for pole in group if pole.kind in ("pole", "lamp post")), group[0])
     heights = [pole.height_m for pole in group if pole.height_m is not None]
     return Pole(
-        id=stands.id,
-        kind=kind,
-        position_m=stands.position_m,
-        height_m=max(heights, default=None),
+        id=stands.id, kind=kind, position_m=stands.position_m, height_m=max(heights, default=None)
     )

@@ -382,11 +382,7 @@ def find_areas(
 
 
 def _multipolygon(
-    relation: Relation,
-    tags: Tags,
-    by_id: Mapping[int, Way],
-    positions_m: FloatArray,
-    notes: Notes,
+    relation: Relation, tags: Tags, by_id: Mapping[int, Way], positions_m: FloatArray, notes: Notes
 ) -> Iterator[Area]:
     rings: dict[bool, list[FloatArray]] = {}
     for is_inner in (False, True):

@@ -13,14 +13,7 @@ from shapely.geometry.base import BaseGeometry
 from ...arrays import FloatArray
 from ..source_map import MapJunction
 from .elements import DEFAULTS, Elements, Notes, Tags
-from .network import (
-    End,
-    Network,
-    Street,
-    axis_points,
-    surface,
-    trace_streets,
-)
+from .network import End, Network, Street, axis_points, surface, trace_streets
 
 # ---------- where streets end at a junction: how far from its nodes, and which of them are one arm
 

@@ -374,12 +374,7 @@ def build_cross_section(
 
 
 def _strip(
-    kind: str,
-    side: str,
-    numbers: dict[str, int],
-    width_m: float,
-    left_m: float,
-    is_forward: bool,
+    kind: str, side: str, numbers: dict[str, int], width_m: float, left_m: float, is_forward: bool
 ) -> Strip:
     numbers[kind] = numbers.get(kind, -1) + 1
     return Strip(

@@ -140,11 +140,7 @@ def _solid(area: Area, notes: Notes) -> Iterator[Thing]:
         top_m = bottom_m + DEFAULTS["building"]["storey_height_m"]
     try:
         vertices, triangles = extrude(
-            area.outer_m,
-            bottom_m=bottom_m,
-            top_m=top_m,
-            holes_m=area.holes_m,
-            where=_element(area),
+            area.outer_m, bottom_m=bottom_m, top_m=top_m, holes_m=area.holes_m, where=_element(area)
         )
     except InputError as error:
         notes.add("buildings", _element(area), f"its outline has {error.got}")
@@ -287,11 +283,7 @@ def _size_m(tags: Tags, kind: str, name: str, notes: Notes, element: str) -> tup
 # ---------- trees as solids: a trunk and a crown
 
 
-_WOODS = (
-    ("natural", "wood"),
-    ("natural", "scrub"),
-    ("landuse", "forest"),
-)
+_WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
 _TRUNK_SIDES = 8
 
 
