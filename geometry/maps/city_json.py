@@ -30,26 +30,12 @@ _Table = Mapping[str, Any]
 def read_cityjson(path: Path) -> SourceMap:
     """Read a CityJSON file, or a CityJSONSeq (a first line with the transform, then features).
 
-    Of every object the surfaces of its highest level of detail below 3 are taken, else those of
-    level 3; if there is only level 0, its footprint is raised by the measured height. Buildings and
-    their parts become buildings, plants vegetation, constructions that are no buildings walls, and
-    furniture too, unless its name says lamp or tree. Bridges are left out with tunnels and ground:
-    the scene's road is one plane, and a deck would lie on it.
-
-    Parameters
-    ----------
-    path : Path
-        ``.json``, ``.city.json``, ``.jsonl`` or ``.city.jsonl``.
-
-    Returns
-    -------
-    source : SourceMap
-        Only things; heights are absolute.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is no CityJSON, or has nothing solid.
+    Each object is read in its highest level of detail below 3, or else in level 3; if there is only
+    level 0, its footprint is raised by the measured height. Buildings and their parts become
+    buildings, plants become vegetation, other constructions walls; furniture becomes a wall too,
+    unless its name says lamp or tree. Bridges are left out with tunnels and ground: the scene's
+    road is one plane, and a bridge deck would lie on it. Heights are absolute. Raises InputError if
+    the file cannot be read, is no CityJSON, or has nothing solid.
     """
     where = str(path)
     text = read_text(path, "CityJSON")
@@ -82,7 +68,7 @@ def read_cityjson(path: Path) -> SourceMap:
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
-    """The whole file, or the lines of a sequence."""
+    """Parse the whole file, or each line of a sequence."""
     first = text.lstrip()[:_MAX_RING].split("\n", 1)[0]
     lines = text.splitlines() if _is_document(first) else [text]
     for number, line in enumerate(lines, start=1):
@@ -131,7 +117,7 @@ def _vertices(values: Any, transform: tuple[FloatArray, FloatArray], where: str)
 
 
 class _Templates:
-    """Shapes that are used more than once: trees, lamps."""
+    """Shapes that are used more than once, such as trees and lamps."""
 
     def __init__(self, table: Any, where: str) -> None:
         self.where = f"{where}: geometry-templates"
@@ -140,7 +126,7 @@ class _Templates:
         self.vertices = _vectors(values, f"{self.where}.vertices-templates")
 
     def place(self, geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
-        """Polygons of a template, moved to where it stands."""
+        """Polygons of a template, moved to its place."""
         index, anchor = geometry.get("template"), geometry.get("boundaries")
         if not _is_index(index, len(self.templates)):
             raise InputError(f"{where}.template", index, f"0 to {len(self.templates) - 1}")
@@ -170,7 +156,7 @@ def _objects(
     left_out: Counter[str],
     empty: Counter[str],
 ) -> Iterator[CityObject]:
-    """Objects that are solid, as far as they have surfaces."""
+    """Objects of a known type that have surfaces; the others are counted."""
     table = document.get("CityObjects", {})
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: CityObjects", type(table).__name__, "a table of objects")
@@ -225,7 +211,7 @@ def _number(value: Any) -> float | None:
 def _best(
     geometries: Any, vertices: FloatArray, templates: _Templates, where: str
 ) -> tuple[list[Polygon3D], float]:
-    """Surfaces of the level of detail that serves best, and that level."""
+    """Surfaces of the most useful level of detail, and that level."""
     if not isinstance(geometries, list):
         raise InputError(f"{where}.geometry", geometries, "a list")
     best: list[Polygon3D] = []
@@ -251,12 +237,12 @@ def _best(
 
 
 def _rank(level: float) -> float:
-    """How well a level of detail serves: below 3 the higher the better, then 3, last 0."""
+    """Usefulness of a level of detail: below 3 the higher the better, then 3, then 0."""
     return level if level < 3.0 else 0.99
 
 
 def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
-    """Polygons of a geometry: of solids those of the outer shells."""
+    """Polygons of a geometry; of solids only those of the outer shells."""
     depth = _SURFACES_AT.get(str(geometry.get("type")))
     if depth is None:
         return []

@@ -1,4 +1,4 @@
-"""What city models have, whatever their encoding: objects with surfaces, or footprints."""
+"""Objects of city models, whatever their encoding."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -31,30 +31,14 @@ CLASS_OF_TYPE = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityObject:
-    """One object of a city model, in the file's coordinates.
-
-    Attributes
-    ----------
-    id : str
-        In the file.
-    type_name : str
-        One of ``CLASS_OF_TYPE``.
-    words : str
-        What it is called and what function it has.
-    polygons : tuple of polygons
-        Its surfaces, or its footprint.
-    is_footprint : bool
-        `polygons` are a footprint (level of detail 0), to be raised by `height_m`.
-    height_m : float, optional
-        Of its top above its footprint, where the file says so. [m]
-    """
+    """One object of a city model, in the file's coordinates."""
 
     id: str
-    type_name: str
-    polygons: tuple[Polygon3D, ...]
-    words: str = ""
-    is_footprint: bool = False
-    height_m: float | None = None
+    type_name: str  # one of CLASS_OF_TYPE
+    polygons: tuple[Polygon3D, ...]  # its surfaces, or its footprint
+    words: str = ""  # its name and function
+    is_footprint: bool = False  # level of detail 0: the polygons are to be raised by height_m
+    height_m: float | None = None  # of the top above the footprint, if the file gives it
 
 
 def city_map(
@@ -66,30 +50,10 @@ def city_map(
     follows_authority: bool,
     skipped: Sequence[Skipped],
 ) -> SourceMap:
-    """Objects of a city model as a map.
+    """Build a map from the objects of a city model; `skipped` is what the reader has left out.
 
-    Parameters
-    ----------
-    objects : sequence of CityObject
-        At least one polygon altogether.
-    name, where : str
-        Of the file: for the map, and for messages.
-    declared_crs : str
-        As the file has it; empty: none.
-    follows_authority : bool
-        See :func:`geometry.maps.georeferences.georeference`.
-    skipped : sequence of Skipped
-        What the reader left out.
-
-    Returns
-    -------
-    source : SourceMap
-        Heights are absolute.
-
-    Raises
-    ------
-    InputError
-        There is nothing, more than five million triangles, or coordinates that cannot be.
+    Raises InputError if there is no surface, there are more than five million triangles, or
+    coordinates are impossible.
     """
     if not any(city_object.polygons for city_object in objects):
         raise InputError(
@@ -140,7 +104,7 @@ def city_map(
 
 
 def unique_id(wanted: str, taken: Counter[str]) -> str:
-    """An id that is not in `taken` yet, and is from now on: the wanted one, or with a number."""
+    """The wanted id, with a number if it is taken; `taken` then contains it."""
     wanted = wanted[:_MAX_ID] or "unnamed"
     candidate = wanted
     while candidate in taken:
@@ -151,7 +115,7 @@ def unique_id(wanted: str, taken: Counter[str]) -> str:
 
 
 def shortened(skipped: Sequence[Skipped], most: int = _MAX_SKIPPED) -> tuple[Skipped, ...]:
-    """The first of many, and how many more there are."""
+    """The first of many entries, and one that counts the rest."""
     if len(skipped) <= most:
         return tuple(skipped)
     n_more = len(skipped) - most
@@ -167,13 +131,7 @@ _MAX_ID = 120
 
 
 def _thing(item: CityObject, thing_id: str) -> Thing:
-    """One object as triangles.
-
-    Raises
-    ------
-    InputError
-        It has no area.
-    """
+    """One object as triangles; raises InputError if it has no area."""
     class_name = CLASS_OF_TYPE[item.type_name]
     if item.type_name == "CityFurniture":
         kind = kind_from_name(item.words)

@@ -1,4 +1,4 @@
-"""One junction cut out of maps: lanes, crosswalks, things and poles around it, as a scene."""
+"""Cut the surroundings of one junction out of maps, and build a scene from them."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -24,34 +24,14 @@ _DRIVEN = ("driving", "parking")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
-    """What lies around a junction, in its own frame, before anybody says where sensors may hang.
+    """What lies around a junction, in the scene's own frame, before sites are chosen."""
 
-    Attributes
-    ----------
-    frame : LocalFrame
-        World frame: the middle of the junction is near its origin.
-    lanes : tuple of Lane
-        Driving and parking lanes.
-    outline_m : (n, 2) float
-        Of the junction's road surface. [m]
-    crosswalks_m : (n, 2, 2) float
-        Of its arms. [m]
-    things : tuple of Thing
-        Solid; z counts from the road. Ids are unique. [m]
-    poles : tuple of Pole
-        Their feet stand on the road plane, z = 0. Ids are unique. [m]
-    keeps_left : bool
-        Traffic keeps left.
-    skipped : tuple of Skipped
-        What of the maps is not there, and why.
-    """
-
-    frame: LocalFrame
-    lanes: tuple[Lane, ...]
-    outline_m: FloatArray
-    crosswalks_m: FloatArray
-    things: tuple[Thing, ...]
-    poles: tuple[Pole, ...]
+    frame: LocalFrame  # the middle of the junction is near its origin
+    lanes: tuple[Lane, ...]  # driving and parking lanes
+    outline_m: FloatArray  # (n, 2) of the junction's road surface
+    crosswalks_m: FloatArray  # (n, 2, 2), those of its arms
+    things: tuple[Thing, ...]  # z counts from the road; ids are unique
+    poles: tuple[Pole, ...]  # feet on the road plane, z = 0; ids are unique
     keeps_left: bool
     skipped: tuple[Skipped, ...]
 
@@ -63,29 +43,12 @@ def cut_out(
     radius_m: float,
     ground_m: float | None = None,
 ) -> Surroundings:
-    """What maps say about the surroundings of a junction.
+    """Surroundings of a junction of the first map, with buildings and more from the others.
 
-    Parameters
-    ----------
-    maps : sequence of SourceMap
-        The first one has the junction; the others have buildings and more.
-    junction : MapJunction
-        One of the first map's.
-    radius_m : float
-        How far around its middle; lanes are followed 70 m farther. [m]
-    ground_m : float, optional
-        Height of the road in the other maps; by default 0 where these count above the ground, else
-        that of each one's lowest thing within the radius. [m]
-
-    Returns
-    -------
-    surroundings : Surroundings
-        The road is a plane: what the map says about its heights only tells levels apart.
-
-    Raises
-    ------
-    InputError
-        Coordinates of the maps do not fit together.
+    Lanes are followed 70 m beyond `radius_m`. `ground_m` is the height of the road in the other
+    maps; by default 0 if a map counts heights above the ground, or else that of its lowest thing
+    within the radius. The road becomes a plane: heights in a map only tell levels apart. Raises
+    InputError if the coordinates of the maps do not fit together.
     """
     roads, frame = maps[0], frame_at(maps[0], junction.position_m)
     outline = frame.take(junction.outline_m, roads)
@@ -153,20 +116,9 @@ def build_scene(
     sites: Sequence[Site],
     radius_m: float,
 ) -> Scene:
-    """A scene: what lies around a junction, with a ground, bodies of poles, and sites.
+    """A scene of the surroundings with a ground, bodies of poles, and sites.
 
-    Parameters
-    ----------
-    surroundings : Surroundings
-        By :func:`cut_out`.
-    name : str
-        Of the scene.
-    source_crs : str
-        In which results are wanted back; empty: unknown.
-    sites : sequence of Site
-        Where sensors can be mounted.
-    radius_m : float
-        Of the ground. [m]
+    `source_crs` is the reference system for results; empty: unknown.
     """
     half = radius_m + _LANES_BEYOND_M
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -236,7 +188,7 @@ def _lanes(
 def _is_elsewhere(
     points_m: FloatArray, height_m: FloatArray, outline_m: FloatArray, reach_m: float
 ) -> bool:
-    """Whether a lane that does not belong to the junction is far, on a bridge, or at its mouths."""
+    """Whether a lane of other roads is far away, on another level, or ends at the outline."""
     distance = np.hypot(*points_m.T)
     if distance.min() > reach_m or abs(height_m[np.argmin(distance)]) > _SAME_LEVEL_M:
         return True
@@ -297,7 +249,7 @@ def _crosswalks(maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatAr
 def _near_things(
     source: SourceMap, frame: LocalFrame, radius_m: float
 ) -> tuple[list[Thing], list[Skipped]]:
-    """Things within a radius, in the scene's frame but for their heights; and how many are not."""
+    """Things within a radius, in the scene's frame except for heights; and a note on the others."""
     near: list[Thing] = []
     n_far = 0
     if not source.things:
@@ -328,7 +280,7 @@ def _near_things(
 
 
 def _ground_m(source: SourceMap, things: Sequence[Thing], given_m: float | None) -> float:
-    """Height from which a scene's z counts, as a map counts."""
+    """The height in a map that becomes z = 0."""
     if given_m is not None:
         return given_m
     if source.heights == "above ground":
@@ -337,7 +289,7 @@ def _ground_m(source: SourceMap, things: Sequence[Thing], given_m: float | None)
 
 
 def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
-    """An id that no other thing has, without what separates ids on a command line."""
+    """An id that no other thing has, without characters that separate ids on a command line."""
     clean = "-".join(name.replace(",", " ").replace("/", " ").split()) or "thing"
     candidates = [clean, f"{source.name}-{clean}"]
     candidates += [f"{clean}-{number}" for number in range(2, len(taken) + 3)]

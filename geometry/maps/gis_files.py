@@ -40,54 +40,26 @@ _MAX_GDAL_BYTES = 2_000_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Feature:
-    """One row of a layer.
+    """One row of a layer."""
 
-    Attributes
-    ----------
-    where : str
-        File and row, for messages.
-    geometry : shapely geometry, optional
-        In the file's coordinates; None if the row has none.
-    values : mapping
-        Name of a column to its value; missing ones are left out.
-    """
-
-    where: str
-    geometry: "BaseGeometry | None"
-    values: Mapping[str, Any]
+    where: str  # file and row, for messages
+    geometry: "BaseGeometry | None"  # in the file's coordinates
+    values: Mapping[str, Any]  # by name of the column; missing ones are left out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Features:
-    """One layer.
-
-    Attributes
-    ----------
-    features : tuple of Feature
-        Its rows.
-    crs : str
-        As the file declares it; empty: it does not.
-    """
+    """One layer."""
 
     features: tuple[Feature, ...]
-    crs: str
+    crs: str  # as the file declares it; empty: it does not
 
 
 def read_features(path: Path, layer: str | None = None) -> Features:
     """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip with one of them.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    layer : str, optional
-        Name of a layer of a GeoPackage that has several.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is not what its ending says, has several layers and none is
-        chosen, or has more than 200,000 features.
+    Raises InputError if the file cannot be read, does not have the format of its suffix, has
+    several layers and none is chosen, or has more than 200,000 features.
     """
     suffix = path.suffix.lower()
     if suffix == ".zip":
@@ -101,7 +73,7 @@ def read_features(path: Path, layer: str | None = None) -> Features:
 
 
 def _read_geojson(path: Path) -> Features:
-    """GeoJSON (RFC 7946), and the ``crs`` member that it had before: never through a network."""
+    """GeoJSON (RFC 7946), and the ``crs`` member of its predecessor; nothing is fetched."""
     from shapely.errors import ShapelyError
     from shapely.geometry import shape
 
@@ -143,7 +115,7 @@ def _read_geojson(path: Path) -> Features:
 
 
 def _geojson_crs(table: Any, where: str) -> str:
-    """Reference system of a GeoJSON file; without a word it is WGS 84."""
+    """Reference system of a GeoJSON file: WGS 84 unless it names another."""
     if table is None:
         return WGS84
     properties = table.get("properties") if isinstance(table, Mapping) else None
@@ -154,7 +126,7 @@ def _geojson_crs(table: Any, where: str) -> str:
 
 
 def _read_with_gdal(path: Path, layer: str | None) -> Features:
-    """GeoPackage and Shapefile."""
+    """Read a GeoPackage or Shapefile."""
     import pandas as pd
     import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError
@@ -252,33 +224,14 @@ _UNITS_M |= {"mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "'": 0.3
 def read_footprints(
     path: Path, *, class_name: str = "building", layer: str | None = None
 ) -> SourceMap:
-    """Read footprints and raise them.
+    """Read footprints and raise them to solids.
 
     Heights come from columns such as ``height``, ``building:levels`` or ``min_height``, in metres
-    unless the column (``height_ft``) or the value ("40 ft") says otherwise. Where there is none, or
-    one that cannot be, the default of ``data/things.toml`` is assumed. Lines become walls if the
-    class is "wall", or if a column ``class``, ``kind``, ``type`` or ``barrier`` says wall, fence or
-    hedge. Third coordinates are not looked at.
-
-    Parameters
-    ----------
-    path : Path
-        ``.geojson``, ``.json``, ``.gpkg``, ``.shp``, or a ``.zip`` with one of them.
-    class_name : str
-        What areas are, unless a column says wall or hedge.
-    layer : str, optional
-        Name of a layer, where there are several.
-
-    Returns
-    -------
-    source : SourceMap
-        Only things; heights are above ground.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read; has no area at all, or coordinates that are not finite or not in
-        the reference system that it declares.
+    unless the column (``height_ft``) or the value ("40 ft") says otherwise; missing or impossible
+    ones are replaced by the defaults of ``data/things.toml``. Lines become walls if `class_name` is
+    "wall", or if a column ``class``, ``kind``, ``type`` or ``barrier`` says wall, fence or hedge.
+    Third coordinates are ignored; heights are above ground. Raises InputError if the file cannot be
+    read, has no area, or has coordinates that are not finite or do not fit its reference system.
     """
     import shapely
 
@@ -327,7 +280,7 @@ def read_footprints(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Span:
-    """From floor to roof, above ground."""
+    """Heights of floor and roof above ground."""
 
     bottom_m: float
     top_m: float
@@ -335,7 +288,7 @@ class _Span:
 
 
 def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKind | None:
-    """What a feature is; None if it is nothing solid."""
+    """Kind of a feature; None if it is not solid."""
     geometry = feature.geometry
     if geometry is None or geometry.is_empty:
         left_out["rows without geometry"] += 1
@@ -372,13 +325,7 @@ def _parts(geometry: "BaseGeometry", depth: int = 0) -> "list[BaseGeometry]":
 def _raised(
     feature: Feature, kind: ThingKind, thing_id: str, place: Georeference, span: _Span
 ) -> Thing:
-    """A feature as a solid.
-
-    Raises
-    ------
-    InputError
-        It has no area.
-    """
+    """A feature as a solid; raises InputError if it has no area."""
     import shapely
 
     def project(points: Any) -> Any:
@@ -421,7 +368,7 @@ def _raised(
 
 
 def _span(feature: Feature, kind: ThingKind) -> _Span:
-    """From where to where a feature reaches, as far as its table says."""
+    """Floor and roof of a feature from its table, or from defaults."""
     defaults = thing_defaults()
     values = feature.values
     top = _length_m(values, _TOPS)
@@ -444,7 +391,7 @@ def _span(feature: Feature, kind: ThingKind) -> _Span:
 
 
 def _length_m(values: Mapping[str, Any], names: tuple[str, ...]) -> float | None:
-    """First finite number, in metres, of the columns of some names; None if there is none."""
+    """First finite number, in metres, of the columns with one of the names, or None."""
     best: tuple[int, float] | None = None
     for key, value in values.items():
         column = _column(key)

@@ -1,4 +1,4 @@
-"""Points from LAS, LAZ and PCD files, a piece at a time."""
+"""Points from LAS, LAZ and PCD files, a chunk at a time."""
 
 import struct
 from collections.abc import Iterator
@@ -33,22 +33,10 @@ Points = tuple[FloatArray, NDArray[np.uint8]]  # (n, 3) coordinates and (n,) cla
 
 @contextmanager
 def open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
-    """Open a LAS or LAZ file.
+    """Open a LAS or LAZ file: yields the header's CRS, if any, and chunks of points.
 
-    Yields
-    ------
-    crs : CRS or None
-        That of its header; None: none, or none that can be read.
-    chunks : iterator of ((n, 3) float, (n,) uint8)
-        Coordinates as the file has them, and their classes.
-
-    Raises
-    ------
-    InputError
-        The file claims more than 50 million points or more than it has bytes for, or is damaged:
-        also while its points are taken.
-    OSError
-        It cannot be read.
+    Raises InputError if the file claims more than 50 million points or more than it has bytes for,
+    or is damaged (also while its points are read), and OSError if it cannot be read.
     """
     import laspy
 
@@ -70,15 +58,7 @@ def open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
 
 
 def check_las(path: Path) -> None:
-    """Refuse a header that claims more than the file can have.
-
-    Raises
-    ------
-    InputError
-        It does.
-    OSError
-        The file cannot be read.
-    """
+    """Raise InputError if a header claims more than the file can contain."""
     where = str(path)
     n_bytes = path.stat().st_size
     with path.open("rb") as file:
@@ -116,12 +96,9 @@ def check_las(path: Path) -> None:
 
 
 def _n_layers(path: Path, header_bytes: int, n_records: int, point_bytes: int) -> int:
-    """In how many layers every chunk of points is packed; 0: in none.
+    """Number of layers in which chunks of points are packed; 0: they are not layered.
 
-    Raises
-    ------
-    InputError
-        The parts of a packed point are not those of a point.
+    Raises InputError if the parts of a packed point do not make up a point.
     """
     where = str(path)
     with path.open("rb") as file:
@@ -212,15 +189,10 @@ _PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
 
 
 def pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
-    """Points of an open PCD file, version 0.7: ascii, binary or binary_compressed.
+    """Points of an open PCD file, version 0.7: ascii, binary or binary_compressed; all of class 0.
 
-    Those without coordinates, which it has as NaN, are left out; all are of class 0.
-
-    Raises
-    ------
-    InputError
-        While points are taken: the file claims more than 50 million or more than it has, or is
-        damaged.
+    Points without coordinates (NaN) are left out. Raises InputError, while points are read, if the
+    file claims more than 50 million or more than it contains, or is damaged.
     """
     header = _pcd_header(file, where)
     names = header.get("FIELDS", [])
@@ -353,21 +325,11 @@ def _pcd_compressed(
 
 
 def unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
-    """Unpack LZF: runs of literal bytes, and copies of what came before.
+    """Unpack LZF: runs of literal bytes, and copies of earlier ones; None if the data is damaged.
 
-    Parameters
-    ----------
-    packed : bytes
-        A control byte below 32 is followed by one more literal byte than it says. Otherwise its
-        upper three bits are the length of a copy (7: the next byte adds to it), two too small, and
-        its lower five bits and the next byte its distance, one too small.
-    n_bytes : int
-        Length unpacked.
-
-    Returns
-    -------
-    data : bytes or None
-        None if `packed` is damaged.
+    A control byte below 32 is followed by one more literal byte than it says. Otherwise its upper
+    three bits are the length of a copy (7: the next byte adds to it), less two, and its lower five
+    bits and the next byte its distance, less one.
     """
     data = bytearray()
     place = 0
@@ -406,34 +368,18 @@ SUFFIXES = (".las", ".laz", ".pcd")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PointFile:
-    """An open file with points.
+    """An open file with points."""
 
-    Attributes
-    ----------
-    crs : CRS, optional
-        That of its header.
-    chunks : iterator of ((n, 3) float, (n,) uint8)
-        Coordinates, and classification as LAS has it (0: none).
-    """
-
-    crs: "CRS | None"
-    chunks: Iterator[Points]
+    crs: "CRS | None"  # from its header
+    chunks: Iterator[Points]  # coordinates (n, 3), and LAS classes (n,), 0: none
 
 
 @contextmanager
 def open_points(path: Path) -> Iterator[PointFile]:
-    """Open a point cloud.
+    """Open a ``.las``, ``.laz`` or ``.pcd`` file.
 
-    Parameters
-    ----------
-    path : Path
-        ``.las``, ``.laz`` or ``.pcd``.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, claims more than 50 million points or more than it has bytes for,
-        or is damaged: also while its points are taken.
+    Raises InputError if it cannot be read, claims more than 50 million points or more than it has
+    bytes for, or is damaged (also while its points are read).
     """
     where = str(path)
     suffix = path.suffix.lower()

@@ -1,4 +1,4 @@
-"""Triangles from polygons in space, and solids raised from footprints."""
+"""Triangle meshes from polygons in space, and solids raised from footprints."""
 
 from collections.abc import Sequence
 
@@ -18,23 +18,12 @@ _MIN_AREA_M2 = 1e-6
 
 
 def triangulate(rings_m: Polygon3D) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Triangles of a flat polygon in space.
+    """Triangles of a flat polygon in space: an outer ring and holes, (n, 3) each, open or closed.
 
-    The polygon is laid on the plane whose normal is that of Newell, cut by ear clipping there, and
-    its own corners are kept, so what is not quite flat still meets its neighbours.
-
-    Parameters
-    ----------
-    rings_m : sequence of (n, 3) float
-        Outer ring and holes, open or closed. The outer one runs counter-clockwise seen from where
-        the polygon looks to; holes in either direction. [m]
-
-    Returns
-    -------
-    vertices_m : (n_vertices, 3) float
-        [m]
-    triangles : (n_triangles, 3) int32
-        They look where the polygon looks. None if the polygon has no area.
+    The polygon is projected onto the plane across Newell's normal, cut by ear clipping there, and
+    keeps its own corners, so that a polygon that is not quite flat still meets its neighbours. The
+    outer ring runs counter-clockwise seen from the polygon's front; holes run in either direction.
+    Returns vertices and triangles that face as the polygon does, none if it has no area.
 
     References
     ----------
@@ -75,19 +64,10 @@ def triangulate(rings_m: Polygon3D) -> tuple[FloatArray, NDArray[np.int32]]:
 
 
 def surface_mesh(polygons: Sequence[Polygon3D]) -> tuple[FloatArray, NDArray[np.int32]]:
-    """One mesh of many polygons, with corners shared; a closed one looks outwards.
+    """One mesh of many polygons with shared corners; a closed mesh faces outwards.
 
-    Parameters
-    ----------
-    polygons : sequence of polygons
-        As :func:`triangulate` takes them.
-
-    Returns
-    -------
-    vertices_m : (n_vertices, 3) float
-        No two closer than a millimetre along every axis, as far as rounding tells. [m]
-    triangles : (n_triangles, 3) int32
-        Empty if no polygon has an area.
+    Vertices closer than about a millimetre along every axis are merged. The mesh is empty if no
+    polygon has an area.
     """
     pieces = [triangulate(rings) for rings in polygons]
     pieces = [piece for piece in pieces if len(piece[1])]
@@ -114,7 +94,7 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> tuple[FloatArray, NDArray[np.
 
 
 def is_closed(triangles: NDArray[np.int32]) -> bool:
-    """Every edge is run through as often in one direction as in the other."""
+    """Every edge is used as often in one direction as in the other."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     n_vertices = int(triangles.max()) + 1 if len(triangles) else 0
     forth = np.sort(edges[:, 0].astype(np.int64) * n_vertices + edges[:, 1])
@@ -123,7 +103,7 @@ def is_closed(triangles: NDArray[np.int32]) -> bool:
 
 
 def volume_m3(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> float:
-    """Volume inside a closed mesh; negative if it looks inwards."""
+    """Volume inside a closed mesh; negative if it faces inwards."""
     if not len(triangles):
         return 0.0
     a, b, c = np.swapaxes(vertices_m[triangles] - vertices_m[triangles[0, 0]], 0, 1)
@@ -134,7 +114,7 @@ _NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
 
 
 def _without_repeats(ring: FloatArray) -> FloatArray:
-    """A ring without the corners that repeat the one before, and open."""
+    """An open ring without corners that repeat the one before."""
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return points
@@ -153,31 +133,11 @@ def extrude(
     holes_m: Sequence[ArrayLike] = (),
     where: str = "footprint",
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """A closed solid over a footprint.
+    """A closed solid over a footprint: an outline (n, 2) and holes.
 
-    Parameters
-    ----------
-    outer_m : (n, 2) float
-        Outline, open or closed, in either direction. [m]
-    bottom_m, top_m : float
-        Heights of floor and roof. [m]
-    holes_m : sequence of (k, 2) float
-        Courtyards. [m]
-    where : str
-        For messages.
-
-    Returns
-    -------
-    vertices_m : (n_vertices, 3) float
-        [m]
-    triangles : (n_triangles, 3) int32
-        Counter-clockwise seen from outside.
-
-    Raises
-    ------
-    InputError
-        The outline crosses itself in a way that leaves nothing, has no area, or the roof is not
-        above the floor. What crosses itself otherwise is mended first.
+    Rings are open or closed, in either direction. Returns vertices (k, 3) and triangles that run
+    counter-clockwise seen from outside. Outlines that cross themselves are mended first. Raises
+    InputError, with `where` in its message, if no area is left or the roof is not above the floor.
     """
     import trimesh
     from shapely import MultiPolygon, Polygon, make_valid

@@ -1,4 +1,4 @@
-"""Kinds of things and of poles: names, sizes where a file gives none, what a pole can carry."""
+"""Kinds of things and poles: names, sizes where a file gives none, capacities of poles."""
 
 import re
 from dataclasses import dataclass
@@ -18,47 +18,23 @@ from .source_map import Pole
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThingKind:
-    """A kind of thing.
-
-    Attributes
-    ----------
-    kind : str
-        Name.
-    class_name : str
-        One of :data:`geometry.scene.CLASS_NAMES`.
-    words : tuple of str
-        In names of such things, in lower case.
-    height_m, thickness_m : float
-        Assumed where nothing is said. [m]
-    """
+    """A kind of thing."""
 
     kind: str
-    class_name: str
-    words: tuple[str, ...]
-    height_m: float
+    class_name: str  # one of geometry.scene.CLASS_NAMES
+    words: tuple[str, ...]  # in names of such things, in lower case
+    height_m: float  # assumed where nothing is stated, as is the thickness
     thickness_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThingDefaults:
-    """What ``data/things.toml`` says.
-
-    Attributes
-    ----------
-    storey_height_m : float
-        [m]
-    max_height_m : float
-        What is higher is no height. [m]
-    max_storeys : int
-        More are no number of storeys.
-    kinds : tuple of ThingKind
-        In the order in which names are searched for them.
-    """
+    """The content of ``data/things.toml``."""
 
     storey_height_m: float
-    max_height_m: float
-    max_storeys: int
-    kinds: tuple[ThingKind, ...]
+    max_height_m: float  # larger values are not taken for heights
+    max_storeys: int  # larger values are not taken for numbers of storeys
+    kinds: tuple[ThingKind, ...]  # in the order in which names are searched for their words
 
 
 @cache
@@ -87,17 +63,7 @@ def thing_defaults() -> ThingDefaults:
 
 
 def kind_from_name(name: str) -> ThingKind | None:
-    """Kind of thing that a name speaks of.
-
-    Parameters
-    ----------
-    name : str
-        Such as "Wall_012", "streetLamp.003" or "oak trees".
-
-    Returns
-    -------
-    kind : ThingKind or None
-        The first one of ``data/things.toml`` that has one of its words; None if none has.
+    """The first kind in ``data/things.toml`` one of whose words is in a name; None: no kind.
 
     Examples
     --------
@@ -115,7 +81,7 @@ def kind_from_name(name: str) -> ThingKind | None:
 
 
 def kind_of_class(class_name: str) -> ThingKind:
-    """Kind with the defaults of a class: the last in ``data/things.toml`` that has the class."""
+    """The defaults of a class: its last kind in ``data/things.toml``."""
     known = {kind.class_name: kind for kind in thing_defaults().kinds}
     kind: ThingKind = pick(known, class_name, "class_name")
     return kind
@@ -133,27 +99,17 @@ _CLASSES = {"lamp post": "lamp post"}  # all others look like a signal's pole
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoleKind:
-    """A kind of pole, where the map says no more.
-
-    Attributes
-    ----------
-    height_m, radius_m : float
-        Of its body. [m]
-    height_range_m : (2,) float
-        Lowest and highest mount above the road. [m]
-    capacity_units : int
-        Sensors that it can carry.
-    """
+    """A kind of pole, for poles of which the map gives no more."""
 
     height_m: float
     radius_m: float
-    height_range_m: FloatArray
-    capacity_units: int
+    height_range_m: FloatArray  # lowest and highest mount above the road
+    capacity_units: int  # sensors that it can carry
 
 
 @cache
 def load_pole_kinds() -> dict[str, PoleKind]:
-    """All kinds by name, from ``data/sites.toml``."""
+    """All kinds of poles by name, from ``data/sites.toml``."""
     table = load_toml(files(__package__) / "data" / "sites.toml")
     kinds = {}
     for index, entry in enumerate(take_list(table, "kinds", "sites.toml")):
@@ -184,7 +140,7 @@ def build_pole_body(pole: Pole) -> tuple[str, FloatArray, NDArray[np.int32]]:
 
 
 def mount_range_m(pole: Pole) -> FloatArray:
-    """Lowest and highest mount on a pole in metres, (2,): a low pole carries sensors at its top."""
+    """Lowest and highest mount on a pole, (2,) in metres: a low pole carries sensors at its top."""
     kind = load_pole_kinds()[pole.kind]
     if pole.height_m is None:
         return kind.height_range_m

@@ -26,7 +26,7 @@ def to_cells(keys: IntArray) -> IntArray:
 
 
 def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
-    """Which keys are among others."""
+    """Which keys are in `sorted_keys`."""
     if not len(sorted_keys):
         return np.zeros(len(keys), dtype=np.bool_)
     places = np.minimum(np.searchsorted(sorted_keys, keys), len(sorted_keys) - 1)
@@ -35,17 +35,9 @@ def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
 
 
 def clusters(keys: IntArray) -> IntArray:
-    """Number of the cluster of every voxel: those that touch at a face, an edge or a corner.
+    """Cluster number of every voxel: voxels that touch at a face, an edge or a corner are one.
 
-    Parameters
-    ----------
-    keys : (n,) int
-        Sorted, each once.
-
-    Returns
-    -------
-    labels : (n,) int
-        From 0, in the order of the clusters' first voxels.
+    `keys` are sorted and unique; numbers follow the order of the clusters' first voxels.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -75,7 +67,7 @@ def bridged(keys: IntArray) -> IntArray:
 
 
 def mean_neighbours(keys: IntArray) -> float:
-    """How many of its 26 neighbours a voxel has, on average."""
+    """Mean number of a voxel's 26 neighbours that exist."""
     n_pairs = sum(
         int(is_in(keys + ((x << 2 * _BITS) + (y << _BITS) + z), keys).sum())
         for x, y, z in _HALF_OF_NEIGHBOURS
@@ -84,19 +76,9 @@ def mean_neighbours(keys: IntArray) -> float:
 
 
 def filled(keys: IntArray, floor: int) -> IntArray:
-    """Voxels, and the voids that they enclose together with the ground.
+    """Voxels of one cluster, and the voids that they enclose together with the ground, sorted.
 
-    Parameters
-    ----------
-    keys : (n,) int
-        Of one cluster, sorted.
-    floor : int
-        Lowest z of a voxel above ground.
-
-    Returns
-    -------
-    keys : (m,) int
-        Sorted. Where the box around the cluster is too large, as they were.
+    `floor` is the lowest z above ground. A cluster whose box is too large stays as it is.
     """
     from scipy.ndimage import binary_fill_holes
 
@@ -128,7 +110,7 @@ def columns_to(keys: IntArray, floor: int) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class _Direction:
-    """One of the six that a face can look to."""
+    """One of the six directions of faces."""
 
     axis: int
     sign: int
@@ -137,34 +119,11 @@ class _Direction:
 def faces(
     keys: IntArray, *, origin_m: FloatArray, voxel_m: float, max_triangles: int, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """The surface of voxels: rectangles as large as they come, two triangles each.
+    """The surface of sorted voxels: rectangles as large as possible, of two triangles each.
 
-    It is closed, though a rectangle's edge may meet several smaller ones.
-
-    Parameters
-    ----------
-    keys : (n,) int
-        Sorted.
-    origin_m : (3,) float
-        Lower corner of cell (0, 0, 0). [m]
-    voxel_m : float
-        Edge length. [m]
-    max_triangles : int
-        More are refused.
-    where : str
-        For messages.
-
-    Returns
-    -------
-    vertices_m : (n_vertices, 3) float
-        [m]
-    triangles : (n_triangles, 3) int32
-        Counter-clockwise seen from outside.
-
-    Raises
-    ------
-    InputError
-        There are too many.
+    It is closed, though a rectangle's edge may meet several smaller ones. `origin_m` (3,) is the
+    lower corner of cell (0, 0, 0). Triangles run counter-clockwise seen from outside. Raises
+    InputError if there are more than `max_triangles`.
     """
     corners = []
     for axis in range(3):
@@ -182,7 +141,7 @@ def faces(
 
 
 def _rectangles(keys: IntArray, direction: _Direction) -> IntArray:
-    """Corners of the rectangles that look in one direction, (n, 4, 3), as indices of cells."""
+    """Corners of the rectangles that face one direction, (n, 4, 3), as indices of cells."""
     step = np.zeros((1, 3), dtype=np.int64)
     step[0, direction.axis] = direction.sign
     shift = int(step[0, 0] * (1 << 2 * _BITS) + step[0, 1] * (1 << _BITS) + step[0, 2])
