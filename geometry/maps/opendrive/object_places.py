@@ -1,4 +1,4 @@
-"""Where objects stand: once, or over and over along a road, with their outlines."""
+"""Places of objects: once, or repeated along a road, with their outlines."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,15 +19,7 @@ _BEYOND_M = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Copy:
-    """One place of an object, or one end of what is swept.
-
-    Attributes
-    ----------
-    s_m, t_m, z_m : float
-        On its road, and above it. [m]
-    length_m, width_m, height_m, radius_m : float or None
-        Of its body, where given. [m]
-    """
+    """One place of an object, or one end of a sweep; sizes of its body where given."""
 
     s_m: float
     t_m: float
@@ -40,13 +32,7 @@ class Copy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
-    """A <repeat> without distance: one body from one place to another.
-
-    Attributes
-    ----------
-    start, end : Copy
-        Its cross-sections; what lies between is interpolated along the road.
-    """
+    """A <repeat> without distance: one body, interpolated between two cross-sections."""
 
     start: Copy
     end: Copy
@@ -54,38 +40,18 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outline:
-    """An outline of an object at one place.
+    """An outline of an object at one place."""
 
-    Attributes
-    ----------
-    points_m : (n, 2) float
-        Open. [m]
-    road_m : (n, 2) float
-        The same as s and t of the road; in bends only near the object. [m]
-    bottom_m : (n,) float
-        [m]
-    height_m : (n,) float
-        Above that; 0: not given. [m]
-    is_closed, is_outer : bool
-        It surrounds an area; that is part of the object, not cut out of it.
-    """
-
-    points_m: FloatArray
-    road_m: FloatArray
-    bottom_m: FloatArray
-    height_m: FloatArray
-    is_closed: bool
-    is_outer: bool
+    points_m: FloatArray  # (n, 2), open
+    road_m: FloatArray  # (n, 2), the same as s and t; in bends only near the object
+    bottom_m: FloatArray  # (n,)
+    height_m: FloatArray  # (n,), above the bottom; 0: not given
+    is_closed: bool  # it surrounds an area
+    is_outer: bool  # that area is part of the object, not cut out of it
 
 
 def read_places(element: Element, road: Road, where: str) -> Iterator[Copy | Sweep]:
-    """All places of an object; those beyond the road's end are left out.
-
-    Raises
-    ------
-    InputError
-        A number is missing or not finite, or a <repeat> asks for too much.
-    """
+    """All places of an object on its road; raises InputError if a <repeat> asks for too much."""
     own = Copy(
         s_m=take_number(element, "s", where),
         t_m=take_number(element, "t", where),
@@ -143,7 +109,7 @@ def _check_reach(copy: Copy, where: str) -> None:
 
 
 def is_on(road: Road, s_m: float) -> bool:
-    """A station is one of the road's, but for what a file is rounded to."""
+    """A station is on the road, with some tolerance for rounding."""
     return -_BEYOND_M <= s_m <= road.length_m + _BEYOND_M
 
 
@@ -167,7 +133,7 @@ def place(road: Road, copy: Copy) -> tuple[FloatArray, float]:
 
 
 def stations(sweep: Sweep) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """S and t (n,) along a sweep, and how much of the way lies behind (0 .. 1)."""
+    """S and t (n,) along a sweep, and the share of the way (0 .. 1)."""
     n_points = max(2, int(np.ceil((sweep.end.s_m - sweep.start.s_m) / _STEP_M)) + 1)
     share = np.linspace(0.0, 1.0, n_points)
     s_m, t_m = (
@@ -178,13 +144,7 @@ def stations(sweep: Sweep) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def read_outlines(element: Element, road: Road, copy: Copy, where: str) -> list[Outline]:
-    """Outlines of an object at one of its places.
-
-    Raises
-    ------
-    InputError
-        A number is missing or not finite.
-    """
+    """Outlines of an object at one of its places."""
     found = [*numbered(element, "outline", where)]
     for group, here in numbered(element, "outlines", where):
         found += numbered(group, "outline", here)
@@ -259,7 +219,7 @@ def _turned(x: FloatArray, y: FloatArray, angle_rad: float) -> tuple[FloatArray,
 
 
 def box_corners(copy: Copy, turn_rad: float) -> FloatArray | None:
-    """Corners (4, 2) of a copy's box as s and t, or None where it has no length or width."""
+    """Corners (4, 2) of a copy's box as s and t, or None if it has no length or width."""
     if copy.length_m is None or copy.width_m is None:
         return None
     u = 0.5 * copy.length_m * np.array([-1.0, 1.0, 1.0, -1.0])

@@ -30,24 +30,10 @@ def build_prism(
     holes_m: Sequence[FloatArray] = (),
     where: str,
 ) -> Solid:
-    """A closed solid over an outline, floor and roof sloping where its corners do.
+    """A closed solid over an open outline (n, 2) with floor and roof heights (n,) at its corners.
 
-    Parameters
-    ----------
-    outline_m : (n, 2) float
-        Open. [m]
-    bottom_m, top_m : (n,) float
-        At its corners. [m]
-    holes_m : sequence of (k, 2) float
-        With them, or where the outline crosses itself, floor and roof are level: as low and as high
-        as the corners go. [m]
-    where : str
-        For messages.
-
-    Raises
-    ------
-    InputError
-        The outline has no area, or the solid no height.
+    With holes, or if the outline crosses itself, floor and roof are level at the lowest and highest
+    corner. Raises InputError if the outline has no area, or the solid no height.
     """
     import shapely
 
@@ -95,17 +81,7 @@ def build_band(
     bottom_m: FloatArray,
     top_m: FloatArray,
 ) -> Solid:
-    """A wall along a line.
-
-    Parameters
-    ----------
-    line_m : (n, 2) float
-        At least two points. [m]
-    left : (n, 2) float
-        Unit vectors to its left.
-    width_m, bottom_m, top_m : (n,) float
-        Thickness, heights of its foot and its top. [m]
-    """
+    """A wall along a line (n, 2), with unit vectors to its left (n, 2); other arrays are (n,)."""
     table = np.column_stack([line_m, left, width_m, bottom_m, top_m])
     share = np.linspace(0.0, 1.0, len(table))[:, None]
     if np.abs(table - (table[0] + share * (table[-1] - table[0]))).max() < _STRAIGHT_M:
@@ -144,7 +120,7 @@ def build_band(
 def build_box(
     middle_m: FloatArray, heading_rad: float, *, length_m: float, width_m: float, height_m: float
 ) -> Solid:
-    """A box on its foot's middle (3,), its length along the heading."""
+    """A box above the middle of its base (3,), its length along the heading."""
     along = np.array([np.cos(heading_rad), np.sin(heading_rad)])
     left = np.array([-along[1], along[0]])
     ends = middle_m[:2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * along
@@ -159,23 +135,13 @@ def build_box(
 
 
 def build_cylinder(foot_m: FloatArray, *, radius_m: float, height_m: float) -> Solid:
-    """An upright cylinder on a foot (3,)."""
+    """An upright cylinder above the middle of its base (3,)."""
     vertices, triangles = _unit_cylinder()
     return vertices * [radius_m, radius_m, height_m] + foot_m, triangles
 
 
 def build_tree(foot_m: FloatArray, *, crown_radius_m: float, height_m: float) -> Solid:
-    """A trunk and an ellipsoid of leaves.
-
-    Parameters
-    ----------
-    foot_m : (3,) float
-        [m]
-    crown_radius_m : float
-        [m]
-    height_m : float
-        From the foot to the top. [m]
-    """
+    """A trunk and an ellipsoid of leaves above a foot (3,)."""
     shares = load_facts()["tree"]
     stem_m = shares["stem_share"] * height_m
     radius_m = min(shares["trunk_radius_share"] * height_m, crown_radius_m)
@@ -224,34 +190,11 @@ def build_body(
     turn_rad: float,
     where: str,
 ) -> tuple[Solid, bool] | None:
-    """Body of an object at one of its places.
+    """Body of an object at one of its places, and whether its height is assumed; None: no extent.
 
-    Parameters
-    ----------
-    road : Road
-        That it belongs to.
-    kind : str
-        "building", "wall", "vegetation", "tree", "parked vehicle"; "obstacle": a wall if the file
-        says how high it is.
-    one : Copy or Sweep
-        Where.
-    outlines : sequence of Outline
-        What it has there.
-    turn_rad : float
-        Against the road. [rad]
-    where : str
-        For messages.
-
-    Returns
-    -------
-    body : tuple of Solid and bool, or None
-        Vertices and triangles, closed, and whether its height is assumed, as the file does not
-        say it. None: it has no extent.
-
-    Raises
-    ------
-    InputError
-        Its outline surrounds nothing, or it has no height.
+    `kind` is "building", "wall", "vegetation", "tree", "parked vehicle" or "obstacle", which is a
+    wall if the file gives its height. `turn_rad` is the heading against the road. Raises InputError
+    if an outline surrounds nothing, or there is no height.
     """
     copy = one.start if isinstance(one, Sweep) else one
     height_m = copy.height_m
@@ -304,7 +247,7 @@ def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> 
 
 
 def _holes_inside(outline_m: FloatArray, holes: Sequence[FloatArray]) -> list[FloatArray]:
-    """Holes that are those of this outline, where an object has several."""
+    """The holes of this outline, if an object has several outlines."""
     import shapely
 
     if not holes or len(outline_m) < 3:
@@ -318,7 +261,7 @@ def _holes_inside(outline_m: FloatArray, holes: Sequence[FloatArray]) -> list[Fl
 
 
 def _left_of(line_m: FloatArray) -> FloatArray:
-    """Unit vectors to the left of a line; at its corners between those of both sides, (n, 2)."""
+    """Unit vectors (n, 2) to the left of a line; at its corners halfway between both sides."""
     steps = np.diff(line_m, axis=0)
     steps = steps / np.maximum(np.hypot(*steps.T), 1.0e-9)[:, None]
     before, after = np.concatenate([steps[:1], steps]), np.concatenate([steps, steps[-1:]])
@@ -352,7 +295,7 @@ def _sweep(road: Road, sweep: Sweep, height_m: float) -> Solid:
 
 
 def _simple(road: Road, kind: str, copy: Copy, height_m: float, turn_rad: float) -> Solid | None:
-    """A tree, a cylinder or a box; None: it has no extent."""
+    """A tree, a cylinder or a box, or None if it has no extent."""
     foot, heading = place(road, copy)
     foot[2] += copy.z_m
     radius_m = copy.radius_m

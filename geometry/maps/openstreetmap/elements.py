@@ -1,4 +1,4 @@
-"""Nodes, ways, relations and areas of a file as they stand there, and notes on what is left out."""
+"""Nodes, ways, relations and areas of a file, and notes on what is left out."""
 
 import bz2
 import gzip
@@ -38,25 +38,15 @@ _EXPECTED = "OpenStreetMap data, XML or PBF"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Way:
-    """A line.
-
-    Attributes
-    ----------
-    id : int
-        In OpenStreetMap.
-    rows : (n,) int
-        Its nodes, as rows of :class:`Elements`; -1: not in the file.
-    tags : dict
-        What is known of it.
-    """
+    """A line."""
 
     id: int
-    rows: IntArray
+    rows: IntArray  # (n,), its nodes as rows of Elements; -1: not in the file
     tags: Tags
 
     @property
     def is_closed(self) -> bool:
-        """It ends where it begins, and goes around something."""
+        """It ends where it begins, and surrounds something."""
         return len(self.rows) >= 4 and self.rows[0] == self.rows[-1]
 
 
@@ -71,44 +61,21 @@ class Relation:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Elements:
-    """What a file has.
+    """The elements of a file."""
 
-    Attributes
-    ----------
-    node_ids : (n,) int
-        Rising.
-    lon_lat_deg : (n, 2) float
-        WGS 84. [deg]
-    node_tags : dict of int to dict
-        By row; of nodes that have any.
-    ways : tuple of Way
-    relations : tuple of Relation
-    """
-
-    node_ids: IntArray
-    lon_lat_deg: FloatArray
-    node_tags: dict[int, Tags]
+    node_ids: IntArray  # (n,), ascending
+    lon_lat_deg: FloatArray  # (n, 2), WGS 84
+    node_tags: dict[int, Tags]  # by row, for nodes with tags
     ways: tuple[Way, ...]
     relations: tuple[Relation, ...]
 
 
 def read_elements(path: Path) -> Elements:
-    """Read a file of OpenStreetMap data.
+    """Read a file of OpenStreetMap data: XML, packed with gzip or bzip2 or not, or PBF.
 
-    Parameters
-    ----------
-    path : Path
-        XML or PBF; XML may be packed with gzip or bzip2. What it is shows in its first bytes.
-
-    Returns
-    -------
-    elements : Elements
-        Without what is deleted; of several versions the last.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, is something else, damaged, too large, or a node lies nowhere on earth.
+    The first bytes show the format. Deleted elements are left out; of several versions the last one
+    counts. Raises InputError if the file cannot be read, has another format, is damaged or too
+    large, or a node lies nowhere on earth.
     """
     try:
         check_size(path)
@@ -137,7 +104,7 @@ def _file_format(path: Path) -> str:
 
 
 def _check_unpacked_size(path: Path, unpack: Any) -> None:
-    """Refuse what would grow without end; a second reading, but without keeping anything."""
+    """Refuse what unpacks to too much; a second reading, but without keeping anything."""
     limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
     n_bytes = 0
     try:
@@ -214,7 +181,7 @@ def _collect(path: Path, file_format: str) -> Elements:
 
 
 def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> None:
-    """Refuse coordinates that lie in the file's own bounds only when they are exchanged."""
+    """Refuse coordinates that lie within the file's own bounds only when exchanged."""
     if not len(lon_lat_deg):
         return
     middle = np.median(lon_lat_deg, axis=0)
@@ -280,24 +247,19 @@ def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
 
 @dataclass(slots=True)
 class Notes:
-    """Elements by the reason for which they were left out.
+    """Elements that were left out or changed, by the reason."""
 
-    Attributes
-    ----------
-    reasons : dict of (str, str) to list of str
-        Kind of element in the plural and reason -> ids.
-    """
-
+    # ids by kind of element (in the plural) and reason
     reasons: dict[tuple[str, str], list[str]] = field(default_factory=dict)
 
     def add(self, kinds: str, element: str, why: str) -> None:
-        """Keep an element in mind: "walls", "way 5", "it has no length"."""
+        """Note an element: "walls", "way 5", "it has no length"."""
         elements = self.reasons.setdefault((kinds, why), [])
         if element not in elements[-1:]:
             elements.append(element)
 
     def skipped(self) -> tuple[Skipped, ...]:
-        """One entry per reason, with a count where there is more than one element."""
+        """One entry per reason, with a count if there is more than one element."""
         return tuple(
             Skipped(
                 what=elements[0]
@@ -314,24 +276,12 @@ class Notes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Area:
-    """An area with its courtyards.
+    """An area with its courtyards."""
 
-    Attributes
-    ----------
-    id : str
-        "w5", or of a multipolygon's second ring "r7.1".
-    tags : dict
-        What is known of it.
-    outer_m : (n, 2) float
-        Closed. [m]
-    holes_m : tuple of (k, 2) float
-        [m]
-    """
-
-    id: str
+    id: str  # "w5", or of a multipolygon's second ring "r7.1"
     tags: Tags
-    outer_m: FloatArray
-    holes_m: tuple[FloatArray, ...] = ()
+    outer_m: FloatArray  # (n, 2), closed
+    holes_m: tuple[FloatArray, ...] = ()  # (k, 2) each
 
     @property
     def polygon(self) -> Polygon:
@@ -342,23 +292,7 @@ class Area:
 def find_areas(
     elements: Elements, positions_m: FloatArray, keys: Sequence[str], notes: Notes
 ) -> Iterator[Area]:
-    """Areas that have one of some tags.
-
-    Parameters
-    ----------
-    elements : Elements
-        What the file has.
-    positions_m : (n, 2) float
-        Of its nodes. [m]
-    keys : sequence of str
-        One of them must be there: "building".
-    notes : Notes
-        Told of outlines that are not whole.
-
-    Yields
-    ------
-    area : Area
-    """
+    """Closed ways and rings of multipolygons with one of the tags `keys`; broken ones are noted."""
     by_id = {way.id: way for way in elements.ways}
     used: set[int] = set()
     for relation in elements.relations:
@@ -408,19 +342,9 @@ def _multipolygon(
 
 
 def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
-    """Rings of node rows from ways that may each be a part of one.
+    """Closed rings of node rows from ways in any order and direction.
 
-    Parameters
-    ----------
-    ways : sequence of Way
-        In any order and direction.
-
-    Returns
-    -------
-    rings : list of (n,) int
-        Closed ones.
-    is_whole : bool
-        Every way is part of one.
+    Returns also whether every way is part of a ring.
     """
     rings, is_whole = [], True
     open_ways: dict[int, Way] = {}

@@ -1,4 +1,4 @@
-"""Lanes of a road from its tags: how many in each direction, how wide, what lies beside them."""
+"""Lanes of a road from its tags: number per direction, widths, and strips beside them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,29 +11,17 @@ from .tags import is_yes, parse_count, parse_length_m, side_value
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneCounts:
-    """Lanes of a road.
-
-    Attributes
-    ----------
-    n_forward, n_backward : int
-        In each direction, as the way's nodes run and against them.
-    is_shared : bool
-        The only lane is for both directions: both counts are 1 and mean the same lane.
-    has_centre : bool
-        There is a lane in the middle for turning from both directions.
-    is_counted : bool
-        Tags say how many lanes there are.
-    """
+    """Lanes of a road in each direction, as the way's nodes run and against them."""
 
     n_forward: int
     n_backward: int
-    is_shared: bool = False
-    has_centre: bool = False
-    is_counted: bool = False
+    is_shared: bool = False  # the only lane serves both directions; both counts are 1
+    has_centre: bool = False  # a lane in the middle is for turning from both directions
+    is_counted: bool = False  # tags give the number of lanes
 
 
 def is_oneway(tags: Tags) -> bool:
-    """A road on which cars drive one way only, as its nodes run or against them."""
+    """A road on which cars drive one way only, in the order of its nodes or against it."""
     text = tags.get("oneway", "").strip().lower()
     if text in ("yes", "true", "1", "-1", "reverse"):
         return True
@@ -48,16 +36,9 @@ def runs_backward(tags: Tags) -> bool:
 
 
 def count_lanes(tags: Tags, *, element: str, notes: Notes) -> LaneCounts:
-    """Lanes of a road in each direction.
+    """Lanes of a road in each direction; senseless tags are noted.
 
-    Parameters
-    ----------
-    tags : dict
-        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
-    element : str
-        For notes: "way 5".
-    notes : Notes
-        Told of what makes no sense.
+    If it is a one-way road, its tags must be turned so that cars drive in the order of its nodes.
     """
     highest = int(DEFAULTS["cross_section"]["max_lanes"])
     usual = DEFAULTS["roads"][tags["highway"]]
@@ -123,38 +104,16 @@ _CYCLE_TRACKS = ("track", "opposite_track")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Roadside:
-    """Beside one side of the driving lanes, from these outwards.
+    """Strips beside the driving lanes, outwards: kind, width [m], runs as the way does."""
 
-    Attributes
-    ----------
-    inner : tuple of (str, float, bool)
-        On the carriageway: kind, width [m], whether it runs as the way does.
-    outer : tuple of (str, float, bool)
-        Behind the kerb.
-    """
-
-    inner: tuple[Part, ...]
-    outer: tuple[Part, ...]
+    inner: tuple[Part, ...]  # on the carriageway
+    outer: tuple[Part, ...]  # behind the kerb
 
 
 def roadside_strips(
     tags: Tags, *, side: str, keeps_left: bool, element: str, notes: Notes
 ) -> Roadside:
-    """Parked cars, cyclists and pedestrians on one side of a road.
-
-    Parameters
-    ----------
-    tags : dict
-        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
-    side : {"left", "right"}
-        Seen along the way.
-    keeps_left : bool
-        Traffic keeps left.
-    element : str
-        For notes: "way 5".
-    notes : Notes
-        Told of widths that make no sense.
-    """
+    """Parked cars, cyclists and pedestrians on a side of a road, "left" or "right"."""
     is_near = side == ("left" if keeps_left else "right")  # the side of traffic along the way
     is_forward = is_near or is_oneway(tags)
     inner: list[Part] = []
@@ -203,7 +162,7 @@ def _cycleway(tags: Tags, side: str, *, is_near: bool) -> str:
 
 
 def _parking(tags: Tags, side: str) -> tuple[str, str]:
-    """Where cars park on a side, and how."""
+    """Position and orientation of parked cars on a side."""
     position = side_value(tags, "parking", side)
     if position is not None:
         restriction = tags.get(
@@ -239,47 +198,22 @@ def _has_sidewalk(tags: Tags, side: str) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Strip:
-    """One lane in a cross-section.
+    """One lane in a cross-section."""
 
-    Attributes
-    ----------
-    kind : str
-        One of :data:`geometry.maps.source_map.LANE_KINDS`.
-    place : str
-        Tells strips of a kind apart: "forward", "backward" for driving lanes, "left", "right" for
-        others.
-    number : int
-        Among those of its kind and place; 0: next to the kerb.
-    width_m : float
-        [m]
-    left_m : float
-        Of its middle, to the left of the way. [m]
-    is_forward : bool
-        Traffic runs as the way does.
-    """
-
-    kind: str
-    place: str
-    number: int
+    kind: str  # one of geometry.maps.source_map.LANE_KINDS
+    place: str  # "forward" or "backward" for driving lanes, "left" or "right" for others
+    number: int  # among those of its kind and place; 0: next to the kerb
     width_m: float
-    left_m: float
-    is_forward: bool
+    left_m: float  # of its middle, to the left of the way
+    is_forward: bool  # traffic runs in the direction of the way
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossSection:
-    """What lies side by side along a way; its carriageway's middle is the way.
+    """Strips side by side along a way, which runs in the middle of the carriageway."""
 
-    Attributes
-    ----------
-    strips : tuple of Strip
-        From left to right.
-    width_m : float
-        From kerb to kerb, parked cars and cycle lanes on the carriageway included. [m]
-    """
-
-    strips: tuple[Strip, ...]
-    width_m: float
+    strips: tuple[Strip, ...]  # from left to right
+    width_m: float  # from kerb to kerb, with parked cars and cycle lanes on the carriageway
 
     def lanes(self, *, is_forward: bool) -> tuple[Strip, ...]:
         """Driving lanes of one direction, from the kerb to the axis."""
@@ -306,18 +240,9 @@ _OPPOSITE = {"forward": "backward", "backward": "forward", "left": "right", "rig
 def build_cross_section(
     tags: Tags, *, element: str, keeps_left: bool, notes: Notes
 ) -> CrossSection:
-    """What lies side by side along a road.
+    """Strips side by side along a road; defaults replace senseless tags, which are noted.
 
-    Parameters
-    ----------
-    tags : dict
-        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
-    element : str
-        For notes: "way 5".
-    keeps_left : bool
-        Traffic keeps left.
-    notes : Notes
-        Told of what makes no sense in the tags; defaults stand in for it.
+    If it is a one-way road, its tags must be turned so that cars drive in the order of its nodes.
     """
     limits = DEFAULTS["cross_section"]
     left, right = (
@@ -389,7 +314,7 @@ def _strip(
 
 @dataclass(frozen=True, slots=True)
 class _Widths:
-    """Widths of lanes in metres, each from left to right in its driving direction."""
+    """Widths of lanes in metres, from left to right in their driving direction."""
 
     forward: Sequence[float]
     backward: Sequence[float]
@@ -443,7 +368,7 @@ def _even(width_m: float, centre_m: float, counts: LaneCounts) -> _Widths:
 
 
 def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) -> list[float] | None:
-    """Widths of each lane in metres, where they are listed and as many as there are lanes."""
+    """Widths of each lane in metres, if they are listed for the right number of lanes."""
     if not count:
         return []
     text = tags.get(f"width:lanes:{direction}") or (tags.get("width:lanes") if is_alone else None)

@@ -1,4 +1,4 @@
-"""OpenStreetMap data as a map, from a file or from a public server."""
+"""Read OpenStreetMap data as a map, from a file or from a public server."""
 
 from collections import Counter
 from dataclasses import replace
@@ -29,22 +29,10 @@ _CARRIAGEWAYS_M = (3.0, 30.0)  # apart
 
 
 def find_driving_side(elements: Elements, positions_m: FloatArray) -> tuple[bool, str]:
-    """Whether traffic keeps left.
+    """Whether traffic keeps left, and what shows it (empty: nothing, it is assumed).
 
-    Parameters
-    ----------
-    elements : Elements
-        What the file has.
-    positions_m : (n, 2) float
-        Of its nodes. [m]
-
-    Returns
-    -------
-    keeps_left : bool
-        From the tag, or from which way round cars drive in roundabouts, or from which side the
-        other carriageway of a street lies on; otherwise False.
-    how : str
-        What showed it; empty: nothing, it is assumed.
+    Evidence is the tag, the driving direction in roundabouts, or the side of a street's other
+    carriageway. `positions_m` (n, 2) are those of the nodes.
     """
     ways = [way for way in elements.ways if is_for_cars(way.tags)]
     tagged = Counter(
@@ -72,7 +60,7 @@ def _points(way: Way, positions_m: FloatArray) -> list[FloatArray]:
 
 
 def _roundabouts(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
-    """Clockwise where traffic keeps left; parts of a ring bend that way too."""
+    """Votes of roundabouts: driven clockwise if traffic keeps left; parts of a ring count too."""
     votes: Counter[bool] = Counter()
     for way in ways:
         if way.tags.get("junction") not in ("roundabout", "circular"):
@@ -87,7 +75,7 @@ def _roundabouts(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
 
 
 def _carriageways(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
-    """The other carriageway lies on the right where traffic keeps left."""
+    """Votes of streets: the other carriageway lies on the right if traffic keeps left."""
     votes: Counter[bool] = Counter()
     starts, ends, names = [], [], []
     for way in ways:
@@ -126,18 +114,15 @@ _WGS84 = "EPSG:4326"
 def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read a file of OpenStreetMap data.
 
+    Coordinates are metres around the middle of the roads, heights are above the ground; there may
+    be no junction.
+
     Parameters
     ----------
     path : Path
         XML (.osm, .osm.gz, .osm.bz2) or PBF (.osm.pbf).
     keeps_left : bool, optional
         Traffic keeps left; by default what the file shows: a tag, roundabouts, carriageways.
-
-    Returns
-    -------
-    source_map : SourceMap
-        In metres around the middle of its roads, heights above the ground. It may have no
-        junction.
 
     Raises
     ------
@@ -193,7 +178,7 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
 
 
 def _project(elements: Elements, rows: np.ndarray, path: Path) -> tuple[FloatArray, str]:
-    """Metres around the middle of the roads for all nodes, and what they count from."""
+    """Positions of all nodes in metres around the middle of the roads, and their CRS."""
     lon_lat = elements.lon_lat_deg[rows]
     low, high = lon_lat.min(axis=0), lon_lat.max(axis=0)
     limit_deg = DEFAULTS["reading"]["max_span_deg"]
@@ -233,7 +218,7 @@ def _near(elements: Elements, positions_m: FloatArray) -> Elements:
 
 
 def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
-    """Fetch all of OpenStreetMap within a box, by the Overpass API.
+    """Fetch all OpenStreetMap data within a box, by the Overpass API.
 
     Parameters
     ----------
@@ -245,7 +230,7 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
     Raises
     ------
     InputError
-        The box is none, or too large; or the server does not answer with a map.
+        The box is not valid or too large; or the server does not answer with a map.
     MissingExtraError
         The package for requests over the network is not installed.
     """

@@ -32,17 +32,7 @@ _OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward"
 
 
 def parse_length_m(text: str) -> float | None:
-    r"""A length as people write it.
-
-    Parameters
-    ----------
-    text : str
-        Metres without a unit; a decimal comma, units and ranges (their middle) are understood.
-
-    Returns
-    -------
-    length_m : float or None
-        None: makes no sense. [m]
+    r"""A length as people write it, with decimal commas, units or ranges (their middle), or None.
 
     Examples
     --------
@@ -73,7 +63,7 @@ def _number(text: str) -> float:
 
 
 def parse_count(text: str, *, highest: int) -> int | None:
-    """A whole number from 1 to `highest`; None: makes no sense."""
+    """A whole number from 1 to `highest`, or None."""
     text = text.strip()
     if not re.fullmatch(r"[0-9]{1,6}(\.0+)?", text):
         return None
@@ -82,7 +72,7 @@ def parse_count(text: str, *, highest: int) -> int | None:
 
 
 def parse_number(text: str, *, highest: float) -> float | None:
-    """A number from 0 to `highest`; None: makes no sense."""
+    """A number from 0 to `highest`, or None."""
     text = text.strip().replace(",", ".")
     if not re.fullmatch(r"[0-9]{1,6}(\.[0-9]{1,9})?", text):
         return None
@@ -96,13 +86,7 @@ def is_yes(text: str | None) -> bool:
 
 
 def side_value(tags: Tags, key: str, side: str) -> str | None:
-    """Value of a tag for one side: ``key:side``, else ``key:both``.
-
-    Examples
-    --------
-    >>> side_value({"parking:both": "lane"}, "parking", "left")
-    'lane'
-    """
+    """Value of a tag for one side: ``key:side``, or else ``key:both``."""
     return tags.get(f"{key}:{side}", tags.get(f"{key}:both"))
 
 

@@ -27,22 +27,10 @@ _NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapse
 
 
 def find_buildings(elements: Elements, positions_m: FloatArray, notes: Notes) -> Iterator[Thing]:
-    """Buildings of a file.
+    """Buildings as prisms from the ground, or from their tagged bottom.
 
-    Parameters
-    ----------
-    elements : Elements
-        What the file has.
-    positions_m : (n, 2) float
-        Of its nodes. [m]
-    notes : Notes
-        Told of buildings that are left out, and why.
-
-    Yields
-    ------
-    building : Thing
-        A prism from the ground, or from where the map says that it begins. A building with parts
-        that cover it is its parts; where they do not, the rest of it stands too.
+    A building with parts is its parts, and the rest of it unless they cover it. Buildings that are
+    left out are noted.
     """
     areas = [
         area
@@ -83,7 +71,7 @@ def _element(area: Area) -> str:
 
 
 def _stands(area: Area, notes: Notes) -> bool:
-    """It is there, above the ground, and something to look at."""
+    """It exists, above the ground, and can be seen."""
     tags = area.tags
     kinds = [tags[key] for key in ("building", "building:part") if key in tags]
     if all(kind == "no" for kind in kinds):
@@ -102,7 +90,7 @@ def _is_on_stilts(tags: Tags) -> bool:
 
 
 def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list[Polygon] | None]:
-    """What of each outline no part covers; None: it has none."""
+    """The rest of each outline that no part covers; None: it has no parts."""
     rests: list[list[Polygon] | None] = [None] * len(outlines)
     if not outlines or not parts:
         return rests
@@ -155,7 +143,7 @@ def _solid(area: Area, notes: Notes) -> Iterator[Thing]:
 
 
 def _top_m(area: Area, notes: Notes) -> tuple[float, bool]:
-    """Height of the roof, and whether nothing says so; in metres."""
+    """Height of the roof in metres, and whether it is assumed."""
     tags, usual = area.tags, DEFAULTS["building"]
     for key in ("height", "building:height", "est_height"):
         if key in tags:
@@ -202,22 +190,7 @@ _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
 
 
 def find_barriers(elements: Elements, positions_m: FloatArray, notes: Notes) -> Iterator[Thing]:
-    """Walls, hedges and boarded fences of a file.
-
-    Parameters
-    ----------
-    elements : Elements
-        What the file has.
-    positions_m : (n, 2) float
-        Of its nodes. [m]
-    notes : Notes
-        Told of fences, which are seen through, and of what is damaged.
-
-    Yields
-    ------
-    barrier : Thing
-        As high and thick as the map says, or as is usual.
-    """
+    """Walls, hedges and boarded fences; transparent fences and damaged outlines are noted."""
     for way in elements.ways:
         kind = way.tags.get("barrier", "")
         if kind not in _KINDS:
@@ -269,7 +242,7 @@ def _footprints(way: Way, positions_m: FloatArray, thickness_m: float) -> Iterat
 
 
 def _size_m(tags: Tags, kind: str, name: str, notes: Notes, element: str) -> tuple[float, bool]:
-    """Height or thickness, and whether nothing says so; in metres."""
+    """Height or thickness in metres, and whether it is assumed."""
     limits = DEFAULTS["barrier"]
     for key in (name, "width") if name == "thickness" else (name, "est_height"):
         if key in tags:
@@ -288,22 +261,7 @@ _TRUNK_SIDES = 8
 
 
 def find_trees(elements: Elements, positions_m: FloatArray, notes: Notes) -> Iterator[Thing]:
-    """Trees of a file.
-
-    Parameters
-    ----------
-    elements : Elements
-        What the file has.
-    positions_m : (n, 2) float
-        Of its nodes. [m]
-    notes : Notes
-        Told of woods, whose trees nobody mapped.
-
-    Yields
-    ------
-    tree : Thing
-        An upright trunk and an ellipsoid as its crown, each closed.
-    """
+    """Trees as an upright trunk and an ellipsoid crown, each closed; woods are noted."""
     for row, tags in elements.node_tags.items():
         if tags.get("natural") == "tree":
             element = f"node {int(elements.node_ids[row])}"
@@ -328,7 +286,7 @@ def _note_wood(tags: Tags, element: str, notes: Notes) -> None:
 
 
 def _along(line_m: FloatArray) -> FloatArray:
-    """Where the trees of a row stand, evenly from its begin to its end, (n, 2)."""
+    """Positions of the trees of a row, evenly from its begin to its end, (n, 2)."""
     usual = DEFAULTS["tree"]
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
     n_trees = min(round(float(along[-1]) / usual["row_spacing_m"]) + 1, usual["max_in_row"])
@@ -408,27 +366,11 @@ def find_poles(
     keeps_left: bool,
     notes: Notes,
 ) -> tuple[Pole, ...]:
-    """What stands beside roads and could carry sensors.
+    """Poles beside roads that could carry sensors; lamps without a pole are noted.
 
-    Parameters
-    ----------
-    network : Network
-        The roads.
-    reaches : sequence of Reach
-        Streets, and where junctions begin on them.
-    elements : Elements
-        What the file has.
-    keeps_left : bool
-        Traffic keeps left.
-    notes : Notes
-        Told of lamps without a pole.
-
-    Returns
-    -------
-    poles : tuple of Pole
-        Signals and signs that are mapped on a road, as part of it, stand at the kerb on the side of
-        traffic: beside the stop line, or where an arm begins if that is farther out; those mapped
-        where roads meet stand at every arm by which cars come.
+    Signals and signs that are mapped on a road stand at the kerb on the side of traffic: at the
+    stop line, or where an arm begins if that is farther out; those mapped where roads meet stand at
+    every arm from which cars come.
     """
     places = _places(network, reaches)
     poles = []
@@ -483,7 +425,7 @@ _Place = tuple[Reach, float]  # a street and how far along it [m]
 
 
 def _places(network: Network, reaches: Sequence[Reach]) -> dict[int, list[_Place]]:
-    """Where nodes lie on streets; nodes of junctions lie on all arms."""
+    """Positions of nodes along streets; nodes of junctions lie on all arms."""
     places: dict[int, list[_Place]] = {}
     for reach in reaches:
         for row, station_m in zip(reach.street.rows, reach.street.stations_m, strict=True):
