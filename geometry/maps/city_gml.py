@@ -12,10 +12,10 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..untrusted_files import local_name, read_xml
-from .city_objects import CLASS_OF_TYPE, CityObject, city_map, counted
+from .city_json import CLASS_OF_TYPE, CityObject, city_map
 from .georeferences import crs_name, horizontal_crs
 from .solids import Polygon3D
-from .source_map import SourceMap
+from .source_map import SourceMap, counted
 
 _EXPECTED = "CityGML"
 _OTHER_TYPES = (

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from ..errors import InputError, Unquoted
 from ..junction import distance_to_outline_m
 from ..scene import Instance, Lane, Scene, Site
 from .georeferences import LocalFrame, frame_at
+from .solids import join
 from .source_map import MapJunction, Pole, Skipped, SourceMap, Thing
 from .thing_kinds import build_pole_body
 
@@ -72,15 +73,8 @@ def cut_out(
             if vertices[:, 2].max() < _LOWEST_M:
                 low[thing.class_name] += 1
                 continue
-            things.append(
-                Thing(
-                    id=_unique(thing.id, source, taken),
-                    class_name=thing.class_name,
-                    vertices_m=vertices,
-                    triangles=thing.triangles,
-                    is_height_assumed=thing.is_height_assumed,
-                )
-            )
+            thing_id = _unique(thing.id, source, taken)
+            things.append(replace(thing, id=thing_id, vertices_m=vertices))
         skipped += [
             Skipped(what=f"{count} x {name} in {source.name}", why="not above the road")
             for name, count in low.items()
@@ -88,14 +82,8 @@ def cut_out(
         for pole in source.poles:
             foot = frame.take(pole.position_m, source)
             if np.hypot(*foot[:2]) <= radius_m:
-                poles.append(
-                    Pole(
-                        id=_unique(pole.id, source, taken),
-                        kind=pole.kind,
-                        position_m=np.append(foot[:2], 0.0),
-                        height_m=pole.height_m,
-                    )
-                )
+                pole_id = _unique(pole.id, source, taken)
+                poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
     return Surroundings(
         frame=frame,
         lanes=tuple(_lanes(roads, junction, frame, outline, radius_m + _LANES_BEYOND_M)),
@@ -122,29 +110,21 @@ def build_scene(
     """
     half = radius_m + _LANES_BEYOND_M
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    bodies: list[tuple[Instance, FloatArray, np.ndarray]] = [
-        (
-            Instance(id="ground", class_name="ground"),
-            np.column_stack([corners, np.zeros(4)]),
-            np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
-        )
-    ]
+    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    bodies = [("ground", "ground", (np.column_stack([corners, np.zeros(4)]), faces))]
     bodies += [
-        (Instance(id=thing.id, class_name=thing.class_name), thing.vertices_m, thing.triangles)
+        (thing.id, thing.class_name, (thing.vertices_m, thing.triangles))
         for thing in surroundings.things
     ]
-    for pole in surroundings.poles:
-        class_name, vertices, triangles = build_pole_body(pole)
-        bodies.append((Instance(id=pole.id, class_name=class_name), vertices, triangles))
-    first = np.cumsum([0, *(len(vertices) for _, vertices, _ in bodies)])
+    bodies += [(pole.id, *build_pole_body(pole)) for pole in surroundings.poles]
+    vertices, triangles = join([mesh for _, _, mesh in bodies])
+    n_triangles = [len(faces) for _, _, (_, faces) in bodies]
     return Scene(
         name=name,
-        vertices_m=np.concatenate([vertices for _, vertices, _ in bodies]),
-        triangles=np.concatenate(
-            [faces + start for (_, _, faces), start in zip(bodies, first[:-1], strict=True)]
-        ),
-        triangle_instance=np.repeat(np.arange(len(bodies)), [len(faces) for _, _, faces in bodies]),
-        instances=tuple(instance for instance, _, _ in bodies),
+        vertices_m=vertices,
+        triangles=triangles,
+        triangle_instance=np.repeat(np.arange(len(bodies)), n_triangles),
+        instances=tuple(Instance(id=id_, class_name=kind) for id_, kind, _ in bodies),
         sites=tuple(sites),
         outline_m=surroundings.outline_m,
         lanes=surroundings.lanes,
@@ -154,9 +134,6 @@ def build_scene(
         source_crs=source_crs,
         source_origin_m=surroundings.frame.origin_m,
     )
-
-
-# ---------------------------------------------------------------- lanes and crosswalks
 
 
 def _lanes(
@@ -243,9 +220,6 @@ def _crosswalks(maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatAr
     return np.array(near).reshape(-1, 2, 2)
 
 
-# ---------------------------------------------------------------- things
-
-
 def _near_things(
     source: SourceMap, frame: LocalFrame, radius_m: float
 ) -> tuple[list[Thing], list[Skipped]]:
@@ -264,15 +238,7 @@ def _near_things(
         if np.hypot(*nearest) > radius_m:
             n_far += 1
             continue
-        near.append(
-            Thing(
-                id=thing.id,
-                class_name=thing.class_name,
-                vertices_m=vertices,
-                triangles=thing.triangles,
-                is_height_assumed=thing.is_height_assumed,
-            )
-        )
+        near.append(replace(thing, vertices_m=vertices))
     if not n_far:
         return near, []
     why = f"farther than {radius_m:g} m from the junction"

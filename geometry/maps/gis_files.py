@@ -13,18 +13,14 @@ import numpy as np
 from ..errors import InputError, Unquoted
 from ..scene import CLASS_NAMES
 from ..untrusted_files import check_size, parse_json, read_text, unpacked
-from .city_objects import counted, shortened, unique_id
 from .georeferences import WGS84, Georeference, georeference
-from .solids import extrude
-from .source_map import Skipped, SourceMap, Thing
+from .solids import extrude, join
+from .source_map import Skipped, SourceMap, Thing, counted, shortened, unique_id
 from .thing_kinds import ThingKind, kind_from_name, kind_of_class, thing_defaults
 
 if TYPE_CHECKING:
     from shapely import Polygon
     from shapely.geometry.base import BaseGeometry
-
-
-# ---------- features from GIS files: geometries and what their tables say of them
 
 
 MAX_FEATURES = 200_000
@@ -201,8 +197,7 @@ def _refuse_many(n_features: int, where: str) -> None:
         )
 
 
-# ---------- buildings and walls from GIS files: footprints raised by the heights in their tables
-
+# ---------- footprints, raised by the heights in their tables
 
 # Names of columns, without units, in lower case with _ for everything between words.
 _TOPS = (
@@ -355,14 +350,12 @@ def _raised(
     ]
     if not pieces:
         raise InputError(thing_id, Unquoted("no area"), "a footprint")
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
+    vertices, triangles = join(pieces)
     return Thing(
         id=thing_id,
         class_name=kind.class_name,
-        vertices_m=np.concatenate([vertices for vertices, _ in pieces]),
-        triangles=np.concatenate(
-            [triangles + offset for (_, triangles), offset in zip(pieces, first, strict=False)]
-        ),
+        vertices_m=vertices,
+        triangles=triangles,
         is_height_assumed=span.is_assumed,
     )
 

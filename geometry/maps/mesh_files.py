@@ -11,9 +11,8 @@ from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..scene import CLASS_NAMES
 from ..untrusted_files import check_gltf, check_size
-from .city_objects import MAX_TRIANGLES, counted, unique_id
 from .solids import is_closed, volume_m3
-from .source_map import SourceMap, Thing
+from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted, unique_id
 from .thing_kinds import kind_from_name
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")

@@ -11,10 +11,9 @@ from ..arrays import FloatArray, IntArray
 from ..errors import InputError, Unquoted
 from ..scene import CLASS_NAMES
 from . import voxels
-from .city_objects import MAX_TRIANGLES, counted
 from .georeferences import Georeference, georeference
 from .point_files import open_points
-from .source_map import Skipped, SourceMap, Thing
+from .source_map import MAX_TRIANGLES, Skipped, SourceMap, Thing, counted
 
 # ---------- the ground under a point cloud
 

@@ -299,8 +299,8 @@ def _poles(surroundings: Surroundings) -> tuple[SiteWish, ...]:
                 id=pole.id,
                 kind=pole.kind,
                 position_m=pole.position_m[:2],
-                min_height_m=float(low_m),
-                max_height_m=float(high_m),
+                min_height_m=low_m,
+                max_height_m=high_m,
             )
         )
     return tuple(wishes)
@@ -379,7 +379,7 @@ def _with_plain_ids(wishes: Sequence[SiteWish]) -> list[SiteWish]:
 def _site(wish: SiteWish) -> Site:
     kinds = load_pole_kinds()
     kind = kinds.get(wish.kind, kinds["pole"])
-    low_m, high_m = kind.height_range_m.tolist()
+    low_m, high_m = kind.height_range_m
     low_m = low_m if wish.min_height_m is None else wish.min_height_m
     high_m = max(high_m, low_m) if wish.max_height_m is None else wish.max_height_m
     low_m = min(low_m, high_m)

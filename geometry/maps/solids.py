@@ -1,6 +1,7 @@
 """Triangle meshes from polygons in space, and solids raised from footprints."""
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,16 +9,16 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import FloatArray, float_array
 from ..errors import InputError, Unquoted
 
-# ---------- triangles from polygons in space: the surfaces of city models
-
-
 Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
+Mesh = tuple[FloatArray, NDArray[np.int32]]  # vertices (n, 3) and triangles (m, 3)
 
 _SAME_M = 1e-3  # corners closer than this are one
-_MIN_AREA_M2 = 1e-6
+_MIN_AREA_M2 = 1e-6  # of a polygon in space
+_MIN_FOOTPRINT_M2 = 0.01
+_NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
 
 
-def triangulate(rings_m: Polygon3D) -> tuple[FloatArray, NDArray[np.int32]]:
+def triangulate(rings_m: Polygon3D) -> Mesh:
     """Triangles of a flat polygon in space: an outer ring and holes, (n, 3) each, open or closed.
 
     The polygon is projected onto the plane across Newell's normal, cut by ear clipping there, and
@@ -63,7 +64,7 @@ def triangulate(rings_m: Polygon3D) -> tuple[FloatArray, NDArray[np.int32]]:
     return vertices, triangles
 
 
-def surface_mesh(polygons: Sequence[Polygon3D]) -> tuple[FloatArray, NDArray[np.int32]]:
+def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
     """One mesh of many polygons with shared corners; a closed mesh faces outwards.
 
     Vertices closer than about a millimetre along every axis are merged. The mesh is empty if no
@@ -73,11 +74,7 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> tuple[FloatArray, NDArray[np.
     pieces = [piece for piece in pieces if len(piece[1])]
     if not pieces:
         return _NOTHING
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
-    corners: FloatArray = np.concatenate([vertices for vertices, _ in pieces])
-    triangles = np.concatenate(
-        [triangles + offset for (_, triangles), offset in zip(pieces, first[:-1], strict=True)]
-    )
+    corners, triangles = join(pieces)
     _, taken, merged = np.unique(
         np.round(corners / _SAME_M).astype(np.int64), axis=0, return_index=True, return_inverse=True
     )
@@ -110,9 +107,6 @@ def volume_m3(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> float:
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
-_NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
-
-
 def _without_repeats(ring: FloatArray) -> FloatArray:
     """An open ring without corners that repeat the one before."""
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
@@ -122,9 +116,6 @@ def _without_repeats(ring: FloatArray) -> FloatArray:
     return kept
 
 
-# ---------- solids from footprints: walls, floor and a flat roof
-
-
 def extrude(
     outer_m: ArrayLike,
     *,
@@ -132,7 +123,7 @@ def extrude(
     top_m: float,
     holes_m: Sequence[ArrayLike] = (),
     where: str = "footprint",
-) -> tuple[FloatArray, NDArray[np.int32]]:
+) -> Mesh:
     """A closed solid over a footprint: an outline (n, 2) and holes.
 
     Rings are open or closed, in either direction. Returns vertices (k, 3) and triangles that run
@@ -152,19 +143,29 @@ def extrude(
         part
         for geometry in getattr(shape, "geoms", [shape])
         for part in (geometry.geoms if isinstance(geometry, MultiPolygon) else [geometry])
-        if isinstance(part, Polygon) and part.area > _MIN_AREA_M2_EXTRUSION
+        if isinstance(part, Polygon) and part.area > _MIN_FOOTPRINT_M2
     ]
     if not parts:
         raise InputError(where, Unquoted("an outline without area"), "a footprint")
     solids = [
         trimesh.creation.extrude_polygon(part, top_m - bottom_m, engine="earcut") for part in parts
     ]
-    first = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
-    vertices: FloatArray = np.concatenate([solid.vertices for solid in solids])
-    triangles = np.concatenate(
-        [solid.faces + offset for solid, offset in zip(solids, first[:-1], strict=True)]
-    )
-    return vertices + [0.0, 0.0, bottom_m], triangles.astype(np.int32)
+    vertices, triangles = join([(solid.vertices, solid.faces) for solid in solids])
+    return vertices + [0.0, 0.0, bottom_m], triangles
 
 
-_MIN_AREA_M2_EXTRUSION = 0.01
+def join(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    triangles = [faces + start for (_, faces), start in zip(meshes, first[:-1], strict=True)]
+    vertices: FloatArray = np.concatenate([vertices for vertices, _ in meshes])
+    return vertices, np.concatenate(triangles).astype(np.int32)
+
+
+@cache
+def unit_ball() -> Mesh:
+    """A ball of radius 1 from 80 triangles, for the crowns of trees."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    return np.asarray(ball.vertices, dtype=np.float64), np.asarray(ball.faces, dtype=np.int32)

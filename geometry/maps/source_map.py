@@ -1,5 +1,7 @@
 """The content of a map file, whatever its format: lanes, junctions, crosswalks, things, poles."""
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -12,6 +14,9 @@ from ..errors import InputError
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
 Heights = Literal["above ground", "absolute"]
+MAX_TRIANGLES = 5_000_000  # of the things of a file
+_MAX_ID = 120  # characters
+_MAX_SKIPPED = 100  # entries
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,6 +163,67 @@ class Skipped:
 
     what: str  # kind and id, as the source has them: "way 4711", "road 5 object 12"
     why: str  # the reason, in words
+
+
+@dataclass(frozen=True, slots=True)
+class Omissions:
+    """What is left out of a file, counted by kind and reason so that the list stays short.
+
+    ``found`` has the names by kind and reason.
+    """
+
+    found: dict[tuple[str, str], list[str]] = field(default_factory=dict)
+
+    def add(self, kind: str, name: str, why: str) -> None:
+        """Note that a thing was left out, or changed.
+
+        `kind` is in the plural, "signals of other kinds", `name` the thing at hand: "road 5 signal
+        12". Repetitions in a row count once.
+        """
+        names = self.found.setdefault((kind, why), [])
+        if name not in names[-1:]:
+            names.append(name)
+
+    def listed(self) -> tuple[Skipped, ...]:
+        """One entry per kind and reason."""
+        entries = [
+            Skipped(
+                what=names[0]
+                if len(names) == 1
+                else f"{len(names)} {kind}, such as {names[0]} and {names[1]}",
+                why=why,
+            )
+            for (kind, why), names in self.found.items()
+        ]
+        if len(entries) > _MAX_SKIPPED:
+            n_more = len(entries) - _MAX_SKIPPED + 1
+            entries = entries[: _MAX_SKIPPED - 1]
+            entries.append(Skipped(what=f"{n_more} more kinds of things", why="see those above"))
+        return tuple(entries)
+
+
+def unique_id(wanted: str, taken: Counter[str]) -> str:
+    """The wanted id, with a number if it is taken; `taken` then contains it."""
+    wanted = wanted[:_MAX_ID] or "unnamed"
+    candidate = wanted
+    while candidate in taken:
+        taken[wanted] += 1
+        candidate = f"{wanted}-{taken[wanted]}"
+    taken[candidate] += 1
+    return candidate
+
+
+def shortened(skipped: Sequence[Skipped], most: int = _MAX_SKIPPED) -> tuple[Skipped, ...]:
+    """The first of many entries, and one that counts the rest."""
+    if len(skipped) <= most:
+        return tuple(skipped)
+    n_more = len(skipped) - most
+    return (*skipped[:most], Skipped(what=f"{n_more} more", why="for reasons like these"))
+
+
+def counted(counts: Counter[str], why: str) -> list[Skipped]:
+    """One entry per kind of thing: "3 Bridge"."""
+    return [Skipped(what=f"{n} {kind}", why=why) for kind, n in sorted(counts.items())]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

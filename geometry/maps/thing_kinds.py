@@ -5,15 +5,15 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
+import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import FloatArray, float_array
-from ..files import load_toml, pick, take, take_list, take_number, take_text
-from ..scene import CLASS_NAMES
+from ..files import load_toml, pick
+from .solids import Mesh
 from .source_map import Pole
 
-# ---------- what things are called
+_MAX_NAME = 200  # characters of a name that are looked at
+_SECTIONS = 10  # of a pole's cylinder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,26 +40,8 @@ class ThingDefaults:
 @cache
 def thing_defaults() -> ThingDefaults:
     """Read ``data/things.toml``."""
-    name = "things.toml"
-    table = load_toml(files(__package__) / "data" / name)
-    kinds = []
-    for index, entry in enumerate(take_list(table, "kinds", name)):
-        where = f"{name}: kinds[{index}]"
-        kind = ThingKind(
-            kind=take_text(entry, "kind", where),
-            class_name=take_text(entry, "class_name", where),
-            words=tuple(take_list(entry, "words", where)),
-            height_m=take_number(entry, "height_m", where),
-            thickness_m=take_number(entry, "thickness_m", where),
-        )
-        pick(dict.fromkeys(CLASS_NAMES), kind.class_name, f"{where}.class_name")
-        kinds.append(kind)
-    return ThingDefaults(
-        storey_height_m=take_number(table, "storey_height_m", name),
-        max_height_m=take_number(table, "max_height_m", name),
-        max_storeys=int(take_number(table, "max_storeys", name)),
-        kinds=tuple(kinds),
-    )
+    table = load_toml(files(__package__) / "data" / "things.toml")
+    return msgspec.convert(table, ThingDefaults)
 
 
 def kind_from_name(name: str) -> ThingKind | None:
@@ -87,23 +69,14 @@ def kind_of_class(class_name: str) -> ThingKind:
     return kind
 
 
-_MAX_NAME = 200  # characters of a name that are looked at
-
-
-# ---------- what poles of a map look like to a ray
-
-
-_SECTIONS = 10
-_CLASSES = {"lamp post": "lamp post"}  # all others look like a signal's pole
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PoleKind:
     """A kind of pole, for poles of which the map gives no more."""
 
+    kind: str
     height_m: float
     radius_m: float
-    height_range_m: FloatArray  # lowest and highest mount above the road
+    height_range_m: tuple[float, float]  # lowest and highest mount above the road
     capacity_units: int  # sensors that it can carry
 
 
@@ -111,22 +84,11 @@ class PoleKind:
 def load_pole_kinds() -> dict[str, PoleKind]:
     """All kinds of poles by name, from ``data/sites.toml``."""
     table = load_toml(files(__package__) / "data" / "sites.toml")
-    kinds = {}
-    for index, entry in enumerate(take_list(table, "kinds", "sites.toml")):
-        where = f"sites.toml: kinds[{index}]"
-        kinds[take_text(entry, "kind", where)] = PoleKind(
-            height_m=take_number(entry, "height_m", where),
-            radius_m=take_number(entry, "radius_m", where),
-            height_range_m=float_array(
-                take_list(entry, "height_range_m", where), (2,), f"{where}.height_range_m"
-            ),
-            capacity_units=take(entry, "capacity_units", where),
-        )
-    return kinds
+    return {one.kind: one for one in msgspec.convert(table["kinds"], list[PoleKind])}
 
 
-def build_pole_body(pole: Pole) -> tuple[str, FloatArray, NDArray[np.int32]]:
-    """Class, vertices (n, 3) and triangles (m, 3) of a pole that stands on the road plane."""
+def build_pole_body(pole: Pole) -> tuple[str, Mesh]:
+    """Class and mesh of a pole that stands on the road plane."""
     import trimesh
 
     kind = load_pole_kinds()[pole.kind]
@@ -135,15 +97,14 @@ def build_pole_body(pole: Pole) -> tuple[str, FloatArray, NDArray[np.int32]]:
     body = trimesh.creation.cylinder(
         radius=kind.radius_m, segment=[foot, foot + [0.0, 0.0, height_m]], sections=_SECTIONS
     )
-    class_name = _CLASSES.get(pole.kind, "traffic light")
-    return class_name, np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int32)
+    class_name = "lamp post" if pole.kind == "lamp post" else "traffic light"
+    return class_name, (np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int32))
 
 
-def mount_range_m(pole: Pole) -> FloatArray:
-    """Lowest and highest mount on a pole, (2,) in metres: a low pole carries sensors at its top."""
-    kind = load_pole_kinds()[pole.kind]
+def mount_range_m(pole: Pole) -> tuple[float, float]:
+    """Lowest and highest mount on a pole in metres: a low pole carries sensors at its top."""
+    low, high = load_pole_kinds()[pole.kind].height_range_m
     if pole.height_m is None:
-        return kind.height_range_m
-    low, high = kind.height_range_m
+        return low, high
     top = min(max(high, low), max(pole.height_m, 1.0))
-    return np.array([min(low, top), top])
+    return min(low, top), top

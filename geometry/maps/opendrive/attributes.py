@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from ...files import load_toml
-from ..source_map import Skipped
+from ..source_map import Omissions
 
 # ---------- attributes of XML elements as numbers and words, checked
 
@@ -80,44 +80,6 @@ def numbered(parent: Element | None, tag: str, where: str) -> Iterator[tuple[Ele
     """Children with a tag, and their names for messages: "Town.xodr: road 5 geometry[2]"."""
     for index, child in enumerate([] if parent is None else parent.findall(tag)):
         yield child, f"{where} {tag}[{index}]"
-
-
-# ---------- what is left out of a file, and why: counted by kind, so that the list stays short
-
-
-_MAX_ENTRIES = 100
-
-
-@dataclass(frozen=True, slots=True)
-class Omissions:
-    """What is left out of a file, and why: counted by kind, so that the list stays short."""
-
-    found: dict[tuple[str, str], list[str]] = field(default_factory=dict)  # ids by kind and reason
-
-    def add(self, kind: str, name: str, why: str) -> None:
-        """Note that a thing was left out.
-
-        `kind` is in the plural, "signals of other kinds", `name` the thing at hand: "road 5 signal
-        12".
-        """
-        self.found.setdefault((kind, why), []).append(name)
-
-    def listed(self) -> tuple[Skipped, ...]:
-        """One entry per kind and reason."""
-        entries = [
-            Skipped(
-                what=names[0]
-                if len(names) == 1
-                else f"{len(names)} {kind}, such as {names[0]} and {names[1]}",
-                why=why,
-            )
-            for (kind, why), names in self.found.items()
-        ]
-        if len(entries) > _MAX_ENTRIES:
-            n_more = len(entries) - _MAX_ENTRIES + 1
-            entries = entries[: _MAX_ENTRIES - 1]
-            entries.append(Skipped(what=f"{n_more} more kinds of things", why="see those above"))
-        return tuple(entries)
 
 
 # ---------- where on earth a file lies, and how its coordinates are shifted to get there

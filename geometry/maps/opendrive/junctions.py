@@ -9,8 +9,8 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
-from ..source_map import MapJunction, MapLane
-from .attributes import Omissions, numbered, take_id
+from ..source_map import MapJunction, MapLane, Omissions
+from .attributes import numbered, take_id
 from .lanes import RoadEnds, SampledSection, lane_kind
 from .roads import NO_JUNCTION, Road, RoadLink
 

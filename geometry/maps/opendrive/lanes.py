@@ -57,13 +57,13 @@ class SampledSection:
         return points
 
 
-def sample_road(road: Road, bends: FloatArray | None = None) -> tuple[SampledSection, ...]:
+def sample_road(road: Road) -> tuple[SampledSection, ...]:
     """Sample all lane sections of a road.
 
-    Stations are at most 5 m apart along any lane, and chords at most 3 cm from the curve. `bends`
-    are those of its reference line, if known. Raises InputError if that needs too many points.
+    Stations are at most 5 m apart along any lane, and chords at most 3 cm from the curve. Raises
+    InputError if that needs too many points.
     """
-    bends = road.line.bends() if bends is None else bends
+    bends = road.line.bends()
     return tuple(_sample_section(road, section, bends) for section in road.sections)
 
 

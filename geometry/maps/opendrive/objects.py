@@ -11,11 +11,19 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
-from ..source_map import POLE_KINDS, MapLane, Pole, Thing
-from .attributes import Omissions, load_facts, numbered, take_number_or
+from ..source_map import POLE_KINDS, MapLane, Omissions, Pole, Thing
+from .attributes import load_facts, numbered, take_number_or
 from .junctions import JunctionRecord
-from .object_places import Copy, Outline, Sweep, box_corners, place, read_outlines, read_places
-from .object_shapes import build_body
+from .object_shapes import (
+    Copy,
+    Outline,
+    Sweep,
+    box_corners,
+    build_body,
+    place,
+    read_outlines,
+    read_places,
+)
 from .roads import Road
 
 # ---------- what an object or a signal is, from its type and its name

@@ -12,8 +12,8 @@ import numpy as np
 
 from ...errors import InputError, Unquoted
 from ...untrusted_files import local_name, read_xml
-from ..source_map import SourceMap
-from .attributes import Offset, Omissions, numbered, read_crs, read_offset
+from ..source_map import Omissions, SourceMap
+from .attributes import Offset, numbered, read_crs, read_offset
 from .junctions import build_junctions, find_road_ends, read_junction_records
 from .lanes import MAX_POINTS, SampledSection, build_lanes, join_stubs, sample_road
 from .objects import build_rows, cross_paths, read_objects

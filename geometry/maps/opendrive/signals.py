@@ -8,10 +8,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ...arrays import FloatArray
-from ..source_map import Pole
+from ..source_map import Omissions, Pole
 from .attributes import (
     Offset,
-    Omissions,
     load_facts,
     numbered,
     take_number,
@@ -19,7 +18,7 @@ from .attributes import (
     take_size,
 )
 from .lanes import SampledSection, lane_kind
-from .object_places import is_on
+from .object_shapes import is_on
 from .objects import signal_crosswalk, signal_kind
 from .roads import Road
 

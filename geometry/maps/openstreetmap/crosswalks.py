@@ -6,13 +6,14 @@ import numpy as np
 import shapely
 
 from ...arrays import FloatArray
-from .elements import DEFAULTS, Elements, Notes
+from ..source_map import Omissions
+from .elements import DEFAULTS, Elements
 from .network import Network, known_runs
 
 _PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
 
 
-def find_crosswalks(network: Network, elements: Elements, notes: Notes) -> FloatArray:
+def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) -> FloatArray:
     """Lines (n, 2, 2) on which pedestrians cross the carriageways of roads.
 
     Mapped footways over a road count as they are; otherwise a line runs across the road at the
@@ -31,7 +32,7 @@ def find_crosswalks(network: Network, elements: Elements, notes: Notes) -> Float
             length_m = float(np.hypot(*(line[1] - line[0])))
             over_road = tree.query(shapely.linestrings(points), predicate="intersects")
             if not len(over_road) or not 1.0 < length_m <= limits["max_length_m"]:
-                notes.add("crossings", f"way {way.id}", "no road for cars below it")
+                omissions.add("crossings", f"way {way.id}", "no road for cars below it")
                 continue
             covered.update(rows.tolist())
             taken.add(line)

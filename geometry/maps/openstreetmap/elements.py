@@ -1,12 +1,13 @@
-"""Nodes, ways, relations and areas of a file, and notes on what is left out."""
+"""Nodes, ways, relations and areas of a file, and omissions on what is left out."""
 
 import bz2
 import gzip
+import re
 import zlib
 from array import array
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from ...arrays import FloatArray, IntArray
 from ...errors import InputError, Unquoted
 from ...files import load_toml
 from ...untrusted_files import check_pbf, check_size
-from ..source_map import Skipped
+from ..source_map import Omissions
 
 # ---------- what OpenStreetMap leaves open, from ``data/openstreetmap.toml``
 
@@ -242,35 +243,6 @@ def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
     return rows
 
 
-# ---------- what was not taken, or not as it stands: gathered while reading, told once per reason
-
-
-@dataclass(slots=True)
-class Notes:
-    """Elements that were left out or changed, by the reason."""
-
-    # ids by kind of element (in the plural) and reason
-    reasons: dict[tuple[str, str], list[str]] = field(default_factory=dict)
-
-    def add(self, kinds: str, element: str, why: str) -> None:
-        """Note an element: "walls", "way 5", "it has no length"."""
-        elements = self.reasons.setdefault((kinds, why), [])
-        if element not in elements[-1:]:
-            elements.append(element)
-
-    def skipped(self) -> tuple[Skipped, ...]:
-        """One entry per reason, with a count if there is more than one element."""
-        return tuple(
-            Skipped(
-                what=elements[0]
-                if len(elements) == 1
-                else f"{len(elements)} {kinds} ({elements[0]}, ..)",
-                why=why,
-            )
-            for (kinds, why), elements in self.reasons.items()
-        )
-
-
 # ---------- areas of a map: closed ways, and rings joined from the ways of multipolygons
 
 
@@ -290,7 +262,7 @@ class Area:
 
 
 def find_areas(
-    elements: Elements, positions_m: FloatArray, keys: Sequence[str], notes: Notes
+    elements: Elements, positions_m: FloatArray, keys: Sequence[str], omissions: Omissions
 ) -> Iterator[Area]:
     """Closed ways and rings of multipolygons with one of the tags `keys`; broken ones are noted."""
     by_id = {way.id: way for way in elements.ways}
@@ -305,18 +277,22 @@ def find_areas(
             tags = next((way.tags for way in outers if any(k in way.tags for k in keys)), {})
         if tags:
             used.update(way.id for way in outers if any(key in way.tags for key in keys))
-            yield from _multipolygon(relation, tags, by_id, positions_m, notes)
+            yield from _multipolygon(relation, tags, by_id, positions_m, omissions)
     for way in elements.ways:
         if way.id in used or not any(key in way.tags for key in keys):
             continue
         if not way.is_closed or (way.rows < 0).any():
-            notes.add("outlines", f"way {way.id}", "an outline that is not whole")
+            omissions.add("outlines", f"way {way.id}", "an outline that is not whole")
             continue
         yield Area(id=f"w{way.id}", tags=way.tags, outer_m=positions_m[way.rows])
 
 
 def _multipolygon(
-    relation: Relation, tags: Tags, by_id: Mapping[int, Way], positions_m: FloatArray, notes: Notes
+    relation: Relation,
+    tags: Tags,
+    by_id: Mapping[int, Way],
+    positions_m: FloatArray,
+    omissions: Omissions,
 ) -> Iterator[Area]:
     rings: dict[bool, list[FloatArray]] = {}
     for is_inner in (False, True):
@@ -327,7 +303,7 @@ def _multipolygon(
         rows, is_whole = join_rings(ways)
         rings[is_inner] = [positions_m[ring] for ring in rows]
         if len(ways) < len(members) or not is_whole:
-            notes.add("outlines", f"relation {relation.id}", "an outline that is not whole")
+            omissions.add("outlines", f"relation {relation.id}", "an outline that is not whole")
     holes: dict[int, list[FloatArray]] = defaultdict(list)
     outers = [make_valid(Polygon(ring)) for ring in rings[False]]
     if outers and rings[True]:
@@ -376,3 +352,107 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
         else:
             is_whole = False
     return rings, is_whole
+
+
+# ---------- values of tags, as people write them
+
+_FOOT_M = 0.3048
+_INCH_M = 0.0254
+_UNITS_M = {
+    "": 1.0,
+    "m": 1.0,
+    "metre": 1.0,
+    "metres": 1.0,
+    "meter": 1.0,
+    "meters": 1.0,
+    "cm": 0.01,
+    "km": 1000.0,
+    "ft": _FOOT_M,
+    "foot": _FOOT_M,
+    "feet": _FOOT_M,
+    "'": _FOOT_M,
+    "in": _INCH_M,
+    "inch": _INCH_M,
+    "inches": _INCH_M,
+    '"': _INCH_M,
+}
+_NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
+_LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
+_FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
+_RANGE = re.compile(rf"{_NUMBER}\s*(?:-|\.\.|;|to)\s*{_NUMBER}\s*([a-z]*)")
+_OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward": "forward"}
+
+
+def parse_length_m(text: str) -> float | None:
+    r"""A length as people write it, with decimal commas, units or ranges (their middle), or None.
+
+    Examples
+    --------
+    >>> [parse_length_m(text) for text in ("3,5", "12 ft", "3-4 m", "wide")]
+    [3.5, 3.6576000000000004, 3.5, None]
+    >>> round(parse_length_m("6'7\""), 4)
+    2.0066
+    """
+    text = text.strip().lower().removeprefix("~").strip()
+    if match := _LENGTH.fullmatch(text):
+        number, unit = match.groups()
+        if unit not in _UNITS_M:
+            return None
+        return _number(number) * _UNITS_M[unit]
+    if match := _FEET_AND_INCHES.fullmatch(text):
+        feet, inches = match.groups()
+        return _number(feet) * _FOOT_M + _number(inches) * _INCH_M
+    if match := _RANGE.fullmatch(text):
+        low, high, unit = match.groups()
+        if unit not in _UNITS_M:
+            return None
+        return 0.5 * (_number(low) + _number(high)) * _UNITS_M[unit]
+    return None
+
+
+def _number(text: str) -> float:
+    return float(text.replace(",", "."))
+
+
+def parse_count(text: str, *, highest: int) -> int | None:
+    """A whole number from 1 to `highest`, or None."""
+    text = text.strip()
+    if not re.fullmatch(r"[0-9]{1,6}(\.0+)?", text):
+        return None
+    number = int(float(text))
+    return number if 1 <= number <= highest else None
+
+
+def parse_number(text: str, *, highest: float) -> float | None:
+    """A number from 0 to `highest`, or None."""
+    text = text.strip().replace(",", ".")
+    if not re.fullmatch(r"[0-9]{1,6}(\.[0-9]{1,9})?", text):
+        return None
+    number = float(text)
+    return number if number <= highest else None
+
+
+def is_yes(text: str | None) -> bool:
+    """A tag that is there and does not say no."""
+    return text is not None and text.strip().lower() not in ("", "no", "0", "false", "none")
+
+
+def side_value(tags: Tags, key: str, side: str) -> str | None:
+    """Value of a tag for one side: ``key:side``, or else ``key:both``."""
+    return tags.get(f"{key}:{side}", tags.get(f"{key}:both"))
+
+
+def turned_round(tags: Tags) -> Tags:
+    """Tags of the same line with its nodes in the opposite order.
+
+    Examples
+    --------
+    >>> turned_round({"sidewalk": "left", "lanes:forward": "2"})
+    {'sidewalk': 'right', 'lanes:backward': '2'}
+    """
+    return {
+        ":".join(_OPPOSITE.get(word, word) for word in key.split(":")): (
+            _OPPOSITE.get(value, value) if key == "sidewalk" else value
+        )
+        for key, value in tags.items()
+    }

@@ -11,8 +11,8 @@ from shapely import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
-from ..source_map import MapJunction
-from .elements import DEFAULTS, Elements, Notes, Tags
+from ..source_map import MapJunction, Omissions
+from .elements import DEFAULTS, Elements, Tags
 from .network import End, Network, Street, axis_points, surface, trace_streets
 
 # ---------- where streets end at a junction: how far from its nodes, and which of them are one arm
@@ -296,7 +296,7 @@ class Reach:
 
 
 def find_junctions(
-    network: Network, elements: Elements, notes: Notes
+    network: Network, elements: Elements, omissions: Omissions
 ) -> tuple[list[Reach], list[MapJunction]]:
     """Streets outside junctions with the reach of their lanes, and junctions in the order of ids.
 
@@ -309,7 +309,7 @@ def find_junctions(
         arms, inside = _arms_by_cluster(streets, clusters, known)
         if number_of_round < _MAX_ROUNDS and _take_in_forks(network, clusters, arms):
             continue
-        if not _drop_small(clusters, arms, elements, notes):
+        if not _drop_small(clusters, arms, elements, omissions):
             break
     ids = {
         number: f"n{min(int(elements.node_ids[row]) for row in rows)}"
@@ -397,7 +397,7 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
 
 
 def _drop_small(
-    clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements, notes: Notes
+    clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements, omissions: Omissions
 ) -> bool:
     """Drop meetings that no driver would call a junction, where two roads merge or end."""
     min_arms, least_m = DEFAULTS["junction"]["min_arms"], DEFAULTS["cross_section"]["min_road_m"]
@@ -408,7 +408,9 @@ def _drop_small(
             small.append(number)
     for number in small:
         node = min(int(elements.node_ids[row]) for row in clusters.members[number])
-        notes.add("meetings of roads", f"node {node}", "fewer than three arms: roads merge or end")
+        omissions.add(
+            "meetings of roads", f"node {node}", "fewer than three arms: roads merge or end"
+        )
         clusters.drop(number)
     return bool(small)
 

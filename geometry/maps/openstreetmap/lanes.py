@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from .elements import DEFAULTS, Notes, Tags
-from .tags import is_yes, parse_count, parse_length_m, side_value
+from ..source_map import Omissions
+from .elements import DEFAULTS, Tags, is_yes, parse_count, parse_length_m, side_value
 
 # ---------- how many lanes a road has in each direction, from its tags
 
@@ -35,7 +35,7 @@ def runs_backward(tags: Tags) -> bool:
     return tags.get("oneway", "").strip().lower() in ("-1", "reverse")
 
 
-def count_lanes(tags: Tags, *, element: str, notes: Notes) -> LaneCounts:
+def count_lanes(tags: Tags, *, element: str, omissions: Omissions) -> LaneCounts:
     """Lanes of a road in each direction; senseless tags are noted.
 
     If it is a one-way road, its tags must be turned so that cars drive in the order of its nodes.
@@ -48,7 +48,7 @@ def count_lanes(tags: Tags, *, element: str, notes: Notes) -> LaneCounts:
             return None
         count = parse_count(tags[key], highest=at_most)
         if count is None and tags[key].strip() != "0":
-            notes.add("ways", element, f"{key} makes no sense; the usual number of lanes taken")
+            omissions.add("ways", element, f"{key} makes no sense; the usual number of lanes taken")
         return count
 
     def listed(key: str) -> int | None:
@@ -111,7 +111,7 @@ class Roadside:
 
 
 def roadside_strips(
-    tags: Tags, *, side: str, keeps_left: bool, element: str, notes: Notes
+    tags: Tags, *, side: str, keeps_left: bool, element: str, omissions: Omissions
 ) -> Roadside:
     """Parked cars, cyclists and pedestrians on a side of a road, "left" or "right"."""
     is_near = side == ("left" if keeps_left else "right")  # the side of traffic along the way
@@ -126,7 +126,7 @@ def roadside_strips(
             return usual_m
         width_m = parse_length_m(text)
         if width_m is None or not 0.5 <= width_m <= 15.0:
-            notes.add("ways", element, f"{key} width makes no sense; the usual one taken")
+            omissions.add("ways", element, f"{key} width makes no sense; the usual one taken")
             return usual_m
         return width_m
 
@@ -238,7 +238,7 @@ _OPPOSITE = {"forward": "backward", "backward": "forward", "left": "right", "rig
 
 
 def build_cross_section(
-    tags: Tags, *, element: str, keeps_left: bool, notes: Notes
+    tags: Tags, *, element: str, keeps_left: bool, omissions: Omissions
 ) -> CrossSection:
     """Strips side by side along a road; defaults replace senseless tags, which are noted.
 
@@ -246,12 +246,14 @@ def build_cross_section(
     """
     limits = DEFAULTS["cross_section"]
     left, right = (
-        roadside_strips(tags, side=side, keeps_left=keeps_left, element=element, notes=notes)
+        roadside_strips(
+            tags, side=side, keeps_left=keeps_left, element=element, omissions=omissions
+        )
         for side in ("left", "right")
     )
-    counts = count_lanes(tags, element=element, notes=notes)
+    counts = count_lanes(tags, element=element, omissions=omissions)
     beside_m = sum(width for _, width, _ in (*left.inner, *right.inner))
-    widths, counts = _lane_widths(tags, counts, beside_m, element=element, notes=notes)
+    widths, counts = _lane_widths(tags, counts, beside_m, element=element, omissions=omissions)
     driving = _driving(widths, counts, keeps_left=keeps_left)
     # From the left kerb to the right one, then what lies behind the kerbs.
     driving_m = sum(width for _, _, width in driving)
@@ -339,7 +341,7 @@ def _driving(
 
 
 def _lane_widths(
-    tags: Tags, counts: LaneCounts, beside_m: float, *, element: str, notes: Notes
+    tags: Tags, counts: LaneCounts, beside_m: float, *, element: str, omissions: Omissions
 ) -> tuple[_Widths, LaneCounts]:
     limits = DEFAULTS["cross_section"]
     narrow_m, wide_m = limits["min_lane_width_m"], limits["max_lane_width_m"]
@@ -349,7 +351,7 @@ def _lane_widths(
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
         return _Widths(forward, backward, centre_m), counts
-    total_m = _total_width_m(tags, element=element, notes=notes)
+    total_m = _total_width_m(tags, element=element, omissions=omissions)
     if total_m is not None:
         free_m = total_m - beside_m - centre_m
         fitting = counts
@@ -359,7 +361,7 @@ def _lane_widths(
         n_lanes = 1 if fitting.is_shared else counts.n_forward + counts.n_backward
         if narrow_m <= free_m / n_lanes <= wide_m:
             return _even(free_m / n_lanes, centre_m, fitting), fitting
-        notes.add("ways", element, "its width does not fit its lanes; usual widths taken")
+        omissions.add("ways", element, "its width does not fit its lanes; usual widths taken")
     return _even(usual_m, centre_m, counts), counts
 
 
@@ -384,11 +386,11 @@ def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) ->
     return known if len(known) == len(widths) == count else None
 
 
-def _total_width_m(tags: Tags, *, element: str, notes: Notes) -> float | None:
+def _total_width_m(tags: Tags, *, element: str, omissions: Omissions) -> float | None:
     for key in ("width:carriageway", "width", "est_width"):
         if key in tags:
             width_m = parse_length_m(tags[key])
             if width_m is not None and 1.0 < width_m < 100.0:
                 return width_m
-            notes.add("ways", element, f"{key} makes no sense; usual widths taken")
+            omissions.add("ways", element, f"{key} makes no sense; usual widths taken")
     return None

@@ -11,9 +11,9 @@ from shapely import Polygon, make_valid
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from .elements import DEFAULTS, Elements, Notes, Tags, Way
+from ..source_map import Omissions
+from .elements import DEFAULTS, Elements, Tags, Way, is_yes, turned_round
 from .lanes import CrossSection, build_cross_section, is_oneway, runs_backward
-from .tags import is_yes, turned_round
 
 # ---------- the roads of a map as a graph
 
@@ -113,7 +113,7 @@ def is_for_cars(tags: Tags) -> bool:
 
 
 def build_network(
-    elements: Elements, positions_m: FloatArray, *, keeps_left: bool, notes: Notes
+    elements: Elements, positions_m: FloatArray, *, keeps_left: bool, omissions: Omissions
 ) -> Network:
     """The roads for cars; ways with missing nodes and senseless tags are noted."""
     parts: list[tuple[Way, int, IntArray]] = []
@@ -122,7 +122,7 @@ def build_network(
             found = list(known_runs(way.rows, positions_m))
             if (way.rows < 0).any() or not found:
                 why = "nodes are missing in the file, as at the edge of a cut-out"
-                notes.add("roads", f"way {way.id}", f"partly left out: {why}")
+                omissions.add("roads", f"way {way.id}", f"partly left out: {why}")
             parts += [(way, part, rows) for part, rows in enumerate(found)]
     n_uses = np.zeros(len(positions_m), dtype=np.int64)
     for _, _, rows in parts:
@@ -137,7 +137,7 @@ def build_network(
             if runs_backward(way.tags):
                 tags |= {"oneway": "yes", "oneway:turned": "yes"}
             section = build_cross_section(
-                tags, element=f"way {way.id}", keeps_left=keeps_left, notes=notes
+                tags, element=f"way {way.id}", keeps_left=keeps_left, omissions=omissions
             )
             sections[way.id] = (tags, section)
         tags, section = sections[way.id]
@@ -268,7 +268,7 @@ def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street
 
 
 def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, End]]:
-    """Pairs of roads that continue each other at a node that is no junction: busy, straight ones."""
+    """Pairs of roads that continue each other at a node that is no junction."""
     if len(ends) == 2:
         yield ends[0], ends[1]
         return

@@ -12,9 +12,9 @@ from ...arrays import FloatArray, float_array
 from ...errors import InputError, MissingExtraError, Unquoted
 from ...files import write_atomically
 from ..georeferences import local_crs, transform
-from ..source_map import Skipped, SourceMap
+from ..source_map import Omissions, Skipped, SourceMap
 from .crosswalks import find_crosswalks
-from .elements import DEFAULTS, Elements, Notes, Way, read_elements
+from .elements import DEFAULTS, Elements, Way, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
 from .lanes import is_oneway, runs_backward
@@ -138,24 +138,24 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
         raise InputError(str(path), Unquoted(found), "a map with roads")
     positions_m, crs = _project(elements, rows, path)
     elements = _near(elements, positions_m)
-    notes = Notes()
+    omissions = Omissions()
     side = ""
     if keeps_left is None:
         keeps_left, side = find_driving_side(elements, positions_m)
         side = side or "nothing"
-    network = build_network(elements, positions_m, keeps_left=keeps_left, notes=notes)
+    network = build_network(elements, positions_m, keeps_left=keeps_left, omissions=omissions)
     if not network.edges:
         raise InputError(str(path), Unquoted("no road with two nodes"), "a map with roads")
-    reaches, junctions = find_junctions(network, elements, notes)
+    reaches, junctions = find_junctions(network, elements, omissions)
     lanes = build_lanes(reaches)
-    poles = find_poles(network, reaches, elements, keeps_left=keeps_left, notes=notes)
-    crosswalks_m = find_crosswalks(network, elements, notes)
+    poles = find_poles(network, reaches, elements, keeps_left=keeps_left, omissions=omissions)
+    crosswalks_m = find_crosswalks(network, elements, omissions)
     things = [
-        *find_buildings(elements, positions_m, notes),
-        *find_barriers(elements, positions_m, notes),
-        *find_trees(elements, positions_m, notes),
+        *find_buildings(elements, positions_m, omissions),
+        *find_barriers(elements, positions_m, omissions),
+        *find_trees(elements, positions_m, omissions),
     ]
-    skipped = notes.skipped()
+    skipped = omissions.listed()
     if side == "nothing":
         assumed = Skipped(
             what="side of the road",
