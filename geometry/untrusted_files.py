@@ -15,9 +15,6 @@ from xml.etree.ElementTree import Element, ParseError
 
 from .errors import InputError, Unquoted
 
-# ---------- archives from anywhere, opened without the traps that archives have
-
-
 MAX_MEMBERS = 10_000
 MAX_UNPACKED_BYTES = 2_000_000_000
 MAX_RATIO = 200  # text of coordinates comes to 10; a bomb begins at 1000
@@ -141,9 +138,7 @@ def _refuse_bomb(n_bytes: int, where: str) -> None:
         )
 
 
-# ---------- XML from anywhere, read without the traps that XML has: entities, bombs, endless files
-
-
+# ---------- XML
 MAX_FILE_BYTES = 500_000_000
 
 
@@ -204,9 +199,7 @@ def read_xml_root(path: Path) -> Element:
     raise InputError(str(path), Unquoted("no element"), "well-formed XML")
 
 
-# ---------- JSON from anywhere, read without its traps: endless files, nesting without end
-
-
+# ---------- JSON
 _MAX_BYTES = 300_000_000
 
 _Table = Mapping[str, Any]
@@ -236,9 +229,7 @@ def parse_json(text: str, where: str, expected: str) -> _Table:
     return document
 
 
-# ---------- what a glTF file claims, looked at before memory is given to it
-
-
+# ---------- glTF
 _MAX_COUNT = 20_000_000  # elements of one accessor: five million triangles have 15 million indices
 _MAX_NODES = 200_000
 _MAX_JSON_BYTES = 100_000_000
@@ -313,9 +304,7 @@ def _check_tree(nodes: list[Mapping[str, Any]], where: str) -> None:
         raise InputError(f"{where}: nodes", Unquoted("a node that is its own ancestor"), "a tree")
 
 
-# ---------- what a PBF file must not have before the library reads it
-
-
+# ---------- PBF of OpenStreetMap
 _MAX_HEADER_BYTES = 64 * 1024  # [1]
 _MAX_BLOB_BYTES = 32 * 1024 * 1024  # [1], packed or not
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types

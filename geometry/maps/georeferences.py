@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 
-# ---------- where a map's coordinates lie in the world frame of a scene: metres around its junction
-
-
 _DIGITS = 7  # of a degree: a centimetre
 
 
@@ -95,9 +92,7 @@ def transform(points: ArrayLike, from_crs: str, to_crs: str) -> FloatArray:
     return np.stack([x, y], axis=-1)
 
 
-# ---------- where a file's coordinates lie on earth, in metres that are metres
-
-
+# ---------- reference systems of files
 WGS84 = "EPSG:4326"
 
 

@@ -197,8 +197,7 @@ def _refuse_many(n_features: int, where: str) -> None:
         )
 
 
-# ---------- footprints, raised by the heights in their tables
-
+# ---------- footprints
 # Names of columns, without units, in lower case with _ for everything between words.
 _TOPS = (
     *("height", "building_height", "bldg_height", "bldgheight", "measuredheight"),

@@ -17,9 +17,6 @@ from .junctions import Surveyed, choose_junction, survey_junctions
 from .sites import choose_sites
 from .source_map import SourceMap
 
-# ---------- map files of any kind, by what they are: the one place that knows all readers
-
-
 _MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
 _CLOUDS = (".las", ".laz", ".pcd")
 _FOOTPRINTS = (".geojson", ".gpkg", ".shp")
@@ -189,9 +186,7 @@ def _projected(crs: str) -> str:
     return crs
 
 
-# ---------- from map files to a scene: read them, choose the junction, cut it out, decide on sites
-
-
+# ---------- scenes
 DEFAULT_RADIUS_M = 80.0
 _RADIUS_LIMITS_M = (20.0, 500.0)
 

@@ -15,9 +15,7 @@ from .georeferences import Georeference, georeference
 from .point_files import open_points
 from .source_map import MAX_TRIANGLES, Skipped, SourceMap, Thing, counted
 
-# ---------- the ground under a point cloud
-
-
+# ---------- the ground
 CELL_M = 1.0
 _MAX_CELLS = 16_000_000  # 4 km x 4 km
 _WINDOWS = (3, 5, 9, 17, 33, 65, 129)  # cells; buildings wider than the last are taken for hills
@@ -105,9 +103,7 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
     return fill_gaps(np.where(is_ground, surface, np.nan))
 
 
-# ---------- occluders from point clouds: closed solids of voxels, standing on the ground
-
-
+# ---------- things
 VOXEL_M = 0.25
 _MAX_VOXEL_M = 2.0
 _MAX_VOXELS = 30_000_000

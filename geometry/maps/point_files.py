@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 
-# ---------- points from LAS and LAZ files, a piece at a time, through laspy
-
-
 MAX_POINTS = 50_000_000
 CHUNK_POINTS = 1_000_000
 _MAX_UNPACKED_BYTES = 4_000_000_000
@@ -178,9 +175,7 @@ def _one_line(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())[:150]}"
 
 
-# ---------- points from PCD files, a piece at a time
-
-
+# ---------- PCD files
 _MAX_HEADER_BYTES = 65_536
 
 _PCD_TYPES = {("F", 4): "<f4", ("F", 8): "<f8"}
@@ -360,9 +355,7 @@ def unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
 _MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
 
 
-# ---------- points from files of any kind, a piece at a time
-
-
+# ---------- all formats
 SUFFIXES = (".las", ".laz", ".pcd")
 
 

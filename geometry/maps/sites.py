@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from shapely import Polygon
 
 
-# ---------- sites along kerbs, and lists of sites made tidy
-
-
 SETBACK_M = (
     0.5  # of a pole's middle from the kerb; assumption: the usual clearance of a carriageway
 )
@@ -240,9 +237,7 @@ def _turn(a: FloatArray, b: FloatArray) -> FloatArray:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-# ---------- which sites a scene gets
-
-
+# ---------- the sites of a scene
 AUTO, MAP, KERB = "auto", "map", "kerb:"
 _AUTO_SPACING_M = 15.0
 _SPACINGS_M = (2.0, 100.0)

@@ -16,9 +16,6 @@ from ...errors import InputError, Unquoted
 from ...files import load_toml
 from ..source_map import Omissions
 
-# ---------- attributes of XML elements as numbers and words, checked
-
-
 MAX_MAGNITUDE = 1.0e12  # beyond it cubes of arc lengths leave what floats can hold
 MAX_SIZE_M = 1.0e4
 _UNSET = ("", "none", "undefined", "nan")  # what exporters write where they know nothing
@@ -82,9 +79,7 @@ def numbered(parent: Element | None, tag: str, where: str) -> Iterator[tuple[Ele
         yield child, f"{where} {tag}[{index}]"
 
 
-# ---------- where on earth a file lies, and how its coordinates are shifted to get there
-
-
+# ---------- the header
 _MAX_CRS_CHARACTERS = 20_000
 # They speak of heights, and name grids that need not be at hand.
 _VERTICAL_PARAMETERS = ("+geoidgrids=", "+vunits=", "+vto_meter=", "+geoid_crs=")
@@ -178,9 +173,7 @@ def _why_not(crs: str) -> str:
     return "" if units == {1.0} else "not in metres"
 
 
-# ---------- the facts in ``geometry/maps/data/opendrive.toml``
-
-
+# ---------- facts of the format
 @cache
 def load_facts() -> dict[str, Any]:
     """Lane kinds, words, types and assumed numbers from ``geometry/maps/data/opendrive.toml``."""

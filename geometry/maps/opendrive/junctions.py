@@ -14,9 +14,6 @@ from .attributes import numbered, take_id
 from .lanes import RoadEnds, SampledSection, lane_kind
 from .roads import NO_JUNCTION, Road, RoadLink
 
-# ---------- junctions: which a file has, and which roads begin and end at them
-
-
 _WITHOUT_SURFACE = {
     "direct": "its roads join without connecting roads: it has no surface of its own",
     "virtual": "it lies on a road that goes on: no lane ends at it",
@@ -106,9 +103,7 @@ def junction_name(record: JunctionRecord, roads: Mapping[str, Road]) -> str:
     return " / ".join(dict.fromkeys(name for name in names if name))
 
 
-# ---------- outlines of junctions: the road surface that their connecting roads cover
-
-
+# ---------- outlines
 _ARM_KINDS = ("driving", "parking")  # where a car parked at the corner hides who crosses
 _AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; what follows may move it by a little
 _MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction

@@ -13,9 +13,6 @@ from .attributes import lane_kinds
 from .reference_line import MAX_COORDINATE_M, PiecewiseCubic, evaluate
 from .roads import LaneRecord, LaneSection, Road
 
-# ---------- roads as points
-
-
 MAX_POINTS = 5_000_000  # of a file
 _CHORD_ERROR_M = 0.02  # below the 3 cm that are asked for: bounds of bends are sampled
 _MAX_STEP_M = 5.0
@@ -205,9 +202,7 @@ def _count_steps(
     return counts
 
 
-# ---------- lanes of roads, joined along their lane sections
-
-
+# ---------- lanes
 _MIN_WIDTH_M = 0.05  # below it there is no lane yet, or none any more
 _SAME_POINT_M = 0.005
 _MIN_LENGTH_M = 0.01
@@ -330,9 +325,7 @@ def _runs(
         yield line[is_new], mean_width_m, bool(at_start), bool(at_end)
 
 
-# ---------- very short roads at the mouth of a junction
-
-
+# ---------- short roads at the mouth of a junction
 _STUB_M = 5.0
 _SAME_POINT_M_STUBS = 0.5
 _MAX_IN_A_ROW = 8

@@ -238,9 +238,7 @@ def box_corners(copy: Copy, turn_rad: float) -> FloatArray | None:
     return np.stack([copy.s_m + along, copy.t_m + across], axis=1)
 
 
-# ---------- solids of things: prisms over outlines, walls along a line, trees, posts of hedges
-
-
+# ---------- solids
 _FLAT_M = 0.05  # slopes that nobody sees round
 _STRAIGHT_M = 0.02
 _N_ROUND = 12  # corners of what is round
@@ -383,9 +381,7 @@ def _unit_cylinder() -> Mesh:
     return extrude(ring, bottom_m=0.0, top_m=1.0)
 
 
-# ---------- bodies of objects: from outlines, boxes, radii, or swept along the road
-
-
+# ---------- bodies of objects
 def build_body(
     road: Road,
     kind: str,

@@ -26,9 +26,6 @@ from .object_shapes import (
 )
 from .roads import Road
 
-# ---------- what an object or a signal is, from its type and its name
-
-
 _MAX_CHARACTERS = 100  # of a name that is looked at
 _MAX_WORDS = 3  # that are read as one
 _SAYS_NOTHING = ("", "none", "obstacle", "unknown", "undefined", "object", "other", "misc")
@@ -95,9 +92,7 @@ def _phrases(text: str) -> frozenset[str]:
     )
 
 
-# ---------- crosswalks as lines: from kerb to kerb
-
-
+# ---------- crosswalks
 _CLEARLY_LONGER = 1.3  # of two sides: below it, people cross more nearly across the road
 _MIN_LENGTH_M = 0.5
 
@@ -173,9 +168,7 @@ def _long_way(corners_m: FloatArray, across_road: FloatArray) -> FloatArray | No
     return line
 
 
-# ---------- parking spaces, taken together as rows along the road
-
-
+# ---------- parking spaces
 _SAME_ROW_T_M = 1.0
 _SAME_ROW_GAP_M = 1.5
 _STEP_M = 2.0
@@ -265,9 +258,7 @@ def _build_row(road: Road, row: Sequence[Space], name: str) -> MapLane | None:
     )
 
 
-# ---------- objects beside and on the roads: what hides things, what could carry sensors
-
-
+# ---------- all objects
 _MAX_PLACES = 100_000  # of all objects of a file
 _MAX_VERTICES = 5_000_000
 _CLASSES = {"tree": "vegetation", "obstacle": "wall"}

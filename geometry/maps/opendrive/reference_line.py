@@ -12,9 +12,6 @@ from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from .attributes import Offset, numbered, take_number
 
-# ---------- shapes of the pieces of a reference line, each in its own frame: it starts at 0 along x
-
-
 _ARC_BELOW_RAD = 1.0e-9  # a clothoid that turns by so much more or less than an arc is one
 _N_ARC_LENGTH = 2049
 
@@ -89,9 +86,7 @@ def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
     return slopes
 
 
-# ---------- the reference line of a road: its planView, evaluated at arc lengths
-
-
+# ---------- the reference line
 SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
 MAX_COORDINATE_M = 1.0e8
 _N_CURVATURES = 33  # samples of a polynomial's curvature
@@ -263,9 +258,7 @@ def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...
     return (*(take_number(shape, key, where) for key in keys), per_metre)
 
 
-# ---------- piecewise cubic polynomials along a road: offsets, widths, elevations
-
-
+# ---------- cubics along a road
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PiecewiseCubic:
     """a + b ds + c ds^2 + d ds^3 with ds counted from the begin of a piece; 0 before the first."""

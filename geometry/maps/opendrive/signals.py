@@ -22,9 +22,6 @@ from .object_shapes import is_on
 from .objects import signal_crosswalk, signal_kind
 from .roads import Road
 
-# ---------- signals beside the roads: traffic lights and signs, and the poles that carry them
-
-
 _PAINT = "paint on the road, or nothing above it"
 
 
@@ -168,9 +165,7 @@ def _road_width_m(sections: Sequence[SampledSection], s_m: float) -> float:
     return max(left for _, left in edges) - min(right for right, _ in edges) if edges else 0.0
 
 
-# ---------- poles: one for all that hangs at the same place
-
-
+# ---------- poles
 _CELL_M = 0.05
 _KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")  # what a pole with several is
 

@@ -21,14 +21,8 @@ from ...files import load_toml
 from ...untrusted_files import check_pbf, check_size
 from ..source_map import Omissions
 
-# ---------- what OpenStreetMap leaves open, from ``data/openstreetmap.toml``
-
-
 DEFAULTS: dict[str, Any] = load_toml(files("geometry.maps") / "data" / "openstreetmap.toml")
 """Sizes where a tag is missing or makes no sense, each with its source in the file."""
-
-
-# ---------- nodes, ways and relations of a file, as they stand there
 
 
 Tags = dict[str, str]
@@ -243,9 +237,7 @@ def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
     return rows
 
 
-# ---------- areas of a map: closed ways, and rings joined from the ways of multipolygons
-
-
+# ---------- areas
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Area:
     """An area with its courtyards."""
@@ -354,8 +346,7 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
     return rings, is_whole
 
 
-# ---------- values of tags, as people write them
-
+# ---------- values of tags
 _FOOT_M = 0.3048
 _INCH_M = 0.0254
 _UNITS_M = {

@@ -15,9 +15,6 @@ from ..source_map import MapJunction, Omissions
 from .elements import DEFAULTS, Elements, Tags
 from .network import End, Network, Street, axis_points, surface, trace_streets
 
-# ---------- where streets end at a junction: how far from its nodes, and which of them are one arm
-
-
 _STEP_M = 0.5
 _SAME_ARM_COSINE = np.cos(np.radians(25.0))  # as geometry.junction groups lanes
 _SAME_ARM_GAP_M = 12.0
@@ -136,9 +133,7 @@ def _clear_from_m(street: Street, others: BaseGeometry) -> float:
     return float(stations[clear[0]]) if len(clear) else limit_m
 
 
-# ---------- which nodes belong to which junction
-
-
+# ---------- nodes of junctions
 _FORK_DEG = 60.0  # two one-way roads that lie closer to one another than this are one road's
 
 
@@ -278,9 +273,7 @@ def direction_at(points_m: FloatArray, over_m: float = 10.0) -> FloatArray:
     return unit
 
 
-# ---------- junctions of a network: which streets are their arms, their outlines and names
-
-
+# ---------- junctions
 _MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
 
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 from ..source_map import Omissions
 from .elements import DEFAULTS, Tags, is_yes, parse_count, parse_length_m, side_value
 
-# ---------- how many lanes a road has in each direction, from its tags
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneCounts:
@@ -90,9 +88,7 @@ def count_lanes(tags: Tags, *, element: str, omissions: Omissions) -> LaneCounts
     )
 
 
-# ---------- what lies beside the driving lanes of a road: parked cars, cyclists, pedestrians
-
-
+# ---------- strips beside the driving lanes
 Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
 
 _ON_CARRIAGEWAY = ("lane", "half_on_kerb", "shoulder", "yes")
@@ -193,9 +189,7 @@ def _has_sidewalk(tags: Tags, side: str) -> bool:
     return tags.get("sidewalk") in ("both", "yes", side)
 
 
-# ---------- lanes of a road side by side, from its tags
-
-
+# ---------- cross-sections
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Strip:
     """One lane in a cross-section."""

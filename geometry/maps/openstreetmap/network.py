@@ -15,9 +15,6 @@ from ..source_map import Omissions
 from .elements import DEFAULTS, Elements, Tags, Way, is_yes, turned_round
 from .lanes import CrossSection, build_cross_section, is_oneway, runs_backward
 
-# ---------- the roads of a map as a graph
-
-
 _MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
 
 
@@ -300,8 +297,6 @@ def _can_follow(edges: tuple[Edge, ...], one: End, other: End) -> bool:
 
 
 # ---------- lines and areas beside a street
-
-
 _MAX_MITRE = 2.0  # at sharp bends lines beside a street are cut off
 
 

@@ -21,9 +21,6 @@ from .lanes import is_oneway, runs_backward
 from .network import build_network, is_for_cars, known_runs
 from .things import find_barriers, find_buildings, find_poles, find_trees
 
-# ---------- on which side traffic keeps, as far as a map shows it
-
-
 _CLEAR = 0.8  # of all that shows a side
 _CARRIAGEWAYS_M = (3.0, 30.0)  # apart
 
@@ -105,9 +102,7 @@ def _carriageways(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
     return votes
 
 
-# ---------- openStreetMap files as maps
-
-
+# ---------- files
 _WGS84 = "EPSG:4326"
 
 
@@ -214,9 +209,7 @@ def _near(elements: Elements, positions_m: FloatArray) -> Elements:
     )
 
 
-# ---------- openStreetMap data of a place, from a public server
-
-
+# ---------- a public server
 def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
     """Fetch all OpenStreetMap data within a box, by the Overpass API.
 

@@ -27,9 +27,6 @@ from .elements import (
 from .junctions import Reach
 from .network import Network, known_runs, points_beside
 
-# ---------- buildings and their parts as solids
-
-
 _ON_STILTS = ("roof", "carport", "canopy")
 _NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapsed")
 
@@ -193,9 +190,7 @@ def _levels(tags: Tags, key: str) -> float | None:
     )
 
 
-# ---------- walls and hedges as solids
-
-
+# ---------- walls and hedges
 _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
 
 
@@ -267,9 +262,7 @@ def _size_m(
     return float(limits[kind][f"{name}_m"]), True
 
 
-# ---------- trees as solids: a trunk and a crown
-
-
+# ---------- trees
 _WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
 _TRUNK_SIDES = 8
 
@@ -359,9 +352,7 @@ def _prism() -> Mesh:
     return np.asarray(prism.vertices, dtype=np.float64), np.asarray(prism.faces, dtype=np.int32)
 
 
-# ---------- lamp posts, signals, signs and other poles
-
-
+# ---------- poles
 _POLES = ("mast", "utility_pole", "pole")
 _NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
 
