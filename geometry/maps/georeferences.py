@@ -16,7 +16,19 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 
+WGS84 = "EPSG:4326"
 _DIGITS = 7  # of a degree: a centimetre
+_SPELLINGS: tuple[tuple[str, Callable[[re.Match[str]], str]], ...] = (
+    (r"urn:adv:crs:ETRS89_UTM(\d\d)\b.*", lambda match: f"EPSG:258{match[1]}"),
+    (r"urn:adv:crs:DE_DHDN_3GK(\d)\b.*", lambda match: f"EPSG:{31464 + int(match[1])}"),
+    (r".*epsg\.xml#(\d+)", lambda match: f"EPSG:{match[1]}"),
+)
+_MAX_TEXT = 20_000
+_MAX_M = 1e8  # twice around the earth
+_MAX_STRETCH = 0.005
+_EDGE_SHARE = 0.5  # of the width of an area of use: Bavaria uses UTM 32 two degrees east of it
+_ORIGIN_M = 1000.0
+_MIN_EXTENT_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,7 +83,7 @@ def local_crs(point_m: ArrayLike, crs: str, *, where: str) -> str:
 
     Raises InputError if the point is nowhere on earth.
     """
-    lon_deg, lat_deg = np.round(transform(point_m, crs, "EPSG:4326"), _DIGITS)
+    lon_deg, lat_deg = np.round(transform(point_m, crs, WGS84), _DIGITS)
     if not (np.isfinite([lon_deg, lat_deg]).all() and abs(lat_deg) <= 89.0):
         raise InputError(
             where, Unquoted(f"a junction at {np.asarray(point_m).tolist()}"), f"a place in {crs}"
@@ -90,10 +102,6 @@ def transform(points: ArrayLike, from_crs: str, to_crs: str) -> FloatArray:
     transformer = Transformer.from_crs(from_crs, to_crs, always_xy=True)
     x, y = transformer.transform(array[..., 0], array[..., 1])
     return np.stack([x, y], axis=-1)
-
-
-# ---------- reference systems of files
-WGS84 = "EPSG:4326"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -164,31 +172,26 @@ def georeference(
     z_m = _vertical_unit_m(declared)
     is_swapped = follows_authority and crs.axis_info[0].direction in ("north", "south")
     if crs.is_geographic:
+        northing_first = is_swapped
         box = _swap(box) if is_swapped else box
         _refuse_no_degrees(box, where)
-        target = local_crs(box.mean(axis=0), WGS84, where=where)
-        return Georeference(
-            crs=target, source_crs=name, is_northing_first=is_swapped, is_projected=True, z_m=z_m
-        )
-    _refuse_degrees(box, where)
-    for northing_first in (is_swapped, not is_swapped) if follows_authority else (False,):
-        middle = (_swap(box) if northing_first else box).mean(axis=0)
-        if _is_meant_for(crs, middle):
-            break
+        lonlat = box.mean(axis=0)
     else:
-        area = crs.area_of_use.name if crs.area_of_use else "its area"
-        return Georeference(
-            crs="",
-            source_crs="",
-            z_m=z_m,
-            note=Skipped(
-                what=f"coordinate reference system {name}",
-                why=f"the coordinates lie outside {area}: taken as metres from nowhere",
-            ),
-        )
-    if _is_in_metres(crs, middle):
-        return Georeference(crs=name, source_crs=name, is_northing_first=northing_first, z_m=z_m)
-    lonlat = transform(middle[None, :], name, WGS84)[0]
+        _refuse_degrees(box, where)
+        for northing_first in (is_swapped, not is_swapped) if follows_authority else (False,):
+            middle = (_swap(box) if northing_first else box).mean(axis=0)
+            if _is_meant_for(crs, middle):
+                break
+        else:
+            area = crs.area_of_use.name if crs.area_of_use else "its area"
+            why = f"the coordinates lie outside {area}: taken as metres from nowhere"
+            note = Skipped(what=f"coordinate reference system {name}", why=why)
+            return Georeference(crs="", source_crs="", z_m=z_m, note=note)
+        if _is_in_metres(crs, middle):
+            return Georeference(
+                crs=name, source_crs=name, is_northing_first=northing_first, z_m=z_m
+            )
+        lonlat = transform(middle[None, :], name, WGS84)[0]
     return Georeference(
         crs=local_crs(lonlat, WGS84, where=where),
         source_crs=name,
@@ -223,19 +226,6 @@ def crs_name(crs: "CRS") -> str:
     """Shortest text from which pyproj makes the same reference system: a code, or WKT."""
     authority = crs.to_authority(min_confidence=100)
     return ":".join(authority) if authority else crs.to_wkt()
-
-
-_SPELLINGS: tuple[tuple[str, Callable[[re.Match[str]], str]], ...] = (
-    (r"urn:adv:crs:ETRS89_UTM(\d\d)\b.*", lambda match: f"EPSG:258{match[1]}"),
-    (r"urn:adv:crs:DE_DHDN_3GK(\d)\b.*", lambda match: f"EPSG:{31464 + int(match[1])}"),
-    (r".*epsg\.xml#(\d+)", lambda match: f"EPSG:{match[1]}"),
-)
-_MAX_TEXT = 20_000
-_MAX_M = 1e8  # twice around the earth
-_MAX_STRETCH = 0.005
-_EDGE_SHARE = 0.5  # of the width of an area of use: Bavaria uses UTM 32 two degrees east of it
-_ORIGIN_M = 1000.0
-_MIN_EXTENT_M = 1.0
 
 
 def _spelling(declared: str) -> str:

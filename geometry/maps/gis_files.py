@@ -123,9 +123,7 @@ def _geojson_crs(table: Any, where: str) -> str:
 
 def _read_with_gdal(path: Path, layer: str | None) -> Features:
     """Read a GeoPackage or Shapefile."""
-    import pandas as pd
     import pyogrio
-    from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError
     from shapely.errors import ShapelyError
 
     where = str(path)
@@ -145,56 +143,42 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
             if pyogrio.read_info(path, layer=layer)["geometry_type"] is None:
                 raise InputError(where, Unquoted("a table without geometries"), name)
             table = pyogrio.read_dataframe(path, layer=layer, max_features=MAX_FEATURES + 1)
+    except InputError:
+        raise
     except OSError as error:
         raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
-    except (
-        *(DataLayerError, DataSourceError, FeatureError, FieldError, ShapelyError),
-        *(UnicodeError, TypeError, RuntimeError, OverflowError, pd.errors.OutOfBoundsDatetime),
-    ) as error:
-        raise InputError(where, Unquoted(_one_line(error)), name) from None
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(where, Unquoted(_one_line(error)), name) from None
+    except (ShapelyError, ValueError, TypeError, RuntimeError, OverflowError) as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(where, Unquoted(reason), name) from None
     _refuse_many(len(table), where)
-    geometries = table.geometry.to_numpy()
-    columns = {str(column): table[column] for column in table.columns if column != "geometry"}
-    has_value = {column: series.notna().to_numpy() for column, series in columns.items()}
-    values = {column: series.to_numpy() for column, series in columns.items()}
+    columns = {
+        str(column): (table[column].to_numpy(), table[column].notna().to_numpy())
+        for column in table.columns
+        if column != "geometry"
+    }
     features = [
         Feature(
             where=f"{where}: row {index + 1}",
             geometry=geometry,
             values={
-                column: _plain(values[column][index])
-                for column, known in has_value.items()
-                if known[index]
+                column: value.item() if isinstance(value := values[index], np.generic) else value
+                for column, (values, is_known) in columns.items()
+                if is_known[index]
             },
         )
-        for index, geometry in enumerate(geometries)
+        for index, geometry in enumerate(table.geometry.to_numpy())
     ]
     return Features(features=tuple(features), crs="" if table.crs is None else table.crs.to_wkt())
-
-
-def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def _one_of(layers: list[str]) -> str:
     return "one layer, by name: " + ", ".join(layers[:20]) if layers else "a layer"
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
-
-
 def _refuse_many(n_features: int, where: str) -> None:
     if n_features > MAX_FEATURES:
-        raise InputError(
-            where,
-            Unquoted(f"more than {MAX_FEATURES:,} features"),
-            "a part of it; cut it out first",
-        )
+        got = Unquoted(f"more than {MAX_FEATURES:,} features")
+        raise InputError(where, got, "a part of it; cut it out first")
 
 
 # ---------- footprints
@@ -257,7 +241,7 @@ def read_footprints(
         wanted = next((str(values[key]) for key in _IDS if key in values), "")
         thing_id = unique_id(wanted or feature.where.rpartition(": ")[2], ids)
         try:
-            things.append(_raised(feature, kind, thing_id, place, _span(feature, kind)))
+            things.append(_raised(feature, kind, thing_id, place))
         except InputError as error:
             failed.append(Skipped(what=f"{kind.kind} {thing_id}", why=str(error)))
     if not things:
@@ -270,15 +254,6 @@ def read_footprints(
         things=tuple(things),
         skipped=(*notes, *counted(left_out, "no area"), *shortened(failed)),
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Span:
-    """Heights of floor and roof above ground."""
-
-    bottom_m: float
-    top_m: float
-    is_assumed: bool
 
 
 def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKind | None:
@@ -316,9 +291,7 @@ def _parts(geometry: "BaseGeometry", depth: int = 0) -> "list[BaseGeometry]":
     return [part for piece in pieces for part in _parts(piece, depth + 1)]
 
 
-def _raised(
-    feature: Feature, kind: ThingKind, thing_id: str, place: Georeference, span: _Span
-) -> Thing:
+def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
     """A feature as a solid; raises InputError if it has no area."""
     import shapely
 
@@ -336,11 +309,12 @@ def _raised(
             if part.geom_type in ("LineString", "LinearRing")
         ]
         polygons = [part for strip in strips for part in _parts(strip) if not part.is_empty]
+    bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
     pieces = [
         extrude(
             polygon.exterior.coords,
-            bottom_m=span.bottom_m,
-            top_m=span.top_m,
+            bottom_m=bottom_m,
+            top_m=top_m,
             holes_m=[hole.coords for hole in polygon.interiors],
             where=thing_id,
         )
@@ -355,14 +329,13 @@ def _raised(
         class_name=kind.class_name,
         vertices_m=vertices,
         triangles=triangles,
-        is_height_assumed=span.is_assumed,
+        is_height_assumed=is_assumed,
     )
 
 
-def _span(feature: Feature, kind: ThingKind) -> _Span:
-    """Floor and roof of a feature from its table, or from defaults."""
+def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, bool]:
+    """Heights of floor and roof above ground, and whether that of the roof is assumed."""
     defaults = thing_defaults()
-    values = feature.values
     top = _length_m(values, _TOPS)
     storeys = _length_m(values, _STOREYS)
     if top is None and storeys is not None and 0.0 < storeys <= defaults.max_storeys:
@@ -375,11 +348,7 @@ def _span(feature: Feature, kind: ThingKind) -> _Span:
         bottom = lowest * defaults.storey_height_m
     top_m = kind.height_m if top is None else top
     is_possible = bottom is not None and 0.0 <= bottom < top_m
-    return _Span(
-        bottom_m=bottom if bottom is not None and is_possible else 0.0,
-        top_m=top_m,
-        is_assumed=top is None,
-    )
+    return bottom if bottom is not None and is_possible else 0.0, top_m, top is None
 
 
 def _length_m(values: Mapping[str, Any], names: tuple[str, ...]) -> float | None:

@@ -65,18 +65,16 @@ def read_mesh(
         raise InputError("--up", up, "one of " + ", ".join(UP_AXES))
     parts, left_out = _parts(path, is_gltf)
     axes = UNITS_M[unit] * np.array(UP_AXES[up], dtype=np.float64)
-    things: list[Thing] = []
     ids: Counter[str] = Counter()
-    for name, vertices, triangles in parts:
-        kind = kind_from_name(name)
-        things.append(
-            Thing(
-                id=unique_id(name, ids),
-                class_name=kind.class_name if kind else class_name,
-                vertices_m=vertices @ axes.T,
-                triangles=_outwards(vertices, triangles),
-            )
+    things = [
+        Thing(
+            id=unique_id(name, ids),
+            class_name=kind.class_name if (kind := kind_from_name(name)) else class_name,
+            vertices_m=vertices @ axes.T,
+            triangles=_outwards(vertices, triangles),
         )
+        for name, vertices, triangles in parts
+    ]
     _check_size(things, where, unit)
     _check_roofs(things, where, up)
     return SourceMap(
@@ -183,17 +181,21 @@ def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, 
         raise InputError(
             where, Unquoted("a vertex that is not finite (NaN or infinite)"), "finite numbers"
         )
-    if np.linalg.det(matrix[:3, :3]) < 0.0:
-        return placed, triangles.reshape(-1, 3)[:, ::-1].astype(np.int32)
-    return placed, triangles.reshape(-1, 3).astype(np.int32)
+    triangles = triangles.reshape(-1, 3).astype(np.int32)
+    is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
+    return placed, triangles[:, ::-1] if is_mirrored else triangles
 
 
 def _outwards(vertices: FloatArray, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
     """Triangles of a closed part turned to face outwards; others as they are."""
+    is_inside_out = _is_solid(vertices, triangles) and volume_m3(vertices, triangles) < 0.0
+    return triangles[:, ::-1] if is_inside_out else triangles
+
+
+def _is_solid(vertices: FloatArray, triangles: NDArray[np.int32]) -> bool:
+    """A closed mesh, even if vertices at the same place are not shared."""
     _, same = np.unique(vertices, axis=0, return_inverse=True)
-    if is_closed(same.reshape(-1)[triangles].astype(np.int32)):
-        return triangles if volume_m3(vertices, triangles) >= 0.0 else triangles[:, ::-1]
-    return triangles
+    return is_closed(same.reshape(-1)[triangles].astype(np.int32))
 
 
 def _name(node: str, geometry: str, stem: str) -> str:
@@ -225,10 +227,7 @@ def _check_roofs(things: list[Thing], where: str, up: str) -> None:
     """
     up_m2 = down_m2 = all_m2 = 0.0
     for thing in things:
-        if thing.class_name != "building":
-            continue
-        _, same = np.unique(thing.vertices_m, axis=0, return_inverse=True)
-        if not is_closed(same.reshape(-1)[thing.triangles].astype(np.int32)):
+        if thing.class_name != "building" or not _is_solid(thing.vertices_m, thing.triangles):
             continue
         a, b, c = np.swapaxes(thing.vertices_m[thing.triangles], 0, 1)
         normals = 0.5 * np.cross(b - a, c - a)

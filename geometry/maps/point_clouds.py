@@ -152,15 +152,15 @@ def read_point_cloud(
     if not (np.isfinite(voxel_m) and 0.01 <= voxel_m <= _MAX_VOXEL_M):
         raise InputError("voxel_m", voxel_m, f"0.01 to {_MAX_VOXEL_M} m")
     scan = _Scan(where=where, voxel_m=voxel_m)
-    with open_points(path) as cloud:
-        for points, classes in cloud.chunks:
+    with open_points(path) as (crs, chunks):
+        for points, classes in chunks:
             if not np.isfinite(points).all():
                 raise InputError(where, Unquoted("a coordinate that is not finite"), "numbers")
             if not len(points):
                 continue
             if scan.place is None:
                 corners = np.array([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
-                scan.place = georeference(corners, cloud.crs, where=where)
+                scan.place = georeference(corners, crs, where=where)
             scan.add(scan.place.to_metres(points, where), classes, class_name)
     if scan.place is None:
         raise InputError(where, Unquoted("no points"), "points")

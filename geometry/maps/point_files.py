@@ -3,7 +3,6 @@
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 
+SUFFIXES = (".las", ".laz", ".pcd")
 MAX_POINTS = 50_000_000
 CHUNK_POINTS = 1_000_000
 _MAX_UNPACKED_BYTES = 4_000_000_000
@@ -25,20 +25,39 @@ _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14:
 # Of the types that are packed in layers: how many; 0: one for every byte.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
 
-Points = tuple[FloatArray, NDArray[np.uint8]]  # (n, 3) coordinates and (n,) classes of LAS
+Points = tuple[FloatArray, NDArray[np.uint8]]  # coordinates (n, 3) and LAS classes (n,), 0: none
 
 
 @contextmanager
-def open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
-    """Open a LAS or LAZ file: yields the header's CRS, if any, and chunks of points.
+def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
+    """Open a ``.las``, ``.laz`` or ``.pcd`` file: yields its CRS, if any, and chunks of points.
 
-    Raises InputError if the file claims more than 50 million points or more than it has bytes for,
-    or is damaged (also while its points are read), and OSError if it cannot be read.
+    Raises InputError if it cannot be read, claims more than 50 million points or more than it has
+    bytes for, or is damaged (also while its points are read).
     """
+    where = str(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(where, suffix, "one of " + ", ".join(SUFFIXES))
+    try:
+        if suffix == ".pcd":
+            with path.open("rb") as file:
+                yield None, _pcd_points(file, where)
+        else:
+            with _open_las(path) as (crs, chunks):
+                yield crs, chunks
+    except OSError as error:
+        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
+
+
+# ---------- LAS and LAZ files, through laspy
+@contextmanager
+def _open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
+    """Yield the CRS and chunks of points of a LAS or LAZ file."""
     import laspy
 
     where = str(path)
-    check_las(path)
+    _check_header(path)
     try:
         # One thread: the parallel one of lazrs aborts the process where a chunk table is damaged.
         reader = laspy.open(path, laz_backend=laspy.LazBackend.Lazrs)
@@ -54,7 +73,7 @@ def open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
         yield _crs(header), _chunks(reader, where)
 
 
-def check_las(path: Path) -> None:
+def _check_header(path: Path) -> None:
     """Raise InputError if a header claims more than the file can contain."""
     where = str(path)
     n_bytes = path.stat().st_size
@@ -177,13 +196,14 @@ def _one_line(error: BaseException) -> str:
 
 # ---------- PCD files
 _MAX_HEADER_BYTES = 65_536
+_MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
 
 _PCD_TYPES = {("F", 4): "<f4", ("F", 8): "<f8"}
 _PCD_TYPES |= {("I", n): f"<i{n}" for n in (1, 2, 4, 8)}
 _PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
 
 
-def pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
+def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
     """Points of an open PCD file, version 0.7: ascii, binary or binary_compressed; all of class 0.
 
     Points without coordinates (NaN) are left out. Raises InputError, while points are read, if the
@@ -306,7 +326,7 @@ def _pcd_compressed(
             Unquoted(f"{n_bytes:,} bytes of unpacked points"),
             f"{n_points * record.itemsize:,}, and at most {_MAX_LZF_BYTES:,}",
         )
-    data = unpack_lzf(file.read(n_packed), n_bytes)
+    data = _unpack_lzf(file.read(n_packed), n_bytes)
     if data is None:
         raise InputError(where, Unquoted("damaged compressed points"), f"{n_bytes:,} bytes")
     xyz = []
@@ -319,7 +339,7 @@ def _pcd_compressed(
     yield np.stack(xyz, axis=1)
 
 
-def unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
+def _unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
     """Unpack LZF: runs of literal bytes, and copies of earlier ones; None if the data is damaged.
 
     A control byte below 32 is followed by one more literal byte than it says. Otherwise its upper
@@ -350,40 +370,3 @@ def unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
     except IndexError:
         return None
     return bytes(data) if len(data) == n_bytes else None
-
-
-_MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
-
-
-# ---------- all formats
-SUFFIXES = (".las", ".laz", ".pcd")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PointFile:
-    """An open file with points."""
-
-    crs: "CRS | None"  # from its header
-    chunks: Iterator[Points]  # coordinates (n, 3), and LAS classes (n,), 0: none
-
-
-@contextmanager
-def open_points(path: Path) -> Iterator[PointFile]:
-    """Open a ``.las``, ``.laz`` or ``.pcd`` file.
-
-    Raises InputError if it cannot be read, claims more than 50 million points or more than it has
-    bytes for, or is damaged (also while its points are read).
-    """
-    where = str(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(where, suffix, "one of " + ", ".join(SUFFIXES))
-    try:
-        if suffix == ".pcd":
-            with path.open("rb") as file:
-                yield PointFile(crs=None, chunks=pcd_points(file, where))
-        else:
-            with open_las(path) as (crs, chunks):
-                yield PointFile(crs=crs, chunks=chunks)
-    except OSError as error:
-        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None

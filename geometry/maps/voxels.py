@@ -1,7 +1,5 @@
 """Points to solids: cubes where there are points, joined to clusters, and their outer faces."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +10,13 @@ _BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
 _MASK = (1 << _BITS) - 1
 MAX_VOXELS_PER_AXIS = _MASK - 1
 _MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
+_HALF_OF_NEIGHBOURS = tuple(  # differences of keys
+    (x << 2 * _BITS) + (y << _BITS) + z
+    for x in (-1, 0, 1)
+    for y in (-1, 0, 1)
+    for z in (-1, 0, 1)
+    if (x, y, z) > (0, 0, 0)
+)
 
 
 def to_keys(cells: IntArray) -> IntArray:
@@ -44,8 +49,8 @@ def clusters(keys: IntArray) -> IntArray:
 
     n = len(keys)
     pairs = []
-    for x, y, z in _HALF_OF_NEIGHBOURS:
-        moved = keys + ((x << 2 * _BITS) + (y << _BITS) + z)
+    for step in _HALF_OF_NEIGHBOURS:
+        moved = keys + step
         here = np.flatnonzero(is_in(moved, keys))
         pairs.append(np.stack([here, np.searchsorted(keys, moved[here])]))
     first, second = np.concatenate(pairs, axis=1)
@@ -60,18 +65,14 @@ def clusters(keys: IntArray) -> IntArray:
 def bridged(keys: IntArray) -> IntArray:
     """Voxels, and those between two that lie opposite one another, sorted."""
     between = [keys]
-    for x, y, z in _HALF_OF_NEIGHBOURS:
-        step = (x << 2 * _BITS) + (y << _BITS) + z
+    for step in _HALF_OF_NEIGHBOURS:
         between.append(keys[is_in(keys + 2 * step, keys)] + step)
     return np.unique(np.concatenate(between))
 
 
 def mean_neighbours(keys: IntArray) -> float:
     """Mean number of a voxel's 26 neighbours that exist."""
-    n_pairs = sum(
-        int(is_in(keys + ((x << 2 * _BITS) + (y << _BITS) + z), keys).sum())
-        for x, y, z in _HALF_OF_NEIGHBOURS
-    )
+    n_pairs = sum(int(is_in(keys + step, keys).sum()) for step in _HALF_OF_NEIGHBOURS)
     return 2.0 * n_pairs / max(1, len(keys))
 
 
@@ -108,14 +109,6 @@ def columns_to(keys: IntArray, floor: int) -> IntArray:
     return np.unique(np.concatenate([keys, (column << _BITS) | z]))
 
 
-@dataclass(frozen=True, slots=True)
-class _Direction:
-    """One of the six directions of faces."""
-
-    axis: int
-    sign: int
-
-
 def faces(
     keys: IntArray, *, origin_m: FloatArray, voxel_m: float, max_triangles: int, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:
@@ -125,11 +118,7 @@ def faces(
     lower corner of cell (0, 0, 0). Triangles run counter-clockwise seen from outside. Raises
     InputError if there are more than `max_triangles`.
     """
-    corners = []
-    for axis in range(3):
-        for sign in (-1, 1):
-            corners.append(_rectangles(keys, _Direction(axis, sign)))
-    quads = np.concatenate(corners)
+    quads = np.concatenate([_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)])
     if 2 * len(quads) > max_triangles:
         raise InputError(
             where, Unquoted(f"{2 * len(quads):,} triangles"), "a larger voxel, or fewer points"
@@ -140,14 +129,12 @@ def faces(
     return origin_m + voxel_m * unique, triangles
 
 
-def _rectangles(keys: IntArray, direction: _Direction) -> IntArray:
-    """Corners of the rectangles that face one direction, (n, 4, 3), as indices of cells."""
-    step = np.zeros((1, 3), dtype=np.int64)
-    step[0, direction.axis] = direction.sign
-    shift = int(step[0, 0] * (1 << 2 * _BITS) + step[0, 1] * (1 << _BITS) + step[0, 2])
-    cells = to_cells(keys[~is_in(keys + shift, keys)])
-    u, v = [axis for axis in range(3) if axis != direction.axis]
-    slab, a, b = cells[:, direction.axis], cells[:, u], cells[:, v]
+def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
+    """Corners of the rectangles that face along an axis, (n, 4, 3), as indices of cells."""
+    step = sign << (2 - axis) * _BITS  # to the neighbour's key
+    cells = to_cells(keys[~is_in(keys + step, keys)])
+    u, v = [other for other in range(3) if other != axis]
+    slab, a, b = cells[:, axis], cells[:, u], cells[:, v]
     # Runs of faces that follow one another along v, then of equal runs along u.
     order = np.lexsort((b, a, slab))
     slab, a, b = slab[order], a[order], b[order]
@@ -166,16 +153,11 @@ def _rectangles(keys: IntArray, direction: _Direction) -> IntArray:
     end = np.append(start[1:], len(slab))
     slab, a_low, a_high = slab[start], a[start], a[end - 1] + 1
     b_low, b_high = b_low[start], b_high[start]
-    plane = slab + (direction.sign > 0)
+    plane = slab + (sign > 0)
     quads = np.empty((len(slab), 4, 3), dtype=np.int64)
-    quads[:, :, direction.axis] = plane[:, None]
+    quads[:, :, axis] = plane[:, None]
     quads[:, :, u] = np.stack([a_low, a_high, a_high, a_low], axis=1)
     quads[:, :, v] = np.stack([b_low, b_low, b_high, b_high], axis=1)
     # u, v, axis are right-handed for x and z as axes, left-handed for y.
-    is_outward = (direction.sign > 0) == (direction.axis != 1)
+    is_outward = (sign > 0) == (axis != 1)
     return quads if is_outward else quads[:, ::-1]
-
-
-_HALF_OF_NEIGHBOURS = tuple(
-    (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)
-)

@@ -172,7 +172,7 @@ class ReferenceLine:
 def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, float]:
     s = np.linspace(0.0, length_m, _N_CURVATURES)
     p = s * k[8]
-    du, dv = (k[i + 1] + p * (2.0 * k[i + 2] + 3.0 * p * k[i + 3]) for i in (0, 4))
+    du, dv = _slope(p, k[:4]), _slope(p, k[4:8])
     ddu, ddv = (2.0 * k[i + 2] + 6.0 * p * k[i + 3] for i in (0, 4))
     speed = np.maximum(np.hypot(du, dv), 1.0e-6)
     curvature = (du * ddv - dv * ddu) / speed**3
@@ -290,9 +290,7 @@ class PiecewiseCubic:
 
 def evaluate(coefficients: FloatArray, ds_m: FloatArray) -> FloatArray:
     """Values of one cubic per point, (n,): coefficients (n, 4) at ds_m (n,)."""
-    a, b, c, d = coefficients.T
-    values: FloatArray = a + ds_m * (b + ds_m * (c + ds_m * d))
-    return values
+    return _cubic(ds_m, coefficients)
 
 
 def read_cubics(

@@ -264,15 +264,6 @@ def is_between_carriageways(network: Network, street: Street) -> bool:
     return bool(names[0] & names[1] - {street.parts[0][0].name})
 
 
-def direction_at(points_m: FloatArray, over_m: float = 10.0) -> FloatArray:
-    """Unit vector along the first metres of a line, (2,)."""
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T)))
-    ahead = np.array([np.interp(over_m, along, points_m[:, axis]) for axis in (0, 1)])
-    vector = ahead - points_m[0]
-    unit: FloatArray = vector / max(float(np.hypot(*vector)), 1e-9)
-    return unit
-
-
 # ---------- junctions
 _MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
 

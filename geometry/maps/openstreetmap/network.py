@@ -90,11 +90,6 @@ class Network:
         east, north = ahead - points[0]
         return float(np.degrees(np.arctan2(north, east)))
 
-    def row(self, end: End) -> int:
-        """Node at an edge's end."""
-        index, is_start = end
-        return int(self.edges[index].rows[0 if is_start else -1])
-
 
 _ACCESS = ("motorcar", "motor_vehicle", "vehicle", "access")  # what is more special goes first
 
