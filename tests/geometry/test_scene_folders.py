@@ -6,12 +6,12 @@ import trimesh
 
 from geometry.errors import InputError
 from geometry.frames import from_gltf_points, to_gltf_points
-from geometry.scene_files import load_study_scene
-from geometry.scene_folders import (
+from geometry.scene_files import (
     SCENE_FILE,
     THINGS_FILE,
     load_notes,
     load_scene_folder,
+    load_study_scene,
     pack_scene,
     save_scene,
 )
@@ -122,7 +122,7 @@ def test_what_is_no_scene_is_refused(folder, tmp_path):
 
 
 def test_a_bomb_in_an_archive_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("geometry.scene_folders._MAX_BYTES", {SCENE_FILE: 1000, THINGS_FILE: 1000})
+    monkeypatch.setattr("geometry.scene_files._MAX_BYTES", {SCENE_FILE: 1000, THINGS_FILE: 1000})
     file = tmp_path / "bomb.zip"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(SCENE_FILE, "#" * 2_000_000)
