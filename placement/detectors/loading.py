@@ -74,15 +74,15 @@ def load_planning_detector(name: str = "geometric") -> PlanningDetector:
         return _read_response(_source(), _defaults(), name=name)
     where = f"{_FILE}: {name}"
     return GeometricDetector(
-        min_iou=take_number(table, "min_iou", where),
+        min_iou=load_min_iou(),
         min_box_height_px=take_number(table, "min_box_height_px", where),
         min_contrast=take_number(table, "min_contrast", where),
     )
 
 
 def load_min_iou() -> float:
-    """Overlap that a detection must exceed to count."""
-    return take_number(_defaults()["match"], "min_iou", f"{_FILE}: match")
+    """Overlap (IoU) that a detection must exceed to count, from ``data/detectors.toml``."""
+    return take_number(_defaults(), "min_iou", _FILE)
 
 
 def _source() -> Traversable:

@@ -17,6 +17,8 @@ from geometry.files import (
     take_text,
 )
 
+from ..detectors import load_min_iou
+
 # ---------- what is known of the folder layout of the CarlaNCAP study
 
 
@@ -113,7 +115,7 @@ def load_format() -> RecordingFormat:
         height_px=int(number("height_px")),
         frame_rate_hz=number("frame_rate_hz"),
         n_reset_frames=int(number("n_reset_frames")),
-        min_iou=number("min_iou"),
+        min_iou=load_min_iou(),
         vut_folder=take_text(table, "vut_folder", where),
         world_folder=take_text(table, "world_folder", where),
         eval_folder=take_text(table, "eval_folder", where),
