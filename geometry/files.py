@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, BinaryIO, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 import numpy as np
@@ -17,6 +17,7 @@ from .arrays import float_array
 from .errors import InputError, Unquoted
 
 Table = Mapping[str, Any]
+Text = Annotated[str, msgspec.Meta(min_length=1)]  # of a field that must not be empty
 _T = TypeVar("_T")
 
 

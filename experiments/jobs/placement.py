@@ -6,7 +6,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, cast
 
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
 from placement.explain.sensitivity import find_sensitivity
@@ -67,8 +67,13 @@ def run_placement(
         A wish cannot be met, or `out` cannot be written.
     """
     check_result_folder(out)
+<<<<<<< HEAD
     scene = find_scene(question.scene)
     plan = build_plan(question, scene)
+=======
+    scene = load_scene(question.scene)
+    plan = build_plan(planning, scene)
+>>>>>>> w-geometry
     progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
@@ -315,7 +320,7 @@ def _judge(
         check_result_folder(out)
         progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
-    setting = build_setting(question, find_scene(question.scene))
+    setting = build_setting(question, load_scene(question.scene))
     layouts = _with_distinct_names(layouts)
     for layout in layouts:
         check_layout(layout, setting.scene)
