@@ -20,6 +20,7 @@ from geometry.sensors import CameraModel
 from geometry.weather import Weather
 from scenarios.runs import Run
 
+from ..compute import DEFAULT_COMPUTE, Compute
 from .ground import GroundMap, build_ground_map
 from .light import (
     LUMINANCE,
@@ -323,8 +324,7 @@ def render_picture(
     *,
     weather: Weather,
     with_vut: bool = True,
-    seed: int = 0,
-    workers: int = 1,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> Picture:
     """Render one frame of a run; for many frames see :func:`draw_picture`."""
     return draw_picture(
@@ -335,8 +335,7 @@ def render_picture(
         camera,
         weather=weather,
         with_vut=with_vut,
-        seed=seed,
-        workers=workers,
+        compute=compute,
     )
 
 
@@ -349,8 +348,7 @@ def draw_picture(
     *,
     weather: Weather,
     with_vut: bool = True,
-    seed: int = 0,
-    workers: int = 1,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> Picture:
     """Render one frame of a run.
 
@@ -370,10 +368,8 @@ def draw_picture(
         Light and air.
     with_vut : bool
         Whether the VUT is drawn; its own camera does not see it. Its headlights shine in any case.
-    seed : int
-        Of sensor noise and drops.
-    workers : int
-        Threads; the picture does not depend on them.
+    compute : Compute
+        Its seed is that of sensor noise and drops.
 
     Returns
     -------
@@ -422,16 +418,16 @@ def draw_picture(
         flat[part] = smooth_pixels(shot, part, flat[part])
 
     def expose(white_cdpm2: float, tile: tuple[slice, slice]) -> None:
-        rng = np.random.default_rng([seed, frame_index, tile[0].start, tile[1].start])
+        rng = np.random.default_rng([compute.seed, frame_index, tile[0].start, tile[1].start])
         rgb[tile] = develop(radiance[tile].copy(), white_cdpm2, load_imager(), rng)
 
     # One BLAS thread each: the matrices are small.
-    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
+    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         list(pool.map(shade, tiles))
         edges = find_edges(radiance, _TILE_PX)
         list(pool.map(smooth, np.array_split(edges, 1 + len(edges) // _EDGES)))
         add_glare(radiance, pose, camera, lamps, mesh.caster)
-        rng = np.random.default_rng([seed, frame_index, height, width])
+        rng = np.random.default_rng([compute.seed, frame_index, height, width])
         add_rain(
             radiance,
             camera,
