@@ -7,11 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import FloatArray, float_array, freeze
+from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze
 from .errors import InputError, Unquoted
-
-# ---------- A junction as it stands: triangles that hide things, and sites that carry sensors
-
 
 CLASS_NAMES = (
     "ground",
@@ -47,9 +44,9 @@ class Site:
     """
 
     id: str
-    position_m: FloatArray
+    position_m: Point3
     kind: str
-    height_range_m: FloatArray
+    height_range_m: Point2
     capacity_units: int
     cost_eur: float = 0.0
     use: str = "free"
@@ -213,7 +210,7 @@ class Lane:
     id: str
     kind: str
     width_m: float
-    centreline_m: FloatArray
+    centreline_m: Points2
 
     def __post_init__(self) -> None:
         object.__setattr__(
