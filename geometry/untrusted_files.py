@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element, ParseError
 
 from .errors import InputError, Unquoted
 
-# ---------- archives from anywhere, opened without the traps that archives have
+# ---------- archives
 
 
 MAX_MEMBERS = 10_000
@@ -153,26 +153,14 @@ def _refuse_bomb(n_bytes: int, where: str) -> None:
         )
 
 
-# ---------- XML from anywhere, read without the traps that XML has: entities, bombs, endless files
+# ---------- XML: no entities, bombs or endless files
 
 
 MAX_FILE_BYTES = 500_000_000
 
 
 def read_xml(path: Path, *, expected: str) -> Element:
-    """Read an XML document as a whole.
-
-    Parameters
-    ----------
-    path : Path
-        A file.
-    expected : str
-        What it should be, for messages: "OpenDRIVE".
-
-    Returns
-    -------
-    root : Element
-        Of the document.
+    """Read an XML document as a whole; `expected` says in messages what it should be.
 
     Raises
     ------
@@ -198,15 +186,7 @@ def read_xml(path: Path, *, expected: str) -> Element:
 
 
 def check_size(path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:
-    """Refuse a file that is too large to be read as a whole.
-
-    Raises
-    ------
-    InputError
-        It is.
-    OSError
-        There is no such file.
-    """
+    """Refuse a file that is too large to be read as a whole."""
     n_bytes = path.stat().st_size
     if n_bytes > max_bytes:
         raise InputError(
@@ -220,13 +200,7 @@ def local_name(element: Element) -> str:
 
 
 def read_xml_root(path: Path) -> Element:
-    """The first element of an XML document, without what it holds.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_xml`, as far as the file is read.
-    """
+    """The first element of an XML document, without what it holds; errors as :func:`read_xml`."""
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import iterparse
 
@@ -245,7 +219,7 @@ def read_xml_root(path: Path) -> Element:
     raise InputError(str(path), Unquoted("no element"), "well-formed XML")
 
 
-# ---------- JSON from anywhere, read without its traps: endless files, nesting without end
+# ---------- JSON: no endless files or nesting
 
 
 _MAX_BYTES = 300_000_000
@@ -254,13 +228,7 @@ _Table = Mapping[str, Any]
 
 
 def read_text(path: Path, expected: str) -> str:
-    """Text of a file in UTF-8.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, is too large, or is no UTF-8.
-    """
+    """Text of a file in UTF-8 that is not too large."""
     try:
         check_size(path, _MAX_BYTES)
         return path.read_text(encoding="utf-8-sig")
@@ -271,13 +239,7 @@ def read_text(path: Path, expected: str) -> str:
 
 
 def parse_json(text: str, where: str, expected: str) -> _Table:
-    """A JSON object.
-
-    Raises
-    ------
-    InputError
-        It is none, or is nested too deeply.
-    """
+    """A JSON object, refused where it is none or is nested too deeply."""
     try:
         document = json.loads(text)
     except RecursionError:
@@ -289,7 +251,7 @@ def parse_json(text: str, where: str, expected: str) -> _Table:
     return document
 
 
-# ---------- what a glTF file claims, looked at before memory is given to it
+# ---------- glTF: claims are checked before memory is given to them
 
 
 _MAX_COUNT = 20_000_000  # elements of one accessor: five million triangles have 15 million indices
@@ -371,7 +333,7 @@ def _check_tree(nodes: list[Mapping[str, Any]], where: str) -> None:
         raise InputError(f"{where}: nodes", Unquoted("a node that is its own ancestor"), "a tree")
 
 
-# ---------- what a PBF file must not have before the library reads it
+# ---------- PBF: what osmium must not be given
 
 
 _MAX_HEADER_BYTES = 64 * 1024  # [1]
@@ -382,20 +344,8 @@ _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
 def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:
     """Refuse a PBF file that osmium cannot be trusted with.
 
-    Parameters
-    ----------
-    path : Path
-        A file that begins as PBF does.
-    max_unpacked_bytes : int
-        How much it may hold in all.
-    expected : str
-        What it should be, for messages.
-
-    Raises
-    ------
-    InputError
-        It is damaged, holds more, is packed in another way than with zlib, or has a text with a
-        zero byte in it: osmium ends texts there and reads on behind its memory.
+    It is damaged, holds more than `max_unpacked_bytes`, is packed in another way than with zlib, or
+    has a text with a zero byte in it: osmium ends texts there and reads on behind its memory.
     """
     n_left = max_unpacked_bytes
     try:
