@@ -18,8 +18,8 @@ from placement.candidates import (
     load_candidate_grid,
 )
 from placement.layout import Layout, check_layout
-from placement.optimiser import Effort, PlacementValue
-from placement.optimiser.milp import DEFAULT_SOLVER, SolverName, check_solver
+from placement.optimiser import Effort
+from placement.optimiser.milp import SolverName
 from placement.private_ground import PrivateGround, private_shares
 from placement.question import Planning
 from placement.wishes import Wishes, check_wishes
@@ -88,8 +88,6 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
     ):
         if value and not planning.no_look:
             raise InputError(option, value, "--no-look beside it")
-    if planning.pool_tolerance and not planning.pool:
-        raise InputError("--pool-tolerance", planning.pool_tolerance, "--pool beside it")
     study = find_baseline(scene) if planning.study_poses else None
     kept = _layout(planning.keep, "--keep", scene)
     within = _layout(planning.within, "--within", scene)
@@ -128,7 +126,6 @@ def build_plan(planning: Planning, scene: Scene) -> Plan:
         site_cost_eur=planning.site_cost_eur,
         separation_m=planning.separation_m,
         surcharges_eur=surcharges,
-        stage_weights=_stage_weights(planning.stage_weights),
         tail=_tail(planning.risk, planning.samples),
     )
     check_wishes(wishes, scene)
@@ -151,15 +148,12 @@ def effort_of(planning: Planning) -> Effort:
     Raises
     ------
     InputError
-        A solver that is not installed, a number that cannot be.
+        A number that cannot be.
     """
     return Effort(
         solver=cast(SolverName, planning.solver),
         time_limit_s=planning.time_limit_s,
         gap=planning.gap,
-        milp_solver=DEFAULT_SOLVER
-        if planning.milp_solver == DEFAULT_SOLVER
-        else check_solver(planning.milp_solver),
     )
 
 
@@ -219,22 +213,6 @@ def _tail(risk: str, n_samples: int) -> float:
     if tail == 0.0:
         raise InputError("--risk", risk, "mean, worst, or a share of the worst worlds, more than 0")
     return tail
-
-
-def _stage_weights(text: str) -> tuple[float, ...] | None:
-    if not text:
-        return None
-    weights = dict.fromkeys(PlacementValue._fields, 0.0)
-    for word in _words(text):
-        name, _, number = word.partition("=")
-        if name not in weights:
-            raise InputError(
-                "--stage-weights", word, "NAME=WEIGHT, NAME one of " + ", ".join(weights)
-            )
-        weights[name] = _number("--stage-weights", number, "weights, at least 0", 0.0, np.inf)
-    if not any(weights.values()):
-        raise InputError("--stage-weights", Unquoted(text), "a weight that is not 0")
-    return tuple(weights.values())
 
 
 def _number(option: str, text: str, expected: str, low: float, high: float) -> float:
