@@ -27,7 +27,7 @@ _HEIGHTS = ("measuredHeight", "height", "Height", "Hoehe")
 _WORDS = ("name", "class", "function", "usage", "type")
 _MAX_NAME = 80  # characters
 
-# Of city models: what kind of object is what class of thing.
+# Class of thing by the type of an object.
 CLASS_OF_TYPE = {
     "Building": "building",
     "BuildingPart": "building",
@@ -130,7 +130,9 @@ def _vectors(values: Any, where: str) -> FloatArray:
     try:
         array: FloatArray = np.array(values, dtype=np.float64).reshape(len(values), 3)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(where, Unquoted("what is no list of points"), "x, y, z each") from None
+        raise InputError(
+            where, Unquoted("something other than a list of points"), "x, y, z each"
+        ) from None
     if not np.isfinite(array).all():
         raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
     return array
@@ -285,7 +287,7 @@ def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygo
 
 def _list(value: Any, where: str) -> list[Any]:
     if not isinstance(value, list):
-        raise InputError(f"{where}.boundaries", value, "lists as deep as its type asks for")
+        raise InputError(f"{where}.boundaries", value, "lists nested as its type demands")
     return value
 
 
