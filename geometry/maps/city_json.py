@@ -19,7 +19,6 @@ from .source_map import MAX_TRIANGLES, Skipped, SourceMap, Thing, counted, short
 from .thing_kinds import kind_from_name, kind_of_class, thing_defaults
 
 _VERSIONS = ("1.0", "1.1", "2.0")
-_MAX_BYTES = 300_000_000
 _MAX_RING = 100_000
 _SURFACES_AT = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2}
 _SURFACES_AT |= {"CompositeSolid": 2}

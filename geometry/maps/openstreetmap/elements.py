@@ -1,4 +1,4 @@
-"""Nodes, ways, relations and areas of a file, and omissions on what is left out."""
+"""Nodes, ways, relations, areas and tags of a file of OpenStreetMap data."""
 
 import bz2
 import gzip
