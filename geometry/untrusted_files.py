@@ -75,7 +75,7 @@ def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
 
 
 def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipInfo]:
-    """Files of an archive, none of which leads astray."""
+    """Files of an archive, refused where a name, a link or a size could do harm."""
     entries = archive.infolist()
     if len(entries) > MAX_MEMBERS:
         raise InputError(where, Unquoted(f"{len(entries):,} members"), f"at most {MAX_MEMBERS:,}")

@@ -183,7 +183,7 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         )
         speed = encounter.vut_reach * fastest + closing
         mean = 0.5 * (separation[0] + separation[1])
-        # Between its ends a gap sags no deeper than a parabola, as long as nobody sets off.
+        # Between its ends a gap sags no deeper than a parabola, while neither body sets off.
         is_smooth = (separation[0] <= encounter.near_m) & (speed * half_time <= encounter.small_m)
         for set_off_s in (start, vru.start_time_s):
             is_smooth &= (times[0] >= set_off_s) | (times[1] <= set_off_s)

@@ -148,7 +148,7 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     """Weights by the points that Euro NCAP gives the cases in 2026.
 
     The points that a score can earn at most (standard and extended range, robustness) are shared
-    equally by the runs that belong to it; those of scores without runs are nobody's. Runs without a
+    equally by the runs that belong to it; those of scores without runs do not count. Runs without a
     score, such as all in the rain, weigh nothing. The weights sum to 1.
 
     Raises
