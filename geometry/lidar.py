@@ -2,22 +2,19 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import ArrayLike
 from scipy.special import expit, logit
 
 from .arrays import FloatArray, IntArray
 from .errors import InputError
-from .files import (
-    Table,
-    load_toml,
-    take,
-    take_number,
-)
+from .files import Table, load_toml, read_table, read_tables
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,12 +125,8 @@ class LidarModel:
 class LidarDetection:
     """What it takes to find a road user in a point cloud, by class.
 
-    Attributes
-    ----------
-    min_points : mapping
-        From "pedestrian", "child", "cyclist" to points in one frame.
-    reflectivity : mapping
-        To the share of the light that comes back diffusely, 0 .. 1.
+    `min_points` has the points in one frame of a "pedestrian", "child" and "cyclist",
+    `reflectivity` the share of the light that comes back diffusely, 0 .. 1.
     """
 
     min_points: Mapping[str, int]
@@ -141,19 +134,11 @@ class LidarDetection:
 
 
 def beam_directions(lidar: LidarModel) -> FloatArray:
-    """Where the beams of one frame go.
+    """Unit vectors of one frame's beams, (n_lines, n_columns, 3), in the body frame.
 
-    Parameters
-    ----------
-    lidar : LidarModel
-        Scan pattern.
-
-    Returns
-    -------
-    directions : (n_lines, n_columns, 3) float
-        Unit vectors, body frame (x ahead, y left, z up); from the lowest line up, from right to
-        left. Each beam is in the middle of its cell of azimuth and elevation: at 360 degrees the
-        columns stand evenly on the circle, none twice, and the seam is straight behind.
+    From the lowest line up, from right to left; x ahead, y left, z up. Each beam is in the middle
+    of its cell of azimuth and elevation: at 360 degrees the columns stand evenly on the circle, and
+    the seam is straight behind.
     """
     elevation = np.radians(_cell_centres(lidar.vertical_fov_deg, lidar.n_lines))[:, None]
     azimuth = np.radians(_cell_centres(lidar.horizontal_fov_deg, lidar.n_columns))[None, :]
@@ -201,20 +186,7 @@ _INDEX_SLACK = 1.0e-9
 
 
 def beams_per_steradian(lidar: LidarModel, elevation_deg: ArrayLike) -> FloatArray:
-    """Density of beams in a direction.
-
-    Parameters
-    ----------
-    lidar : LidarModel
-        Scan pattern.
-    elevation_deg : (...,) float
-        Seen from the sensor, inside its field of view. [deg]
-
-    Returns
-    -------
-    density : (...,) float
-        One beam per cell of azimuth and elevation. [1/sr]
-    """
+    """Density of beams in a direction, in 1/sr: one per cell of azimuth and elevation."""
     azimuth_step = math.radians(lidar.horizontal_fov_deg / lidar.n_columns)
     elevation_step = math.radians(lidar.vertical_fov_deg / lidar.n_lines)
     level = np.cos(np.radians(np.asarray(elevation_deg, dtype=np.float64)))
@@ -232,24 +204,9 @@ def return_probability(
 ) -> FloatArray:
     """How likely a pulse that hits something comes back strong enough to be reported.
 
-    Parameters
-    ----------
-    lidar : LidarModel
-        Its range at a known reflectivity.
-    distance_m : (...,) float
-        To what is hit. [m]
-    reflectivity : (...,) float
-        Diffuse, 0 .. 1.
-    incidence_cos : (...,) float
-        Cosine between beam and surface normal, 0 .. 1.
-    extinction_per_m : (...,) float
-        Of the air, one way. [1/m]
-
-    Returns
-    -------
-    probability : (...,) float
-        `reference_probability` where the signal is that of the reference; 0 outside
-        `near_m` .. `range_m`.
+    It is `reference_probability` where the signal is that of the reference, and 0 outside
+    `near_m` .. `range_m`. `incidence_cos` is the cosine between beam and surface normal; the
+    extinction of the air counts one way. All arrays broadcast.
 
     References
     ----------
@@ -273,94 +230,52 @@ def return_probability(
 
 
 def noisy_ranges(lidar: LidarModel, distance_m: ArrayLike, rng: np.random.Generator) -> FloatArray:
-    """Distances as the LiDAR reports them.
-
-    Parameters
-    ----------
-    lidar : LidarModel
-        Its noise.
-    distance_m : (...,) float
-        True distances. [m]
-    rng : numpy.random.Generator
-        Of the noise.
-
-    Returns
-    -------
-    distance_m : (...,) float
-        With normal noise. [m]
-    """
+    """Distances as the LiDAR reports them: with normal noise of `range_noise_m`."""
     distance = np.asarray(distance_m, dtype=np.float64)
     noisy: FloatArray = distance + lidar.range_noise_m * rng.standard_normal(distance.shape)
     return noisy
 
 
-@cache
-def load_lidars() -> dict[str, LidarModel]:
-    """All LiDAR models of the catalogue, by name, from ``data/lidars.toml``."""
-    entries = take(_data(), "lidars", _FILE)
-    return {name: read_lidar(name, entry, _FILE) for name, entry in entries.items()}
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _DetectionEntry:
+    """A class of road users in ``data/lidars.toml``."""
 
-
-@cache
-def load_lidar_detection() -> LidarDetection:
-    """What it takes to find a road user in a point cloud, from ``data/lidars.toml``."""
-    return _read_detection(take(_data(), "detection", _FILE))
-
-
-@cache
-def load_surface_reflectivity() -> dict[str, float]:
-    """Diffuse reflectivity of all but VRUs, by class name, from ``data/lidars.toml``."""
-    table = take(_data(), "surfaces", _FILE)
-    return {name: take_number(table, name, f"{_FILE}: surfaces") for name in table}
+    min_points: Annotated[int, Meta(ge=1, description="a whole number of points, > 0")]
+    reflectivity: Annotated[float, Meta(gt=0.0, le=1.0, description="0 < share <= 1")]
 
 
 _FILE = "lidars.toml"
 
 
 @cache
-def _data() -> Table:
+def _load_file() -> Table:
     return load_toml(files(__package__) / "data" / _FILE)
 
 
-def read_lidar(name: str, entry: Table, source: str) -> LidarModel:
-    """LiDAR model from the fields of a TOML table.
+@cache
+def load_lidars() -> dict[str, LidarModel]:
+    """All LiDAR models of the catalogue, by name, from ``data/lidars.toml``."""
+    return read_tables(_load_file()["lidars"], LidarModel, _FILE)
 
-    Parameters
-    ----------
-    name : str
-        Name in the catalogue.
-    entry : mapping
-        Fields of :class:`LidarModel`.
-    source : str
-        What is being read, for error messages.
 
-    Raises
-    ------
-    InputError
-        A field is missing or not of its kind.
-    """
-    where = f"{source}: {name}"
-    numbers = [field.name for field in fields(LidarModel) if field.type is float]
-    return LidarModel(
-        name=name,
-        n_lines=take(entry, "n_lines", where),
-        **{key: take_number(entry, key, where) for key in numbers},
-    )
+@cache
+def load_lidar_detection() -> LidarDetection:
+    """What it takes to find a road user in a point cloud, from ``data/lidars.toml``."""
+    return _read_detection(_load_file()["detection"])
 
 
 def _read_detection(table: Table) -> LidarDetection:
-    min_points: dict[str, int] = {}
-    reflectivity: dict[str, float] = {}
-    for name, entry in table.items():
-        where = f"{_FILE}: detection.{name}"
-        count = take(entry, "min_points", where)
-        if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-            raise InputError(f"{where}.min_points", count, "a whole number of points, > 0")
-        share = take_number(entry, "reflectivity", where)
-        if not 0.0 < share <= 1.0:
-            raise InputError(f"{where}.reflectivity", share, "0 < share <= 1")
-        min_points[name], reflectivity[name] = count, share
-    return LidarDetection(min_points=min_points, reflectivity=reflectivity)
+    entries = read_tables(table, _DetectionEntry, f"{_FILE}: detection")
+    return LidarDetection(
+        min_points={name: entry.min_points for name, entry in entries.items()},
+        reflectivity={name: entry.reflectivity for name, entry in entries.items()},
+    )
+
+
+@cache
+def load_surface_reflectivity() -> dict[str, float]:
+    """Diffuse reflectivity of all but VRUs, by class name, from ``data/lidars.toml``."""
+    return read_table(_load_file()["surfaces"], dict[str, float], f"{_FILE}: surfaces")
 
 
 def _cell_centres(extent: float, n_cells: int) -> FloatArray:

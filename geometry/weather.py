@@ -1,7 +1,7 @@
 """Named weathers: light, and what the air takes from contrast and from laser pulses."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
@@ -10,13 +10,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
 from .errors import InputError
-from .files import (
-    Table,
-    load_toml,
-    pick,
-    take,
-    take_number,
-)
+from .files import load_toml, pick, read_tables
 
 CONTRAST_AT_VISIBILITY = 0.05
 """Of the meteorological optical range: contrast that is left at the visibility (WMO-No. 8)."""
@@ -90,17 +84,7 @@ class Weather:
         return -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m + self._rain_per_m
 
     def transmission(self, distance_m: ArrayLike) -> FloatArray:
-        """Share of light, and of contrast, that is left after a way through the air.
-
-        Parameters
-        ----------
-        distance_m : (...,) float
-            Way. [m]
-
-        Returns
-        -------
-        transmission : (...,) float
-            0 .. 1.
+        """Share of light, and of contrast, that is left after a distance through the air.
 
         Examples
         --------
@@ -112,17 +96,7 @@ class Weather:
         return left
 
     def lidar_extinction_per_m(self, wavelength_nm: float) -> float:
-        """Share of a laser pulse lost per metre, one way.
-
-        Parameters
-        ----------
-        wavelength_nm : float
-            Of the laser. [nm]
-
-        Returns
-        -------
-        extinction_per_m : float
-            Of haze and fog by Kim's exponent, and of rain. [1/m]
+        """Share of a laser pulse that rain and haze (Kim's exponent) take per metre, one way.
 
         References
         ----------
@@ -155,26 +129,10 @@ def _kim_exponent(visibility_m: float) -> float:
 def load_weathers() -> dict[str, Weather]:
     """All weathers, by name, from ``data/weather.toml``."""
     table = load_toml(files(__package__) / "data" / "weather.toml")
-    return {name: _read_weather(name, entry) for name, entry in table.items()}
-
-
-def _read_weather(name: str, entry: Table) -> Weather:
-    where = f"weather.toml: {name}"
-    numbers = [field.name for field in fields(Weather) if field.type is float]
-    return Weather(
-        name=name,
-        has_lamps=take(entry, "has_lamps", where),
-        **{key: take_number(entry, key, where) for key in numbers},
-    )
+    return read_tables(table, Weather, "weather.toml")
 
 
 def pick_weather(name: str, where: str) -> Weather:
-    """Weather by name.
-
-    Raises
-    ------
-    InputError
-        The name is unknown.
-    """
+    """Weather by name; the error about an unknown one lists the known ones."""
     weather: Weather = pick(load_weathers(), name, where)
     return weather

@@ -152,12 +152,7 @@ class FrameAxis:
 def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
     """Lay the frames of runs end to end.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        At least one.
-    weight : (n_runs,) float
-        Shares that sum to 1.
+    The weights (n_runs,) are shares that sum to 1.
 
     Raises
     ------
@@ -182,21 +177,9 @@ def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
 def confirmation_times_s(
     detected: BoolArray, axis: FrameAxis, *, n_confirmations: int
 ) -> FloatArray:
-    """When the VRU of each run is first confirmed; no window reaches from one run into the next.
+    """When the VRU of each run is first confirmed: (..., n_frames) detections -> (..., n_runs).
 
-    Parameters
-    ----------
-    detected : (..., n_frames) bool
-        Frames of all runs.
-    axis : FrameAxis
-        Runs and frames.
-    n_confirmations : int
-        Consecutive frames needed.
-
-    Returns
-    -------
-    confirmation_s : (..., n_runs) float
-        See :func:`scenarios.aeb.confirmation_time_s`; infinite if there is none. [s]
+    No window reaches from one run into the next; see :func:`scenarios.aeb.confirmation_time_s`.
     """
     return np.stack(
         [
@@ -227,10 +210,9 @@ def onset_times_s(
 
     Returns
     -------
-    confirmation_s : (n_runs,) float
-        Time of the last frame of the window that is known first; infinite if there is none. [s]
-    onset_s : (n_runs,) float
-        When it is known: braking sets in. [s]
+    confirmation_s, onset_s : (n_runs,) float
+        Time of the last frame of the window that is known first, and when it is known, so that
+        braking sets in; infinite if there is none. [s]
     """
     known = np.full(axis.n_frames, np.inf)
     if axis.n_frames >= n_confirmations:
@@ -246,19 +228,7 @@ def onset_times_s(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refusal:
-    """A case that an approach does not carry.
-
-    Attributes
-    ----------
-    case : Case
-        What should be driven.
-    approach : str
-        The arm from which the VUT would come.
-    speeds_kmh : tuple of float
-        At which speeds. [km/h]
-    reason : str
-        Why not.
-    """
+    """A case that an approach does not carry at some speeds, and the reason."""
 
     case: Case
     approach: str

@@ -117,13 +117,13 @@ def render(
         raise click.UsageError(f"--layout: got {got}; expected it once")
     progress.start(quiet=quiet)
     progress("lay the run", 0, 0)
-    from geometry.scene_folders import find_scene
+    from geometry.scene_files import load_scene
     from placement.layout import check_layout
 
     from ..jobs import render
     from ..study.layout import find_layout
 
-    around = find_scene(scene)
+    around = load_scene(scene)
     layout = find_layout(layout_names[0], "--layout")
     check_layout(layout, around)
     run = render.find_run(run_id, around, weather=weather)

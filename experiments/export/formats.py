@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from geometry.scene import Scene
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from placement.layout import Layout, check_layout
 
 from . import FORMAT_NOTES
@@ -56,7 +56,7 @@ def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> 
     InputError
         The layout does not fit the scene, or the format needs a place on earth.
     """
-    scene = find_scene(scene_path)
+    scene = load_scene(scene_path)
     check_layout(layout, scene)
     return FORMATS[format_name](layout, scene)
 

@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from geometry.errors import InputError, Unquoted
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from placement.compute import Compute
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout
@@ -97,7 +97,7 @@ def run_latency(
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
     progress("setting", 0, 0)
-    setting = build_setting(question, find_scene(question.scene))
+    setting = build_setting(question, load_scene(question.scene))
     check_layout(layout, setting.scene)
     evaluation = evaluate_layout(layout, setting, compute=compute)
     curves = apr_by_latency(evaluation, setting.rule, vut_latency_s=vut_latency_s)

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pandas as pd
 
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.layout import layout_records
@@ -85,7 +85,7 @@ def run_pareto(
     InputError
         A wish cannot be met, or `out` cannot be written.
     """
-    scene = find_scene(question.scene)
+    scene = load_scene(question.scene)
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"

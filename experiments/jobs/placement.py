@@ -6,7 +6,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, cast
 
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from placement.compute import Compute
 from placement.evaluation import apr
 from placement.evaluator import evaluate_layouts
@@ -66,7 +66,7 @@ def run_placement(
         A wish cannot be met, or `out` cannot be written.
     """
     check_result_folder(out)
-    scene = find_scene(question.scene)
+    scene = load_scene(question.scene)
     plan = build_plan(question, scene)
     progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
@@ -111,7 +111,6 @@ def run_placement(
         setting,
         poses,
         n_pool=question.pool,
-        tolerance=question.pool_tolerance,
         compute=compute,
     )
     front = _front_below(placement, plan, progress)
@@ -178,7 +177,7 @@ def run_placement(
 def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
     problem = placement.problem
-    if problem.goal != "best" or problem.survive or problem.stage_weights is not None:
+    if problem.goal != "best" or problem.survive:
         return None
     return front_below(
         problem,
@@ -289,7 +288,7 @@ def _judge(
         check_result_folder(out)
         progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
-    setting = build_setting(question, find_scene(question.scene))
+    setting = build_setting(question, load_scene(question.scene))
     layouts = _with_distinct_names(layouts)
     for layout in layouts:
         check_layout(layout, setting.scene)

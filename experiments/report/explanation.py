@@ -168,11 +168,7 @@ def pool_sentences(explained: Mapping[str, Any]) -> list[str]:
         return []
     stage, within = STAGES.get(pool["stage"], pool["stage"]), pool["within"]
     worth = f"the best {stage}"
-    if pool["tolerance"]:
-        worth += f", or up to {percent(pool['tolerance'])} of the runs less"
-        if pool["stage"] in ("units", "cost_eur"):
-            worth = f"the least {stage}, or up to {percent(pool['tolerance'])} more"
-    elif pool["stage"] in ("units", "cost_eur"):
+    if pool["stage"] in ("units", "cost_eur"):
         worth = f"the least {stage}"
     if not pool["is_complete"]:
         return [
@@ -506,7 +502,6 @@ def summarise_explanations(
     candidates: Sequence[CandidatePose],
     *,
     n_pool: int = 0,
-    tolerance: float = 0.0,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> dict[str, Any]:
     """What a placement rests on.
@@ -521,7 +516,6 @@ def summarise_explanations(
         Rows of the placement's table: a refinement's own, if there was one.
     n_pool : int
         How many other layouts to list; 0: none are looked for.
-    tolerance : float
         See :func:`placement.explain.find_pool`.
     compute : Compute
         With the seed of the table.
@@ -534,7 +528,7 @@ def summarise_explanations(
         "marginal_apr", "first_share", "mean_delay_s", "max_delay_s", "without": {..}}],
         "not_avoided": [{"run", "outcome", "late_s", "frames_in_time", "frames_seen", "unit",
         "reasons": [{"cause", "thing", "frames"}], "rescue": {"unit", "site", "distance_m",
-        "margin_s"} or None}], "runs_without_weight": n, "pool": {"stage", "tolerance",
+        "margin_s"} or None}], "runs_without_weight": n, "pool": {"stage",
         "is_complete", "within", "sets": [{"units": [id], "objective", "apr", ..}], "sites":
         [{"site", "share"}], "poses": [{"unit", "share"}]} or None}``. Runs that are not avoided are
         those of the world as planned; where worlds were sampled, nobody looks for what would save
@@ -559,7 +553,7 @@ def summarise_explanations(
         )
     pool = None
     if n_pool:
-        pool = find_pool(problem, chosen, n_sets=n_pool, tolerance=tolerance)
+        pool = find_pool(problem, chosen, n_sets=n_pool)
     return {
         "contributions": [_contribution_record(problem, part, names) for part in contributions],
         "not_avoided": [_missed_record(entry, names) for entry in missed],
@@ -621,7 +615,6 @@ def _pool_record(
     frequent = np.argsort(-pool.pose_share, kind="stable")
     return {
         "stage": pool.stage,
-        "tolerance": pool.tolerance,
         "is_complete": pool.scope == "all",
         "within": pool.n_within,
         "sets": [
