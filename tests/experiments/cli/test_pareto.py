@@ -20,6 +20,7 @@ from experiments.cli.pareto import leave_out, pareto
 from experiments.figures.front import plot_front
 from experiments.jobs import pareto as pareto_job
 from experiments.jobs.pareto import describe_front, front_table, front_text
+from experiments.results.record import to_plain
 from placement.layout import layout_from_records
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import tightened
