@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress, command_line, print_result, warn_of_slow_rays
@@ -99,8 +100,7 @@ def compare(
         uncertainty=uncertainty,
         no_look=no_look,
         out=out,
-        seed=seed,
-        workers=workers,
+        compute=Compute(seed=seed, workers=workers, progress=progress),
         command=command_line(),
         progress=progress,
     )

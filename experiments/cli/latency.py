@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress, load_one_layout, print_result, warn_of_slow_rays
@@ -99,8 +100,7 @@ def latency(
         vut_latency_s=vut_latency_s,
         max_latency_s=max_latency_s,
         out=out,
-        seed=seed,
-        workers=workers,
+        compute=Compute(seed=seed, workers=workers, progress=progress),
         progress=progress,
     )
     print_result(summary, progress, as_json, lambda: latency_text(summary, out))

@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 import click
 from click.shell_completion import get_completion_class
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import (
@@ -209,9 +210,12 @@ def cli(
     result = placement.run_placement(
         question,
         out=out,
-        seed=seed,
-        workers=workers,
-        cache_folder=cache_folder() if uses_cache else None,
+        compute=Compute(
+            seed=seed,
+            workers=workers,
+            cache_folder=cache_folder() if uses_cache else None,
+            progress=progress,
+        ),
         command=command_line(),
         progress=progress,
     )
@@ -282,8 +286,7 @@ def evaluate(
         layout=layout,
         no_look=no_look,
         out=out,
-        seed=seed,
-        workers=workers,
+        compute=Compute(seed=seed, workers=workers, progress=progress),
         command=command_line(),
         progress=progress,
     )

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import (
@@ -106,9 +107,12 @@ def pareto(
         max_units=max_units,
         all_stages=all_stages,
         out=out,
-        seed=seed,
-        workers=workers,
-        cache_folder=cache_folder() if uses_cache else None,
+        compute=Compute(
+            seed=seed,
+            workers=workers,
+            cache_folder=cache_folder() if uses_cache else None,
+            progress=progress,
+        ),
         command=command_line(),
         progress=progress,
     )

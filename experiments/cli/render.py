@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from placement.compute import Compute
+
 from ..progress import StageProgress
 from .options import (
     SectionedCommand,
@@ -131,7 +133,8 @@ def render(
     path = out or _default_path(run, unit_id, frame_index, suffix)
     render.check_path(path, viewpoint.sensor)
     progress("render", 0, 0)
-    seen = render.render(around, run, frame_index, viewpoint, seed=seed, workers=workers)
+    compute = Compute(seed=seed, workers=workers)
+    seen = render.render(around, run, frame_index, viewpoint, compute=compute)
     try:
         if out is None:
             path.parent.mkdir(parents=True, exist_ok=True)

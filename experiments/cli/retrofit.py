@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import (
@@ -95,9 +96,12 @@ def retrofit(
         layout=layout,
         visit_eur=visit_eur,
         out=out,
-        seed=seed,
-        workers=workers,
-        cache_folder=cache_folder() if uses_cache else None,
+        compute=Compute(
+            seed=seed,
+            workers=workers,
+            cache_folder=cache_folder() if uses_cache else None,
+            progress=progress,
+        ),
         command=command_line(),
         progress=progress,
     )

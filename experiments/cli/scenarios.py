@@ -187,12 +187,7 @@ def show(progress: StageProgress, *, question: Question, out: Path | None, quiet
     progress("draw", 0, 0)
     _write(
         path,
-        lambda: save_film(
-            path,
-            scene,
-            run,
-            on_progress=lambda done, total: progress("draw", done, total),
-        ),
+        lambda: save_film(path, scene, run, progress=progress),
         makes_folder=out is None,
     )
     progress.stop()

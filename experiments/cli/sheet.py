@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress, load_one_layout, print_result, warn_of_slow_rays
@@ -56,7 +57,6 @@ def sheet(
     warn_of_slow_rays()
     from ..jobs.sheet import run_sheet, sheet_text
 
-    summary = run_sheet(
-        question, layout=layout, out=out, seed=seed, workers=workers, progress=progress
-    )
+    compute = Compute(seed=seed, workers=workers, progress=progress)
+    summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)
     print_result(summary, progress, as_json, lambda: sheet_text(summary))

@@ -8,6 +8,7 @@ import numpy as np
 
 from geometry.scene import Scene
 from placement.candidates import CandidatePose
+from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain import (
     Contribution,
     Pool,
@@ -254,7 +255,7 @@ def build_explained_record(
     *,
     n_pool: int = 0,
     tolerance: float = 0.0,
-    seed: int = 0,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> ExplainedRecord:
     """What a placement rests on.
 
@@ -269,8 +270,8 @@ def build_explained_record(
         How many other layouts to list; 0: none are looked for.
     tolerance : float
         See :func:`placement.explain.find_pool`.
-    seed : int
-        Of the points on the VRUs: that of the table.
+    compute : Compute
+        With the seed of the table.
     """
     problem, chosen = placement.problem, placement.pose_index
     names = {
@@ -278,14 +279,14 @@ def build_explained_record(
         for pose, unit in zip(chosen, placement.layout.units, strict=True)
     }
     if placement.nominal is problem:
-        missed = find_unavoided(setting, problem, candidates, chosen, seed=seed)
+        missed = find_unavoided(setting, problem, candidates, chosen, compute=compute)
     else:
         missed = find_unavoided(
             setting,
             placement.nominal,
             [candidates[pose] for pose in chosen],
             placement.nominal_index,
-            seed=seed,
+            compute=compute,
         )
     pool = None
     if n_pool:
