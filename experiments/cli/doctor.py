@@ -11,7 +11,6 @@ from typing import Any
 import click
 
 from geometry.raycast import caster_name, open3d_problem
-from placement.optimiser.milp import installed_solvers
 
 from ..progress import cache_folder
 from .options import json_option
@@ -61,7 +60,7 @@ def examine(cache_folder: Path) -> dict[str, Any]:
             {"package": package, "extra": extra, "version": _version(package), "without": without}
             for package, extra, without in _EXTRAS
         ],
-        "milp_solvers": installed_solvers(),
+        "milp_solvers": ["HIGHS"] if libraries["highspy"] else [],
         "cache": cache,
         "is_well": all(libraries.values()) and bool(cache["is_writable"]),
     }

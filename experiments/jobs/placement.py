@@ -102,7 +102,7 @@ def run_placement(
             placement,
             plan.candidates,
             solver=plan.effort,
-            compute=compute,
+            seed=compute.seed,
             workers=compute.workers,
             on_progress=report,
         )
@@ -114,7 +114,6 @@ def run_placement(
         setting,
         poses,
         n_pool=question.pool,
-        tolerance=question.pool_tolerance,
         compute=compute,
     )
     front = _front_below(placement, plan, progress)
@@ -187,7 +186,7 @@ def run_placement(
 def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
     problem = placement.problem
-    if problem.goal != "best" or problem.survive or problem.stage_weights is not None:
+    if problem.goal != "best" or problem.survive:
         return None
     return front_below(
         problem,

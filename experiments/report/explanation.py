@@ -148,11 +148,7 @@ def pool_sentences(explained: Mapping[str, Any]) -> list[str]:
         return []
     stage, within = STAGES.get(pool["stage"], pool["stage"]), pool["within"]
     worth = f"the best {stage}"
-    if pool["tolerance"]:
-        worth += f", or up to {percent(pool['tolerance'])} of the runs less"
-        if pool["stage"] in ("units", "cost_eur"):
-            worth = f"the least {stage}, or up to {percent(pool['tolerance'])} more"
-    elif pool["stage"] in ("units", "cost_eur"):
+    if pool["stage"] in ("units", "cost_eur"):
         worth = f"the least {stage}"
     if not pool["is_complete"]:
         return [

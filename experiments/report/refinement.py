@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from placement.optimiser.limits import COST_TOLERANCE_EUR
-from placement.optimiser.problem import TOLERANCE
+from placement.optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE
 
 from ..results.text import percent
 from .answer import STAGES, number
