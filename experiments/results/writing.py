@@ -21,7 +21,7 @@ from placement.verification.certificates import build_certificate, save_certific
 
 from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
-from ..export.tables import to_csv
+from ..export.csv import to_csv
 from ..progress import WRITING, StageProgress, signals_held
 from ..report import bill_of_materials
 from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
