@@ -25,7 +25,7 @@ from placement.layout import Layout, check_layout, layout_records
 from placement.question import Question
 from placement.setting import build_setting
 
-from ..figures.evaluation import to_png
+from ..figures.axes import to_png
 from ..figures.latency import plot_latency
 from ..progress import WRITING, StageProgress
 from ..results.numbers import percent

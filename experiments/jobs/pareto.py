@@ -22,7 +22,7 @@ from placement.setting import build_setting
 from placement.wishes import build_problem
 
 from ..export.json import to_json_text
-from ..figures.evaluation import to_png
+from ..figures.axes import to_png
 from ..figures.front import plot_front
 from ..progress import WRITING, StageProgress
 from ..report.front import describe_money, describe_units

@@ -18,15 +18,7 @@ from placement.sampling import (
 )
 from placement.sampling.uncertainty import StandingTraffic
 
-from ..figures.evaluation import (
-    BLUE,
-    GREEN,
-    PINK,
-    VERMILION,
-    WIDTH_IN,
-    literal,
-    new_axes,
-)
+from ..figures.axes import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, literal, new_axes
 from ..results.numbers import percent
 
 # ---------- what layouts are worth in sampled worlds

@@ -9,12 +9,7 @@ from geometry.errors import InputError
 from placement.explain.outcomes import Outcome
 from placement.explain.sensitivity import Sensitivity
 
-from ..figures.evaluation import (
-    BLUE,
-    VERMILION,
-    WIDTH_IN,
-    new_axes,
-)
+from ..figures.axes import BLUE, VERMILION, WIDTH_IN, new_axes
 from ..results.numbers import NOTHING, count_runs, number, percent
 from .pictures import build_picture
 
