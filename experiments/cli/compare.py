@@ -88,10 +88,11 @@ def compare(
     progress.start(quiet=quiet)
     warn_of_slow_rays()
     from ..jobs import placement
+    from ..results.record import to_plain
     from ..results.text import comparison_table
     from .tables import with_additions
 
-    summary = placement.run_comparison(
+    result = placement.run_comparison(
         question,
         layouts=found,
         samples=samples,
@@ -103,6 +104,7 @@ def compare(
         command=command_line(),
         progress=progress,
     )
+    summary = to_plain(result)  # border
     print_result(
         summary, progress, as_json, lambda: with_additions(summary, comparison_table(summary, out))
     )

@@ -206,7 +206,7 @@ def cli(
         print_result(summary, progress, as_json, lambda: recorded_placement_table(summary, folder))
         return
     placement = _start(progress, quiet=quiet)
-    summary = placement.run_placement(
+    result = placement.run_placement(
         question,
         out=out,
         seed=seed,
@@ -215,8 +215,10 @@ def cli(
         command=command_line(),
         progress=progress,
     )
+    from ..results.record import to_plain
     from .tables import with_additions
 
+    summary = to_plain(result)  # border
     print_result(
         summary,
         progress,
@@ -275,7 +277,7 @@ def evaluate(
         return
     layout = load_one_layout(layout_names)
     placement = _start(progress, quiet=quiet)
-    summary = placement.run_evaluation(
+    result = placement.run_evaluation(
         question,
         layout=layout,
         no_look=no_look,
@@ -285,8 +287,10 @@ def evaluate(
         command=command_line(),
         progress=progress,
     )
+    from ..results.record import to_plain
     from .tables import with_additions
 
+    summary = to_plain(result)  # border
     print_result(
         summary,
         progress,
