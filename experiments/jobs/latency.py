@@ -26,12 +26,12 @@ from placement.layout import Layout, check_layout, layout_records
 from placement.question import Question
 from placement.setting import build_setting
 
-from ..figures.evaluation import to_png
+from ..figures.axes import to_png
 from ..figures.latency import plot_latency
 from ..progress import WRITING, StageProgress
 from ..results.drives import build_drives_record, versions
+from ..results.numbers import percent
 from ..results.record import to_plain
-from ..results.text import percent
 from .writing import check_folder, write_files
 
 # ---------- what ``place-rsus latency`` does

@@ -22,14 +22,14 @@ from placement.setting import build_setting
 from placement.wishes import build_problem
 
 from ..export.json import to_json_text
-from ..figures.evaluation import to_png
+from ..figures.axes import to_png
 from ..figures.front import plot_front
 from ..progress import WRITING, StageProgress
 from ..report.front import describe_money, describe_units
 from ..results.drives import build_drives_record, versions
 from ..results.fronts import FrontRecord, build_front_record
+from ..results.numbers import percent
 from ..results.record import to_plain
-from ..results.text import percent
 from .planning import Plan, build_plan
 from .writing import check_folder, write_files
 

@@ -30,8 +30,8 @@ from placement.wishes import build_problem
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.drives import build_drives_record, versions
+from ..results.numbers import percent
 from ..results.record import to_plain
-from ..results.text import percent
 from .planning import build_plan, grid_of
 from .writing import check_folder, write_files
 

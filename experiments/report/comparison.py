@@ -5,11 +5,10 @@ from typing import Any
 
 from placement.evaluation import Evaluation
 
+from ..results.numbers import NOTHING, count_runs, number, percent
 from ..results.record import to_plain
 from ..results.result import build_difference_records
 from ..results.tables import margin_s
-from ..results.text import percent
-from .answer import NOTHING, count_runs, number
 from .pictures import build_picture
 from .sampled_worlds import plot_differences
 

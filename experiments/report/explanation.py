@@ -5,8 +5,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..results.text import percent
-from .answer import NOTHING, STAGES, count_runs, number
+from ..results.numbers import NOTHING, count_runs, number, percent
+from .answer import STAGES
 
 # ---------- why these poses, what they miss, what else would do: in sentences
 

@@ -13,7 +13,7 @@ from geometry.maps.gis_files import read_features
 from geometry.scene import Scene
 from placement.private_ground import PrivateGround, build_private_ground
 
-from ..results.text import percent
+from ..results.numbers import percent
 
 # ---------- ``--no-look FILE``: private ground from a planner's polygons, and what units see of it
 

@@ -5,8 +5,8 @@ from typing import Any
 
 from placement.optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE
 
-from ..results.text import percent
-from .answer import STAGES, number
+from ..results.numbers import number, percent
+from .answer import STAGES
 
 _SHARES = ("apr", "apr_one_failed", "apr_survived")
 _MAX_DIGITS = 6

@@ -12,16 +12,8 @@ from placement.sampling import (
     SampledApr,
 )
 
-from ..figures.evaluation import (
-    BLUE,
-    GREEN,
-    PINK,
-    VERMILION,
-    WIDTH_IN,
-    literal,
-    new_axes,
-)
-from ..results.text import percent
+from ..figures.axes import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, literal, new_axes
+from ..results.numbers import percent
 
 # ---------- what layouts are worth in sampled worlds
 

@@ -7,14 +7,8 @@ from matplotlib.axes import Axes
 
 from geometry.errors import InputError
 
-from ..figures.evaluation import (
-    BLUE,
-    VERMILION,
-    WIDTH_IN,
-    new_axes,
-)
-from ..results.text import percent
-from .answer import NOTHING, count_runs, number
+from ..figures.axes import BLUE, VERMILION, WIDTH_IN, new_axes
+from ..results.numbers import NOTHING, count_runs, number, percent
 from .pictures import build_picture
 
 # ---------- assumptions and their values in words, for tables and figures alike

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from partial_pages import render_partial
 
-from experiments.figures.evaluation import to_png
+from experiments.figures.axes import to_png
 from experiments.report.sensitivity import (
     TITLES,
     phrase,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.figures.evaluation import to_png
+from experiments.figures.axes import to_png
 from experiments.report.sampled_worlds import (
     plot_sampled_apr,
     uncertainty_sentences,
