@@ -9,7 +9,7 @@ from ..report.explanation import explanation_text
 from ..report.private_ground import private_sentences
 from ..report.refinement import refinement_sentences
 from ..report.sampled_worlds import uncertainty_sentences, uncertainty_text
-from ..results.text import percent
+from ..results.numbers import percent
 
 # ---------- results on recorded detections as plain text for a terminal
 

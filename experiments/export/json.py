@@ -1,4 +1,4 @@
-"""JSON of plain values, as every JSON file here is written."""
+"""Layouts as the JSON file that place-rsus reads; and JSON of plain values."""
 
 import json
 import math
@@ -9,7 +9,7 @@ import numpy as np
 from geometry.catalogue import own_sensor_record
 from placement.layout import SCHEMA, Layout, layout_records
 
-# ---------- JSON of plain values, as every JSON file here is written
+from .formats import ExportFormat
 
 
 def to_json_text(document: object) -> str:
@@ -36,9 +36,6 @@ def _finite(value: object) -> object:
     return value
 
 
-# ---------- the layout file itself
-
-
 def to_json(layout: Layout) -> str:
     """Layout as the JSON file that :func:`placement.layout.load_layout` reads."""
     document = {
@@ -50,3 +47,9 @@ def to_json(layout: Layout) -> str:
     own = {unit.sensor.name: own_sensor_record(unit.sensor) for unit in layout.units}
     sensors = {name: record for name, record in own.items() if record is not None}
     return to_json_text(document | ({"sensors": sensors} if sensors else {}))
+
+
+FORMAT = ExportFormat(
+    write=lambda layout, _scene: to_json(layout),
+    content="the layout file itself; place-rsus --layout",
+)

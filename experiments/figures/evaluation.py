@@ -27,8 +27,8 @@ from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import FrameAxis
 
+from ..results.numbers import percent
 from ..results.tables import margin_s
-from ..results.text import percent
 
 # ---------- which runs have a heatmap, and which units a row in it
 

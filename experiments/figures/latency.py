@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from placement.latency import LatencyBudget, LatencyCurve
 
-from ..results.text import percent
+from ..results.numbers import percent
 from .evaluation import (
     BLUE,
     GREY,

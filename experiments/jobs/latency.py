@@ -28,8 +28,8 @@ from placement.setting import build_setting
 from ..figures.evaluation import to_png
 from ..figures.latency import plot_latency
 from ..progress import WRITING, StageProgress
+from ..results.numbers import percent
 from ..results.summary import summarise_drives, versions
-from ..results.text import percent
 from ..results.writing import check_folder, write_files
 
 # ---------- what ``place-rsus latency`` does

@@ -26,8 +26,8 @@ from ..figures.evaluation import to_png
 from ..figures.front import plot_front
 from ..progress import WRITING, StageProgress
 from ..report.front import describe_money, describe_units
+from ..results.numbers import percent
 from ..results.summary import summarise_drives, versions
-from ..results.text import percent
 from ..results.writing import check_folder, write_files
 from .planning import Plan, build_plan
 

@@ -28,8 +28,8 @@ from placement.wishes import build_problem
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
+from ..results.numbers import percent
 from ..results.summary import summarise_drives, versions
-from ..results.text import percent
 from ..results.writing import check_folder, write_files
 from .planning import build_plan, grid_of
 

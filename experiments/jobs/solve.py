@@ -29,7 +29,7 @@ from placement.optimiser.milp import DEFAULT_SOLVER, check_solver
 from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress
-from ..results.text import percent
+from ..results.numbers import percent
 
 # ---------- what ``place-rsus solve`` does
 

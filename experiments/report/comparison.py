@@ -8,9 +8,8 @@ import numpy as np
 
 from placement.evaluation import Evaluation
 
+from ..results.numbers import NOTHING, count_runs, number, percent
 from ..results.tables import margin_s
-from ..results.text import percent
-from .answer import NOTHING, count_runs, number
 from .pictures import build_picture
 from .sampled_worlds import plot_differences
 

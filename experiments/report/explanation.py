@@ -24,8 +24,8 @@ from placement.optimiser import PlacementProblem
 from placement.pipeline import Placement
 from placement.setting import Setting
 
-from ..results.text import percent
-from .answer import NOTHING, STAGES, count_runs, number
+from ..results.numbers import NOTHING, count_runs, number, percent
+from .answer import STAGES
 
 # ---------- why these poses, what they miss, what else would do: in sentences
 

@@ -12,8 +12,7 @@ from placement.optimiser.limits import COST_TOLERANCE_EUR
 from placement.optimiser.problem import TOLERANCE
 
 from ..figures.front import plot_front
-from ..results.text import percent
-from .answer import NOTHING, number
+from ..results.numbers import NOTHING, number, percent
 from .pictures import build_picture
 
 # ---------- the front that ends with the layout of a report

@@ -28,6 +28,7 @@ from ..figures.evaluation import (
     literal,
     new_axes,
 )
+from ..results.numbers import NOTHING, count_runs, number
 from ..results.tables import (
     RunGroup,
     groups_by_case,
@@ -35,7 +36,6 @@ from ..results.tables import (
     groups_by_speed,
     margin_s,
 )
-from .answer import NOTHING, count_runs, number
 from .pictures import build_picture
 
 # ---------- strips of margins to the last moment: a mark for each run, in a row for each case

@@ -31,8 +31,8 @@ from ..figures.evaluation import (
 )
 from ..figures.plan import plot_plan
 from ..figures.sensors import looking_words
+from ..results.numbers import NOTHING, number
 from .answer import (
-    NOTHING,
     answer,
     assumptions,
     describe_hopeless,
@@ -40,7 +40,6 @@ from .answer import (
     disagreement,
     is_weighted,
     latency_in_short,
-    number,
     proof,
     title,
 )

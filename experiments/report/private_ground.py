@@ -14,7 +14,7 @@ from geometry.scene import Scene
 from placement.candidates import CandidatePose
 from placement.private_ground import PrivateGround, build_private_ground, private_shares
 
-from ..results.text import percent
+from ..results.numbers import percent
 
 # ---------- ``--no-look FILE``: private ground from a planner's polygons, and what units see of it
 

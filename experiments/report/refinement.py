@@ -8,8 +8,8 @@ from placement.optimiser.problem import TOLERANCE
 from placement.refinement.poses import Move
 from placement.refinement.refine import Refinement
 
-from ..results.text import percent
-from .answer import STAGES, number
+from ..results.numbers import number, percent
+from .answer import STAGES
 
 _SHARES = ("apr", "apr_one_failed", "apr_survived")
 _MAX_DIGITS = 6

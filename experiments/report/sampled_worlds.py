@@ -27,7 +27,7 @@ from ..figures.evaluation import (
     literal,
     new_axes,
 )
-from ..results.text import percent
+from ..results.numbers import percent
 
 # ---------- what layouts are worth in sampled worlds
 

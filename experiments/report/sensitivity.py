@@ -15,8 +15,7 @@ from ..figures.evaluation import (
     WIDTH_IN,
     new_axes,
 )
-from ..results.text import percent
-from .answer import NOTHING, count_runs, number
+from ..results.numbers import NOTHING, count_runs, number, percent
 from .pictures import build_picture
 
 # ---------- assumptions and their values in words, for tables and figures alike

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from .numbers import percent
+
 _WIDTH = 80
 _COLUMN, _NARROWEST, _WIDEST = 13, 9, 20
 
@@ -14,25 +16,6 @@ _MAX_ID_WIDTH = 22
 _MAX_DISAGREEMENTS = 5
 _MAX_UNITS = 24
 _TOGETHER = "fused: in each frame, any of the units may detect"
-
-
-def percent(share: float) -> str:
-    """A share of 1 in print, with one digit: what is not quite all or none is never shown as it.
-
-    NaN (no run counts) is shown as a dash.
-
-    Examples
-    --------
-    >>> percent(0.5), percent(0.99999), percent(0.00001)
-    ('50.0 %', '>99.9 %', '<0.1 %')
-    """
-    if math.isnan(share):
-        return "\N{EN DASH}"
-    if 0.9995 <= share < 1.0 - 1.0e-9:
-        return ">99.9 %"
-    if 1.0e-9 < share < 0.0005:
-        return "<0.1 %"
-    return f"{100.0 * share:.1f} %"
 
 
 def _short(text: str, width: int) -> str:

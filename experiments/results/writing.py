@@ -19,9 +19,9 @@ from placement.pipeline import Placement
 from placement.setting import Setting
 from placement.verification.certificates import build_certificate, save_certificate
 
+from ..export.csv import to_csv
 from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
-from ..export.tables import to_csv
 from ..progress import WRITING, StageProgress, signals_held
 from ..report import bill_of_materials
 from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill

@@ -37,7 +37,7 @@ from scenarios.runs import Run
 
 from ..figures.evaluation import plot_heatmaps, to_png
 from ..progress import StageProgress
-from ..results.text import percent
+from ..results.numbers import percent
 from .layout import load_carlancap_layout
 
 # ---------- the study's setting with one thing of our reconstruction changed

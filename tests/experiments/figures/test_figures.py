@@ -15,7 +15,7 @@ from experiments.figures.evaluation import (
     to_png,
     unit_labels,
 )
-from experiments.results.text import percent
+from experiments.results.numbers import percent
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import (
