@@ -10,15 +10,9 @@ from typing import Any
 
 import click
 
-from geometry.raycast import caster_name, open3d_problem
-from placement.optimiser.milp import installed_solvers
+from .options import cache_folder, json_option
 
-from ..progress import cache_folder
-from .options import json_option
-
-# ---------- what is installed here, what is missing, and what that costs
-
-
+_EXIT_FAILED = 1
 # Import name of what an extra brings; extra; what is not there without it.
 _EXTRAS = (
     ("requests", "online", "scene import --bbox: fetching OpenStreetMap"),
@@ -126,12 +120,6 @@ def _wrapped(text: str, indent: str = "  ") -> list[str]:
     return textwrap.wrap(text, 80, initial_indent=indent, subsequent_indent=indent)
 
 
-# ---------- ``place-rsus doctor``: what is installed, what is missing, what that costs
-
-
-_EXIT_FAILED = 1
-
-
 @click.command(
     epilog="""\b
 Examples:
@@ -143,7 +131,6 @@ Exit codes: 0 all is well (extras may be missing), 1 something is not."""
 @json_option
 def doctor(*, as_json: bool) -> None:
     """Say what is installed here, what is missing, and what that costs."""
-    pass
     from ..export.json import to_json_text
 
     summary = examine(cache_folder())

@@ -1,31 +1,32 @@
 """``place-rsus scenarios``: look at what is driven, without placing anything."""
 
-import textwrap
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from placement.question import Question
-from placement.setting import Drives
 
-from ..progress import StageProgress, print_result
+from ..progress import StageProgress
 from .options import (
+    ONLY_DRIVEN,
+    SectionedCommand,
     json_option,
     one_run_options,
+    option,
     question_options,
     quiet_option,
 )
+from .running import print_result, unwritable
+from .terminal import sentences, table
 
-# ---------- cases by approach, as rows and as a table for a terminal
+if TYPE_CHECKING:
+    from placement.setting import Drives
 
 
-_WIDTH = 80
-
-
-def list_rows(drives: Drives) -> list[dict[str, Any]]:
+def list_rows(drives: "Drives") -> list[dict[str, Any]]:
     """One row per case and approach.
 
     Parameters
@@ -62,7 +63,7 @@ def list_rows(drives: Drives) -> list[dict[str, Any]]:
         if run.vut_speed_kmh not in entry["speeds_kmh"]:
             last_s = run.last_brake_time_s
             entry["speeds_kmh"].append(run.vut_speed_kmh)
-            entry["last_brake_time_s"].append(last_s if np.isfinite(last_s) else None)
+            entry["last_brake_time_s"].append(last_s if math.isfinite(last_s) else None)
     for refusal in (*drives.refused, *drives.left_out):
         entry = row(refusal.case.name, refusal.approach)
         is_partly = set(refusal.speeds_kmh) != set(refusal.case.vut_speeds_kmh)
@@ -113,9 +114,6 @@ def _span(values: Sequence[float], form: str) -> str:
     return low if low == high else f"{low} to {high}" if form != "g" else f"{low}-{high}"
 
 
-# ---------- ``place-rsus scenarios``: look at what is driven, without placing anything
-
-
 @click.group(
     epilog="""\b
 Examples:
@@ -131,11 +129,12 @@ def scenarios() -> None:
 
 @scenarios.command(
     "list",
+    cls=SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus scenarios list --cases protocol-4.5.1 --approaches east,west""",
 )
-@question_options(cases="all", has_weights=False)
+@question_options(*ONLY_DRIVEN, defaults={"cases": "all"})
 @json_option
 @quiet_option
 @click.pass_obj
@@ -151,8 +150,6 @@ def list_scenarios(
     from geometry.scene_folders import find_scene
     from placement.setting import drive
 
-    pass
-
     progress.start(quiet=quiet)
     progress("lay the cases", 0, 0)
     rows = list_rows(drive(question, find_scene(question.scene)))
@@ -166,7 +163,7 @@ Examples:
   place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif"""
 )
 @one_run_options()
-@click.option(
+@option(
     "--out",
     type=click.Path(path_type=Path),
     help="Film strip (.png, .svg, .pdf) or animation (.gif); default: a .png in results/scenarios.",
@@ -205,7 +202,7 @@ Examples:
   place-rsus scenarios export CPNA-25 --approach east --speed 10 --out a.xosc"""
 )
 @one_run_options()
-@click.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 def export(*, question: Question, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""
     from geometry.files import write_atomically
@@ -228,6 +225,4 @@ def _write(path: Path, write: Callable[[], Any], *, makes_folder: bool = False) 
             path.parent.mkdir(parents=True, exist_ok=True)
         write()
     except OSError as error:
-        raise click.UsageError(
-            f"--out: got {path}: {error.strerror}; expected a file that can be written"
-        ) from None
+        raise unwritable(path, error) from None

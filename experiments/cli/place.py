@@ -1,0 +1,131 @@
+"""``place-rsus``: the best layout, proven, evaluated, compared with the study's, reported."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from placement.question import Question
+
+from ..progress import StageProgress
+from .options import (
+    JUDGED,
+    PLANNED,
+    SectionedGroup,
+    compute_options,
+    is_given,
+    json_option,
+    option,
+    option_name,
+    question_options,
+    quiet_option,
+)
+from .recording import check_recording_options, recorded_placement_table, recording_options
+from .running import begin, command_line, print_result
+
+DEFAULT_OUT = Path("results/latest")
+
+@click.group(
+    cls=SectionedGroup,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="""\b
+Examples:
+  place-rsus --budget 3                            the best three cameras
+  place-rsus --target 0.99 --least cost            the cheapest way to 99 %
+  place-rsus --budget 3 --within carlancap-12      three of the study's own
+  place-rsus --budget-cost 9000 --site-cost 2000   the best for the money
+  place-rsus --budget 2 --fusion single            each must confirm alone
+  place-rsus --budget 3 --json --quiet | jq .apr   for a machine
+  place-rsus --budget 3 --cases protocol-4.5.1 --weights case
+  place-rsus --budget 3 --cases CPNCO-50,CBNA --speeds 40-60
+  place-rsus --budget 3 --weather day,night,fog --detector response
+  place-rsus scenarios list                        what can be driven here
+  place-rsus evaluate --layout carlancap-12        the study's 12 cameras
+  place-rsus --budget 3 --recording ncap_data      the best recorded units
+  place-rsus compare results/latest/layout.json carlancap-12
+  place-rsus scene import city.osm -o scene        your own junction ..
+  place-rsus --scene scene --budget 3              .. and the best three there
+  place-rsus pareto --max 8                        what each further unit buys
+  place-rsus retrofit --layout carlancap-12        remove, re-aim or add
+  place-rsus sheet --layout results/latest/layout.json --out mounting.pdf
+  place-rsus verify results/latest                 check a certificate
+  place-rsus doctor                                what is installed here
+  place-rsus export --layout results/latest/layout.json --format carla
+
+Exit codes: 0 done, 1 `verify`, `scene check` or `doctor` found a fault, 2 the input is wrong or
+cannot be met (one line says what), 130 interrupted, 143 terminated.""",
+)
+@click.version_option(package_name="place-rsus")
+@option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=DEFAULT_OUT,
+    show_default=True,
+    help="Folder for report, layout, tables and figures; earlier results there are replaced.",
+)
+@recording_options
+@question_options(*PLANNED, *JUDGED)
+@json_option
+@quiet_option
+@compute_options(has_cache=True)
+@click.pass_context
+def cli(
+    context: click.Context,
+    *,
+    recording: Path | None,
+    min_confidence: float,
+    question: Question,
+    out: Path,
+    as_json: bool,
+    quiet: bool,
+    compute: Any,
+) -> None:
+    """Where to mount roadside cameras so that pedestrians and cyclists are not hit.
+
+    Finds the best layout for the junction of the CarlaNCAP study, proves that it is, evaluates it
+    by full perception and emergency braking, compares it with the study's 12 cameras, and writes
+    a report.
+    """
+    if context.invoked_subcommand is not None:
+        given = [
+            option_name(param) for param in context.command.params if is_given(str(param.name))
+        ]
+        if given:
+            raise click.UsageError(
+                f"{given[0]}: options of {context.invoked_subcommand} go behind its name"
+            )
+        return
+    if question.budget is None and question.budget_cost is None and not question.target:
+        raise click.UsageError(
+            "--budget: got nothing; expected a whole number of units, at least 1 (or --target, or "
+            "--budget-cost)"
+        )
+    progress: StageProgress = context.obj
+    check_recording_options(recording)
+    if recording is not None:
+        progress.start(quiet=quiet)
+        from ..jobs import recording as recording_job
+
+        folder = out if is_given("out") else None
+        summary = recording_job.run_recorded_placement(
+            question,
+            folder=recording,
+            min_confidence=min_confidence,
+            out=folder,
+            progress=progress,
+        )
+        print_result(summary, progress, as_json, lambda: recorded_placement_table(summary, folder))
+        return
+    begin(progress, quiet=quiet)
+    from ..jobs import placement
+
+    summary = placement.run_placement(
+        question, out=out, **compute, command=command_line(), progress=progress
+    )
+    print_result(
+        summary,
+        progress,
+        as_json,
+        lambda: with_additions(summary, placement_table(summary, out)),
+    )
