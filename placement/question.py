@@ -96,9 +96,7 @@ class Question:
     ] = ""
     least: Annotated[
         Literal["units", "cost"],
-        Option(
-            section=ASKED, help="What --target is reached with the least of.", is_common=True
-        ),
+        Option(section=ASKED, help="What --target is reached with the least of.", is_common=True),
     ] = "units"
     min_case_apr: Annotated[
         Annotated[float, _share("a share of the runs")],
@@ -479,7 +477,7 @@ def load_answers(path: Path) -> dict[str, Any]:
             raise InputError(str(path), key, "one of " + ", ".join(known))
         field = known[key]
         if field.kind is str and isinstance(value, int | float) and not isinstance(value, bool):
-            value = f"{value:g}"  # noqa: PLW2901 - such as target = 0.99
+            value = f"{value:g}"
         answers[field.name] = read_table(value, field.kind, f"{path}: {key}")
     return answers
 

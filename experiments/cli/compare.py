@@ -1,13 +1,16 @@
 """``place-rsus compare``: any number of layouts on the same runs."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
+from msgspec import UNSET
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
+from .evaluate import TOGETHER, additions, apr_lines, as_result, written
 from .options import (
     JUDGED,
     SectionedCommand,
@@ -18,6 +21,10 @@ from .options import (
     quiet_option,
 )
 from .running import begin, command_line, print_result
+from .terminal import sentences
+
+if TYPE_CHECKING:
+    from ..results.result import Result
 
 
 @click.command(
@@ -51,7 +58,7 @@ def compare(
     question: Question,
     as_json: bool,
     quiet: bool,
-    compute: Any,
+    compute: Compute,
 ) -> None:
     """Compare layouts on the same runs: the first against each of the others.
 
@@ -75,10 +82,33 @@ def compare(
         uncertainty=question.uncertainty,
         no_look=question.no_look,
         out=out,
-        **compute,
+        compute=compute,
         command=command_line(),
         progress=progress,
     )
-    print_result(
-        summary, progress, as_json, lambda: with_additions(summary, comparison_table(summary, out))
-    )
+    print_result(summary, progress, as_json, lambda: comparison_text(as_result(summary), out))
+
+
+def comparison_text(result: "Result", out: Path | None) -> str:
+    """Layouts' results side by side, and the runs in which the first differs from each other."""
+    assert result.compared is not UNSET
+    parties = {}
+    for name, evaluation in (
+        (result.name, result.evaluation),
+        *((other.name, other.evaluation) for other in result.compared),
+    ):
+        parties[name] = evaluation.rsu_all
+        parties[f"{name} and VUT"] = evaluation.vut_and_rsus
+    names = ", ".join(other.name for other in result.compared)
+    lines = [
+        *additions(result),
+        *sentences(f"{result.name} against {names} on {result.runs} runs:"),
+        *apr_lines(parties | {"VUT alone": result.evaluation.vut}),
+        *sentences(f"each layout's units are {TOGETHER}.", indent=2),
+    ]
+    for other in result.compared:
+        over = f" over {other.name}" if len(result.compared) > 1 else ""
+        for words, runs in (("gained", other.runs_gained), ("lost", other.runs_lost)):
+            head = f"runs {words}{over}:".ljust(len(f"runs gained{over}: "))
+            lines += sentences(", ".join(runs) or "none", head=head, indent=2, hanging=len(head))
+    return "\n".join([*lines, *written(out)])

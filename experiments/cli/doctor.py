@@ -3,7 +3,6 @@
 import os
 import platform
 import sys
-import textwrap
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import click
 
 from .options import cache_folder, json_option
+from .terminal import WIDTH, sentences
 
 _EXIT_FAILED = 1
 # Import name of what an extra brings; extra; what is not there without it.
@@ -42,6 +42,9 @@ def examine(cache_folder: Path) -> dict[str, Any]:
         "milp_solvers": [..], "cache": {"folder", "files", "bytes", "is_writable"}, "is_well"}``.
         Well: everything that is not an extra is there, and the cache can be written.
     """
+    from geometry.raycast import caster_name, open3d_problem
+    from placement.optimiser.milp import installed_solvers
+
     libraries = {name: _version(name) for name in _LIBRARIES}
     cache = _examine_cache(cache_folder)
     return {
@@ -66,13 +69,14 @@ def doctor_text(summary: dict[str, Any]) -> str:
     lines = [
         f"place-rsus {summary['version'] or '(not installed)'}, Python {summary['python']}, "
         f"{summary['processors']} processors",
-        f"  {summary['platform']}"[:80],
+        f"  {summary['platform']}"[:WIDTH],
         "",
         f"rays are cast by {summary['rays']['by']}",
     ]
     if summary["rays"]["problem"]:
-        lines += _wrapped(summary["rays"]["problem"])
-        lines += _wrapped("embreex casts the same rays: nothing is lost")
+        lines += sentences(
+            summary["rays"]["problem"], "embreex casts the same rays: nothing is lost", indent=2
+        )
     lines += ["", "libraries:"]
     lines += [
         f"  {name:<22} {found or 'MISSING: place-rsus does not work without it'}"
@@ -84,14 +88,13 @@ def doctor_text(summary: dict[str, Any]) -> str:
             lines.append(f"  {entry['package']:<22} {entry['version']}")
         else:
             lines.append(f"  {entry['package']:<22} not installed (place-rsus[{entry['extra']}])")
-            lines += _wrapped(f"without it: no {entry['without']}", indent="    ")
+            lines += sentences(f"without it: no {entry['without']}", indent=4)
     lines += ["", "mixed-integer solvers: " + ", ".join(summary["milp_solvers"])]
     cache = summary["cache"]
     state = "" if cache["is_writable"] else "; it cannot be written to: tables are made anew"
-    lines += _wrapped(
+    lines += sentences(
         f"detection tables: {cache['files']} in {cache['folder']}, "
-        f"{cache['bytes'] / 2**20:,.0f} MiB{state}",
-        indent="",
+        f"{cache['bytes'] / 2**20:,.0f} MiB{state}"
     )
     return "\n".join(lines)
 
@@ -114,10 +117,6 @@ def _examine_cache(folder: Path) -> dict[str, Any]:
         "bytes": sum(path.stat().st_size for path in tables),
         "is_writable": existing.is_dir() and os.access(existing, os.W_OK),
     }
-
-
-def _wrapped(text: str, indent: str = "  ") -> list[str]:
-    return textwrap.wrap(text, 80, initial_indent=indent, subsequent_indent=indent)
 
 
 @click.command(

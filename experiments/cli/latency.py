@@ -1,10 +1,10 @@
 """``place-rsus latency``: what a layout prevents, however long it takes from sight to braking."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
@@ -74,7 +74,7 @@ def latency(
     question: Question,
     as_json: bool,
     quiet: bool,
-    compute: Any,
+    compute: Compute,
 ) -> None:
     """How much latency a layout bears: accidents prevented against the time to braking.
 
@@ -93,7 +93,7 @@ def latency(
         vut_latency_s=vut_latency_s,
         max_latency_s=max_latency_s,
         out=out,
-        **compute,
+        compute=compute,
         progress=progress,
     )
     print_result(summary, progress, as_json, lambda: latency_text(summary, out))

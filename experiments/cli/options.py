@@ -13,6 +13,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 from msgspec import Meta
 
+from placement.compute import Compute
 from placement.question import (
     ASKED,
     BASELINE_NAME,
@@ -213,9 +214,7 @@ def question_options(
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
-        def with_question(
-            *args: Any, save_question_to: Path | None = None, **values: Any
-        ) -> Any:
+        def with_question(*args: Any, save_question_to: Path | None = None, **values: Any) -> Any:
             question = Question(**{name: values.pop(name) for name in known if name in values})
             if save_question_to is not None:
                 save_question(save_question_to, question)
@@ -361,9 +360,12 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
         def with_compute(
             *args: Any, seed: int, workers: int, uses_cache: bool = False, **values: Any
         ) -> Any:
-            compute: dict[str, Any] = {"seed": seed, "workers": workers}
-            if has_cache:
-                compute["cache_folder"] = cache_folder() if uses_cache else None
+            compute = Compute(
+                seed=seed,
+                workers=workers,
+                cache_folder=cache_folder() if uses_cache else None,
+                progress=click.get_current_context().find_root().obj,
+            )
             return command(*args, compute=compute, **values)
 
         cache = [_cache_option] if has_cache else []
@@ -406,9 +408,7 @@ def _write_sections(
     command: click.Command, ctx: click.Context, formatter: click.HelpFormatter
 ) -> None:
     shows_all = ctx.meta.get(_show_all.__qualname__, False)
-    sections: dict[str, list[tuple[str, str]]] = {
-        title: [] for title in ("", *SECTIONS, PROGRAM)
-    }
+    sections: dict[str, list[tuple[str, str]]] = {title: [] for title in ("", *SECTIONS, PROGRAM)}
     for param in command.get_params(ctx):
         record = param.get_help_record(ctx)
         if record is not None and (shows_all or getattr(param, "is_common", True)):

@@ -1,10 +1,10 @@
 """``place-rsus pareto``: what each further unit, or more money, buys."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
@@ -66,9 +66,7 @@ Examples:
     type=click.Path(path_type=Path),
     help="Folder for pareto.csv, pareto.json and pareto.png; else none.",
 )
-@question_options(
-    *_ASKED, *FRONT_SOUGHT, *JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S}
-)
+@question_options(*_ASKED, *FRONT_SOUGHT, *JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S})
 @json_option
 @quiet_option
 @compute_options(has_cache=True)
@@ -83,7 +81,7 @@ def pareto(
     question: Question,
     as_json: bool,
     quiet: bool,
-    compute: Any,
+    compute: Compute,
 ) -> None:
     """What each further unit, or more money, buys: the best layouts, each with its proof.
 
@@ -99,7 +97,7 @@ def pareto(
         max_units=max_units,
         all_stages=all_stages,
         out=out,
-        **compute,
+        compute=compute,
         command=command_line(),
         progress=progress,
     )

@@ -1,13 +1,26 @@
 """``place-rsus``: the best layout, proven, evaluated, compared with the study's, reported."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
+from msgspec import UNSET
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
+from ..results.numbers import percent
+from .evaluate import (
+    TOGETHER,
+    additions,
+    announced,
+    apr_lines,
+    as_result,
+    cost_line,
+    unit_lines,
+)
 from .options import (
     JUDGED,
     PLANNED,
@@ -22,8 +35,15 @@ from .options import (
 )
 from .recording import check_recording_options, recorded_placement_table, recording_options
 from .running import begin, command_line, print_result
+from .terminal import sentences, table
+
+if TYPE_CHECKING:
+    from ..results.result import DisagreementRecord, Result
+
+_MAX_DISAGREEMENTS = 5
 
 DEFAULT_OUT = Path("results/latest")
+
 
 @click.group(
     cls=SectionedGroup,
@@ -79,7 +99,7 @@ def cli(
     out: Path,
     as_json: bool,
     quiet: bool,
-    compute: Any,
+    compute: Compute,
 ) -> None:
     """Where to mount roadside cameras so that pedestrians and cyclists are not hit.
 
@@ -121,11 +141,86 @@ def cli(
     from ..jobs import placement
 
     summary = placement.run_placement(
-        question, out=out, **compute, command=command_line(), progress=progress
+        question, out=out, compute=compute, command=command_line(), progress=progress
     )
-    print_result(
-        summary,
-        progress,
-        as_json,
-        lambda: with_additions(summary, placement_table(summary, out)),
-    )
+    print_result(summary, progress, as_json, lambda: placement_text(as_result(summary), out))
+
+
+def placement_text(result: "Result", out: Path) -> str:
+    """The main job's result: units, proof, APR of all parties."""
+    evaluation, baseline = result.evaluation, result.baseline
+    assert result.stages is not UNSET
+    assert result.greedy is not UNSET
+    assert result.disagreements is not UNSET
+    stages = [
+        [
+            _OBJECTIVES[stage.name][0],
+            _value(stage.name, stage.objective),
+            _value(stage.name, stage.bound),
+            "proven" if stage.gap == 0.0 else _gap(stage.gap),
+        ]
+        for stage in result.stages
+    ]
+    parties = {
+        "these, fused": evaluation.rsu_all,
+        "with the VUT": evaluation.vut_and_rsus,
+        "VUT alone": evaluation.vut,
+        "greedy, fused": result.greedy.rsu_all,
+    }
+    if baseline is not None:
+        parties[f"{result.baseline_name} fused"] = baseline.rsu_all
+    lines = [
+        *additions(result),
+        f"Best {len(result.layout)} of {result.candidates} poses on {result.runs} runs "
+        f"(fusion {result.fusion}):",
+        *unit_lines(result.layout),
+        cost_line(result),
+        "",
+        *table(["on the detection table", "found", "bound", "gap"], stages),
+        "",
+        "Evaluated by full perception and emergency braking:",
+        *apr_lines(parties | announced(evaluation)),
+        *sentences(f"{TOGETHER}; greedy: units chosen one by one.", indent=2),
+        "",
+        f"Table and evaluator disagree on {percent(result.surrogate_disagreement)} of the runs.",
+        *_disagreements(result.disagreements),
+        f"Written to {out}: report.html and more.",
+    ]
+    return "\n".join(lines)
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.3f} s"
+
+
+_OBJECTIVES: dict[str, tuple[str, Callable[[float], str]]] = {
+    "units": ("units", "{:.0f}".format),
+    "apr_survived": ("if the worst ones fail", percent),
+    "apr": ("accidents prevented", percent),
+    "apr_one_failed": ("if the worst one fails", percent),
+    "smallest_margin_s": ("smallest margin", _seconds),
+    "mean_margin_s": ("mean margin", _seconds),
+    "cost_eur": ("cost, EUR", "{:,.0f}".format),
+}
+
+
+def _value(objective: str, value: float | None) -> str:
+    return "open" if value is None else _OBJECTIVES[objective][1](value)
+
+
+def _gap(gap: float | None) -> str:
+    return "open" if gap is None else f"{100.0 * gap:.2f} %"
+
+
+def _disagreements(disagreements: "Sequence[DisagreementRecord]") -> list[str]:
+    """One entry per unit and run that they see differently, the first few."""
+    lines = []
+    for entry in disagreements[:_MAX_DISAGREEMENTS]:
+        verdict = "table avoids" if entry.on_table else "evaluator avoids"
+        lines += sentences(
+            f"{entry.party} in {entry.run_id}: only the {verdict}; {entry.cause}",
+            indent=2,
+            hanging=2,
+        )
+    n_left = len(disagreements) - _MAX_DISAGREEMENTS
+    return lines + ([f"  and {n_left} more in summary.json"] if n_left > 0 else [])

@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from placement.compute import Compute
+
 from ..progress import StageProgress
 from .options import (
     SectionedCommand,
@@ -54,9 +56,7 @@ Examples:
     metavar="UNIT",
     help="One of the layout's, VUT or VUT-LIDAR.",
 )
-@option(
-    "--weather", metavar="WEATHER", help="day, night, rain or fog; default: that of the run."
-)
+@option("--weather", metavar="WEATHER", help="day, night, rain or fog; default: that of the run.")
 @option(
     "--out",
     type=click.Path(path_type=Path),
@@ -78,7 +78,7 @@ def render(
     out: Path | None,
     scene: str,
     quiet: bool,
-    compute: Any,
+    compute: Compute,
 ) -> None:
     """Render what a camera sees in one frame (colours, instances, depths), or scan by LiDAR."""
     layout = load_one_layout(layout_names)
@@ -98,7 +98,7 @@ def render(
     path = out or _default_path(run, unit_id, frame_index, suffix)
     render.check_path(path, viewpoint.sensor)
     progress("render", 0, 0)
-    seen = render.render(around, run, frame_index, viewpoint, **compute)
+    seen = render.render(around, run, frame_index, viewpoint, compute=compute)
     try:
         if out is None:
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,10 +1,10 @@
 """``place-rsus retrofit``: what to remove, re-aim or add where units hang already."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
@@ -51,9 +51,7 @@ Examples:
     type=click.Path(path_type=Path),
     help="Folder for retrofit.csv and retrofit.json; else none.",
 )
-@question_options(
-    *_ASKED, *FRONT_SOUGHT, *JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S}
-)
+@question_options(*_ASKED, *FRONT_SOUGHT, *JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S})
 @json_option
 @quiet_option
 @compute_options(has_cache=True)
@@ -67,7 +65,7 @@ def retrofit(
     question: Question,
     as_json: bool,
     quiet: bool,
-    compute: Any,
+    compute: Compute,
 ) -> None:
     """What to change about units that hang already: remove, re-aim or add one, each priced.
 
@@ -83,7 +81,7 @@ def retrofit(
         layout=layout,
         visit_eur=visit_eur,
         out=out,
-        **compute,
+        compute=compute,
         command=command_line(),
         progress=progress,
     )

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import click
 from placement.question import Question
 
 from ..progress import StageProgress
+from ..results.numbers import several
 from .options import (
     ONLY_DRIVEN,
     SectionedCommand,
@@ -75,26 +77,31 @@ def list_rows(drives: "Drives") -> list[dict[str, Any]]:
 
 
 def scenario_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The rows as a table, at most 80 columns wide."""
-    lines = [f"{'case':<13} {'from':<11} {'km/h':<8} {'runs':>4}  last moment to brake (s)"]
-    previous = ""
+    """The rows as a table; below it what is not driven, and why."""
+    cells = [
+        [
+            entry["case"],
+            entry["approach"],
+            _span(entry["speeds_kmh"], "g"),
+            str(entry["n_runs"]),
+            _last_moments(entry),
+        ]
+        for entry in rows
+    ]
+    for row, (before, after) in enumerate(pairwise(rows), start=1):
+        if before["case"] == after["case"]:  # each is named once
+            cells[row][0] = ""
+    heads = ["case", "from", "km/h", "runs", "last moment to brake (s)"]
+    lines = table(heads, cells, n_left=3, indent=0)
     for entry in rows:
-        case = entry["case"] if entry["case"] != previous else ""
-        previous = entry["case"]
-        lines.append(
-            f"{case:<13} {entry['approach']:<11} {_span(entry['speeds_kmh'], 'g'):<8} "
-            f"{entry['n_runs']:>4}  {_last_moments(entry)}".rstrip()
-        )
         if entry["reason"] is not None:
-            lines += textwrap.wrap(
-                f"not driven: {entry['reason']}",
-                _WIDTH,
-                initial_indent=" " * 14,
-                subsequent_indent=" " * 16,
+            lines += sentences(
+                f"{entry['case']} from {entry['approach']} not driven: {entry['reason']}",
+                hanging=2,
             )
     n_runs = sum(entry["n_runs"] for entry in rows)
     n_cases = len({entry["case"] for entry in rows})
-    lines.append(f"{n_runs} runs of {n_cases} case" + ("s" if n_cases != 1 else ""))
+    lines.append(f"{n_runs} runs of {several(n_cases, 'case', 'cases')}")
     return "\n".join(lines)
 
 
@@ -184,12 +191,7 @@ def show(progress: StageProgress, *, question: Question, out: Path | None, quiet
     progress("draw", 0, 0)
     _write(
         path,
-        lambda: save_film(
-            path,
-            scene,
-            run,
-            on_progress=lambda done, total: progress("draw", done, total),
-        ),
+        lambda: save_film(path, scene, run, progress=progress),
         makes_folder=out is None,
     )
     progress.stop()

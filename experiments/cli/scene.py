@@ -77,8 +77,8 @@ def _reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         reading["keeps_left"] = None if traffic is None else traffic == "left"
         return command(*args, reading=reading, **values)
 
-    for option in reversed(_READING_OPTIONS):
-        with_reading = option(with_reading)
+    for add in reversed(_READING_OPTIONS):
+        with_reading = add(with_reading)
     return with_reading
 
 
@@ -130,9 +130,7 @@ Examples:
     help="map: its lamps, signals and poles; kerb:15: every 15 m along the kerbs; a CSV or GeoJSON "
     "file; auto: map, and where it has none kerb:15.",
 )
-@option(
-    "--ground", "ground_m", type=float, help="Height of the road in city models and meshes."
-)
+@option("--ground", "ground_m", type=float, help="Height of the road in city models and meshes.")
 @option("--name", default="", metavar="NAME", help="Of the scene.")
 @option(
     "--bbox",
@@ -141,9 +139,7 @@ Examples:
     help="Fetch OpenStreetMap there instead of a file (extra: online).",
 )
 @_reading_options
-@option(
-    "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file."
-)
+@option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file.")
 @json_option
 @quiet_option
 @click.pass_obj

@@ -1,10 +1,10 @@
 """``place-rsus sheet``: the mounting sheet of a layout."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
+from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
@@ -43,7 +43,7 @@ def sheet(
     question: Question,
     as_json: bool,
     quiet: bool,
-    compute: Any,
+    compute: Compute,
 ) -> None:
     """Write a PDF for whoever mounts the units: a page each.
 
@@ -54,5 +54,5 @@ def sheet(
     begin(progress, quiet=quiet)
     from ..jobs.sheet import run_sheet, sheet_text
 
-    summary = run_sheet(question, layout=layout, out=out, **compute, progress=progress)
+    summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)
     print_result(summary, progress, as_json, lambda: sheet_text(summary))

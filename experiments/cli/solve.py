@@ -1,7 +1,6 @@
 """``place-rsus solve``: covering instances from files, solved and proven."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -9,7 +8,11 @@ from ..progress import StageProgress
 from .options import SectionedCommand, is_given, json_option, option, quiet_option
 from .running import print_result, unwritable
 
-_QUESTIONS = {"budget_units": "--budget", "budget_cost": "--budget-cost", "target": "--target"}
+_QUESTIONS = {
+    "budget_units": "--budget",
+    "budget_cost": "--budget-cost",
+    "target": "--target",
+}
 
 
 def _target(text: str) -> float | None:
@@ -166,8 +169,7 @@ def solve(
 
 
 def _check_one_question() -> None:
-    given = [option for name, option in _QUESTIONS.items() if is_given(name)]
+    given = [words for name, words in _QUESTIONS.items() if is_given(name)]
     if len(given) > 1:
-        raise click.UsageError(
-            f"{given[1]}: got it beside {given[0]}; expected one of {', '.join(_QUESTIONS.values())}"
-        )
+        known = ", ".join(_QUESTIONS.values())
+        raise click.UsageError(f"{given[1]}: got it beside {given[0]}; expected one of {known}")

@@ -6,8 +6,8 @@ from io import StringIO
 
 WIDTH = 80
 """Columns of a terminal; nothing is wider."""
-_HEAD_WIDTH, _WIDEST_WORD = 12, 20
 _GAP = 2
+_HEAD_WIDTHS, _WIDEST_WORD = (12, 10, 8), 20
 
 
 def sentences(*texts: str, indent: int = 0, hanging: int = 0, head: str = "") -> list[str]:
@@ -91,25 +91,31 @@ def wide_table(head: str, rows: Sequence[str], columns: Mapping[str, Sequence[st
         Cells by head; a head of several words stands on several lines.
     """
     first = max(map(len, (head, *rows)))
-    widths = {name: _column_width(name, cells) for name, cells in columns.items()}
-    blocks: list[list[str]] = [[]]
-    left = WIDTH - 2 - first
-    for name, width in widths.items():
-        if width + _GAP > left and blocks[-1]:
-            blocks.append([])
-            left = WIDTH - 2 - first
-        blocks[-1].append(name)
-        left -= width + _GAP
+    # The widest columns among those that need the fewest blocks.
+    blocks = min((_in_blocks(columns, first, widest) for widest in _HEAD_WIDTHS), key=len)
     lines: list[str] = []
-    for block in blocks:
-        cells = zip(rows, *(columns[name] for name in block), strict=True)
+    for widths in blocks:
+        cells = zip(rows, *(columns[name] for name in widths), strict=True)
         lines += [""] if lines else []
-        lines += table([head, *block], cells, widths=[first, *(widths[name] for name in block)])
+        lines += table([head, *widths], cells, widths=[first, *widths.values()])
     return lines
 
 
-def _column_width(head: str, cells: Sequence[str]) -> int:
-    longest_word = max(map(len, head.split()), default=0)
-    return max(
-        *map(len, cells), min(longest_word, _WIDEST_WORD), min(len(head), _HEAD_WIDTH)
-    )
+def _in_blocks(
+    columns: Mapping[str, Sequence[str]], first: int, widest: int
+) -> list[dict[str, int]]:
+    """Widths of the columns that fit side by side, block by block.
+
+    Heads may be as wide as `widest`, and any word as wide as 20.
+    """
+    blocks: list[dict[str, int]] = []
+    left = 0
+    for head, cells in columns.items():
+        longest_word = max(map(len, head.split()), default=0)
+        width = max(*map(len, cells), min(longest_word, _WIDEST_WORD), min(len(head), widest))
+        if width + _GAP > left:
+            blocks.append({})
+            left = WIDTH - 2 - first
+        blocks[-1][head] = width
+        left -= width + _GAP
+    return blocks

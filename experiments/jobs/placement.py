@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from geometry.scene_folders import find_scene
-from placement.evaluation import Evaluation, apr
+from placement.compute import Compute
+from placement.evaluation import apr
 from placement.evaluator import evaluate_layouts
 from placement.explain.sensitivity import find_sensitivity
 from placement.layout import Layout, check_layout
@@ -48,9 +49,7 @@ def run_placement(
     question: Question,
     *,
     out: Path,
-    seed: int,
-    workers: int,
-    cache_folder: Path | None,
+    compute: Compute,
     command: str,
     progress: StageProgress,
 ) -> dict[str, Any]:
@@ -78,7 +77,8 @@ def run_placement(
         uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
 
     def report(stage: str, done: int, total: int) -> None:
-        if stage == "optimise" and cache_folder is not None and any(cache_folder.glob("table-*")):
+        cache = compute.cache_folder
+        if stage == "optimise" and cache is not None and any(cache.glob("table-*")):
             progress.kept += "; the detection table is kept for the next call"
         progress(stage, done, total)
 
@@ -90,10 +90,7 @@ def run_placement(
         effort=plan.effort,
         uncertainty=uncertainty,
         n_samples=question.samples,
-        seed=seed,
-        workers=workers,
-        cache_folder=cache_folder,
-        on_progress=report,
+        compute=replace(compute, progress=report),
     )
     refinement = None
     if question.refine:
@@ -102,8 +99,8 @@ def run_placement(
             placement,
             plan.candidates,
             solver=plan.effort,
-            seed=seed,
-            workers=workers,
+            seed=compute.seed,
+            workers=compute.workers,
             on_progress=report,
         )
         placement = refinement.placement
@@ -115,11 +112,11 @@ def run_placement(
         poses,
         n_pool=question.pool,
         tolerance=question.pool_tolerance,
-        seed=seed,
+        compute=compute,
     )
     front = _front_below(placement, plan, progress)
     layouts = [placement.layout, placement.greedy, *([] if study is None else [study])]
-    found, greedy, *others = _evaluate(layouts, setting, seed, workers, progress)
+    found, greedy, *others = evaluate_layouts(layouts, setting, compute=compute)
     baseline = others[0] if others else None
     summary = summarise_placement(placement, setting, found=found, greedy=greedy, baseline=baseline)
     summary |= summarise_drives(setting)
@@ -128,9 +125,7 @@ def run_placement(
         summary["front"] = summarise_front(
             front, placement.problem, poses, n_kept=len(plan.wishes.kept)
         )
-    summary["sensitivity"] = _what_if(
-        setting, placement.layout, seed, workers, progress, fusion=question.fusion
-    )
+    summary["sensitivity"] = _what_if(setting, placement.layout, compute, fusion=question.fusion)
     if plan.private is not None:
         units = placement.layout.units
         summary["private_ground"] = summarise_private_ground(
@@ -145,16 +140,14 @@ def run_placement(
             layouts,
             uncertainty,
             n_samples=max(question.samples, MIN_FRESH_WORLDS),
-            seed=seed,
             fusion=question.fusion,
-            workers=workers,
-            on_progress=progress,
+            compute=compute,
         )
         summary["sampled"] = summarise_uncertainty(
             judged,
             uncertainty,
             tail=plan.wishes.tail,
-            seed=seed,
+            seed=compute.seed,
             planned_apr={
                 item.layout.name: apr(item.rsu_all, item.axis) for item in (found, greedy, *others)
             },
@@ -198,24 +191,10 @@ def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> F
 
 
 def _what_if(
-    setting: Setting,
-    layout: Layout,
-    seed: int,
-    workers: int,
-    progress: StageProgress,
-    *,
-    fusion: str = "any",
+    setting: Setting, layout: Layout, compute: Compute, *, fusion: str = "any"
 ) -> dict[str, Any]:
     """What becomes of a layout if an assumption is wrong."""
-    progress("what if", 0, 0)
-    found = find_sensitivity(
-        setting,
-        layout,
-        fusion=cast(Fusion, fusion),
-        seed=seed,
-        workers=workers,
-        on_progress=lambda done, total: progress("what if", done, total),
-    )
+    found = find_sensitivity(setting, layout, fusion=cast(Fusion, fusion), compute=compute)
     return summarise_sensitivity(found)
 
 
@@ -225,8 +204,7 @@ def run_evaluation(
     layout: Layout,
     no_look: str = "",
     out: Path | None,
-    seed: int,
-    workers: int,
+    compute: Compute,
     command: str,
     progress: StageProgress,
 ) -> dict[str, Any]:
@@ -247,8 +225,7 @@ def run_evaluation(
         [layout],
         no_look=no_look,
         out=out,
-        seed=seed,
-        workers=workers,
+        compute=compute,
         command=command,
         progress=progress,
     )
@@ -262,8 +239,7 @@ def run_comparison(
     uncertainty: str = "default",
     no_look: str = "",
     out: Path | None,
-    seed: int,
-    workers: int,
+    compute: Compute,
     command: str,
     progress: StageProgress,
 ) -> dict[str, Any]:
@@ -289,8 +265,7 @@ def run_comparison(
         uncertainty=uncertainty,
         no_look=no_look,
         out=out,
-        seed=seed,
-        workers=workers,
+        compute=compute,
         command=command,
         progress=progress,
     )
@@ -304,8 +279,7 @@ def _judge(
     uncertainty: str = "default",
     no_look: str = "",
     out: Path | None,
-    seed: int,
-    workers: int,
+    compute: Compute,
     command: str,
     progress: StageProgress,
 ) -> dict[str, Any]:
@@ -320,7 +294,7 @@ def _judge(
     for layout in layouts:
         check_layout(layout, setting.scene)
     private = load_private_ground(Path(no_look), setting.scene) if no_look else None
-    verdicts = _evaluate(layouts, setting, seed, workers, progress)
+    verdicts = evaluate_layouts(layouts, setting, compute=compute)
     if len(verdicts) == 1:
         summary = summarise_layout(verdicts[0], setting.rule)
     else:
@@ -342,19 +316,17 @@ def _judge(
             layouts,
             drawn,
             n_samples=samples,
-            seed=seed,
-            workers=workers,
-            on_progress=progress,
+            compute=compute,
         )
         planned = {item.layout.name: apr(item.rsu_all, item.axis) for item in verdicts}
         summary["sampled"] = summarise_uncertainty(
-            judged, drawn, tail=1.0, seed=seed, planned_apr=planned
+            judged, drawn, tail=1.0, seed=compute.seed, planned_apr=planned
         )
         sampled_figure = plot_sampled_apr(judged)
     if out is None:
         summary["seconds"] = progress.finish()
         return summary
-    summary["sensitivity"] = _what_if(setting, layouts[0], seed, workers, progress)
+    summary["sensitivity"] = _what_if(setting, layouts[0], compute)
     write_results(
         out,
         summary,
@@ -377,20 +349,3 @@ def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
         taken.add(name)
         named.append(replace(layout, name=name))
     return named
-
-
-def _evaluate(
-    layouts: Sequence[Layout],
-    setting: Setting,
-    seed: int,
-    workers: int,
-    progress: StageProgress,
-) -> list[Evaluation]:
-    progress("evaluate", 0, 0)
-    return evaluate_layouts(
-        layouts,
-        setting,
-        seed=seed,
-        workers=workers,
-        on_progress=lambda done, total: progress("evaluate", done, total),
-    )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from placement.candidates import CandidatePose
+from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain import (
     Contribution,
     Pool,
@@ -506,7 +507,7 @@ def summarise_explanations(
     *,
     n_pool: int = 0,
     tolerance: float = 0.0,
-    seed: int = 0,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> dict[str, Any]:
     """What a placement rests on.
 
@@ -522,8 +523,8 @@ def summarise_explanations(
         How many other layouts to list; 0: none are looked for.
     tolerance : float
         See :func:`placement.explain.find_pool`.
-    seed : int
-        Of the points on the VRUs: that of the table.
+    compute : Compute
+        With the seed of the table.
 
     Returns
     -------
@@ -547,14 +548,14 @@ def summarise_explanations(
     }
     contributions = find_contributions(problem, chosen)
     if placement.nominal is problem:
-        missed = find_unavoided(setting, problem, candidates, chosen, seed=seed)
+        missed = find_unavoided(setting, problem, candidates, chosen, compute=compute)
     else:
         missed = find_unavoided(
             setting,
             placement.nominal,
             [candidates[pose] for pose in chosen],
             placement.nominal_index,
-            seed=seed,
+            compute=compute,
         )
     pool = None
     if n_pool:

@@ -9,18 +9,20 @@ from experiments.jobs import placement
 from experiments.progress import StageProgress
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
+from placement.compute import Compute
 from placement.layout import Layout, load_layout
 from placement.question import Question
 
 
 def place(out, **options):
+    progress = options.get("progress", StageProgress())
     given = {
         "out": out,
-        "seed": 0,
-        "workers": 2,
-        "cache_folder": None,
+        "compute": Compute(
+            workers=2, cache_folder=options.pop("cache_folder", None), progress=progress
+        ),
         "command": "place-rsus --budget 1 <&>",
-        "progress": StageProgress(),
+        "progress": progress,
     }
     asked = {"budget": 1, "time_limit_s": 60.0}
     names = {field.name for field in fields(Question)} & set(options)
@@ -30,14 +32,14 @@ def place(out, **options):
 
 
 def evaluate(layout, out=None):
+    progress = StageProgress()
     return placement.run_evaluation(
         Question(),
         layout=layout,
         out=out,
-        seed=0,
-        workers=2,
+        compute=Compute(workers=2, progress=progress),
         command="place-rsus",
-        progress=StageProgress(),
+        progress=progress,
     )
 
 
@@ -172,8 +174,7 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
         Question(),
         layouts=[named("twin", 2), named("twin", 1), named("other", 3)],
         out=tmp_path / "out",
-        seed=0,
-        workers=2,
+        compute=Compute(workers=2),
         command="place-rsus",
         progress=StageProgress(),
     )
@@ -195,8 +196,7 @@ def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(small_study, tmp_pat
         layouts=[named("two", 2), named("one", 1)],
         samples=3,
         out=tmp_path / "out",
-        seed=0,
-        workers=2,
+        compute=Compute(workers=2),
         command="place-rsus",
         progress=StageProgress(),
     )

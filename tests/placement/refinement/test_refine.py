@@ -6,6 +6,7 @@ import pytest
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError
 from placement.candidates import CandidateGrid, build_candidates
+from placement.compute import Compute
 from placement.layout import check_layout, layout_from_records, layout_records
 from placement.optimiser import is_feasible, placement_value
 from placement.pipeline import place
@@ -53,7 +54,7 @@ def placements(meadow, meadow_grid, tmp_path_factory):
                 candidates,
                 wishes=wishes,
                 fusion="single" if name == "alone" else "any",
-                cache_folder=cache,
+                compute=Compute(cache_folder=cache),
             ),
         )
         for name, wishes in questions.items()
