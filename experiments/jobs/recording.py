@@ -37,12 +37,12 @@ from placement.setting import build_rule
 from placement.verification.certificates import build_certificate, save_certificate
 from scenarios.aeb import AebRule
 
-from ..cli.tables import ALL_UNITS
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
-from ..results.summary import versions
-from ..results.writing import MARKER, check_result_folder, new_result_folder
+from ..results.drives import versions
+from ..results.reading import MARKER
 from .planning import effort_of
+from .writing import check_result_folder, new_result_folder
 
 
 def run_recording(

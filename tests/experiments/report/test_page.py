@@ -10,8 +10,8 @@ import pytest
 
 from experiments.figures.evaluation import pick_heatmap_runs
 from experiments.report.page import render_report, write_report
+from experiments.results.numbers import percent
 from experiments.results.tables import margin_s
-from experiments.results.text import percent
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.scene_files import load_study_scene
