@@ -43,6 +43,9 @@ from ..results.summary import versions
 from ..results.writing import MARKER, check_result_folder, new_result_folder
 from .planning import effort_of
 
+ALL_UNITS = "RSU_all"
+"""All units of a recording together, in the study's words."""
+
 
 def run_recording(
     question: Question,
