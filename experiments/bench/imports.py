@@ -32,7 +32,7 @@ from placement.pipeline import place
 from placement.question import Question
 from placement.setting import build_setting
 
-from ..figures.evaluation import to_png
+from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan
 from ..jobs.planning import build_plan
 

@@ -43,7 +43,6 @@ def examine(cache_folder: Path) -> dict[str, Any]:
         Well: everything that is not an extra is there, and the cache can be written.
     """
     from geometry.raycast import caster_name, open3d_problem
-    from placement.optimiser.milp import installed_solvers
 
     libraries = {name: _version(name) for name in _LIBRARIES}
     cache = _examine_cache(cache_folder)
@@ -58,7 +57,7 @@ def examine(cache_folder: Path) -> dict[str, Any]:
             {"package": package, "extra": extra, "version": _version(package), "without": without}
             for package, extra, without in _EXTRAS
         ],
-        "milp_solvers": installed_solvers(),
+        "milp_solvers": ["HIGHS"] if libraries["highspy"] else [],
         "cache": cache,
         "is_well": all(libraries.values()) and bool(cache["is_writable"]),
     }

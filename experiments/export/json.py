@@ -9,11 +9,12 @@ import numpy as np
 from geometry.catalogue import own_sensor_record
 from placement.layout import SCHEMA, Layout, layout_records
 
+from ..results.record import Record, to_plain
 from .formats import ExportFormat
 
 
 def to_json_text(document: object) -> str:
-    r"""JSON of plain values; numbers that JSON lacks (NaN, infinite) become null.
+    r"""JSON of records and plain values; numbers that JSON lacks (NaN, infinite) become null.
 
     Examples
     --------
@@ -25,6 +26,8 @@ def to_json_text(document: object) -> str:
 
 
 def _finite(value: object) -> object:
+    if isinstance(value, Record):
+        return _finite(to_plain(value))
     if isinstance(value, Mapping):
         return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -26,12 +26,13 @@ from placement.layout import Layout, check_layout, layout_records
 from placement.question import Question
 from placement.setting import build_setting
 
-from ..figures.evaluation import to_png
+from ..figures.axes import to_png
 from ..figures.latency import plot_latency
 from ..progress import WRITING, StageProgress
+from ..results.drives import build_drives_record, versions
 from ..results.numbers import percent
-from ..results.summary import summarise_drives, versions
-from ..results.writing import check_folder, write_files
+from ..results.record import to_plain
+from .writing import check_folder, write_files
 
 # ---------- what ``place-rsus latency`` does
 
@@ -103,7 +104,7 @@ def run_latency(
     curves = apr_by_latency(evaluation, setting.rule, vut_latency_s=vut_latency_s)
     shown_s = _default_max_s(curves, chosen) if max_latency_s is None else max_latency_s
     summary = summarise_latency(evaluation, curves, chosen, max_latency_s=shown_s)
-    summary |= {"vut_latency_s": vut_latency_s, **summarise_drives(setting)}
+    summary |= {"vut_latency_s": vut_latency_s, **to_plain(build_drives_record(setting))}
     if out is not None:
         progress(WRITING, 0, 0)
         axes, _ = plot_latency(curves, chosen, max_latency_s=shown_s)

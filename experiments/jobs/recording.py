@@ -39,9 +39,10 @@ from scenarios.aeb import AebRule
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
-from ..results.summary import versions
-from ..results.writing import MARKER, check_result_folder, new_result_folder
+from ..results.drives import versions
+from ..results.reading import MARKER
 from .planning import effort_of
+from .writing import check_result_folder, new_result_folder
 
 ALL_UNITS = "RSU_all"
 """All units of a recording together, in the study's words."""

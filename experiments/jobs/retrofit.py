@@ -29,10 +29,11 @@ from placement.wishes import build_problem
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
+from ..results.drives import build_drives_record, versions
 from ..results.numbers import percent
-from ..results.summary import summarise_drives, versions
-from ..results.writing import check_folder, write_files
+from ..results.record import to_plain
 from .planning import build_plan, grid_of
+from .writing import check_folder, write_files
 
 # ---------- what can be done about a layout that hangs, as sentences and as a table for a terminal
 
@@ -292,7 +293,7 @@ def run_retrofit(
         "budget_eur": question.budget_cost,
         "labour": asdict(labour) | {"re_aim_eur": labour.re_aim_eur},
         "command": command,
-        **summarise_drives(setting),
+        **to_plain(build_drives_record(setting)),
     }
     summary["sentences"] = describe_retrofit(summary)
     if out is not None:

@@ -11,7 +11,7 @@ from geometry.scene import Scene
 from placement.ground_coverage import BANDS, GroundCoverage
 from placement.layout import Layout
 
-from ..figures.evaluation import WIDTH_IN, new_axes
+from ..figures.axes import WIDTH_IN, new_axes
 from ..figures.plan import CLASS_STYLES, draw_scene
 from ..results.numbers import percent
 

@@ -1,6 +1,6 @@
 """What each unit sees of private ground, as a table."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.maps.georeferences import transform
 from geometry.maps.gis_files import read_features
 from geometry.scene import Scene
-from placement.candidates import CandidatePose
-from placement.private_ground import PrivateGround, build_private_ground, private_shares
+from placement.private_ground import PrivateGround, build_private_ground
 
 from ..results.numbers import percent
 
@@ -89,36 +88,6 @@ def is_decent(shares: FloatArray, *, most: float) -> BoolArray:
             f"at least {np.ceil(1000.0 * share.min()) / 1000.0:g}, what the most decent pose sees",
         )
     return kept
-
-
-def summarise_private_ground(
-    units: Sequence[CandidatePose],
-    scene: Scene,
-    ground: PrivateGround,
-    *,
-    eur_per_m2: float = 0.0,
-) -> dict[str, Any]:
-    """What units see of private ground, as one plain object.
-
-    Returns
-    -------
-    summary : dict
-        ``{"areas": [{"name", "area_m2"}], "units": {id: {area name: share}}, "eur_per_m2",
-        "price_eur"}``; the last two are 0 where it has no price.
-    """
-    shares = private_shares(scene, units, ground)
-    return {
-        "eur_per_m2": eur_per_m2,
-        "price_eur": float(eur_per_m2 * (shares @ ground.area_m2).sum()),
-        "areas": [
-            {"name": name, "area_m2": float(area)}
-            for name, area in zip(ground.names, ground.area_m2, strict=True)
-        ],
-        "units": {
-            unit.id: dict(zip(ground.names, row.tolist(), strict=True))
-            for unit, row in zip(units, shares, strict=True)
-        },
-    }
 
 
 def private_sentences(summary: dict[str, Any]) -> list[str]:

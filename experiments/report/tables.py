@@ -17,7 +17,7 @@ from placement.layout import Layout, layout_records
 from placement.setting import Setting
 from scenarios.runs import FrameAxis
 
-from ..figures.evaluation import unit_labels
+from ..figures.axes import unit_labels
 from ..figures.sensors import compass_word
 from ..results.numbers import NOTHING, number, percent
 from ..results.tables import groups_by_direction, groups_by_speed, margin_s

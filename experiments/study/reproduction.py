@@ -36,7 +36,8 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
-from ..figures.evaluation import plot_heatmaps, to_png
+from ..figures.axes import to_png
+from ..figures.evaluation import plot_heatmaps
 from ..progress import StageProgress
 from ..results.numbers import percent
 from .layout import load_carlancap_layout

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.cli import main
-from experiments.jobs import placement, planning
-from experiments.results import writing
+from experiments.jobs import placement, planning, writing
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose, load_candidate_grid

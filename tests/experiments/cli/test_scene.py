@@ -13,7 +13,7 @@ from osm_text import OsmText
 from osm_text import crossing as crossing_streets
 from PIL import Image
 
-from experiments.figures.evaluation import to_png
+from experiments.figures.axes import to_png
 from experiments.figures.scene import plot_scene_plan, plot_scene_view
 from experiments.jobs import planning
 from experiments.jobs.scene import scene_text

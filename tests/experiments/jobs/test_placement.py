@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 import pytest
 
 from experiments.export.formats import export_layout
+from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.progress import StageProgress
 from experiments.study.layout import load_carlancap_layout
@@ -28,12 +29,13 @@ def place(out, **options):
     names = {field.name for field in fields(Question)} & set(options)
     asked |= {name: options.pop(name) for name in names}
     question = options.pop("question", Question())
-    return placement.run_placement(replace(question, **asked), **(given | options))
+    result = placement.run_placement(replace(question, **asked), **(given | options))
+    return json.loads(to_json_text(result))
 
 
 def evaluate(layout, out=None):
     progress = StageProgress()
-    return placement.run_evaluation(
+    result = placement.run_evaluation(
         Question(),
         layout=layout,
         out=out,
@@ -41,6 +43,20 @@ def evaluate(layout, out=None):
         command="place-rsus",
         progress=progress,
     )
+    return json.loads(to_json_text(result))
+
+
+def compare(layouts, out, **options):
+    result = placement.run_comparison(
+        Question(),
+        layouts=layouts,
+        out=out,
+        compute=Compute(workers=2),
+        command="place-rsus",
+        progress=StageProgress(),
+        **options,
+    )
+    return json.loads(to_json_text(result))
 
 
 def named(name: str, n_units: int = 1) -> Layout:
@@ -170,14 +186,8 @@ def test_an_evaluation_of_one_unit_is_that_of_all(small_study):
 
 
 def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
-    summary = placement.run_comparison(
-        Question(),
-        layouts=[named("twin", 2), named("twin", 1), named("other", 3)],
-        out=tmp_path / "out",
-        compute=Compute(workers=2),
-        command="place-rsus",
-        progress=StageProgress(),
-    )
+    layouts = [named("twin", 2), named("twin", 1), named("other", 3)]
+    summary = compare(layouts, tmp_path / "out")
     assert (summary["name"], summary["baseline_name"]) == ("twin", "twin (2)")
     assert summary["runs_lost"] == []
     names = re.findall(
@@ -191,15 +201,7 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
 
 
 def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(small_study, tmp_path):
-    summary = placement.run_comparison(
-        Question(),
-        layouts=[named("two", 2), named("one", 1)],
-        samples=3,
-        out=tmp_path / "out",
-        compute=Compute(workers=2),
-        command="place-rsus",
-        progress=StageProgress(),
-    )
+    summary = compare([named("two", 2), named("one", 1)], tmp_path / "out", samples=3)
     (gain,) = summary["sampled"]["gains"]
     assert gain["over"] == "one"
     assert gain["low"] <= gain["mean"] <= gain["high"]

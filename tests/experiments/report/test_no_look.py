@@ -11,8 +11,9 @@ from experiments.report.private_ground import (
     is_decent,
     load_private_ground,
     private_sentences,
-    summarise_private_ground,
 )
+from experiments.results.explanations import build_private_ground_record
+from experiments.results.record import to_plain
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.frames import to_geographic
@@ -20,6 +21,10 @@ from geometry.scene_files import load_study_scene
 from placement.private_ground import private_shares
 from placement.question import Question
 from placement.wishes import build_limits
+
+
+def summarise(*given, **options):
+    return to_plain(build_private_ground_record(*given, **options))
 
 
 @pytest.fixture
@@ -71,7 +76,7 @@ def test_poses_that_look_in_are_no_candidates(garden, scene):
     assert (private_shares(scene, plan.candidates, plan.private) == 0.0).all()
     some = build_plan(Question(budget=1, no_look=str(garden), no_look_share=0.5), scene)
     assert len(plan.candidates) < len(some.candidates) <= len(everything.candidates)
-    summary = summarise_private_ground(plan.candidates[:2], scene, plan.private)
+    summary = summarise(plan.candidates[:2], scene, plan.private)
     assert private_sentences(summary) == ["No camera has the private area in its picture."]
 
 
@@ -79,7 +84,7 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
     ground = load_private_ground(garden, scene)
     units = load_carlancap_layout().units
     shares = private_shares(scene, units, ground)[:, 0]
-    summary = summarise_private_ground(units, scene, ground)
+    summary = summarise(units, scene, ground)
     (sentence,) = private_sentences(summary)
     for unit, share in zip(units, shares, strict=True):
         assert summary["units"][unit.id] == {"garden": share}
@@ -105,7 +110,7 @@ def test_a_price_forbids_nothing_and_counts_every_square_metre(garden, scene):
     both = Question(budget=1, no_look=str(garden), no_look_price=30.0, no_look_share=0.5)
     assert len(build_plan(both, scene).candidates) < len(everything.candidates)
     units = load_carlancap_layout().units
-    summary = summarise_private_ground(units, scene, plan.private, eur_per_m2=30.0)
+    summary = summarise(units, scene, plan.private, eur_per_m2=30.0)
     assert summary["price_eur"] == pytest.approx(sum(prices.get(unit.id, 0.0) for unit in units))
     assert f"{summary['price_eur']:,.0f} EUR, 30 EUR a square" in private_sentences(summary)[1]
 
