@@ -191,7 +191,6 @@ def drive(question: Question, scene: Scene) -> Drives:
         rule=build_rule(question),
         approaches=approaches,
         weathers=weathers,
-        phase=question.phase,
     )
     left_out = tuple(
         Refusal(

@@ -86,14 +86,10 @@ def run_latency(
     Raises
     ------
     InputError
-        The budget is unknown or given twice, the phase of the frames depends on the latency, a
+        The budget is unknown or given twice, a
         unit hangs inside something, or `out` cannot be written.
     """
     chosen = pick_budget(question, budget)
-    if question.phase != "aligned":
-        raise InputError(
-            "--phase", question.phase, "aligned: every latency is looked at on the same frames"
-        )
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"

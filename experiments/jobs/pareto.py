@@ -17,6 +17,7 @@ from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import Front, StageChoice
 from placement.optimiser.units_front import pareto_front
 from placement.pipeline import obtain_table
+from placement.planning import Plan, build_plan
 from placement.question import Question
 from placement.setting import build_setting
 from placement.wishes import build_problem
@@ -30,7 +31,7 @@ from ..results.drives import build_drives_record, versions
 from ..results.fronts import FrontRecord, build_front_record
 from ..results.numbers import percent
 from ..results.record import to_plain
-from .planning import Plan, build_plan
+from ..study.layout import load_carlancap_layout
 from .writing import check_folder, write_files
 
 # ---------- what ``place-rsus pareto`` does
@@ -90,7 +91,7 @@ def run_pareto(
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
-    plan = build_plan(replace(question, budget=1), scene)
+    plan = build_plan(replace(question, budget=1), scene, study=load_carlancap_layout())
     wishes = replace(plan.wishes, budget_units=max_units)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)

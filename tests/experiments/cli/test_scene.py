@@ -15,9 +15,9 @@ from PIL import Image
 
 from experiments.figures.axes import to_png
 from experiments.figures.scene import plot_scene_plan, plot_scene_view
-from experiments.jobs import planning
 from experiments.jobs.scene import scene_text
 from geometry.scene_files import load_scene_folder, load_study_scene
+from placement import planning
 from placement.candidates import load_candidate_grid
 
 FOUR = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
