@@ -26,8 +26,6 @@ from .published import find_placement, stage_published
 from .staging import CannotCarryError, Staging, mirror_staging
 
 WEATHERS = tuple(load_weathers())
-PHASES = ("aligned", "worst")
-_N_PHASES = 10  # "worst" looks at so many, evenly spaced over one frame
 _GRID_TOLERANCE = 1.0e-6  # of a frame
 
 
@@ -244,7 +242,6 @@ def build_runs(
     rule: AebRule,
     approaches: Sequence[str] | None = None,
     weathers: Sequence[str] = ("day",),
-    phase: str = "aligned",
 ) -> tuple[tuple[Run, ...], tuple[Refusal, ...]]:
     """Lay cases on every approach of a scene's junction.
 
@@ -263,10 +260,6 @@ def build_runs(
         Arms from which the VUT comes; by default all.
     weathers : sequence of str
         Every run is driven once in each. See ``WEATHERS``.
-    phase : str
-        "aligned": a frame at the impact. "worst": of ten phases between two frames, the one whose
-        last frame that still allows to brake in time is the earliest. Of a VRU that stays in sight
-        it leaves the fewest frames, whatever the layout.
 
     Returns
     -------
@@ -278,13 +271,12 @@ def build_runs(
     Raises
     ------
     InputError
-        The junction has no such approach, or there is no such weather or phase.
+        The junction has no such approach, or there is no such weather.
     """
     junction = build_junction(scene)
     for words, known, where in (
         (approaches or (), tuple(junction.arms), "approach"),
         (weathers, WEATHERS, "weather"),
-        ((phase,), PHASES, "phase"),
     ):
         for word in words:
             if word not in known:
@@ -300,7 +292,7 @@ def build_runs(
                 except CannotCarryError as error:
                     reasons.setdefault(str(error), []).append(speed_kmh)
                     continue
-                run = _build_run(case, approach, speed_kmh, staging, rule=rule, phase=phase)
+                run = _build_run(case, approach, speed_kmh, staging, rule=rule)
                 runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
             refusals += [
                 Refusal(case=case, approach=approach, speeds_kmh=tuple(speeds), reason=reason)
@@ -326,15 +318,13 @@ def _stage(
 
 
 def _build_run(
-    case: Case, approach: str, speed_kmh: float, staging: Staging, *, rule: AebRule, phase: str
+    case: Case, approach: str, speed_kmh: float, staging: Staging, *, rule: AebRule
 ) -> Run:
     encounter = staging.encounter
     vut, vru = encounter.vut_motion, encounter.vru_motion
-    last_brake_s = last_brake_time_s(encounter, rule)
-    shift_s = _worst_phase_s(last_brake_s, rule) if phase == "worst" else 0.0
     first_s = min(vut.start_time_s, vru.start_time_s)
-    n_steps = int((-first_s - shift_s) * rule.frame_rate_hz + _GRID_TOLERANCE)
-    time_s = np.arange(-n_steps, 1) / rule.frame_rate_hz - shift_s
+    n_steps = int(-first_s * rule.frame_rate_hz + _GRID_TOLERANCE)
+    time_s = np.arange(-n_steps, 1) / rule.frame_rate_hz
     vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))
     vru_distance = vru.distance_m(time_s)
     vru_position, vru_yaw = vru.path.at(vru_distance)
@@ -352,7 +342,7 @@ def _build_run(
         vru_yaw_deg=freeze(vru_yaw),
         vru_shape=freeze(encounter.vru.shape_index(vru_distance)),
         obstruction=staging.obstruction,
-        last_brake_time_s=last_brake_s,
+        last_brake_time_s=last_brake_time_s(encounter, rule),
     )
 
 
@@ -360,13 +350,3 @@ def _in_weather(run: Run, weather: str) -> Run:
     if weather == run.weather:
         return run
     return replace(run, id=f"{run.id}/{weather}", weather=weather)
-
-
-def _worst_phase_s(last_brake_s: float, rule: AebRule) -> float:
-    """By how much frames come before the aligned ones, so that the most is lost to waiting."""
-    if not np.isfinite(last_brake_s):
-        return 0.0
-    deadline = (last_brake_s - rule.latency_s) * rule.frame_rate_hz  # in frames
-    shifts = np.arange(_N_PHASES) / _N_PHASES
-    last_frame = np.floor(deadline + shifts + _GRID_TOLERANCE) - shifts
-    return float(shifts[np.argmin(last_frame)] / rule.frame_rate_hz)

@@ -30,7 +30,7 @@ from placement.optimiser.milp import SolverName
 from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress
-from ..results.text import percent
+from ..results.numbers import percent
 
 # ---------- what ``place-rsus solve`` does
 

@@ -11,8 +11,7 @@ from placement.optimiser.front import Front, FrontPoint, StageChoice
 from placement.optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE
 
 from ..figures.front import plot_front
-from ..results.text import percent
-from .answer import NOTHING, number
+from ..results.numbers import NOTHING, number, percent
 from .pictures import build_picture
 
 # ---------- the front that ends with the layout of a report
