@@ -27,7 +27,7 @@ from scenarios.runs import FrameAxis, onset_times_s
 
 from .evaluation import Evaluation, earliest_arrival_s
 
-# ---------- latency budgets: what passes between a frame and the onset of braking, part by part
+# ---------- latency budgets
 
 
 DEFAULT_LATENCY_BUDGET = "study"
@@ -298,7 +298,7 @@ def _said_to_be_in(place: str) -> Iterator[None]:
         raise InputError(place + error.where, error.got, error.expected) from None
 
 
-# ---------- APR against the total latency: an exact step function, for every sensing party
+# ---------- APR against the total latency
 
 
 _DECIMALS = 9  # of a second: as fine as the tolerance of is_in_time

@@ -1,11 +1,10 @@
-"""What a question means for planning: candidate poses, wishes, and how hard to look."""
+"""From a question to a plan: candidate poses, wishes, and how hard the optimiser tries."""
 
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from .candidates import (
 )
 from .layout import Layout, check_layout, load_layout
 from .optimiser import Effort
-from .optimiser.milp import SolverName
 from .private_ground import (
     PrivateGround,
     load_private_ground,
@@ -148,7 +146,7 @@ def build_effort(question: Question) -> Effort:
         A number that cannot be.
     """
     return Effort(
-        solver=cast(SolverName, question.solver),
+        solver=question.solver,
         time_limit_s=question.time_limit_s,
         gap=question.gap,
     )

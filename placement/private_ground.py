@@ -97,22 +97,10 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
 
 
 def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
-    """Points all over areas.
+    """Points all over areas: one for each square metre, at least one for each area.
 
-    Parameters
-    ----------
-    areas : sequence of (str, shapely polygon)
-        Name and outline. World frame, metres.
-
-    Returns
-    -------
-    ground : PrivateGround
-        A point for each square metre, at least one for each area.
-
-    Raises
-    ------
-    InputError
-        An area is empty, or all together are too large.
+    Areas are names and shapely polygons in the world frame, in metres. Raises InputError where one
+    is empty, or all together are too large.
     """
     import shapely
 
@@ -149,22 +137,10 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
 def private_shares(
     scene: Scene, candidates: Sequence[CandidatePose], ground: PrivateGround
 ) -> FloatArray:
-    """How much of private ground each pose has in its picture.
+    """How much of each private area each pose has in its picture, (n_candidates, n_areas).
 
-    Parameters
-    ----------
-    scene : Scene
-        What hides it; what parks or drives hides nothing for long.
-    candidates : sequence of CandidatePose
-        LiDARs take no pictures: they see none.
-    ground : PrivateGround
-        At least one area.
-
-    Returns
-    -------
-    share : (n_candidates, n_areas) float
-        Of each area's points those that are in the picture and not hidden, however small they are
-        there.
+    The share of an area's points that are in the picture and not hidden, however small they are
+    there. What parks or drives hides nothing for long. LiDARs take no pictures: they see none.
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     caster = build_caster(scene.vertices_m - origin, scene.triangles)
@@ -188,19 +164,9 @@ def private_shares(
 
 
 def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArray:
-    """Which candidates see no more than a share of each private area, (n_candidates,).
+    """Which candidates see at most `max_share` of each private area, (n_candidates,) bool.
 
-    Parameters
-    ----------
-    shares : (n_candidates, n_areas) float
-        See :func:`private_shares`.
-    max_share : float
-        How much of an area they may see, 0 .. 1.
-
-    Raises
-    ------
-    InputError
-        No candidate is left.
+    `shares` is that of :func:`private_shares`. Raises InputError where no candidate is left.
     """
     share: FloatArray = shares.max(axis=1)
     kept: BoolArray = share <= max_share

@@ -399,10 +399,6 @@ class Question:
         ),
     ] = None
 
-    stage_weights: str = ""
-    milp_solver: str = "HIGHS"
-    pool_tolerance: float = 0.0
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answerable:

@@ -1,4 +1,4 @@
-"""What a planner asks for, by names: units, money, targets, sites; and the problem it makes."""
+"""Wishes of a planner (units, money, targets, sites), and the optimiser's problem they make."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -124,19 +124,7 @@ def check_wishes(wishes: Wishes, scene: Scene) -> None:
 def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePose]) -> Limits:
     """What may be mounted together: a pose of no site of the scene stands alone on one of its own.
 
-    Parameters
-    ----------
-    wishes : Wishes
-        What is asked.
-    scene : Scene
-        Its sites.
-    candidates : sequence of CandidatePose
-        Poses to choose from.
-
-    Raises
-    ------
-    InputError
-        A kept unit is no candidate, or a number cannot be.
+    Raises InputError where a kept unit is no candidate, or a number cannot be.
     """
     sites = {site.id: site for site in scene.sites}
     keys = [c.site_id if c.site_id in sites else ("own", c.id) for c in candidates]
@@ -203,32 +191,10 @@ def build_problem(
     fusion: Fusion = "any",
     sample_index: IntArray | None = None,
 ) -> PlacementProblem:
-    """The optimiser's problem.
+    """The optimiser's problem: the rows of the table are `candidates`.
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene and braking rule.
-    candidates : sequence of CandidatePose
-        The rows of the table.
-    table : DetectionTable
-        V[c, f].
-    wishes : Wishes
-        What is asked.
-    fusion : str
-        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    sample_index : (n_runs,) int, optional
-        Sampled world of each run.
-
-    Returns
-    -------
-    problem : PlacementProblem
-        Checked.
-
-    Raises
-    ------
-    InputError
-        As :func:`build_limits`; a target or floor is no share.
+    `sample_index` is the sampled world of each run, (n_runs,). Raises InputError as
+    :func:`build_limits`, and where a target or floor is no share.
     """
     problem = PlacementProblem(
         table=table,

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 
-@pytest.mark.parametrize("name", ["geometry", "scenarios"])
+@pytest.mark.parametrize("name", ["geometry", "placement", "scenarios"])
 def test_every_public_name_is_there_and_nothing_else_is_listed(name):
     package = importlib.import_module(name)
     assert dir(package) == package.__all__ == sorted(package.__all__)
@@ -17,7 +17,7 @@ def test_every_public_name_is_there_and_nothing_else_is_listed(name):
         package.laod  # noqa: B018
 
 
-@pytest.mark.parametrize("name", ["geometry", "scenarios"])
+@pytest.mark.parametrize("name", ["geometry", "placement", "scenarios"])
 def test_nothing_is_loaded_before_it_is_used(name):
     code = f"import sys, {name}; print(*sys.modules)"
     loaded = subprocess.run(
