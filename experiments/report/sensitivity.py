@@ -6,8 +6,7 @@ from typing import Any
 from matplotlib.axes import Axes
 
 from geometry.errors import InputError
-from placement.explain.outcomes import Outcome
-from placement.explain.sensitivity import Sensitivity
+from placement.explain.sensitivity import Outcome, Sensitivity
 
 from ..figures.evaluation import (
     BLUE,

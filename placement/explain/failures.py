@@ -1,4 +1,4 @@
-"""What a layout still achieves when units fail: one at a time, and two at a time."""
+"""Failures: what a layout still achieves when one of its units fails (N-1), or two of them."""
 
 import math
 from collections.abc import Sequence
@@ -15,12 +15,12 @@ from scenarios.runs import FrameAxis, onset_times_s
 from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out
 
 MAX_PAIR_UNITS = 12
-"""With more units than these, only single failures are looked at."""
+"""For layouts with more units, only single failures are evaluated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """What is left of a layout without some of its units.
+    """What a layout achieves without some of its units.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Failure:
         braking to the last moment; NaN where they avoid none. [s]
     lost_run_ids : tuple of str
         Runs with weight that all units together avoid and the others do not, those with the
-        highest speed first: they end worst.
+        highest speed first.
     """
 
     unit_ids: tuple[str, ...]
@@ -44,7 +44,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failures:
-    """All failures of a layout that were looked at, the worst first.
+    """All evaluated failures of a layout, the worst first.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Failures:
 
 
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
-    """What is left of a layout when each of its units fails, and each pair.
+    """What a layout achieves when each of its units fails, and each pair.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
 
     Notes
     -----
-    In each frame any unit that is left may be the one that detects. The smallest APR of
+    In each frame any remaining unit may be the one that detects. The smallest APR of
     `one_failed` is :func:`placement.evaluation.apr_one_failed`.
     """
     axis, units = evaluation.axis, evaluation.layout.units

@@ -1,4 +1,4 @@
-"""How far a unit may be off when it is mounted before a run is lost."""
+"""Tolerance of mounting: by how much a unit may be off before a run is lost."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ LIFTS_M = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tolerance:
-    """What one unit's mounting may be off, all others being as planned.
+    """By how much one unit may be off if all others are mounted as planned.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ def find_tolerances(
     fusion: Fusion = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Tolerance, ...]:
-    """How far each unit of a layout may be off.
+    """By how much each unit of a layout may be off.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def _variants(unit: CandidatePose) -> list[CandidatePose]:
                     yaw_deg=yaw,
                     pitch_deg=pitch,
                 )
-                # At no site: what hangs wrong hangs where it hangs.
+                # At no site: it is mounted wrongly, not somewhere else.
                 found.append(replace(unit, id=_name(unit, kind, step), site_id="", pose=moved))
     return found
 

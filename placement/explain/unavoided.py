@@ -1,4 +1,4 @@
-"""Why a run is not avoided: seen never or too late, what is in the way, and what would help."""
+"""Runs that a layout does not avoid: what is in the way, how late it brakes, what would help."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -25,17 +25,8 @@ from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.limits import fitting
 from ..setting import Setting
 from ..visibility.build import N_POINTS
-from ..visibility.casting import (
-    Sight,
-    World,
-    build_world,
-    cast_sight,
-    find_obstructions,
-)
+from ..visibility.casting import Sight, World, build_world, cast_sight, find_obstructions
 from ..visibility.sensing import build_sensing
-
-# ---------- why a unit does not detect a road user in a frame
-
 
 Cause = Literal["hidden", "out of view", "cut off", "too dark", "too far", "otherwise"]
 
@@ -45,21 +36,11 @@ _OFF_SURFACE_M = 1.0e-3  # rays end this much before the point they are cast to
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Look:
-    """A unit, a run, and the frames in which the unit should have detected the road user.
-
-    Attributes
-    ----------
-    unit : CandidatePose
-        Who looks.
-    run_index : int
-        Of the setting's runs.
-    frame_index : (n,) int
-        Frames of that run, from 0.
-    """
+    """A unit, a run, and the frames in which the unit should have detected the road user."""
 
     unit: CandidatePose
-    run_index: int
-    frame_index: IntArray
+    run_index: int  # of the setting's runs
+    frame_index: IntArray  # (n,): frames of that run, from 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,10 +52,9 @@ class Reason:
     cause : str
         "hidden": detected if nothing stood in the way; "out of view", "cut off": not in the image,
         or only a part of it; "too dark": light and air leave too little contrast; "too far": too
-        small, or too few points; "otherwise": nothing of all this, the table says so.
+        small, or too few points; "otherwise": none of these, but the table has no detection.
     thing : str
-        What hides it, by name: most of the rays that are blocked end there. Empty for all other
-        causes.
+        What hides it, by name: most of the blocked rays end there. Empty for all other causes.
     n_frames : int
         In how many frames.
     """
@@ -87,22 +67,7 @@ class Reason:
 def find_reasons(
     setting: Setting, looks: Sequence[Look], *, compute: Compute = DEFAULT_COMPUTE
 ) -> list[tuple[Reason, ...]]:
-    """Why units do not detect road users.
-
-    Parameters
-    ----------
-    setting : Setting
-        Scene, runs, planning detector.
-    looks : sequence of Look
-        Who should have detected whom.
-    compute : Compute
-        With the seed of the detection table.
-
-    Returns
-    -------
-    reasons : list of tuple of Reason
-        Of each look, the most frequent one first.
-    """
+    """Why units do not detect road users: reasons of each look, the most frequent one first."""
     if not looks:
         return []
     run_index = list(dict.fromkeys(look.run_index for look in looks))
@@ -170,20 +135,7 @@ def _inside_shares(world: World, unit: CandidatePose, frames: IntArray) -> Float
 
 
 def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
-    """Whether points lie in a unit's field of view, at any distance.
-
-    Parameters
-    ----------
-    unit : CandidatePose
-        Who looks.
-    points_m : (n, 3) float
-        World frame. [m]
-
-    Returns
-    -------
-    is_in_view : (n,) bool
-        Nothing is looked for that might stand in the way.
-    """
+    """Whether points (n, 3) lie in a unit's field of view, at any distance, hidden or not."""
     sensor, pose = unit.sensor, unit.pose
     is_inside: BoolArray
     if isinstance(sensor, LidarModel):
@@ -226,7 +178,10 @@ def _things_between(
 
 
 def _rays(eye_m: FloatArray, points_m: FloatRays, near_m: float) -> tuple[FloatRays, FloatRays]:
-    """Starts, beyond what is too near to the lens to hide anything, and the ways to the points."""
+    """Starts (n, 3) and vectors (n, 3) of rays from the eye to points.
+
+    They start beyond what is too near to the lens to hide anything.
+    """
     vectors = points_m - eye_m.astype(np.float32)
     unit_vectors = vectors / ray_lengths_m(vectors)[:, None]
     starts = (eye_m + near_m * unit_vectors).astype(np.float32)
@@ -245,7 +200,7 @@ def _vut_shares(world: World, frame: int, rays: tuple[FloatRays, FloatRays]) -> 
 
 
 def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.object_]]:
-    """Name of what each triangle of each static world belongs to, as they are put together."""
+    """Name of the thing to which each triangle of each static world belongs."""
     instances = [scene.instances[index].id for index in scene.triangle_instance]
     names = []
     for parked in find_obstructions(runs).values():
@@ -264,7 +219,7 @@ def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.object
     return names
 
 
-# ---------- why a run is not avoided
+# ---------- runs
 
 
 Outcome = Literal["hopeless", "never seen", "never confirmed", "too late"]
@@ -281,7 +236,7 @@ class Rescue:
     pose_id, site_id : str
         Its names.
     distance_m : float
-        From the nearest unit that is chosen; 0 at the same mount. [m]
+        From the nearest chosen unit; 0 at the same mount. [m]
     margin_s : float
         Time to spare that it leaves. [s]
     """
@@ -304,7 +259,7 @@ class Unavoided:
     run_id : str
         Its name.
     outcome : {"hopeless", "never seen", "never confirmed", "too late"}
-        "hopeless": no frame comes early enough, whoever looks. Else what the chosen units achieve.
+        "hopeless": no frame comes early enough for any unit. Otherwise what the chosen units do.
     late_s : float
         By how much braking sets in too late; infinite if it never does. [s]
     n_frames : int
@@ -312,8 +267,8 @@ class Unavoided:
     n_seen : int
         Of these, those in which a chosen unit detects the road user.
     unit_id : str
-        The chosen unit nearest to the road user in the last of these frames; of those, if there
-        are any, that have it in view in one of them. Empty if hopeless.
+        The chosen unit nearest to the road user in the last of these frames, preferably among those
+        that have it in view in one of them. Empty if hopeless.
     reasons : tuple of Reason
         Why that unit does not detect the road user in some of these frames, the most frequent one
         first.
@@ -444,7 +399,7 @@ class _Missed:
 
 
 def _who_should_see(run: Run, units: Sequence[CandidatePose], frames: IntArray) -> int:
-    """Of the units that have the VRU in view in some frames, that nearest to it in the last one.
+    """The unit nearest to the VRU in the last frame, of those that have it in view in some frame.
 
     If none has, the nearest of all: another one may look elsewhere on purpose.
     """

@@ -17,8 +17,7 @@ from experiments.report.sensitivity import (
     value_text,
 )
 from geometry.errors import InputError
-from placement.explain.outcomes import Outcome
-from placement.explain.sensitivity import RANGES, Assumption, Sensitivity, Varied
+from placement.explain.sensitivity import RANGES, Assumption, Outcome, Sensitivity, Varied
 
 
 def outcome(apr, margin_s, one_failed=0.5):

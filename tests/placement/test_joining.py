@@ -5,13 +5,13 @@ from hypothesis import strategies as st
 from problems import problems
 from small_tables import avoiding_problem
 
-from placement.explain.outcomes import best_joining, margins_joined_s
 from placement.optimiser import (
     PlacementProblem,
     is_better,
     placement_value,
     run_margins_s,
 )
+from placement.retrofit import best_joining, margins_joined_s
 
 
 @given(problem=problems(), n_kept=st.integers(0, 3))
@@ -40,5 +40,5 @@ def test_equal_poses_are_told_apart_by_price_and_blocks_do_not_matter(
     assert best_joining(problem, [0], each) == 0
     assert best_joining(problem, [0], each, price_eur=np.array([3.0, 1.0, 2.0, 1.0])) == 2
     whole = margins_joined_s(problem, [0], each)
-    monkeypatch.setattr("placement.explain.outcomes._BLOCK_POSES", 1)
+    monkeypatch.setattr("placement.retrofit._BLOCK_POSES", 1)
     assert margins_joined_s(problem, [0], each).tolist() == whole.tolist()
