@@ -113,7 +113,7 @@ def _read(name: str, table: Any, where: str) -> Assumption:
 
 
 SURE = 0.99
-"""A run that chance decides counts as lost where it is avoided with a lower probability."""
+"""Where messages are lost by chance, a run avoided with a lower probability counts as lost."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -211,21 +211,21 @@ def find_expected_outcome(watched: Watched, *, packet_loss: float) -> Outcome:
     """
     axis = watched.axis
     last_s = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
-    tells = watched.detected & is_in_time(
+    reported = watched.detected & is_in_time(
         axis.time_s + _latencies_s(watched)[:, None], last_s, latency_s=0.0
     )
     n_confirmations = watched.rule.n_confirmations
 
-    def confirmed(n_told: IntArray) -> FloatArray:
-        known: FloatArray = 1.0 - packet_loss ** n_told.astype(np.float64)
+    def confirmed(n_units: IntArray) -> FloatArray:
+        known: FloatArray = 1.0 - packet_loss ** n_units.astype(np.float64)
         return _probability_of_row(known, axis, n_confirmations)
 
     if watched.fusion == "any":
-        total = tells.sum(axis=0)
+        total = reported.sum(axis=0)
         avoided = confirmed(total)
-        left = (confirmed(total - own) for own in tells if own.any())
+        left = (confirmed(total - own) for own in reported if own.any())
     else:
-        missed = 1.0 - np.stack([confirmed(own.astype(np.int64)) for own in tells])
+        missed = 1.0 - np.stack([confirmed(own.astype(np.int64)) for own in reported])
         avoided = 1.0 - missed.prod(axis=0)
         others = (np.delete(missed, unit, axis=0) for unit in range(len(missed)))
         left = (1.0 - other.prod(axis=0) for other in others)
@@ -251,7 +251,7 @@ def _probability_of_row(known: FloatArray, axis: FrameAxis, n_row: int) -> Float
     is_frame = np.arange(lengths.max()) < lengths[:, None]
     by_run = np.zeros(is_frame.shape)
     by_run[is_frame] = known
-    # By how many frames in a row are known up to here; the last column: it has happened.
+    # Columns: number of known frames in a row up to here; the last one: there were enough.
     state = np.zeros((len(lengths), n_row + 1))
     state[:, 0] = 1.0
     for p in by_run.T:
@@ -335,7 +335,7 @@ def find_sensitivity(
     assumptions: Sequence[Assumption] | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Sensitivity, ...]:
-    """How much of a layout's worth hangs on each assumption.
+    """How much what a layout achieves depends on each assumption.
 
     Parameters
     ----------

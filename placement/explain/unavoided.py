@@ -330,72 +330,87 @@ def find_unavoided(
     if not chosen:
         raise InputError("pose_index", chosen, "at least one pose")
     is_missed = run_margins_s(problem, chosen) == -np.inf
-    missed = np.flatnonzero(is_missed & (axis.weight > 0.0))
-    runs = [_Missed(setting, problem, candidates, chosen, run) for run in missed.tolist()]
-    hopeful = [run for run in runs if run.outcome != "hopeless"]
-    looks = [run.look() for run in hopeful]
-    found = find_reasons(setting, looks, compute=compute)
-    reasons = dict(zip((run.run for run in hopeful), found, strict=True))
-    helpers = _Helpers(problem, candidates, chosen)
-    return tuple(
-        Unavoided(
-            run_index=run.run,
-            run_id=axis.run_ids[run.run],
-            outcome=run.outcome,
-            late_s=run.late_s,
-            n_frames=int(run.counts.sum()),
-            n_seen=int((run.counts & run.seen).sum()),
-            unit_id="" if run.outcome == "hopeless" else candidates[run.nearest].id,
-            reasons=reasons.get(run.run, ()),
-            rescue=None if run.outcome == "hopeless" else helpers.nearest(run.run),
+    misses = [
+        _find_miss(setting, problem, candidates, chosen, run)
+        for run in np.flatnonzero(is_missed & (axis.weight > 0.0)).tolist()
+    ]
+    looks = [miss.look for miss in misses if miss.look is not None]
+    reasons = iter(find_reasons(setting, looks, compute=compute))
+    joining = _find_joining(problem, candidates, chosen)
+    unavoided = []
+    for miss in misses:
+        has_hope = miss.look is not None
+        unavoided.append(
+            Unavoided(
+                run_index=miss.run,
+                run_id=axis.run_ids[miss.run],
+                outcome=miss.outcome,
+                late_s=miss.late_s,
+                n_frames=int(miss.counts.sum()),
+                n_seen=int((miss.counts & miss.seen).sum()),
+                unit_id="" if miss.look is None else miss.look.unit.id,
+                reasons=next(reasons) if has_hope else (),
+                rescue=_nearest_rescue(problem, candidates, chosen, joining, miss.run)
+                if has_hope
+                else None,
+            )
         )
-        for run in runs
-    )
+    return tuple(unavoided)
 
 
-class _Missed:
-    """One run that is not avoided."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Miss:
+    """A run that is not avoided."""
 
-    def __init__(
-        self,
-        setting: Setting,
-        problem: PlacementProblem,
-        candidates: Sequence[CandidatePose],
-        chosen: list[int],
-        run: int,
-    ) -> None:
-        axis, rule = problem.table.axis, problem.rule
-        self.run = run
-        time_s = axis.time_s[axis.frames_of(run)]
-        last_brake_s = axis.last_brake_time_s[run]
-        self.counts = np.asarray(is_in_time(time_s, last_brake_s, latency_s=rule.latency_s))
-        self.detected = _detected_in(problem.table, run)[chosen]
-        self.seen = np.logical_or.reduce(self.detected, axis=0)
-        together = self.seen if problem.fusion == "any" else self.detected
-        confirmed_s = confirmation_time_s(together, time_s, n_confirmations=rule.n_confirmations)
-        onset_s = float(np.min(confirmed_s)) + rule.latency_s
-        self.late_s = onset_s - float(last_brake_s) if np.isfinite(last_brake_s) else np.inf
-        self.outcome: Outcome = "too late"
-        self.nearest = chosen[0]
-        if int(self.counts.sum()) < rule.n_confirmations:
-            self.outcome = "hopeless"
-            return
-        if not self.seen.any():
-            self.outcome = "never seen"
+    run: int
+    outcome: Outcome
+    late_s: float
+    counts: BoolArray  # (n,): frames of the run from which braking in time could follow
+    seen: BoolArray  # (n,): frames in which a chosen unit detects the road user
+    look: Look | None  # what the unit that should see best has missed; None: hopeless
+
+
+def _find_miss(
+    setting: Setting,
+    problem: PlacementProblem,
+    candidates: Sequence[CandidatePose],
+    chosen: list[int],
+    run: int,
+) -> _Miss:
+    """What the chosen units achieve in a run, and what one of them should have seen."""
+    axis, rule = problem.table.axis, problem.rule
+    time_s = axis.time_s[axis.frames_of(run)]
+    last_brake_s = axis.last_brake_time_s[run]
+    counts = np.asarray(is_in_time(time_s, last_brake_s, latency_s=rule.latency_s))
+    detected = _detected_in(problem.table, run)[chosen]
+    seen = np.logical_or.reduce(detected, axis=0)
+    together = seen if problem.fusion == "any" else detected
+    confirmed_s = confirmation_time_s(together, time_s, n_confirmations=rule.n_confirmations)
+    onset_s = float(np.min(confirmed_s)) + rule.latency_s
+    outcome: Outcome = "too late"
+    look = None
+    if int(counts.sum()) < rule.n_confirmations:
+        outcome = "hopeless"
+    else:
+        if not seen.any():
+            outcome = "never seen"
         elif not np.isfinite(onset_s):
-            self.outcome = "never confirmed"
-        position = _who_should_see(
-            setting.runs[run], [candidates[c] for c in chosen], np.flatnonzero(self.counts)
+            outcome = "never confirmed"
+        units = [candidates[pose] for pose in chosen]
+        nearest = _who_should_see(setting.runs[run], units, np.flatnonzero(counts))
+        look = Look(
+            unit=units[nearest],
+            run_index=run,
+            frame_index=np.flatnonzero(counts & ~detected[nearest]),
         )
-        self.nearest = chosen[position]
-        missed = self.counts & ~self.detected[position]
-        self._look = Look(
-            unit=candidates[self.nearest], run_index=run, frame_index=np.flatnonzero(missed)
-        )
-
-    def look(self) -> Look:
-        """What the nearest unit should have seen."""
-        return self._look
+    return _Miss(
+        run=run,
+        outcome=outcome,
+        late_s=onset_s - float(last_brake_s) if np.isfinite(last_brake_s) else np.inf,
+        counts=counts,
+        seen=seen,
+        look=look,
+    )
 
 
 def _who_should_see(run: Run, units: Sequence[CandidatePose], frames: IntArray) -> int:
@@ -414,55 +429,57 @@ def _who_should_see(run: Run, units: Sequence[CandidatePose], frames: IntArray) 
     return int(np.lexsort((away_m, looks_elsewhere))[0])
 
 
-class _Helpers:
-    """Candidates that may join a set."""
+def _find_joining(
+    problem: PlacementProblem, candidates: Sequence[CandidatePose], chosen: list[int]
+) -> tuple[IntArray, FloatArray]:
+    """Candidates that may join the chosen ones, (n,), and the distance to the nearest of these."""
+    limits = replace(
+        problem.limits,
+        budget_units=None,
+        budget_eur=None,
+        is_forced=np.zeros_like(problem.limits.is_forced),
+        is_forced_site=np.zeros_like(problem.limits.is_forced_site),
+    )
+    joining: IntArray = np.flatnonzero(fitting(limits, np.array(chosen, dtype=np.int64)))
+    position_m: FloatArray = np.array([candidate.pose.position_m for candidate in candidates])
+    between_m = np.linalg.norm(position_m[joining, None] - position_m[chosen][None], axis=2)
+    distance_m: FloatArray = between_m.min(axis=1).round(6)
+    return joining, distance_m
 
-    def __init__(
-        self,
-        problem: PlacementProblem,
-        candidates: Sequence[CandidatePose],
-        chosen: list[int],
-    ) -> None:
-        self.problem, self.candidates, self.chosen = problem, candidates, chosen
-        unbound = replace(
-            problem.limits,
-            budget_units=None,
-            budget_eur=None,
-            is_forced=np.zeros_like(problem.limits.is_forced),
-            is_forced_site=np.zeros_like(problem.limits.is_forced_site),
-        )
-        self.fits = np.flatnonzero(fitting(unbound, np.array(chosen, dtype=np.int64)))
-        position_m: FloatArray = np.array([c.pose.position_m for c in candidates])
-        between_m = np.linalg.norm(position_m[self.fits, None] - position_m[chosen][None], axis=2)
-        self.distance_m: FloatArray = between_m.min(axis=1).round(6)
 
-    def nearest(self, run: int) -> Rescue | None:
-        """The nearest one that saves a run; of several at the same place the quickest."""
-        problem = self.problem
-        axis, rule = problem.table.axis, problem.rule
-        detected = _detected_in(problem.table, run)
-        seen = detected[self.fits]
-        if problem.fusion == "any":
-            seen = seen | detected[self.chosen].any(axis=0)
-        confirmed_s = confirmation_time_s(
-            seen, axis.time_s[axis.frames_of(run)], n_confirmations=rule.n_confirmations
-        )
-        last_brake_s = axis.last_brake_time_s[run]
-        saves = np.isfinite(confirmed_s) & is_in_time(
-            confirmed_s, last_brake_s, latency_s=rule.latency_s
-        )
-        if not saves.any():
-            return None
-        helping = np.flatnonzero(saves)
-        best = helping[np.lexsort((confirmed_s[helping], self.distance_m[helping]))[0]]
-        pose = int(self.fits[best])
-        return Rescue(
-            pose_index=pose,
-            pose_id=self.candidates[pose].id,
-            site_id=self.candidates[pose].site_id,
-            distance_m=float(self.distance_m[best]),
-            margin_s=float(last_brake_s - confirmed_s[best] - rule.latency_s),
-        )
+def _nearest_rescue(
+    problem: PlacementProblem,
+    candidates: Sequence[CandidatePose],
+    chosen: list[int],
+    joining: tuple[IntArray, FloatArray],
+    run: int,
+) -> Rescue | None:
+    """The nearest candidate that saves a run; of several at the same place the quickest."""
+    axis, rule = problem.table.axis, problem.rule
+    poses, distance_m = joining
+    detected = _detected_in(problem.table, run)
+    seen = detected[poses]
+    if problem.fusion == "any":
+        seen = seen | detected[chosen].any(axis=0)
+    confirmed_s = confirmation_time_s(
+        seen, axis.time_s[axis.frames_of(run)], n_confirmations=rule.n_confirmations
+    )
+    last_brake_s = axis.last_brake_time_s[run]
+    saves = np.isfinite(confirmed_s) & is_in_time(
+        confirmed_s, last_brake_s, latency_s=rule.latency_s
+    )
+    if not saves.any():
+        return None
+    helping = np.flatnonzero(saves)
+    best = helping[np.lexsort((confirmed_s[helping], distance_m[helping]))[0]]
+    pose = int(poses[best])
+    return Rescue(
+        pose_index=pose,
+        pose_id=candidates[pose].id,
+        site_id=candidates[pose].site_id,
+        distance_m=float(distance_m[best]),
+        margin_s=float(last_brake_s - confirmed_s[best] - rule.latency_s),
+    )
 
 
 def _detected_in(table: DetectionTable, run: int) -> BoolArray:
