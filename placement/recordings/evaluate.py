@@ -42,7 +42,7 @@ class RecordedEvaluation:
     vut_and_rsus : Verdict, optional
         The same with the VUT's camera; None where that is not recorded.
     n_ambiguous : int
-        Frames of a roadside unit with several VRUs of the drive's class in view: nothing tells
+        Frames of a roadside unit with several VRUs of the drive's class in view: it is not known
         which one the VUT is about to hit, so that they count only if each of them is detected.
     """
 
