@@ -253,9 +253,9 @@ def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
             if not isinstance(entry, dict):
                 raise InputError(f"{where}.parts[{index}]", entry, "a table")
             part_name = take_text(entry, "name", f"{where}.parts[{index}]")
-            with _said_to_be_in(f"{where}."):
+            with _errors_name(f"{where}."):
                 parts.append(_read_part(entry, part_name))
-        with _said_to_be_in(f"{file}: "):
+        with _errors_name(f"{file}: "):
             budgets[name] = LatencyBudget(name=name, parts=tuple(parts))
     return budgets
 
@@ -291,7 +291,8 @@ def _refuse_unknown(table: Table, known: tuple[str, ...], where: str) -> None:
 
 
 @contextmanager
-def _said_to_be_in(place: str) -> Iterator[None]:
+def _errors_name(place: str) -> Iterator[None]:
+    """Put the name of a file, or of an entry in it, before the place that an error names."""
     try:
         yield
     except InputError as error:
