@@ -167,7 +167,6 @@ def place(
             setting.scene,
             candidates,
             time_limit_s=effort.time_limit_s,
-            milp_solver=effort.milp_solver,
         )
         raise refusal or error from None
     optimised = time.perf_counter()

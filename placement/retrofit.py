@@ -28,9 +28,9 @@ from .optimiser import (
     run_margins_s,
     solve_placement,
 )
-from .optimiser.bitsets import best_row
+from .optimiser.bitsets import SetValues
 from .optimiser.limits import are_allowed, costs_eur
-from .optimiser.problem import TOLERANCE
+from .optimiser.objectives import TOLERANCE, VALUE_OBJECTIVES, Objective
 
 # ---------- poses: the units, their re-aims, and what can be added
 
@@ -449,15 +449,20 @@ def best_joining(
         left = np.minimum(left, measure.of(left_then))
     margin, is_avoided = margin[rows], is_avoided[rows]
     share = is_avoided @ weight
-    values = np.zeros((len(rows), 5))
-    values[:, 0] = apr[rows]
-    values[:, 1] = left
     some = share > 0.0
-    values[some, 2] = np.where(is_avoided, margin, np.inf).min(axis=1)[some]
-    values[some, 3] = (np.where(is_avoided, margin, 0.0) @ weight)[some] / share[some]
-    if price_eur is not None:
-        values[:, 4] = -price_eur[rows]
-    return int(rows[best_row(values)])
+    smallest, mean = np.zeros(len(rows)), np.zeros(len(rows))
+    smallest[some] = np.where(is_avoided, margin, np.inf).min(axis=1)[some]
+    mean[some] = (np.where(is_avoided, margin, 0.0) @ weight)[some] / share[some]
+    nothing = np.zeros(len(rows))
+    gain = {
+        Objective.APR: apr[rows],
+        Objective.APR_ONE_FAILED: left,
+        Objective.SMALLEST_MARGIN: smallest,
+        Objective.MEAN_MARGIN: mean,
+        Objective.COST: nothing if price_eur is None else -price_eur[rows],
+    }
+    gains = np.column_stack([nothing, *(gain[objective] for objective in VALUE_OBJECTIVES)])
+    return int(rows[SetValues(VALUE_OBJECTIVES, gains).best_row()])
 
 
 def margins_joined_s(problem: PlacementProblem, kept: Sequence[int], each: IntArray) -> FloatArray:

@@ -4,51 +4,63 @@ from pathlib import Path
 
 import click
 
-from ..export import FORMAT_NOTES
-from ..progress import load_one_layout
-from .options import OneOf, layout_option, scene_option
+from ..export import FORMAT_NAMES
+from .options import layout_option, option, scene_option
+from .running import load_one_layout, unwritable
 
-_FORMATS = "\n".join(
-    f"  {name:<10} {note.content}{'; needs --out' if note.is_binary else ''}"
-    for name, note in FORMAT_NOTES.items()
-)
+
+class _ExportCommand(click.Command):
+    """Adds the formats to its help: their modules are loaded only if somebody asks for it."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        from ..export.formats import load_format
+
+        formats = [(name, load_format(name)) for name in FORMAT_NAMES]
+        lines = [
+            f"  {name:<10} {item.content}{'; needs --out' if item.is_binary else ''}"
+            for name, item in formats
+        ]
+        head = "\b\nFormats, and who reads them:\n" + "\n".join(lines) + "\n"
+        self.epilog, rest = head + (self.epilog or ""), self.epilog
+        super().format_epilog(ctx, formatter)
+        self.epilog = rest
 
 
 @click.command(
-    epilog=f"""\b
-Formats, and who reads them:
-{_FORMATS}
-opencv and ros leave LiDARs out; geojson, gpkg, kml and cpm need a scene that
+    cls=_ExportCommand,
+    epilog="""opencv and ros leave LiDARs out; geojson, gpkg, kml and cpm need a scene that
 lies somewhere on earth.
 
 \b
 Examples:
   place-rsus export --layout carlancap-12 --format carla
   place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
-  place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg"""
+  place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg""",
 )
 @layout_option
-@click.option(
+@option(
     "--format",
     "format_name",
     required=True,
     metavar="FORMAT",
-    type=OneOf(tuple(FORMAT_NOTES)),
+    type=click.Choice(FORMAT_NAMES),
     help="One of those below.",
 )
 @scene_option
-@click.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 def export(
     *, layout_names: tuple[str, ...], format_name: str, scene: str, out: Path | None
 ) -> None:
     """Write a layout in a format that other programs read."""
-    if out is None and FORMAT_NOTES[format_name].is_binary:
+    from ..export.calibration import lidar_ids
+    from ..export.formats import export_layout, load_format
+
+    chosen = load_format(format_name)
+    if out is None and chosen.is_binary:
         raise click.UsageError(f"--out: got nothing; expected a file: {format_name} is no text")
     layout = load_one_layout(layout_names)
-    from ..export.formats import export_layout, left_out
-
     content = export_layout(layout, format_name, scene_path=scene)
-    missing = left_out(layout, format_name)
+    missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing:
         click.echo(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     if out is None:
@@ -60,6 +72,4 @@ def export(
     try:
         write_atomically(out, lambda file: file.write(data))
     except OSError as error:
-        raise click.UsageError(
-            f"--out: got {out}: {error.strerror}; expected a file that can be written"
-        ) from None
+        raise unwritable(out, error) from None

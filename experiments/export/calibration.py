@@ -49,17 +49,7 @@ class Calibration:
 def calibrations(layout: Layout, format_name: str) -> list[Calibration]:
     """Calibrations of a layout's cameras; its LiDARs are left out.
 
-    Parameters
-    ----------
-    layout : Layout
-        The units.
-    format_name : str
-        Who asks, for the error message.
-
-    Raises
-    ------
-    InputError
-        There is no camera.
+    If there is no camera, raises InputError that names the format.
 
     References
     ----------
@@ -89,6 +79,12 @@ def calibrations(layout: Layout, format_name: str) -> list[Calibration]:
 def lidar_ids(layout: Layout) -> list[str]:
     """Units that are no cameras."""
     return [unit.id for unit in layout.units if not isinstance(unit.sensor, CameraModel)]
+
+
+def left_out_comment(layout: Layout) -> str:
+    """A comment line of YAML about the units that are no cameras; empty if there are none."""
+    named = ", ".join(lidar_ids(layout))
+    return f"# Left out, for they are no cameras: {named}\n" if named else ""
 
 
 def camera_matrix(camera: CameraModel) -> FloatArray:

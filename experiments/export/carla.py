@@ -8,6 +8,7 @@ from geometry.lidar import LidarModel
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
+from .formats import ExportFormat
 from .json import to_json_text
 
 
@@ -72,3 +73,9 @@ def _carla_record(unit: CandidatePose) -> dict[str, Any]:
             },
         },
     }
+
+
+FORMAT = ExportFormat(
+    write=lambda layout, _scene: to_carla(layout),
+    content="spawn transforms in CARLA's frame; its Python API",
+)

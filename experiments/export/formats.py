@@ -1,37 +1,43 @@
-"""A layout in every format that other programs read, by the format's name."""
+"""The formats in which a layout can be exported, by name."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
 
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.layout import Layout, check_layout
 
-from . import FORMAT_NOTES
-from .calibration import lidar_ids
-from .carla import to_carla
-from .collective_perception import to_cpm
-from .geojson import to_geojson, to_geopackage
-from .json import to_json
-from .kml import to_kml
-from .opencv import to_opencv
-from .openlabel import to_openlabel
-from .ros import to_ros
-from .tables import to_csv, to_parquet
 
-FORMATS: Mapping[str, Callable[[Layout, Scene], str | bytes]] = {
-    "json": lambda layout, scene: to_json(layout),
-    "csv": to_csv,
-    "parquet": to_parquet,
-    "geojson": lambda layout, scene: to_geojson(layout, scene.crs, scene),
-    "gpkg": to_geopackage,
-    "kml": to_kml,
-    "carla": lambda layout, scene: to_carla(layout),
-    "opencv": lambda layout, scene: to_opencv(layout),
-    "ros": lambda layout, scene: to_ros(layout),
-    "openlabel": lambda layout, scene: to_openlabel(layout),
-    "cpm": to_cpm,
-}
-"""By name: layout and its scene to text, or to bytes; see ``export_formats.FORMAT_NOTES``."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportFormat:
+    """How a layout is written in a format, and what a user should know about it.
+
+    Attributes
+    ----------
+    write : callable
+        A layout and its scene to the content of the file.
+    content : str
+        What the file holds, and who reads it, in a few words.
+    is_binary : bool
+        Whether it is not text and needs a file.
+    has_lidars : bool
+        Whether LiDARs are in it, too, and not only cameras.
+    needs_crs : bool
+        Whether the scene has to say where on earth it lies.
+    """
+
+    write: Callable[[Layout, Scene], str | bytes]
+    content: str
+    is_binary: bool = False
+    has_lidars: bool = True
+    needs_crs: bool = False
+
+
+def load_format(name: str) -> ExportFormat:
+    """A format by its name, one of ``FORMAT_NAMES``."""
+    found: ExportFormat = import_module(f".{name}", __package__).FORMAT
+    return found
 
 
 def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> str | bytes:
@@ -42,7 +48,7 @@ def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> 
     layout : Layout
         What to write.
     format_name : str
-        One of ``FORMATS``.
+        One of ``FORMAT_NAMES``.
     scene_path : str
         Folder or .zip file of its scene; empty: the study's junction.
 
@@ -58,9 +64,4 @@ def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> 
     """
     scene = load_scene(scene_path)
     check_layout(layout, scene)
-    return FORMATS[format_name](layout, scene)
-
-
-def left_out(layout: Layout, format_name: str) -> list[str]:
-    """Units that a format has no words for: LiDARs where it is about cameras."""
-    return [] if FORMAT_NOTES[format_name].has_lidars else lidar_ids(layout)
+    return load_format(format_name).write(layout, scene)

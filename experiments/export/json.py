@@ -1,4 +1,4 @@
-"""JSON of plain values, as every JSON file here is written."""
+"""Layouts as the JSON file that place-rsus reads; and JSON of plain values."""
 
 import json
 import math
@@ -9,11 +9,12 @@ import numpy as np
 from geometry.catalogue import own_sensor_record
 from placement.layout import SCHEMA, Layout, layout_records
 
-# ---------- JSON of plain values, as every JSON file here is written
+from ..results.record import Record, to_plain
+from .formats import ExportFormat
 
 
 def to_json_text(document: object) -> str:
-    r"""JSON of plain values; numbers that JSON lacks (NaN, infinite) become null.
+    r"""JSON of records and plain values; numbers that JSON lacks (NaN, infinite) become null.
 
     Examples
     --------
@@ -25,6 +26,8 @@ def to_json_text(document: object) -> str:
 
 
 def _finite(value: object) -> object:
+    if isinstance(value, Record):
+        return _finite(to_plain(value))
     if isinstance(value, Mapping):
         return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -34,9 +37,6 @@ def _finite(value: object) -> object:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-# ---------- the layout file itself
 
 
 def to_json(layout: Layout) -> str:
@@ -50,3 +50,9 @@ def to_json(layout: Layout) -> str:
     own = {unit.sensor.name: own_sensor_record(unit.sensor) for unit in layout.units}
     sensors = {name: record for name, record in own.items() if record is not None}
     return to_json_text(document | ({"sensors": sensors} if sensors else {}))
+
+
+FORMAT = ExportFormat(
+    write=lambda layout, _scene: to_json(layout),
+    content="the layout file itself; place-rsus --layout",
+)

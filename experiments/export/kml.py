@@ -7,12 +7,8 @@ from geometry.frames import to_carla_yaw
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from .places import (
-    longitude_latitude,
-    placed_records,
-    positions_m,
-    require_crs,
-)
+from .formats import ExportFormat
+from .places import longitude_latitude, placed_records, positions_m, require_crs
 
 _NAMESPACE = "http://www.opengis.net/kml/2.2"
 
@@ -76,3 +72,6 @@ def _text(parent: ET.Element, name: str, value: str) -> None:
     if not value.isprintable():  # XML has no words for most control characters
         raise InputError(f"kml: {name}", value, "printable text")
     ET.SubElement(parent, name).text = value
+
+
+FORMAT = ExportFormat(write=to_kml, content="placemarks above ground; Google Earth", needs_crs=True)

@@ -1,74 +1,83 @@
 """Cameras of a layout for OpenCV: the YAML of cv::FileStorage."""
 
+from typing import Any
+
 import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
 
 from geometry.arrays import FloatArray
 from placement.layout import Layout
 
-from .calibration import (
-    N_DISTORTION,
-    Calibration,
-    calibrations,
-    lidar_ids,
-    plain,
-)
-from .yaml_text import left_out_comment, yaml_numbers, yaml_text
+from .calibration import N_DISTORTION, Calibration, calibrations, left_out_comment, plain
+from .formats import ExportFormat
 
 
 def to_opencv(layout: Layout) -> str:
     """Layout as a YAML file for ``cv::FileStorage``; LiDARs are left out, a comment names them.
 
-    Parameters
-    ----------
-    layout : Layout
-        What to write.
-
-    Returns
-    -------
-    text : str
-        A sequence "cameras", one map per unit - names of units are free, those of nodes are not -
-        with id, image_width, image_height, camera_matrix, distortion_coefficients (zeros), R (3x3)
-        and t (3x1) from the world to the camera, and rvec (3x1), R as ``cv::projectPoints`` takes
-        it. World: east, north, up, metres. Camera: x right, y down, z ahead. Pixels: the middle of
-        the first one is (0, 0).
-
-    Raises
-    ------
-    InputError
-        There is no camera.
+    A sequence "cameras", one map per unit - names of units are free, those of nodes are not - with
+    id, image_width, image_height, camera_matrix, distortion_coefficients (zeros), R (3x3) and t
+    (3x1) from the world to the camera, and rvec (3x1), R as ``cv::projectPoints`` takes it. World:
+    east, north, up, metres. Camera: x right, y down, z ahead. Pixels: the middle of the first one
+    is (0, 0). Raises InputError if there is no camera.
     """
+    document = {
+        "layout": _Quoted(layout.name),
+        "cameras": [_camera_record(camera) for camera in calibrations(layout, "opencv")],
+    }
+    text = yaml.dump(
+        document, Dumper=_Dumper, allow_unicode=True, sort_keys=False, width=float("inf")
+    )
     # The format's own first lines: FileStorage tells YAML from XML and JSON by them.
-    lines = ["%YAML:1.0", "---", *left_out_comment(lidar_ids(layout))]
-    lines += [f"layout: {yaml_text(layout.name)}", "cameras:"]
-    for calibration in calibrations(layout, "opencv"):
-        lines += _camera_lines(calibration)
-    return "\n".join(lines) + "\n"
+    return "%YAML:1.0\n---\n" + left_out_comment(layout) + text
 
 
-def _camera_lines(calibration: Calibration) -> list[str]:
-    from scipy.spatial.transform import Rotation
-
-    lines = [
-        f"id: {yaml_text(calibration.id)}",
-        f"image_width: {calibration.width_px}",
-        f"image_height: {calibration.height_px}",
-    ]
-    for name, matrix in (
-        ("camera_matrix", calibration.camera_matrix),
-        ("distortion_coefficients", np.zeros((1, N_DISTORTION))),
-        ("R", calibration.world_to_camera),
-        ("rvec", Rotation.from_matrix(calibration.world_to_camera).as_rotvec()[:, None]),
-        ("t", calibration.translation_m[:, None]),
-    ):
-        lines += _matrix_lines(name, matrix)
-    return ["   -", *(f"      {line}" for line in lines)]
+def _camera_record(camera: Calibration) -> dict[str, Any]:
+    rotation = camera.world_to_camera
+    return {
+        "id": _Quoted(camera.id),
+        "image_width": camera.width_px,
+        "image_height": camera.height_px,
+        "camera_matrix": camera.camera_matrix,
+        "distortion_coefficients": np.zeros((1, N_DISTORTION)),
+        "R": rotation,
+        "rvec": Rotation.from_matrix(rotation).as_rotvec()[:, None],
+        "t": camera.translation_m[:, None],
+    }
 
 
-def _matrix_lines(name: str, matrix: FloatArray) -> list[str]:
-    return [
-        f"{name}: !!opencv-matrix",
-        f"   rows: {matrix.shape[0]}",
-        f"   cols: {matrix.shape[1]}",
-        "   dt: d",
-        f"   data: {yaml_numbers(plain(matrix))}",
-    ]
+class _Quoted(str):
+    """Text that is written in double quotes, the only ones that FileStorage reads whole."""
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes arrays as FileStorage's matrices, and indents lists, as FileStorage needs it."""
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:
+        super().increase_indent(flow, indentless=False)
+
+
+def _represent_matrix(dumper: yaml.SafeDumper, matrix: FloatArray) -> yaml.Node:
+    rows, cols = matrix.shape
+    node = dumper.represent_mapping(
+        "tag:yaml.org,2002:opencv-matrix",
+        {"rows": rows, "cols": cols, "dt": "d", "data": plain(matrix)},
+        flow_style=False,
+    )
+    node.value[-1][1].flow_style = True  # the numbers on one line
+    return node
+
+
+def _represent_quoted(dumper: yaml.SafeDumper, text: _Quoted) -> yaml.Node:
+    return dumper.represent_scalar("tag:yaml.org,2002:str", str(text), style='"')
+
+
+_Dumper.add_representer(np.ndarray, _represent_matrix)
+_Dumper.add_representer(_Quoted, _represent_quoted)
+
+FORMAT = ExportFormat(
+    write=lambda layout, _scene: to_opencv(layout),
+    content="K, R, t of cameras, YAML; cv::FileStorage",
+    has_lidars=False,
+)

@@ -9,12 +9,8 @@ from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
-from .calibration import (
-    N_DISTORTION,
-    camera_matrix,
-    plain,
-    sensor_quaternion,
-)
+from .calibration import N_DISTORTION, camera_matrix, plain, sensor_quaternion
+from .formats import ExportFormat
 from .json import to_json_text
 
 SCHEMA_VERSION = "1.0.0"
@@ -96,3 +92,9 @@ def _stream(unit: CandidatePose) -> dict[str, Any]:
             }
         },
     }
+
+
+FORMAT = ExportFormat(
+    write=lambda layout, _scene: to_openlabel(layout),
+    content="coordinate systems and streams, ASAM OpenLABEL 1.0; vcd",
+)

@@ -1,8 +1,10 @@
 """Cameras of a layout for ROS: CameraInfo and static transforms."""
 
 import re
+from typing import Any
 
 import numpy as np
+import yaml
 
 from geometry.arrays import FloatArray
 from placement.layout import Layout
@@ -11,16 +13,11 @@ from .calibration import (
     N_DISTORTION,
     Calibration,
     calibrations,
-    lidar_ids,
+    left_out_comment,
     optical_quaternion,
     plain,
 )
-from .yaml_text import (
-    left_out_comment,
-    yaml_number,
-    yaml_numbers,
-    yaml_text,
-)
+from .formats import ExportFormat
 
 WORLD_FRAME = "map"
 """REP 105's name of a world-fixed frame: x east, y north, z up."""
@@ -29,23 +26,10 @@ WORLD_FRAME = "map"
 def to_ros(layout: Layout) -> str:
     """Layout as YAML: one document per camera; LiDARs are left out, a comment names them.
 
-    Parameters
-    ----------
-    layout : Layout
-        What to write.
-
-    Returns
-    -------
-    text : str
-        Documents with the fields that ``camera_calibration_parsers`` reads - it takes the first
-        document of a file -, the unit's id, and under static_transform what
-        ``geometry_msgs/TransformStamped`` holds: from "map" (x east, y north, z up) to the
-        camera's optical frame (x right, y down, z ahead).
-
-    Raises
-    ------
-    InputError
-        There is no camera.
+    A document has the fields that ``camera_calibration_parsers`` reads - it takes the first
+    document of a file -, the unit's id, and under static_transform what
+    ``geometry_msgs/TransformStamped`` holds: from "map" (x east, y north, z up) to the camera's
+    optical frame (x right, y down, z ahead). Raises InputError if there is no camera.
 
     References
     ----------
@@ -53,10 +37,17 @@ def to_ros(layout: Layout) -> str:
     """
     cameras = calibrations(layout, "ros")
     documents = [
-        "\n".join(["---", *_camera_lines(calibration, name)])
-        for calibration, name in zip(cameras, camera_names(cameras), strict=True)
+        _camera_record(camera, name)
+        for camera, name in zip(cameras, camera_names(cameras), strict=True)
     ]
-    return "\n".join([*left_out_comment(lidar_ids(layout)), *documents]) + "\n"
+    return left_out_comment(layout) + yaml.safe_dump_all(
+        documents,
+        allow_unicode=True,
+        sort_keys=False,
+        explicit_start=True,
+        default_flow_style=None,  # numbers of a list on one line
+        width=float("inf"),
+    )
 
 
 def camera_names(cameras: list[Calibration]) -> list[str]:
@@ -72,42 +63,35 @@ def camera_names(cameras: list[Calibration]) -> list[str]:
     return names
 
 
-def _camera_lines(calibration: Calibration, name: str) -> list[str]:
-    projection = np.column_stack([calibration.camera_matrix, np.zeros(3)])
-    return [
-        f"unit: {yaml_text(calibration.id)}",
-        f"image_width: {calibration.width_px}",
-        f"image_height: {calibration.height_px}",
-        f"camera_name: {name}",
-        *_matrix_lines("camera_matrix", calibration.camera_matrix),
-        "distortion_model: plumb_bob",
-        *_matrix_lines("distortion_coefficients", np.zeros((1, N_DISTORTION))),
-        *_matrix_lines("rectification_matrix", np.eye(3)),
-        *_matrix_lines("projection_matrix", projection),
-        "static_transform:",
-        "  header:",
-        f"    frame_id: {WORLD_FRAME}",
-        f"  child_frame_id: {name}_optical_frame",
-        "  transform:",
-        "    translation:",
-        *_component_lines("xyz", plain(calibration.pose.position_m)),
-        "    rotation:",
-        *_component_lines("xyzw", optical_quaternion(calibration.pose)),
-    ]
+def _camera_record(camera: Calibration, name: str) -> dict[str, Any]:
+    projection = np.column_stack([camera.camera_matrix, np.zeros(3)])
+    translation = dict(zip("xyz", plain(camera.pose.position_m), strict=True))
+    rotation = dict(zip("xyzw", optical_quaternion(camera.pose), strict=True))
+    return {
+        "unit": camera.id,
+        "image_width": camera.width_px,
+        "image_height": camera.height_px,
+        "camera_name": name,
+        "camera_matrix": _matrix_record(camera.camera_matrix),
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": _matrix_record(np.zeros((1, N_DISTORTION))),
+        "rectification_matrix": _matrix_record(np.eye(3)),
+        "projection_matrix": _matrix_record(projection),
+        "static_transform": {
+            "header": {"frame_id": WORLD_FRAME},
+            "child_frame_id": f"{name}_optical_frame",
+            "transform": {"translation": translation, "rotation": rotation},
+        },
+    }
 
 
-def _matrix_lines(name: str, matrix: FloatArray) -> list[str]:
+def _matrix_record(matrix: FloatArray) -> dict[str, Any]:
     rows, cols = matrix.shape
-    return [
-        f"{name}:",
-        f"  rows: {rows}",
-        f"  cols: {cols}",
-        f"  data: {yaml_numbers(plain(matrix))}",
-    ]
+    return {"rows": rows, "cols": cols, "data": plain(matrix)}
 
 
-def _component_lines(names: str, values: list[float]) -> list[str]:
-    # A bare y is a boolean in YAML 1.1.
-    return [
-        f'      "{name}": {yaml_number(value)}' for name, value in zip(names, values, strict=True)
-    ]
+FORMAT = ExportFormat(
+    write=lambda layout, _scene: to_ros(layout),
+    content="CameraInfo and transform per camera, YAML; camera_info_manager",
+    has_lidars=False,
+)

@@ -6,15 +6,13 @@ from pathlib import Path
 import click
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from geometry.actors import Actor, Shape, load_actors
 from geometry.arrays import FloatArray
 from geometry.poses import body_rotation
 from geometry.raycast import build_caster
 
-from .evaluation import root_figure
+from .axes import new_figure, to_png
 
 _SIDES_DEG = np.arange(0, 360, 45)
 _SIDE_NAMES = {0: "ahead", 90: "its left", 180: "behind", 270: "its right"}
@@ -37,7 +35,7 @@ _N_GREYS = 24  # few: a smaller file
 )
 def main(out: Path) -> None:
     """Draw every body of the catalogue from eight sides."""
-    root_figure(plot_bodies(load_actors())[0]).savefig(out, metadata={"Software": None})
+    out.write_bytes(to_png(plot_bodies(load_actors())[0]))
 
 
 def plot_bodies(actors: Mapping[str, Actor], *, pixels_per_view: int = 144) -> list[Axes]:
@@ -70,10 +68,7 @@ def plot_bodies(actors: Mapping[str, Actor], *, pixels_per_view: int = 144) -> l
         for name, actor in actors.items()
     }
     ratios = [strip.shape[0] / strip.shape[1] for strip in strips.values()]
-    figure = Figure(
-        figsize=(_WIDTH_IN, 0.6 + 1.02 * _WIDTH_IN * sum(ratios)), dpi=_DPI, layout="constrained"
-    )
-    FigureCanvasAgg(figure)
+    figure = new_figure(_WIDTH_IN, 0.6 + 1.02 * _WIDTH_IN * sum(ratios), dpi=_DPI)
     panels = figure.subplots(len(strips), 1, squeeze=False, height_ratios=ratios)[:, 0]
     for panel, (name, strip) in zip(panels, strips.items(), strict=True):
         actor = actors[name]

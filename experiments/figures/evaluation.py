@@ -1,16 +1,12 @@
-"""Figures of evaluations: APR by case, heatmaps. Built without pyplot's global state."""
+"""Figures of evaluations: APR by case, and heatmaps of who detects when."""
 
 import textwrap
-import warnings
 from collections.abc import Mapping, Sequence
-from io import BytesIO
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -23,14 +19,23 @@ from placement.evaluation import (
     apr,
     apr_by_case,
 )
-from placement.layout import Layout
 from placement.setting import Setting
-from scenarios.runs import FrameAxis
 
+from ..results.numbers import percent
 from ..results.tables import margin_s
-from ..results.text import percent
+from .axes import (
+    BLUE,
+    NARROW_IN,
+    WIDTH_IN,
+    describe_run,
+    literal,
+    new_axes,
+    new_figure,
+    root_figure,
+    unit_labels,
+)
 
-# ---------- which runs have a heatmap, and which units a row in it
+# ---------- which runs have a heatmap, and which units have a row in it
 
 
 _STUDY_HEATMAPS = ("CPNC-50/east/55", "CBNA/east/60", "CBLA/east/50")
@@ -111,55 +116,7 @@ def heatmap_indices(evaluation: Evaluation, setting: Setting, run_ids: Sequence[
     ]
 
 
-# ---------- figures of evaluations: APR by case, heatmaps. Built without pyplot's global state
-
-
-# M. Okabe, K. Ito, "Color Universal Design" (2008): told apart with any colour vision.
-BLUE, SKY, GREEN, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#F0E442"
-ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
-_RED = "#CC0000"
-
-WIDTH_IN = 6.8
-NARROW_IN = 4.0
-"""Width of figures whose letters can be read on a phone without moving the figure."""
-
-_DPI = 160
-_WIDTH_PX = WIDTH_IN * _DPI
-_MAX_LABEL_LENGTH = 8
-
-
-def unit_labels(layout: Layout) -> dict[str, str]:
-    """Short labels for figures, by unit id: the id where it is short, else its number.
-
-    Parameters
-    ----------
-    layout : Layout
-        Whose units.
-
-    Returns
-    -------
-    labels : dict of str to str
-        In the layout's order. All are ids, or all are "#1", "#2" and so on.
-    """
-    ids = [unit.id for unit in layout.units]
-    if all(len(unit_id) <= _MAX_LABEL_LENGTH for unit_id in ids):
-        return {unit_id: unit_id for unit_id in ids}
-    return {unit_id: f"#{number}" for number, unit_id in enumerate(ids, start=1)}
-
-
-def literal(name: str) -> str:
-    """A name for matplotlib to draw letter by letter: no mathematics, and never left out."""
-    escaped = name.replace("$", r"\$")
-    return f" {escaped}" if escaped.startswith("_") else escaped
-
-
-def describe_run(axis: FrameAxis, run_index: int) -> str:
-    """A run in words: case, approach, speed, and the weather unless it is day."""
-    weather = axis.weathers[run_index]
-    return (
-        f"{axis.cases[run_index]} from the {axis.approaches[run_index]} at "
-        f"{axis.vut_speed_kmh[run_index]:g} km/h" + (f", {weather}" if weather != "day" else "")
-    )
+# ---------- APR by case
 
 
 def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None = None) -> Axes:
@@ -207,6 +164,47 @@ def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None
         axes.axvline(column - 0.5, color="black", linewidth=0.3)
     axes.set_xlabel("share of the runs that end without contact", fontsize=8)
     return axes
+
+
+_SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
+_DARK_BELOW = 0.34  # where white and black stand out from the cell alike
+_HEAD_WIDTH = 16
+_MAX_NARROW_COLUMNS = 3
+
+
+def _apr_columns(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, float]]:
+    """APR of all runs and of each case, by sensing party."""
+    subject_name, subject = next(iter(evaluations.items()))
+    verdicts: dict[str, tuple[Evaluation, Verdict]] = {
+        f"{name}: {_n_sensors(evaluation)}": (evaluation, evaluation.rsu_all)
+        for name, evaluation in evaluations.items()
+    }
+    verdicts["car (VUT) alone"] = (subject, subject.vut)
+    verdicts[f"car (VUT) and {subject_name}"] = (subject, subject.vut_and_rsus)
+    return {
+        name: {
+            "all runs": apr(verdict, evaluation.axis),
+            **apr_by_case(verdict, evaluation.axis),
+        }
+        for name, (evaluation, verdict) in verdicts.items()
+    }
+
+
+def _n_sensors(evaluation: Evaluation) -> str:
+    units = evaluation.layout.units
+    kinds = {sensor_kind(unit.sensor) for unit in units}
+    one, many = ("camera", "cameras") if kinds == {"camera"} else ("sensor", "sensors")
+    return f"1 {one}" if len(units) == 1 else f"{len(units)} {many} together"
+
+
+# ---------- heatmaps
+
+
+_TIME_LABEL = "time before the impact without braking (s)"
+_RED = "#CC0000"
+_DETECTED, _MISSED = BLUE, "#e6e6e6"
+_DASHES = (0, (3.0, 1.5))
+_NARROW_TITLE = 46
 
 
 def plot_heatmap(
@@ -260,8 +258,7 @@ def plot_heatmaps(
     rows = _heatmap_rows(evaluation, run_indices)
     is_narrow = width_in < WIDTH_IN
     height = 0.75 + 0.2 * is_narrow + len(run_indices) * (0.85 + 0.21 * len(rows))
-    figure = Figure(figsize=(width_in, height), dpi=_dots_per_inch(width_in), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(width_in, height)
     panels = figure.subplots(len(run_indices), 1, squeeze=False)[:, 0]
     for axes, run_index in zip(panels, run_indices, strict=True):
         _draw_heatmap(axes, evaluation, rows, run_index)
@@ -274,81 +271,6 @@ def plot_heatmaps(
         frameon=False,
     )
     return list(panels)
-
-
-def to_png(drawn: Axes | Figure) -> bytes:
-    """A figure, or the one that some axes are in, as a PNG file; equal ones give equal bytes."""
-    figure = root_figure(drawn)
-    buffer = BytesIO()
-    with warnings.catch_warnings():
-        # A name in a script that the font lacks is drawn as boxes; the report spells it out.
-        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()
-
-
-def root_figure(drawn: Axes | Figure) -> Figure:
-    """The figure that some axes are in."""
-    figure = drawn.get_figure(root=True)
-    if figure is None:
-        raise ValueError("axes that are in no figure")
-    return figure
-
-
-def new_axes(width_in: float, height_in: float) -> Axes:
-    """One pair of axes in a figure of its own, drawn by Agg; sizes in inches."""
-    dpi = _dots_per_inch(width_in)
-    figure = Figure(figsize=(width_in, height_in), dpi=dpi, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure.add_subplot()
-
-
-def _dots_per_inch(width_in: float) -> float:
-    """So that a narrow figure, too, is fine enough for a phone's screen."""
-    return _WIDTH_PX / width_in if width_in == NARROW_IN else _DPI
-
-
-# ---------------------------------------------------------------- APR by case
-
-
-_TIME_LABEL = "time before the impact without braking (s)"
-_SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
-_DARK_BELOW = 0.34  # where white and black stand out from the cell alike
-_HEAD_WIDTH = 16
-_MAX_NARROW_COLUMNS = 3
-
-
-def _apr_columns(evaluations: Mapping[str, Evaluation]) -> dict[str, dict[str, float]]:
-    """APR of all runs and of each case, by sensing party."""
-    subject_name, subject = next(iter(evaluations.items()))
-    verdicts: dict[str, tuple[Evaluation, Verdict]] = {
-        f"{name}: {_n_sensors(evaluation)}": (evaluation, evaluation.rsu_all)
-        for name, evaluation in evaluations.items()
-    }
-    verdicts["car (VUT) alone"] = (subject, subject.vut)
-    verdicts[f"car (VUT) and {subject_name}"] = (subject, subject.vut_and_rsus)
-    return {
-        name: {
-            "all runs": apr(verdict, evaluation.axis),
-            **apr_by_case(verdict, evaluation.axis),
-        }
-        for name, (evaluation, verdict) in verdicts.items()
-    }
-
-
-def _n_sensors(evaluation: Evaluation) -> str:
-    units = evaluation.layout.units
-    kinds = {sensor_kind(unit.sensor) for unit in units}
-    one, many = ("camera", "cameras") if kinds == {"camera"} else ("sensor", "sensors")
-    return f"1 {one}" if len(units) == 1 else f"{len(units)} {many} together"
-
-
-# ---------------------------------------------------------------- heatmaps
-
-
-_DETECTED, _MISSED = BLUE, "#e6e6e6"
-_DASHES = (0, (3.0, 1.5))
-_NARROW_TITLE = 46
 
 
 def _heatmap_rows(evaluation: Evaluation, run_indices: Sequence[int]) -> dict[str, Verdict]:

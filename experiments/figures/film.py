@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
@@ -28,13 +26,7 @@ from placement.evaluator import load_vut_camera
 from placement.visibility.casting import build_static_mesh
 from scenarios.runs import Run
 
-from .evaluation import (
-    BLUE,
-    SKY,
-    VERMILION,
-    literal,
-    root_figure,
-)
+from .axes import BLUE, SKY, VERMILION, literal, new_figure, root_figure, show_square
 from .plan import PARKED_STYLE, draw_parked, draw_scene
 
 STILLS = (".png", ".svg", ".pdf")
@@ -67,12 +59,7 @@ def plot_film(scene: Scene, run: Run) -> list[Axes]:
         One pair per instant, in metres, north up. The fourth shows the last frame in which
         braking still helps, the last one the impact.
     """
-    figure = Figure(
-        figsize=(_COLUMNS * _PANEL_IN, _ROWS * (_PANEL_IN + 0.3) + 1.0),
-        dpi=_DPI,
-        layout="constrained",
-    )
-    FigureCanvasAgg(figure)
+    figure = new_figure(_COLUMNS * _PANEL_IN, _ROWS * (_PANEL_IN + 0.3) + 1.0, dpi=_DPI)
     figure.suptitle(_title(run), fontsize=11)
     instants = _instants(run)
     stage = _Stage(scene, run, instants)
@@ -121,8 +108,7 @@ def save_film(path: Path, scene: Scene, run: Run, *, progress: Progress = silent
 
 def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
     frames = [frame for frame in range(len(run.time_s)) if run.time_s[frame] >= _first_s(run)]
-    figure = Figure(figsize=(5.6, 6.6), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(5.6, 6.6, dpi=100)
     figure.suptitle(_title(run), fontsize=9)
     figure.legend(
         handles=_legend(run), loc="outside lower center", ncols=2, fontsize=7, frameon=False
@@ -261,12 +247,7 @@ class _Stage:
             VERMILION,
             "xxxx",
         )
-        axes.set_aspect("equal")
-        for set_limits, middle in (
-            (axes.set_xlim, window.middle_m[0]),
-            (axes.set_ylim, window.middle_m[1]),
-        ):
-            set_limits(middle - window.half_size_m, middle + window.half_size_m)
+        show_square(axes, window.middle_m, window.half_size_m)
         axes.tick_params(labelsize=7)
         axes.set_title(self._caption(frame, share), fontsize=9)
         self._point_at_vut(axes, frame)

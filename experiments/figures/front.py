@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
@@ -14,9 +12,8 @@ from matplotlib.ticker import MaxNLocator
 from geometry.arrays import FloatArray
 from placement.optimiser.front import Front
 
-from .evaluation import BLUE, VERMILION, WIDTH_IN
+from .axes import BLUE, VERMILION, WIDTH_IN, finish_axes, new_figure
 
-_DPI = 160
 _SETTLED = "#ececec"
 _X_LABELS = {"units": "units", "cost": "cost (EUR)"}
 # Told apart by marker and dashes as well as by colour.
@@ -64,8 +61,7 @@ def plot_front(front: Front, *, axes: Axes | None = None) -> Axes:
         axes.legend(handles=[*handles, *_shades(front)], fontsize=8, frameon=False, loc="best")
         return axes
     has_times = front.stages == "all"
-    figure = Figure(figsize=(WIDTH_IN, 4.9 if has_times else 3.4), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(WIDTH_IN, 4.9 if has_times else 3.4)
     panels = figure.subplots(
         2 if has_times else 1, 1, sharex=True, squeeze=False, height_ratios=[3, 2][: 1 + has_times]
     )[:, 0]
@@ -155,9 +151,7 @@ def _draw(
     if front.by == "units":
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlim(_left_end(x, front.by), end)
-    axes.tick_params(labelsize=8)
-    axes.grid(axis="y", color="#d9d9d9", lw=0.5)
-    axes.spines[["top", "right"]].set_visible(False)
+    finish_axes(axes, grid="y")
     return handles
 
 

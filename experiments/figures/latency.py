@@ -5,23 +5,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from placement.latency import LatencyBudget, LatencyCurve
 
-from ..results.text import percent
-from .evaluation import (
-    BLUE,
-    GREY,
-    VERMILION,
-    WIDTH_IN,
-    literal,
-)
+from ..results.numbers import percent
+from .axes import BLUE, GREY, VERMILION, WIDTH_IN, finish_axes, literal, new_figure
 
-_DPI = 160
 _MS = 1000.0
 _LEAST_BAR_S = 0.001  # a budget may be nothing at all
 _SHADE = "#e4e4e4"
@@ -61,8 +52,7 @@ def plot_latency(
     """
     n_rows = 1 if _is_fixed(budget) else 2
     height = 3.9 + 0.3 * n_rows + 0.17 * ((len(budget.parts) + 2) // 3)
-    figure = Figure(figsize=(WIDTH_IN, height), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(WIDTH_IN, height)
     upper, lower = figure.subplots(2, 1, height_ratios=[8.0, n_rows])
     handles = _draw_curves(upper, curves, budget, max_latency_s)
     _draw_parts(lower, budget)
@@ -102,11 +92,13 @@ def _draw_curves(
     axes.set_xlim(0.0, _MS * max_latency_s)
     axes.set_ylim(-0.03, 1.03)
     axes.set_yticks(np.linspace(0.0, 1.0, 6), [f"{share:.0f} %" for share in range(0, 101, 20)])
-    axes.set_xlabel("latency from the frame to the onset of braking (ms)", fontsize=9)
-    axes.set_ylabel("accidents prevented (APR)", fontsize=9)
-    axes.tick_params(labelsize=8)
-    axes.grid(axis="y", color="#dddddd", lw=0.5)
-    axes.spines[["top", "right"]].set_visible(False)
+    finish_axes(
+        axes,
+        x="latency from the frame to the onset of braking (ms)",
+        y="accidents prevented (APR)",
+        size=9,
+        grid="y",
+    )
     return handles
 
 
@@ -151,10 +143,9 @@ def _draw_parts(axes: Axes, budget: LatencyBudget) -> None:
     axes.set_xlim(0.0, 1.15 * _MS * max(budget.worst_s, _LEAST_BAR_S))
     axes.set_yticks(range(len(rows)), list(rows), fontsize=8)
     axes.set_ylim(len(rows) - 0.5, -0.5)
-    axes.set_xlabel(literal(f"parts of the latency budget {budget.name} (ms)"), fontsize=9)
-    axes.tick_params(axis="x", labelsize=8)
     axes.tick_params(axis="y", length=0)
-    axes.spines[["top", "right", "left"]].set_visible(False)
+    words = literal(f"parts of the latency budget {budget.name} (ms)")
+    finish_axes(axes, x=words, size=9, hidden=("top", "right", "left"))
 
 
 def _part_patches(budget: LatencyBudget) -> list[Patch]:

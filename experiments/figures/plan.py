@@ -22,7 +22,7 @@ from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
 
-from .evaluation import (
+from .axes import (
     BLUE,
     GREEN,
     ORANGE,
@@ -32,6 +32,7 @@ from .evaluation import (
     WIDTH_IN,
     literal,
     new_axes,
+    show_square,
     unit_labels,
 )
 from .sensors import (
@@ -304,9 +305,7 @@ def plot_plan(
     for other in others:
         _draw_other(axes, other)
     _draw_units(axes, layout, max_range_m)
-    axes.set_aspect("equal")
-    axes.set_xlim(middle[0] - half_size_m, middle[0] + half_size_m)
-    axes.set_ylim(middle[1] - half_size_m, middle[1] + half_size_m)
+    show_square(axes, middle, half_size_m)
     axes.set_xlabel("east (m)")
     axes.set_ylabel("north (m)")
     _draw_compass(axes, middle, half_size_m)

@@ -9,7 +9,7 @@ from geometry.poses import camera_rotation
 from geometry.raycast import build_caster
 from geometry.scene import Scene, road_area
 
-from .evaluation import WIDTH_IN, literal, new_axes
+from .axes import WIDTH_IN, finish_axes, literal, new_axes, show_square
 from .plan import draw_scene
 
 _COLOURS = {
@@ -72,12 +72,8 @@ def plot_scene_plan(
                     color="#333333",
                     zorder=8,
                 )
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
-    axes.set_aspect("equal")
-    axes.set_xlabel("east (m)", fontsize=9)
-    axes.set_ylabel("north (m)", fontsize=9)
-    axes.tick_params(labelsize=8)
+    show_square(axes, middle, half)
+    finish_axes(axes, x="east (m)", y="north (m)", size=9, hidden=())
     axes.set_title(literal(scene.name), fontsize=10)
     return axes
 

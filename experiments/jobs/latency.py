@@ -26,12 +26,13 @@ from placement.layout import Layout, check_layout, layout_records
 from placement.question import Question
 from placement.setting import build_setting
 
-from ..figures.evaluation import to_png
+from ..figures.axes import to_png
 from ..figures.latency import plot_latency
 from ..progress import WRITING, StageProgress
-from ..results.summary import summarise_drives, versions
-from ..results.text import percent
-from ..results.writing import check_folder, write_files
+from ..results.drives import build_drives_record, versions
+from ..results.numbers import percent
+from ..results.record import to_plain
+from .writing import check_folder, write_files
 
 # ---------- what ``place-rsus latency`` does
 
@@ -85,14 +86,10 @@ def run_latency(
     Raises
     ------
     InputError
-        The budget is unknown or given twice, the phase of the frames depends on the latency, a
+        The budget is unknown or given twice, a
         unit hangs inside something, or `out` cannot be written.
     """
     chosen = pick_budget(question, budget)
-    if question.phase != "aligned":
-        raise InputError(
-            "--phase", question.phase, "aligned: every latency is looked at on the same frames"
-        )
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
@@ -103,7 +100,7 @@ def run_latency(
     curves = apr_by_latency(evaluation, setting.rule, vut_latency_s=vut_latency_s)
     shown_s = _default_max_s(curves, chosen) if max_latency_s is None else max_latency_s
     summary = summarise_latency(evaluation, curves, chosen, max_latency_s=shown_s)
-    summary |= {"vut_latency_s": vut_latency_s, **summarise_drives(setting)}
+    summary |= {"vut_latency_s": vut_latency_s, **to_plain(build_drives_record(setting))}
     if out is not None:
         progress(WRITING, 0, 0)
         axes, _ = plot_latency(curves, chosen, max_latency_s=shown_s)

@@ -3,7 +3,7 @@
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,25 +12,27 @@ import pandas as pd
 from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
-from placement.layout import layout_records
 from placement.optimiser import Fusion, PlacementProblem
 from placement.optimiser.cost_front import cost_front
-from placement.optimiser.front import Front, FrontPoint, StageChoice
+from placement.optimiser.front import Front, StageChoice
 from placement.optimiser.units_front import pareto_front
-from placement.pipeline import obtain_table, pick_layout
+from placement.pipeline import obtain_table
+from placement.planning import Plan, build_plan
 from placement.question import Question
 from placement.setting import build_setting
 from placement.wishes import build_problem
 
 from ..export.json import to_json_text
-from ..figures.evaluation import to_png
+from ..figures.axes import to_png
 from ..figures.front import plot_front
 from ..progress import WRITING, StageProgress
 from ..report.front import describe_money, describe_units
-from ..results.summary import summarise_drives, versions
-from ..results.text import percent
-from ..results.writing import check_folder, write_files
-from .planning import Plan, build_plan
+from ..results.drives import build_drives_record, versions
+from ..results.fronts import FrontRecord, build_front_record
+from ..results.numbers import percent
+from ..results.record import to_plain
+from ..study.layout import load_carlancap_layout
+from .writing import check_folder, write_files
 
 # ---------- what ``place-rsus pareto`` does
 
@@ -78,7 +80,7 @@ def run_pareto(
     Returns
     -------
     summary : dict
-        See :func:`summarise_front`.
+        The fields of a front's record, what was driven, "command", "seconds", "versions".
 
     Raises
     ------
@@ -89,7 +91,7 @@ def run_pareto(
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
-    plan = build_plan(replace(question, budget=1), scene)
+    plan = build_plan(replace(question, budget=1), scene, study=load_carlancap_layout())
     wishes = replace(plan.wishes, budget_units=max_units)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
@@ -105,8 +107,12 @@ def run_pareto(
     front = _find_front(
         problem, by=by, all_stages=all_stages, n_kept=n_kept, plan=plan, progress=progress
     )
-    summary = summarise_front(front, problem, plan.candidates, n_kept=n_kept)
-    summary |= {"command": command, **summarise_drives(setting)}
+    record = describe_front(front, problem, plan.candidates, n_kept=n_kept)
+    summary = {
+        **to_plain(record),
+        "command": command,
+        **to_plain(build_drives_record(setting)),
+    }
     if out is not None:
         progress(WRITING, 0, 0)
         csv = front_table(front, plan.candidates).to_csv(index=False, lineterminator="\n")
@@ -149,50 +155,19 @@ def _find_front(
     )
 
 
-def summarise_front(
+def describe_front(
     front: Front,
     problem: PlacementProblem,
     candidates: Sequence[CandidatePose],
     *,
     n_kept: int = 0,
-) -> dict[str, Any]:
-    """A front as one plain object: what ``--json`` prints, and ``pareto.json``.
-
-    Parameters
-    ----------
-    front : Front
-        By units or by cost.
-    problem : PlacementProblem
-        What it was found in.
-    candidates : sequence of CandidatePose
-        Rows of its table.
-    n_kept : int
-        Units that hang there already.
-
-    Returns
-    -------
-    summary : dict
-        "points" has, for each: units, the values, "is_proven", "stages" with objective, bound and
-        gap, "solver", "layout" and "pose_ids"; "sentences" says what each one buys; "settled" is
-        the number of units, or the euros, from which on nothing grows, or None.
-    """
-    sentences = (
-        describe_units(front, n_kept=n_kept) if front.by == "units" else describe_money(front)
-    )
-    return {
-        "by": front.by,
-        "optimised": front.stages,
-        "candidates": problem.table.n_poses,
-        "runs": problem.table.axis.n_runs,
-        "fusion": problem.fusion,
-        "kept": n_kept,
-        "settled": front.settled,
-        "is_proven": front.is_proven,
-        "presolve": None if front.presolve is None else asdict(front.presolve),
-        "refused": [{"units": units, "reason": why} for units, why in front.refused],
-        "points": [_point_record(point, candidates) for point in front.points],
-        "sentences": sentences,
-    }
+) -> FrontRecord:
+    """A front with the sentences that say what each unit, or more money, buys."""
+    if front.by == "units":
+        sentences = describe_units(front, n_kept=n_kept)
+    else:
+        sentences = describe_money(front)
+    return build_front_record(front, problem, candidates, sentences=sentences, n_kept=n_kept)
 
 
 def front_table(front: Front, candidates: Sequence[CandidatePose]) -> pd.DataFrame:
@@ -214,19 +189,6 @@ def front_table(front: Front, candidates: Sequence[CandidatePose]) -> pd.DataFra
         row["poses"] = " ".join(candidates[index].id for index in point.pose_index)
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def _point_record(point: FrontPoint, candidates: Sequence[CandidatePose]) -> dict[str, Any]:
-    layout = pick_layout(candidates, point.pose_index, f"front-{point.units}")
-    return {
-        "units": point.units,
-        **point.value._asdict(),
-        "is_proven": point.is_proven,
-        "stages": [asdict(stage) for stage in point.certificate.stages],
-        "solver": point.certificate.solver,
-        "layout": layout_records(layout),
-        "pose_ids": [candidates[index].id for index in point.pose_index],
-    }
 
 
 # ---------- A front of layouts as plain text for a terminal

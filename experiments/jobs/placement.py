@@ -4,7 +4,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
+
+from msgspec import UNSET, UnsetType
+from msgspec.structs import replace as replace_fields
 
 from geometry.scene_files import load_scene
 from placement.compute import Compute
@@ -16,6 +19,8 @@ from placement.optimiser import Fusion
 from placement.optimiser.front import Front
 from placement.optimiser.units_front import front_below
 from placement.pipeline import Placement, place
+from placement.planning import Plan, build_plan
+from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
 from placement.sampling import load_uncertainty, out_of_sample_layouts
@@ -23,23 +28,26 @@ from placement.setting import Setting, build_setting
 
 from ..progress import StageProgress
 from ..report.bill_of_materials import build_bill
-from ..report.comparison import summarise_differences
-from ..report.explanation import summarise_explanations
 from ..report.page import GREEDY
-from ..report.private_ground import load_private_ground, summarise_private_ground
-from ..report.refinement import summarise_refinement
-from ..report.sampled_worlds import plot_sampled_apr, summarise_uncertainty
-from ..report.sensitivity import summarise_sensitivity
-from ..results.summary import (
-    summarise_comparison,
-    summarise_drives,
-    summarise_layout,
-    summarise_placement,
+from ..report.sampled_worlds import plot_sampled_apr
+from ..results.explanations import (
+    PrivateGroundRecord,
+    SensitivityRecord,
+    build_explained_record,
+    build_private_ground_record,
+    build_sensitivity_record,
 )
-from ..results.writing import check_result_folder, left_as_it_was, write_results
-from ..study.layout import find_baseline
-from .pareto import summarise_front
-from .planning import Plan, build_plan
+from ..results.fronts import build_refinement_record
+from ..results.result import (
+    Result,
+    build_comparison_result,
+    build_layout_result,
+    build_placement_result,
+)
+from ..results.sampled_worlds import build_sampled_record
+from ..study.layout import find_baseline, load_carlancap_layout
+from .pareto import describe_front
+from .writing import check_result_folder, left_as_it_was, write_results
 
 MIN_FRESH_WORLDS = 60
 """Sampled worlds that a layout is judged in, at least: with fewer, intervals say little."""
@@ -52,13 +60,8 @@ def run_placement(
     compute: Compute,
     command: str,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> Result:
     """Find, prove, evaluate and compare a layout, and write everything to `out`.
-
-    Returns
-    -------
-    summary : dict
-        See :func:`experiments.results.summary.summarise_placement`.
 
     Raises
     ------
@@ -67,7 +70,7 @@ def run_placement(
     """
     check_result_folder(out)
     scene = load_scene(question.scene)
-    plan = build_plan(question, scene)
+    plan = build_plan(question, scene, study=load_carlancap_layout())
     progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
@@ -106,33 +109,36 @@ def run_placement(
         placement = refinement.placement
     progress("explain", 0, 0)
     poses = plan.candidates if refinement is None else refinement.candidates
-    explained = summarise_explanations(
+    explained = build_explained_record(
         placement,
         setting,
         poses,
         n_pool=question.pool,
-        tolerance=question.pool_tolerance,
         compute=compute,
     )
     front = _front_below(placement, plan, progress)
     layouts = [placement.layout, placement.greedy, *([] if study is None else [study])]
     found, greedy, *others = evaluate_layouts(layouts, setting, compute=compute)
     baseline = others[0] if others else None
-    summary = summarise_placement(placement, setting, found=found, greedy=greedy, baseline=baseline)
-    summary |= summarise_drives(setting)
-    summary["explained"] = explained
-    if front is not None:
-        summary["front"] = summarise_front(
-            front, placement.problem, poses, n_kept=len(plan.wishes.kept)
-        )
-    summary["sensitivity"] = _what_if(setting, placement.layout, compute, fusion=question.fusion)
-    if plan.private is not None:
-        units = placement.layout.units
-        summary["private_ground"] = summarise_private_ground(
-            units, scene, plan.private, eur_per_m2=question.no_look_price
-        )
-    if refinement is not None:
-        summary["refinement"] = summarise_refinement(refinement)
+    result = build_placement_result(
+        placement, setting, found=found, greedy=greedy, baseline=baseline
+    )
+    result = replace_fields(
+        result,
+        explained=explained,
+        front=(
+            UNSET
+            if front is None
+            else describe_front(front, placement.problem, poses, n_kept=len(plan.wishes.kept))
+        ),
+        sensitivity=_what_if(setting, placement.layout, compute, fusion=question.fusion),
+        private_ground=(
+            UNSET
+            if plan.private_ground is None
+            else build_private_ground_record(placement.layout.units, scene, plan.private_ground)
+        ),
+        refinement=UNSET if refinement is None else build_refinement_record(refinement),
+    )
     sampled_figure = None
     if question.samples:
         judged = out_of_sample_layouts(
@@ -143,7 +149,7 @@ def run_placement(
             fusion=question.fusion,
             compute=compute,
         )
-        summary["sampled"] = summarise_uncertainty(
+        sampled = build_sampled_record(
             judged,
             uncertainty,
             tail=plan.wishes.tail,
@@ -153,12 +159,13 @@ def run_placement(
             },
             chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
         )
+        result = replace_fields(result, sampled=sampled)
         sampled_figure = plot_sampled_apr(judged)
     evaluations = {found.layout.name: found, GREEDY: greedy}
     evaluations |= {other.layout.name: other for other in others}
-    write_results(
+    return write_results(
         out,
-        summary,
+        result,
         setting,
         evaluations,
         command=command,
@@ -172,13 +179,12 @@ def run_placement(
         ),
         sampled_figure=sampled_figure,
     )
-    return summary
 
 
 def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
     problem = placement.problem
-    if problem.goal != "best" or problem.survive or problem.stage_weights is not None:
+    if problem.goal != "best" or problem.survive:
         return None
     return front_below(
         problem,
@@ -192,10 +198,10 @@ def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> F
 
 def _what_if(
     setting: Setting, layout: Layout, compute: Compute, *, fusion: str = "any"
-) -> dict[str, Any]:
+) -> SensitivityRecord:
     """What becomes of a layout if an assumption is wrong."""
     found = find_sensitivity(setting, layout, fusion=cast(Fusion, fusion), compute=compute)
-    return summarise_sensitivity(found)
+    return build_sensitivity_record(found)
 
 
 def run_evaluation(
@@ -207,13 +213,8 @@ def run_evaluation(
     compute: Compute,
     command: str,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> Result:
     """Evaluate a layout, and write a report if asked to.
-
-    Returns
-    -------
-    summary : dict
-        See :func:`experiments.results.summary.summarise_layout`.
 
     Raises
     ------
@@ -242,16 +243,11 @@ def run_comparison(
     compute: Compute,
     command: str,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> Result:
     """Compare layouts on the same runs, and write a report if asked to.
 
     With samples, they are compared in so many sampled worlds, too: the same ones for all, so that
     differences have an interval.
-
-    Returns
-    -------
-    summary : dict
-        See :func:`experiments.results.summary.summarise_comparison`.
 
     Raises
     ------
@@ -282,7 +278,7 @@ def _judge(
     compute: Compute,
     command: str,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> Result:
     """Evaluate one layout, or compare several."""
     drawn = load_uncertainty(uncertainty, where="--uncertainty")
     if out is not None:
@@ -295,20 +291,19 @@ def _judge(
         check_layout(layout, setting.scene)
     private = load_private_ground(Path(no_look), setting.scene) if no_look else None
     verdicts = evaluate_layouts(layouts, setting, compute=compute)
+    seen: list[PrivateGroundRecord | UnsetType] = [
+        UNSET
+        if private is None
+        else build_private_ground_record(layout.units, setting.scene, private)
+        for layout in layouts
+    ]
     if len(verdicts) == 1:
-        summary = summarise_layout(verdicts[0], setting.rule)
+        result = build_layout_result(setting, verdicts[0])
     else:
-        summary = summarise_comparison(verdicts[0], verdicts[1:], setting.rule)
-        named = {verdict.layout.name: verdict for verdict in verdicts}
-        summary["differences"] = summarise_differences(named)
-    summary |= summarise_drives(setting)
-    if private is not None:
-        seen = [
-            summarise_private_ground(layout.units, setting.scene, private) for layout in layouts
-        ]
-        summary["private_ground"] = seen[0]
-        for entry, of_layout in zip(summary.get("compared", ()), seen[1:], strict=True):
-            entry["private_ground"] = of_layout
+        result = build_comparison_result(
+            setting, verdicts[0], verdicts[1:], private_ground=seen[1:]
+        )
+    result = replace_fields(result, private_ground=seen[0])
     sampled_figure = None
     if samples:
         judged = out_of_sample_layouts(
@@ -319,24 +314,23 @@ def _judge(
             compute=compute,
         )
         planned = {item.layout.name: apr(item.rsu_all, item.axis) for item in verdicts}
-        summary["sampled"] = summarise_uncertainty(
+        sampled = build_sampled_record(
             judged, drawn, tail=1.0, seed=compute.seed, planned_apr=planned
         )
+        result = replace_fields(result, sampled=sampled)
         sampled_figure = plot_sampled_apr(judged)
     if out is None:
-        summary["seconds"] = progress.finish()
-        return summary
-    summary["sensitivity"] = _what_if(setting, layouts[0], compute)
-    write_results(
+        return replace_fields(result, seconds=progress.finish())
+    result = replace_fields(result, sensitivity=_what_if(setting, layouts[0], compute))
+    return write_results(
         out,
-        summary,
+        result,
         setting,
         {verdict.layout.name: verdict for verdict in verdicts},
         command=command,
         progress=progress,
         sampled_figure=sampled_figure,
     )
-    return summary
 
 
 def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:

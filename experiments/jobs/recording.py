@@ -23,6 +23,7 @@ from placement.optimiser import (
     solve_greedy,
     solve_placement,
 )
+from placement.planning import build_effort
 from placement.question import Question
 from placement.recordings import (
     RecordedEvaluation,
@@ -37,12 +38,14 @@ from placement.setting import build_rule
 from placement.verification.certificates import build_certificate, save_certificate
 from scenarios.aeb import AebRule
 
-from ..cli.tables import ALL_UNITS
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
-from ..results.summary import versions
-from ..results.writing import MARKER, check_result_folder, new_result_folder
-from .planning import effort_of
+from ..results.drives import versions
+from ..results.reading import MARKER
+from .writing import check_result_folder, new_result_folder
+
+ALL_UNITS = "RSU_all"
+"""All units of a recording together, in the study's words."""
 
 
 def run_recording(
@@ -126,7 +129,7 @@ def run_recorded_placement(
     solution = solve_placement(
         problem,
         reduced,
-        effort=effort_of(question),
+        effort=build_effort(question),
         on_stage=lambda stage: progress(f"optimise: {stage}", 0, 0),
     )
     greedy = _pick(recording, solve_greedy(problem, reduced))

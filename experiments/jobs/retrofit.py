@@ -14,6 +14,7 @@ from placement.compute import Compute
 from placement.layout import Layout, check_layout, layout_records
 from placement.optimiser import Fusion, PlacementValue, is_better
 from placement.pipeline import obtain_table
+from placement.planning import build_grid, build_plan
 from placement.question import Question
 from placement.retrofit import (
     Change,
@@ -29,10 +30,10 @@ from placement.wishes import build_problem
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
-from ..results.summary import summarise_drives, versions
-from ..results.text import percent
-from ..results.writing import check_folder, write_files
-from .planning import build_plan, grid_of
+from ..results.drives import build_drives_record, versions
+from ..results.numbers import percent
+from ..results.record import to_plain
+from .writing import check_folder, write_files
 
 # ---------- what can be done about a layout that hangs, as sentences and as a table for a terminal
 
@@ -259,8 +260,8 @@ def run_retrofit(
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
     check_layout(layout, scene)
-    plan = build_plan(replace(question, budget=1, budget_cost=None, study_poses=False), scene)
-    poses = build_retrofit_poses(layout, grid_of(question.sensors), plan.candidates)
+    plan = build_plan(replace(question, budget=1, budget_cost=None), scene)
+    poses = build_retrofit_poses(layout, build_grid(question.sensors), plan.candidates)
     wishes = replace(plan.wishes, kept=tuple(unit.id for unit in layout.units))
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
@@ -292,7 +293,7 @@ def run_retrofit(
         "budget_eur": question.budget_cost,
         "labour": asdict(labour) | {"re_aim_eur": labour.re_aim_eur},
         "command": command,
-        **summarise_drives(setting),
+        **to_plain(build_drives_record(setting)),
     }
     summary["sentences"] = describe_retrofit(summary)
     if out is not None:

@@ -29,10 +29,10 @@ from geometry.scene_files import (
     save_scene,
 )
 
-from ..figures.evaluation import to_png
+from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan, plot_scene_view
 from ..progress import WRITING, StageProgress
-from ..results.writing import check_folder, write_files
+from .writing import check_folder, write_files
 
 # ---------- what ``place-rsus scene`` does: import, show, check
 

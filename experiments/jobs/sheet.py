@@ -31,16 +31,11 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
-from ..figures.evaluation import (
-    BLUE,
-    VERMILION,
-    literal,
-    unit_labels,
-)
+from ..figures.axes import BLUE, VERMILION, literal, unit_labels
 from ..figures.plan import draw_scene, ground_footprint
 from ..figures.sensors import ALL_ROUND, blind_footprint, ring_path
 from ..progress import WRITING, StageProgress
-from ..results.writing import check_folder
+from .writing import check_folder
 
 # ---------- the mounting sheet: a PDF with one A4 page for each unit, for whoever puts it up
 

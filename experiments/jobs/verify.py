@@ -14,12 +14,9 @@ from placement.verification.instances import load_problem
 from placement.verification.verify import verify_certificate
 
 from ..progress import StageProgress
-from ..results.writing import MARKER
+from ..results.reading import LAYOUT_FILE, MARKER
 
 # ---------- what ``place-rsus verify`` does: a folder of results, checked without the optimiser
-
-
-LAYOUT_FILE = "layout.json"
 
 
 def run_verification(folder: Path, *, progress: StageProgress) -> dict[str, Any]:

@@ -14,9 +14,8 @@ from placement.setting import Links, Setting
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
-from ..results.text import percent
+from ..results.numbers import count_runs, joined, number, percent, several
 
-NOTHING = "\N{EN DASH}"
 STAGES = {
     "apr": "APR",
     "apr_one_failed": "APR if the most needed unit fails",
@@ -28,7 +27,6 @@ STAGES = {
     "weighted": "weighted sum",
 }
 """Names of the optimiser's objectives."""
-_SAME_TIME_S = 1.0e-9
 
 
 def title(
@@ -181,7 +179,8 @@ def assumptions(
         (
             "Runs",
             f"{axis.n_runs} runs, {axis.n_frames} frames at {rule.frame_rate_hz:g} Hz. Every run "
-            f"ends in an impact unless the car brakes. {_phase(setting)}",
+            f"ends in an impact unless the car brakes. One frame falls on the "
+            "moment of the impact.",
         ),
         ("Weights", _weights(setting)),
         (
@@ -207,7 +206,7 @@ def assumptions(
     if "fusion" in summary:
         terms.append(("Units together", _FUSIONS.get(summary["fusion"], summary["fusion"])))
     if summary.get("budget") is not None:
-        terms.append(("Budget", _several(summary["budget"], "unit", "units") + "."))
+        terms.append(("Budget", several(summary["budget"], "unit", "units") + "."))
     return terms
 
 
@@ -245,25 +244,13 @@ def _latency(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
 
 
 def _all_or(unit_ids: Sequence[str], n_units: int) -> str:
-    return "every unit" if len(unit_ids) == n_units > 1 else _and(unit_ids)
+    return "every unit" if len(unit_ids) == n_units > 1 else joined(unit_ids)
 
 
 def _onset(build_up_s: float) -> str:
     if build_up_s == 0.0:
         return "constant from the onset"
     return f"reached linearly {build_up_s:g} s after the onset"
-
-
-def _phase(setting: Setting) -> str:
-    shift_s = [float(-run.time_s[-1]) for run in setting.runs]
-    n_shifted = sum(value > _SAME_TIME_S for value in shift_s)
-    if not n_shifted:
-        return "One frame falls on the moment of the impact."
-    return (
-        "Frames fall as unfavourably as they can, run by run: the last one that still allows to "
-        f"brake in time comes as early as possible. In {count_runs(n_shifted)} the last frame lies "
-        f"before the impact, by up to {1000.0 * max(shift_s):.0f} ms."
-    )
 
 
 def is_weighted(axis: FrameAxis) -> bool:
@@ -325,7 +312,7 @@ def describe_refusals(setting: Setting) -> list[str]:
         key = (refusal.case.name, refusal.speeds_kmh, refusal.reason)
         approaches.setdefault(key, []).append(refusal.approach)
     return [
-        f"{case} from the {_and(arms)} at {', '.join(f'{speed:g}' for speed in speeds)} km/h: "
+        f"{case} from the {joined(arms)} at {', '.join(f'{speed:g}' for speed in speeds)} km/h: "
         f"{reason.removesuffix('.')}."
         for (case, speeds, reason), arms in approaches.items()
     ]
@@ -339,16 +326,6 @@ def runs_by_case(setting: Setting) -> dict[str, list[int]]:
     return indices
 
 
-def _and(words: Sequence[str]) -> str:
-    *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last
-
-
-def count_runs(n_runs: int) -> str:
-    """'1 run', '2 runs' and so on."""
-    return "1 run" if n_runs == 1 else f"{n_runs} runs"
-
-
 def _verb(count: int) -> str:
     return "is" if count == 1 else "are"
 
@@ -357,14 +334,10 @@ def count_sensors(layout: Layout) -> str:
     """'1 camera', '2 cameras and 1 LiDAR' and so on."""
     kinds = [sensor_kind(unit.sensor) for unit in layout.units]
     return " and ".join(
-        _several(kinds.count(kind), one, many)
+        several(kinds.count(kind), one, many)
         for kind, one, many in (("camera", "camera", "cameras"), ("lidar", "LiDAR", "LiDARs"))
         if kind in kinds
     )
-
-
-def _several(count: int, one: str, many: str) -> str:
-    return f"{count} {one if count == 1 else many}"
 
 
 def _score(verdict: Verdict, evaluation: Evaluation) -> str:
@@ -395,11 +368,3 @@ def outcome(is_avoided: bool, margin_s: float) -> str:
     if is_avoided:
         return f"avoided, {number(margin_s)} s"
     return f"HIT, {number(-margin_s)} s late" if math.isfinite(margin_s) else "HIT, not confirmed"
-
-
-def number(value: float | None, digits: int = 2) -> str:
-    """A number with a typographic minus; a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return NOTHING
-    # Adding zero turns -0.0 into 0.0.
-    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")

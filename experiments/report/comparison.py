@@ -1,49 +1,19 @@
 """Layouts side by side: their worth, the runs on which they differ, how sure the difference is."""
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 from typing import Any
-
-import numpy as np
 
 from placement.evaluation import Evaluation
 
+from ..results.numbers import NOTHING, count_runs, number, percent
+from ..results.record import to_plain
+from ..results.result import build_difference_records
 from ..results.tables import margin_s
-from ..results.text import percent
-from .answer import NOTHING, count_runs, number
 from .pictures import build_picture
 from .sampled_worlds import plot_differences
 
 _MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all
 _MAX_SENTENCES = 6
-
-
-def summarise_differences(evaluations: Mapping[str, Evaluation]) -> list[dict[str, Any]]:
-    """Which runs only one of two layouts avoids, for any two.
-
-    Parameters
-    ----------
-    evaluations : mapping of str to Evaluation
-        By display name, on the same runs.
-
-    Returns
-    -------
-    differences : list of dict
-        Ready for JSON: ``[{"first", "second", "only_first": [run id], "only_second": [run id]}]``.
-    """
-    found = []
-    for (name, one), (other_name, other) in combinations(evaluations.items(), 2):
-        runs = np.array(one.axis.run_ids)
-        ours, theirs = one.rsu_all.is_avoided, other.rsu_all.is_avoided
-        found.append(
-            {
-                "first": name,
-                "second": other_name,
-                "only_first": runs[ours & ~theirs].tolist(),
-                "only_second": runs[theirs & ~ours].tolist(),
-            }
-        )
-    return found
 
 
 def side_by_side_table(
@@ -266,7 +236,7 @@ def comparison_part(
     """
     if "compared" not in summary:
         return None
-    differences = summarise_differences(evaluations)
+    differences = [to_plain(pair) for pair in build_difference_records(evaluations)]  # border
     return {
         "table": side_by_side_table(summary, evaluations),
         "matrix": difference_matrix(list(evaluations), differences),

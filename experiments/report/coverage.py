@@ -11,9 +11,9 @@ from geometry.scene import Scene
 from placement.ground_coverage import BANDS, GroundCoverage
 from placement.layout import Layout
 
-from ..figures.evaluation import WIDTH_IN, new_axes
+from ..figures.axes import WIDTH_IN, new_axes
 from ..figures.plan import CLASS_STYLES, draw_scene
-from ..results.text import percent
+from ..results.numbers import percent
 
 # One hue from light to dark: in greyscale the order stays.
 _SHADES = ("#ffffff", "#f1eef6", "#d0d1e6", "#a6bddb", "#67a9cf", "#3690c0", "#016c59", "#014636")

@@ -13,8 +13,7 @@ from placement.explain.failures import (
 )
 from scenarios.aeb import AebRule
 
-from ..results.text import percent
-from .answer import NOTHING, count_runs, number
+from ..results.numbers import NOTHING, count_runs, number, percent
 
 MAX_ROWS = 12
 """Rows of a table: beyond, only the worst are shown."""

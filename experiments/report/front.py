@@ -8,12 +8,10 @@ from typing import Any, Literal, cast
 from placement.layout import Certificate, Stage
 from placement.optimiser import PlacementValue
 from placement.optimiser.front import Front, FrontPoint, StageChoice
-from placement.optimiser.limits import COST_TOLERANCE_EUR
-from placement.optimiser.problem import TOLERANCE
+from placement.optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE
 
 from ..figures.front import plot_front
-from ..results.text import percent
-from .answer import NOTHING, number
+from ..results.numbers import NOTHING, number, percent
 from .pictures import build_picture
 
 # ---------- the front that ends with the layout of a report

@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from geometry.arrays import BoolArray, FloatArray
 from placement.evaluation import Evaluation, Verdict
 from scenarios.runs import FrameAxis
 
-from ..figures.evaluation import (
+from ..figures.axes import (
     BLUE,
     GREEN,
     ORANGE,
@@ -27,7 +25,9 @@ from ..figures.evaluation import (
     describe_run,
     literal,
     new_axes,
+    new_figure,
 )
+from ..results.numbers import NOTHING, count_runs, number
 from ..results.tables import (
     RunGroup,
     groups_by_case,
@@ -35,7 +35,6 @@ from ..results.tables import (
     groups_by_speed,
     margin_s,
 )
-from .answer import NOTHING, count_runs, number
 from .pictures import build_picture
 
 # ---------- strips of margins to the last moment: a mark for each run, in a row for each case
@@ -44,7 +43,6 @@ from .pictures import build_picture
 MAX_COLUMNS = 4
 """Panels that fit side by side."""
 
-_DPI = 160
 _MS = 1000.0
 _LINEAR_MS = 500.0  # the scale is linear up to here on both sides of zero, logarithmic beyond
 _TICKS_MS = (-10_000.0, -1000.0, 0.0, 1000.0, 10_000.0)
@@ -169,8 +167,7 @@ def plot_margin_strip(verdict: Verdict, axis: FrameAxis, *, axes: Axes | None = 
 
 def _build_panels(n_panels: int, axis: FrameAxis) -> list[Axes]:
     """Panels side by side in a new figure, with the legend of the approaches below."""
-    figure = Figure(figsize=(WIDTH_IN, _height_in(axis)), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(WIDTH_IN, _height_in(axis))
     panels: list[Axes] = [*figure.subplots(1, n_panels, sharey=True, squeeze=False)[0]]
     _, approaches = _words(axis)
     handles = [

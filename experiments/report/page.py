@@ -19,20 +19,12 @@ from placement.layout import Layout
 from placement.setting import Setting
 
 from ..cli.tables import added_sentences
-from ..figures.evaluation import (
-    NARROW_IN,
-    WIDTH_IN,
-    describe_run,
-    heatmap_indices,
-    plot_apr_by_case,
-    plot_heatmap,
-    unit_labels,
-    units_in_heatmap,
-)
+from ..figures.axes import NARROW_IN, WIDTH_IN, describe_run, unit_labels
+from ..figures.evaluation import heatmap_indices, plot_apr_by_case, plot_heatmap, units_in_heatmap
 from ..figures.plan import plot_plan
 from ..figures.sensors import looking_words
+from ..results.numbers import NOTHING, number
 from .answer import (
-    NOTHING,
     answer,
     assumptions,
     describe_hopeless,
@@ -40,7 +32,6 @@ from .answer import (
     disagreement,
     is_weighted,
     latency_in_short,
-    number,
     proof,
     title,
 )

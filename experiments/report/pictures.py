@@ -11,7 +11,7 @@ from PIL import Image
 
 from geometry.arrays import FloatArray
 
-from ..figures.evaluation import root_figure, to_png
+from ..figures.axes import root_figure, to_png
 
 MAX_TRUE_COLOUR_BYTES = 300_000
 """PNG files above are drawn with a palette: looking for one takes longer than it spares bytes."""

@@ -3,45 +3,13 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from placement.optimiser.limits import COST_TOLERANCE_EUR
-from placement.optimiser.problem import TOLERANCE
-from placement.refinement.poses import Move
-from placement.refinement.refine import Refinement
+from placement.optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE
 
-from ..results.text import percent
-from .answer import STAGES, number
+from ..results.numbers import number, percent
+from .answer import STAGES
 
 _SHARES = ("apr", "apr_one_failed", "apr_survived")
 _MAX_DIGITS = 6
-
-
-def summarise_refinement(refinement: Refinement) -> dict[str, Any]:
-    """A refinement as a plain object.
-
-    Parameters
-    ----------
-    refinement : Refinement
-        By :func:`placement.refinement.refine.refine`.
-
-    Returns
-    -------
-    summary : dict
-        Ready for JSON. ``{"is_improved", "before": {stage: value}, "after": {..}, "moves": [{"was",
-        "is", "is_same_place", "turn_deg", "tilt_deg", "lift_m", "zoom_deg"}], "grid_candidates",
-        "grid_is_proven", "poses_tried", "rounds", "seconds"}``; "was" and "is" are ids, None for
-        what is new or gone; changes of what is not at the same place are None.
-    """
-    return {
-        "is_improved": refinement.is_improved,
-        "before": dict(refinement.before),
-        "after": dict(refinement.after),
-        "moves": [_move_record(move) for move in refinement.moves],
-        "grid_candidates": refinement.unrefined.problem.table.n_poses,
-        "grid_is_proven": refinement.unrefined.certificate.is_proven,
-        "poses_tried": refinement.n_tried,
-        "rounds": refinement.n_rounds,
-        "seconds": refinement.seconds,
-    }
 
 
 def refinement_sentences(summary: Mapping[str, Any]) -> list[str]:
@@ -74,16 +42,6 @@ def refinement_sentences(summary: Mapping[str, Any]) -> list[str]:
         f"{proven} The bounds of the refined layout hold for these and the {n_tried} poses tried "
         "beside them, not for every pose in between.",
     ]
-
-
-def _move_record(move: Move) -> dict[str, Any]:
-    names = ("turn_deg", "tilt_deg", "lift_m", "zoom_deg")
-    return {
-        "was": None if move.before is None else move.before.id,
-        "is": None if move.after is None else move.after.id,
-        "is_same_place": move.is_same_place,
-        **{name: getattr(move, name) if move.is_same_place else None for name in names},
-    }
 
 
 def _deed(move: Mapping[str, Any]) -> str:

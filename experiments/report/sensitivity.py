@@ -1,21 +1,14 @@
 """What if an assumption is wrong: as one plain object, in sentences, as tables of the report."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from matplotlib.axes import Axes
 
 from geometry.errors import InputError
-from placement.explain.sensitivity import Outcome, Sensitivity
 
-from ..figures.evaluation import (
-    BLUE,
-    VERMILION,
-    WIDTH_IN,
-    new_axes,
-)
-from ..results.text import percent
-from .answer import NOTHING, count_runs, number
+from ..figures.axes import BLUE, VERMILION, WIDTH_IN, new_axes
+from ..results.numbers import NOTHING, count_runs, number, percent
 from .pictures import build_picture
 
 # ---------- assumptions and their values in words, for tables and figures alike
@@ -233,55 +226,6 @@ def _note(axes: Axes, planned: float, row: int, text: str) -> None:
 
 _MAX_NAMED = 3
 _SAME = 1.0e-9
-
-
-def summarise_sensitivity(found: Sequence[Sensitivity]) -> dict[str, Any]:
-    """What :func:`placement.explain.sensitivity.find_sensitivity` found.
-
-    Parameters
-    ----------
-    found : sequence of Sensitivity
-        Of one layout, at least one.
-
-    Returns
-    -------
-    summary : dict
-        Ready for JSON; ratios are 0 .. 1. ``{"planned": {"apr", "apr_one_failed",
-        "smallest_margin_s"}, "assumptions": [{"name", "planned_value", "reason", "is_ours",
-        "left_out", "varied": [{"value", "apr", "apr_one_failed", "smallest_margin_s", "lost_runs":
-        [id], "unmoved": [unit id]}]}]}``. A smallest margin of None: nothing is avoided, or chance
-        decides, as where messages are lost.
-    """
-    return {
-        "planned": _outcome_record(found[0].planned),
-        "assumptions": [
-            {
-                "name": one.assumption.name,
-                "planned_value": one.planned_value,
-                "reason": one.assumption.reason,
-                "is_ours": one.assumption.is_ours,
-                "left_out": one.left_out,
-                "varied": [
-                    {
-                        "value": varied.value,
-                        **_outcome_record(varied.outcome),
-                        "lost_runs": list(varied.lost_runs),
-                        "unmoved": list(varied.unmoved),
-                    }
-                    for varied in one.varied
-                ],
-            }
-            for one in found
-        ],
-    }
-
-
-def _outcome_record(outcome: Outcome) -> dict[str, Any]:
-    return {
-        "apr": outcome.apr,
-        "apr_one_failed": outcome.apr_one_failed,
-        "smallest_margin_s": outcome.smallest_margin_s,
-    }
 
 
 def sensitivity_sentences(summary: Mapping[str, Any]) -> list[str]:

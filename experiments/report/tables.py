@@ -17,19 +17,11 @@ from placement.layout import Layout, layout_records
 from placement.setting import Setting
 from scenarios.runs import FrameAxis
 
-from ..figures.evaluation import unit_labels
+from ..figures.axes import unit_labels
 from ..figures.sensors import compass_word
+from ..results.numbers import NOTHING, number, percent
 from ..results.tables import groups_by_direction, groups_by_speed, margin_s
-from ..results.text import percent
-from .answer import (
-    NOTHING,
-    STAGES,
-    count_sensors,
-    is_weighted,
-    number,
-    outcome,
-    runs_by_case,
-)
+from .answer import STAGES, count_sensors, is_weighted, outcome, runs_by_case
 
 
 def unit_table(name: str, layout: Layout) -> dict[str, Any]:

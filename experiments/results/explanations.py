@@ -1,6 +1,29 @@
-"""Parts of a result that explain it: contributions, runs not avoided, sensitivity, private ground."""
+"""Parts of a result that explain it: contributions, missed runs, sensitivity, private areas."""
 
+import math
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal
+
+import numpy as np
+
+from geometry.scene import Scene
+from placement.candidates import CandidatePose
+from placement.compute import DEFAULT_COMPUTE, Compute
+from placement.explain import (
+    Contribution,
+    Pool,
+    Rescue,
+    Unavoided,
+    find_contributions,
+    find_pool,
+    find_unavoided,
+)
+from placement.explain.pool import sites_in_order
+from placement.explain.sensitivity import Outcome, Sensitivity
+from placement.optimiser import PlacementProblem
+from placement.pipeline import Placement
+from placement.private_ground import PrivateGround, private_shares
+from placement.setting import Setting
 
 from .record import LayoutValueRecord, Record, RunId, Share, StageName, says
 
@@ -50,7 +73,8 @@ class MissedRunRecord(Record, frozen=True, kw_only=True):
     rescue: Annotated[
         RescueRecord | None,
         says(
-            "Nearest candidate that would save the run as a further unit; null: none, or nobody looked, as where worlds are sampled."
+            "Nearest candidate that would save the run as a further unit; null: none, or nobody "
+            "looked, as where worlds are sampled."
         ),
     ]
 
@@ -62,7 +86,8 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
     only_runs: Annotated[
         tuple[RunId, ...],
         says(
-            "Runs with weight that are avoided with it and not without it; where worlds are sampled with # and the number of the world behind the name."
+            "Runs with weight that are avoided with it and not without it; where worlds are "
+            "sampled with # and the number of the world behind the name."
         ),
     ]
     marginal_apr: Annotated[Share, says("APR of all less that of the others.")]
@@ -70,7 +95,8 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
     mean_delay_s: Annotated[
         float,
         says(
-            "By how much later what the others avoid, too, is confirmed without it: mean by weight, in seconds."
+            "By how much later what the others avoid, too, is confirmed without it: mean by "
+            "weight, in seconds."
         ),
     ]
     max_delay_s: Annotated[float, says("The most of it in any run, in seconds.")]
@@ -114,13 +140,9 @@ class PoseShareRecord(Record, frozen=True, kw_only=True):
 
 
 class PoolRecord(Record, frozen=True, kw_only=True):
-    """Layouts that are as good in the first stage, or nearly."""
+    """Layouts that are as good in the first stage."""
 
     stage: Annotated[StageName, says("The first stage.")]
-    tolerance: Annotated[
-        float,
-        says("How much worse they may be: in shares of the runs, or of units or costs.", ge=0),
-    ]
     is_complete: Annotated[
         bool,
         says("Whether all choices were gone through; else one unit was exchanged for another."),
@@ -132,8 +154,9 @@ class PoolRecord(Record, frozen=True, kw_only=True):
 
 
 class ExplainedRecord(Record, frozen=True, kw_only=True):
-    """Why these units, what they miss, what else would do; on the detection table. Runs of weight 0
-    are in no list.
+    """Why these units, what they miss, what else would do; on the detection table.
+
+    Runs of weight 0 are in no list.
     """
 
     contributions: Annotated[tuple[ContributionRecord, ...], says("One for each unit.")]
@@ -183,7 +206,8 @@ class AssumptionRecord(Record, frozen=True, kw_only=True):
     planned_value: Annotated[
         float | None,
         says(
-            "What the plan assumes, in the unit of the name; null where the question does not arise."
+            "What the plan assumes, in the unit of the name; null where the question does not "
+            "arise."
         ),
     ]
     reason: Annotated[str, says("Why it is varied so far.")]
@@ -209,9 +233,186 @@ class PrivateAreaRecord(Record, frozen=True, kw_only=True):
 class PrivateGroundRecord(Record, frozen=True, kw_only=True):
     """What cameras see of areas that they must not look into."""
 
-    eur_per_m2: Annotated[
-        float, says("Price of a square metre in a picture, in EUR; 0: none.", ge=0)
-    ]
-    price_eur: Annotated[float, says("That is in the cost, in EUR, though nobody pays it.", ge=0)]
     areas: Annotated[tuple[PrivateAreaRecord, ...], says("The areas.")]
     units: Annotated[dict[str, dict[str, Share]], says("Of each unit, by its id.")]
+
+
+# ---------- explanations
+
+
+def build_explained_record(
+    placement: Placement,
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    *,
+    n_pool: int = 0,
+    compute: Compute = DEFAULT_COMPUTE,
+) -> ExplainedRecord:
+    """What a placement rests on.
+
+    Runs that are not avoided are those of the world as planned; where worlds were sampled, nobody
+    looks for what would save them.
+
+    Parameters
+    ----------
+    candidates : sequence of CandidatePose
+        Rows of the placement's table: a refinement's own, if there was one.
+    n_pool : int
+        How many other layouts to list; 0: none are looked for.
+    compute : Compute
+        With the seed of the table.
+    """
+    problem, chosen = placement.problem, placement.pose_index
+    names = {
+        problem.table.pose_ids[pose]: unit.id
+        for pose, unit in zip(chosen, placement.layout.units, strict=True)
+    }
+    if placement.nominal is problem:
+        missed = find_unavoided(setting, problem, candidates, chosen, compute=compute)
+    else:
+        missed = find_unavoided(
+            setting,
+            placement.nominal,
+            [candidates[pose] for pose in chosen],
+            placement.nominal_index,
+            compute=compute,
+        )
+    pool = None
+    if n_pool:
+        pool = find_pool(problem, chosen, n_sets=n_pool)
+    return ExplainedRecord(
+        contributions=tuple(
+            _contribution(problem, part, names) for part in find_contributions(problem, chosen)
+        ),
+        not_avoided=tuple(_missed_run(entry, names) for entry in missed),
+        runs_without_weight=int((placement.nominal.table.axis.weight == 0.0).sum()),
+        pool=None if pool is None else _pool(problem, candidates, pool),
+    )
+
+
+def _contribution(
+    problem: PlacementProblem, part: Contribution, names: Mapping[str, str]
+) -> ContributionRecord:
+    table = problem.table
+    return ContributionRecord(
+        unit=names[table.pose_ids[part.pose_index]],
+        only_runs=tuple(table.axis.run_ids[run] for run in part.only_runs.tolist()),
+        marginal_apr=part.marginal_apr,
+        first_share=part.first_share,
+        mean_delay_s=part.mean_delay_s,
+        max_delay_s=part.max_delay_s,
+        without=LayoutValueRecord(**part.without._asdict()),
+    )
+
+
+def _missed_run(entry: Unavoided, names: Mapping[str, str]) -> MissedRunRecord:
+    return MissedRunRecord(
+        run=entry.run_id,
+        outcome=entry.outcome,
+        late_s=entry.late_s if math.isfinite(entry.late_s) else None,
+        frames_in_time=entry.n_frames,
+        frames_seen=entry.n_seen,
+        unit=names.get(entry.unit_id, entry.unit_id),
+        reasons=tuple(
+            MissedReasonRecord(cause=reason.cause, thing=reason.thing, frames=reason.n_frames)
+            for reason in entry.reasons
+        ),
+        rescue=None if entry.rescue is None else _rescue(entry.rescue),
+    )
+
+
+def _rescue(rescue: Rescue) -> RescueRecord:
+    return RescueRecord(
+        unit=rescue.pose_id,
+        site=rescue.site_id,
+        distance_m=rescue.distance_m,
+        margin_s=rescue.margin_s,
+    )
+
+
+def _pool(problem: PlacementProblem, candidates: Sequence[CandidatePose], pool: Pool) -> PoolRecord:
+    ids = problem.table.pose_ids
+    names = {
+        int(site): candidate.site_id or candidate.id
+        for site, candidate in zip(problem.limits.site_index, candidates, strict=True)
+    }
+    frequent = np.argsort(-pool.pose_share, kind="stable")
+    return PoolRecord(
+        stage=pool.stage,
+        is_complete=pool.scope == "all",
+        within=pool.n_within,
+        sets=tuple(
+            PooledLayoutRecord(
+                units=tuple(ids[pose] for pose in entry.pose_index),
+                objective=entry.objective,
+                **entry.value._asdict(),
+            )
+            for entry in pool.sets
+        ),
+        sites=tuple(
+            SiteShareRecord(site=names[site], share=float(pool.site_share[site]))
+            for site in sites_in_order(pool).tolist()
+        ),
+        poses=tuple(
+            PoseShareRecord(unit=ids[pose], share=float(pool.pose_share[pose]))
+            for pose in frequent.tolist()
+            if pool.pose_share[pose] > 0.0
+        ),
+    )
+
+
+# ---------- sensitivity
+
+
+def build_sensitivity_record(found: Sequence[Sensitivity]) -> SensitivityRecord:
+    """What :func:`placement.explain.sensitivity.find_sensitivity` found of one layout."""
+    return SensitivityRecord(
+        planned=PlannedOutcomeRecord(**_outcome(found[0].planned)),
+        assumptions=tuple(
+            AssumptionRecord(
+                name=one.assumption.name,
+                planned_value=one.planned_value,
+                reason=one.assumption.reason,
+                is_ours=one.assumption.is_ours,
+                left_out=one.left_out,
+                varied=tuple(
+                    VariedAssumptionRecord(
+                        value=varied.value,
+                        **_outcome(varied.outcome),
+                        lost_runs=tuple(varied.lost_runs),
+                        unmoved=tuple(varied.unmoved),
+                    )
+                    for varied in one.varied
+                ),
+            )
+            for one in found
+        ),
+    )
+
+
+def _outcome(outcome: Outcome) -> dict[str, float | None]:
+    return {
+        "apr": outcome.apr,
+        "apr_one_failed": outcome.apr_one_failed,
+        "smallest_margin_s": outcome.smallest_margin_s,
+    }
+
+
+# ---------- private ground
+
+
+def build_private_ground_record(
+    units: Sequence[CandidatePose], scene: Scene, ground: PrivateGround
+) -> PrivateGroundRecord:
+    """What units see of private ground."""
+    shares = private_shares(scene, units, ground)
+    return PrivateGroundRecord(
+        areas=tuple(
+            PrivateAreaRecord(name=name, area_m2=float(area))
+            for name, area in zip(ground.names, ground.area_m2, strict=True)
+        ),
+        units={
+            unit.id: dict(zip(ground.names, row.tolist(), strict=True))
+            for unit, row in zip(units, shares, strict=True)
+        },
+    )

@@ -1,10 +1,29 @@
 """Parts of a result about other sizes and places: the front of layouts, and refinement."""
 
+from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Annotated, Literal
 
 import msgspec
 
-from .record import BeforeAfter, Record, Share, StageName, StageRecord, UnitRecord, says
+from placement.candidates import CandidatePose
+from placement.optimiser import PlacementProblem
+from placement.optimiser.front import Front, FrontPoint
+from placement.pipeline import pick_layout
+from placement.refinement.poses import Move
+from placement.refinement.refine import Refinement
+
+from .record import (
+    BeforeAfter,
+    Record,
+    Share,
+    StageName,
+    StageRecord,
+    UnitRecord,
+    build_stage_records,
+    build_unit_records,
+    says,
+)
 
 
 class FrontPresolveRecord(Record, frozen=True, kw_only=True):
@@ -97,3 +116,80 @@ class RefinementRecord(Record, frozen=True, kw_only=True):
     poses_tried: Annotated[int, says("Poses beside the grid.", ge=0)]
     rounds: Annotated[int, says("Rounds of the search.", ge=0)]
     seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
+
+
+def build_front_record(
+    front: Front,
+    problem: PlacementProblem,
+    candidates: Sequence[CandidatePose],
+    *,
+    sentences: Sequence[str],
+    n_kept: int = 0,
+) -> FrontRecord:
+    """A front, with the units of every point.
+
+    Parameters
+    ----------
+    candidates : sequence of CandidatePose
+        Rows of the problem's table.
+    sentences : sequence of str
+        What each unit, or more money, buys.
+    n_kept : int
+        Units that hang there already.
+    """
+    presolve = front.presolve
+    return FrontRecord(
+        by=front.by,
+        optimised=front.stages,
+        candidates=problem.table.n_poses,
+        runs=problem.table.axis.n_runs,
+        fusion=problem.fusion,
+        kept=n_kept,
+        settled=front.settled,
+        is_proven=front.is_proven,
+        presolve=None if presolve is None else FrontPresolveRecord(**asdict(presolve)),
+        refused=tuple(RefusedSizeRecord(units=units, reason=why) for units, why in front.refused),
+        points=tuple(_point(point, candidates) for point in front.points),
+        sentences=tuple(sentences),
+    )
+
+
+def _point(point: FrontPoint, candidates: Sequence[CandidatePose]) -> FrontPointRecord:
+    layout = pick_layout(candidates, point.pose_index, f"front-{point.units}")
+    return FrontPointRecord(
+        units=point.units,
+        **point.value._asdict(),
+        is_proven=point.is_proven,
+        stages=build_stage_records(point.certificate),
+        solver=point.certificate.solver,
+        layout=build_unit_records(layout),
+        pose_ids=tuple(candidates[index].id for index in point.pose_index),
+    )
+
+
+def build_refinement_record(refinement: Refinement) -> RefinementRecord:
+    """What the search between the poses of the grid changed."""
+    return RefinementRecord(
+        is_improved=refinement.is_improved,
+        before=dict(refinement.before),
+        after=dict(refinement.after),
+        moves=tuple(_move(move) for move in refinement.moves),
+        grid_candidates=refinement.unrefined.problem.table.n_poses,
+        grid_is_proven=refinement.unrefined.certificate.is_proven,
+        poses_tried=refinement.n_tried,
+        rounds=refinement.n_rounds,
+        seconds=refinement.seconds,
+    )
+
+
+def _move(move: Move) -> MoveRecord:
+    is_same = move.is_same_place
+    return MoveRecord(
+        was=None if move.before is None else move.before.id,
+        is_=None if move.after is None else move.after.id,
+        is_same_place=is_same,
+        turn_deg=move.turn_deg if is_same else None,
+        tilt_deg=move.tilt_deg if is_same else None,
+        lift_m=move.lift_m if is_same else None,
+        zoom_deg=move.zoom_deg if is_same else None,
+    )

@@ -17,8 +17,7 @@ from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_string_dtype
 from geometry.errors import InputError, Unquoted
 from placement.layout import RESULT_SCHEMA, Layout, load_layout
 
-from .writing import MARKER
-
+MARKER = "summary.json"
 LAYOUT_FILE = "layout.json"
 RUNS_FILE = "runs.parquet"
 APR_FILE = "apr.csv"

@@ -1,9 +1,13 @@
 """Records: frozen values of which results are made, with their JSON and the schema of it."""
 
+from dataclasses import asdict
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
+import numpy as np
 from msgspec import UNSET, Meta, UnsetType
+
+from placement.layout import Certificate, Layout, layout_records
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -18,9 +22,17 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     schema_rules: ClassVar[dict[str, Any]] = {}
 
 
-def says(description: str, **limits: float) -> Meta:
-    """Description of a field, and limits of its value (``ge``, ``le``, ``min_length``)."""
-    return Meta(description=description, **limits)  # type: ignore[arg-type]
+def says(
+    description: str,
+    *,
+    ge: float | None = None,
+    le: float | None = None,
+    min_length: int | None = None,
+) -> Meta:
+    """Description of a field, and limits of its value."""
+    if min_length is not None:
+        return Meta(description=description, min_length=min_length)
+    return Meta(description=description, ge=ge, le=le)
 
 
 Share = Annotated[
@@ -37,10 +49,30 @@ StageName = Literal[
     "smallest_margin_s",
     "mean_margin_s",
 ]
-"""Objectives: number of units; cost in EUR; APR that is left when any units fail; APR; APR if the most
-needed unit fails; smallest and mean time to spare in seconds."""
+"""Objectives: number of units; cost in EUR; APR that is left when any units fail; APR; APR if the
+most needed unit fails; smallest and mean time to spare in seconds."""
 BeforeAfter = tuple[Annotated[int, Meta(ge=0)], Annotated[int, Meta(ge=0)]]
 """Before presolve, after it."""
+
+
+def to_plain(record: object) -> dict[str, Any]:
+    """A record as plain values, ready for JSON but for numbers that JSON lacks."""
+    plain: dict[str, Any] = _with_lists(msgspec.to_builtins(record, enc_hook=_plain_number))
+    return plain
+
+
+def _with_lists(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _with_lists(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_with_lists(item) for item in value]
+    return value
+
+
+def _plain_number(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__}: no plain value")
 
 
 class UnitRecord(Record, frozen=True, kw_only=True):
@@ -68,7 +100,8 @@ class UnitRecord(Record, frozen=True, kw_only=True):
         Annotated[
             float,
             says(
-                "Horizontal field of view to which a varifocal lens is set, in degrees; missing: as in the catalogue."
+                "Horizontal field of view to which a varifocal lens is set, in degrees; missing: "
+                "as in the catalogue."
             ),
         ]
         | UnsetType
@@ -80,9 +113,7 @@ class UnitRecord(Record, frozen=True, kw_only=True):
 
 
 class StageRecord(Record, frozen=True, kw_only=True):
-    """One of the objectives that are optimised in order, each holding those before it; on the
-    detection table.
-    """
+    """An objective on the detection table; they are optimised in order, each holding the last."""
 
     name: Annotated[StageName, says("Which objective.")]
     objective: Annotated[
@@ -97,6 +128,16 @@ class StageRecord(Record, frozen=True, kw_only=True):
         says("Distance of the two over the objective; 0: proven best; null: infinite."),
     ]
     seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
+
+
+def build_unit_records(layout: Layout) -> tuple[UnitRecord, ...]:
+    """The units of a layout."""
+    return tuple(UnitRecord(**unit) for unit in layout_records(layout))
+
+
+def build_stage_records(certificate: Certificate) -> tuple[StageRecord, ...]:
+    """The stages of a certificate, in order."""
+    return tuple(StageRecord(**asdict(stage)) for stage in certificate.stages)
 
 
 class LayoutValueRecord(Record, frozen=True, kw_only=True):

@@ -1,16 +1,41 @@
 """The result of a placement, an evaluation or a comparison: what ``summary.json`` holds."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from itertools import combinations
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from msgspec import UNSET, Meta, UnsetType
+from msgspec.structs import asdict as fields_of
+from msgspec.structs import replace
 
+from geometry.arrays import BoolArray
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, apr_one_failed
+from placement.explain.agreement import find_disagreements
+from placement.layout import RESULT_SCHEMA
+from placement.optimiser import placement_value, run_margins_s
+from placement.pipeline import Placement
+from placement.setting import Setting
+from scenarios.aeb import AebRule
+
+from .drives import RefusalRecord, build_drives_record, versions
 from .explanations import (
     ExplainedRecord,
     PrivateGroundRecord,
     SensitivityRecord,
 )
 from .fronts import FrontRecord, RefinementRecord
-from .record import Record, RunId, Share, StageRecord, UnitRecord, says
+from .record import (
+    Record,
+    RunId,
+    Share,
+    StageRecord,
+    UnitRecord,
+    build_stage_records,
+    build_unit_records,
+    says,
+)
 from .sampled_worlds import SampledRecord
 
 
@@ -100,15 +125,6 @@ class DisagreementRecord(Record, frozen=True, kw_only=True):
     cause: Annotated[str, says("What the evaluator sees in the first of them, in words.")]
 
 
-class RefusalRecord(Record, frozen=True, kw_only=True):
-    """What the scene has no room for."""
-
-    case: Annotated[str, says("Name of the case.")]
-    approach: Annotated[str, says("Arm from which the vehicle would come.")]
-    speeds_kmh: Annotated[tuple[float, ...], says("Speeds of the vehicle, in km/h.")]
-    reason: Annotated[str, says("Why, in words.")]
-
-
 class ComparedRecord(Record, frozen=True, kw_only=True):
     """Another layout on the same runs."""
 
@@ -143,8 +159,10 @@ class DifferenceRecord(Record, frozen=True, kw_only=True):
 
 
 class Result(Record, frozen=True, kw_only=True):
-    """What a placement, an evaluation or a comparison found: summary.json of a result folder, and
-    what --json prints. Shares are 0 to 1. Names end in their unit; no ending: no unit.
+    """What a placement, an evaluation or a comparison found.
+
+    It is summary.json of a result folder, and what --json prints. Shares are 0 to 1. Names end in
+    their unit; no ending: no unit.
     """
 
     schema_rules: ClassVar[dict[str, Any]] = {
@@ -198,7 +216,8 @@ class Result(Record, frozen=True, kw_only=True):
     apr: Annotated[
         Share | None,
         says(
-            "Accident prevention ratio: on the detection table where something was optimised, else by the evaluator."
+            "Accident prevention ratio: on the detection table where something was optimised, "
+            "else by the evaluator."
         ),
     ]
     bound: Annotated[
@@ -213,6 +232,21 @@ class Result(Record, frozen=True, kw_only=True):
         Share | None, says("APR if the unit that is needed most fails; of the same origin as apr.")
     ]
     evaluation: Annotated[EvaluationRecord, says("The layout by the evaluator.")]
+    baseline: Annotated[EvaluationRecord | None, says("That layout by the evaluator; null: none.")]
+    surrogate_disagreement: Annotated[
+        Share | None,
+        says(
+            "Share of the runs on which detection table and evaluator disagree; null: nothing was "
+            "optimised."
+        ),
+    ]
+    seconds: Annotated[
+        dict[str, Annotated[float, Meta(ge=0)]],
+        says("Time of each step, by its name, and in total, in seconds."),
+    ]
+    versions: Annotated[
+        dict[str, str], says("Versions of the programs that the numbers depend on, by name.")
+    ]
     goal: (
         Annotated[
             Literal["best", "fewest", "cheapest"],
@@ -233,11 +267,13 @@ class Result(Record, frozen=True, kw_only=True):
         | UnsetType
     ) = UNSET
     solver: Annotated[str, says("What the proof rests on: name and version.")] | UnsetType = UNSET
+    compared: (
+        Annotated[tuple[ComparedRecord, ...], says("The other layouts.", min_length=1)] | UnsetType
+    ) = UNSET
     baseline_name: (
         Annotated[str | None, says("Name of the layout to compare with; null: none.")] | UnsetType
     ) = UNSET
     baseline_layout: Annotated[tuple[UnitRecord, ...], says("Its units.")] | UnsetType = UNSET
-    baseline: Annotated[EvaluationRecord | None, says("That layout by the evaluator; null: none.")]
     runs_gained: (
         Annotated[tuple[RunId, ...], says("Runs that the layout avoids and the baseline does not.")]
         | UnsetType
@@ -246,46 +282,45 @@ class Result(Record, frozen=True, kw_only=True):
         Annotated[tuple[RunId, ...], says("Runs that the baseline avoids and the layout does not.")]
         | UnsetType
     ) = UNSET
+    differences: (
+        Annotated[tuple[DifferenceRecord, ...], says("For any two of the layouts.")] | UnsetType
+    ) = UNSET
     greedy: (
         Annotated[GreedyLayoutRecord, says("Units chosen one by one, for comparison.")] | UnsetType
     ) = UNSET
-    surrogate_disagreement: Annotated[
-        Share | None,
-        says(
-            "Share of the runs on which detection table and evaluator disagree; null: nothing was optimised."
-        ),
-    ]
     disagreements: (
         Annotated[tuple[DisagreementRecord, ...], says("The runs on which they disagree, and why.")]
         | UnsetType
     ) = UNSET
     cases: Annotated[tuple[str, ...], says("Names of the cases that were driven.")]
     weathers: Annotated[tuple[str, ...], says("Weathers that were driven in.")]
-    not_driven: Annotated[
-        tuple[RefusalRecord, ...], says("What was asked for and has no room in the scene.")
-    ]
     detector: Annotated[str, says("What detects: name.")]
     vut_sensors: Annotated[tuple[str, ...], says("Sensors of the vehicle under test.")]
     packet_loss: Annotated[Share, says("Share of the units' messages that get lost.")]
     vam_rate: Annotated[Share, says("Share of the road users that announce themselves.")]
+    not_driven: Annotated[
+        tuple[RefusalRecord, ...], says("What was asked for and has no room in the scene.")
+    ]
+    explained: (
+        Annotated[ExplainedRecord, says("Why these units, what they miss, what else would do.")]
+        | UnsetType
+    ) = UNSET
     front: (
         Annotated[
             FrontRecord,
             says(
-                "The best layout of each smaller size; missing where something else than the best was asked for."
+                "The best layout of each smaller size; missing where something else than the best "
+                "was asked for."
             ),
         ]
-        | UnsetType
-    ) = UNSET
-    explained: (
-        Annotated[ExplainedRecord, says("Why these units, what they miss, what else would do.")]
         | UnsetType
     ) = UNSET
     sensitivity: (
         Annotated[
             SensitivityRecord,
             says(
-                "What becomes of the layout if an assumption is wrong; missing where no folder is written."
+                "What becomes of the layout if an assumption is wrong; missing where no folder is "
+                "written."
             ),
         ]
         | UnsetType
@@ -306,16 +341,188 @@ class Result(Record, frozen=True, kw_only=True):
     sampled: (
         Annotated[SampledRecord, says("APR in sampled worlds; only with --samples.")] | UnsetType
     ) = UNSET
-    compared: (
-        Annotated[tuple[ComparedRecord, ...], says("The other layouts.", min_length=1)] | UnsetType
-    ) = UNSET
-    differences: (
-        Annotated[tuple[DifferenceRecord, ...], says("For any two of the layouts.")] | UnsetType
-    ) = UNSET
-    seconds: Annotated[
-        dict[str, Annotated[float, Meta(ge=0)]],
-        says("Time of each step, by its name, and in total, in seconds."),
-    ]
-    versions: Annotated[
-        dict[str, str], says("Versions of the programs that the numbers depend on, by name.")
-    ]
+
+
+def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> EvaluationRecord:
+    """APR of every sensing party, over all runs and by case."""
+    axis = evaluation.axis
+
+    def ratios(verdict: Verdict) -> PartyAprRecord:
+        return PartyAprRecord(all=apr(verdict, axis), by_case=apr_by_case(verdict, axis))
+
+    return EvaluationRecord(
+        vut=ratios(evaluation.vut),
+        rsu_all=ratios(evaluation.rsu_all),
+        vut_and_rsus=ratios(evaluation.vut_and_rsus),
+        units={name: ratios(verdict) for name, verdict in evaluation.units.items()},
+        **{name: ratios(verdict) for name, verdict in evaluation.others.items()},
+        apr_without_worst_unit=apr_one_failed(evaluation, rule),
+    )
+
+
+def build_layout_result(setting: Setting, evaluation: Evaluation) -> Result:
+    """One layout by the evaluator: the fields that every result has.
+
+    Those that only an optimisation or a comparison knows are None or UNSET; "seconds" is empty.
+    """
+    evaluated = build_evaluation_record(evaluation, setting.rule)
+    return Result(
+        schema=RESULT_SCHEMA,
+        name=evaluation.layout.name,
+        layout=build_unit_records(evaluation.layout),
+        cost_eur=_price_eur(evaluation),
+        budget=None,
+        fusion="any",
+        runs=evaluation.axis.n_runs,
+        apr=evaluated.rsu_all.all,
+        bound=None,
+        gap=None,
+        apr_without_worst_unit=evaluated.apr_without_worst_unit,
+        evaluation=evaluated,
+        baseline=None,
+        surrogate_disagreement=None,
+        seconds={},
+        versions=versions(),
+        **fields_of(build_drives_record(setting)),
+    )
+
+
+def build_placement_result(
+    placement: Placement,
+    setting: Setting,
+    *,
+    found: Evaluation,
+    greedy: Evaluation,
+    baseline: Evaluation | None,
+) -> Result:
+    """A placement by the optimiser and by the evaluator, beside the greedy layout and a baseline.
+
+    What explains it ("explained", "front", "sensitivity", ...) is left out.
+    """
+    certificate, problem = placement.certificate, placement.problem
+    rule = problem.rule
+    value = placement_value(problem, placement.pose_index)
+    apr_stage = next((stage for stage in certificate.stages if stage.name == "apr"), None)
+    return replace(
+        build_layout_result(setting, found),
+        budget=problem.limits.budget_units,
+        fusion=problem.fusion,
+        apr=_without_rounding(value.apr),
+        bound=None if apr_stage is None else _without_rounding(apr_stage.bound),
+        gap=None if apr_stage is None else apr_stage.gap,
+        apr_without_worst_unit=_without_rounding(value.apr_one_failed),
+        goal=problem.goal,
+        candidates=problem.table.n_poses,
+        presolve=str(placement.presolve),
+        spent_eur=value.cost_eur,
+        stages=build_stage_records(certificate),
+        solver=certificate.solver,
+        baseline_name=None if baseline is None else baseline.layout.name,
+        baseline=None if baseline is None else build_evaluation_record(baseline, rule),
+        greedy=GreedyLayoutRecord(
+            layout=build_unit_records(greedy.layout),
+            **fields_of(build_evaluation_record(greedy, rule)),
+        ),
+        surrogate_disagreement=float(np.mean(disagreeing_runs(placement, found))),
+        disagreements=tuple(
+            DisagreementRecord(**asdict(disagreement))
+            for disagreement in find_disagreements(
+                setting, placement.nominal.table, found, placement.nominal_index
+            )
+        ),
+    )
+
+
+def build_comparison_result(
+    setting: Setting,
+    subject: Evaluation,
+    others: Sequence[Evaluation],
+    *,
+    private_ground: Sequence[PrivateGroundRecord | UnsetType] = (),
+) -> Result:
+    """A layout against others on the same runs; the first of the others is the baseline.
+
+    Parameters
+    ----------
+    others : sequence of Evaluation
+        At least one.
+    private_ground : sequence, optional
+        What each of the others sees of private ground.
+    """
+    rule = setting.rule
+    compared = tuple(
+        _compared(subject, other, rule, private)
+        for other, private in zip(others, private_ground or [UNSET] * len(others), strict=True)
+    )
+    first = compared[0]
+    return replace(
+        build_layout_result(setting, subject),
+        compared=compared,
+        baseline_name=first.name,
+        baseline_layout=first.layout,
+        baseline=first.evaluation,
+        runs_gained=first.runs_gained,
+        runs_lost=first.runs_lost,
+        differences=build_difference_records(
+            {item.layout.name: item for item in (subject, *others)}
+        ),
+    )
+
+
+def build_difference_records(evaluations: Mapping[str, Evaluation]) -> tuple[DifferenceRecord, ...]:
+    """Which runs only one of two layouts avoids, for any two; evaluations by display name."""
+    return tuple(
+        DifferenceRecord(
+            first=name,
+            second=other_name,
+            only_first=_only_first(one, other),
+            only_second=_only_first(other, one),
+        )
+        for (name, one), (other_name, other) in combinations(evaluations.items(), 2)
+    )
+
+
+def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> BoolArray:
+    """Runs on which detection table and evaluator disagree about the layout found: (n_runs,) bool.
+
+    Both under the placement's own fusion.
+    """
+    on_table = np.isfinite(run_margins_s(placement.nominal, placement.nominal_index))
+    if placement.problem.fusion == "any":
+        evaluated = evaluation.rsu_all.is_avoided
+    else:
+        evaluated = np.any([unit.is_avoided for unit in evaluation.units.values()], axis=0)
+    disagrees: BoolArray = on_table != evaluated
+    return disagrees
+
+
+def _compared(
+    subject: Evaluation,
+    other: Evaluation,
+    rule: AebRule,
+    private_ground: PrivateGroundRecord | UnsetType,
+) -> ComparedRecord:
+    return ComparedRecord(
+        name=other.layout.name,
+        layout=build_unit_records(other.layout),
+        cost_eur=_price_eur(other),
+        evaluation=build_evaluation_record(other, rule),
+        runs_gained=_only_first(subject, other),
+        runs_lost=_only_first(other, subject),
+        private_ground=private_ground,
+    )
+
+
+def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
+    """Runs that the first of two layouts avoids and the second one does not."""
+    runs = np.array(one.axis.run_ids)
+    return tuple(runs[one.rsu_all.is_avoided & ~other.rsu_all.is_avoided].tolist())
+
+
+def _price_eur(evaluation: Evaluation) -> float:
+    return sum(unit.sensor.price_eur for unit in evaluation.layout.units)
+
+
+def _without_rounding(value: float) -> float:
+    """Without what summing up many weights leaves over: all of them are 1."""
+    return round(value, 12)

@@ -1,8 +1,15 @@
 """The part of a result about sampled worlds: what was drawn, and what layouts are worth there."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from itertools import combinations
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from msgspec import UNSET, UnsetType
+
+from geometry.errors import InputError, Unquoted
+from placement.sampling import SampledApr, Uncertainty, cvar, estimate_mean
 
 from .record import Record, RunId, Share, says
 
@@ -148,3 +155,133 @@ class SampledRecord(Record, frozen=True, kw_only=True):
     layouts: Annotated[tuple[SampledLayoutRecord, ...], says("The first one is the subject.")]
     gains: Annotated[tuple[SampledGainRecord, ...], says("One for each other layout.")]
     pairs: Annotated[tuple[SampledPairRecord, ...], says("One for any two layouts.")]
+
+
+_MAX_LEAST_SURE_RUNS = 5
+_SAME_APR = 1.0e-9  # shares of summed weights carry rounding noise
+
+
+def build_sampled_record(
+    judged: Sequence[SampledApr],
+    uncertainty: Uncertainty,
+    *,
+    tail: float,
+    seed: int,
+    planned_apr: Mapping[str, float] | None = None,
+    chosen_apr: Mapping[str, float] | None = None,
+) -> SampledRecord:
+    """Layouts in the same sampled worlds: the first one is the subject, the others baselines.
+
+    Parameters
+    ----------
+    judged : sequence of SampledApr
+        By :func:`placement.sampling.out_of_sample_layouts`: at least one, all in the same worlds.
+    uncertainty : Uncertainty
+        What was drawn.
+    tail : float
+        The worst share of the worlds that is summed up, 0 .. 1.
+    seed : int
+        Of the draws.
+    planned_apr, chosen_apr : mapping of str to float, optional
+        By name of the layout: APR as planned, with nothing uncertain, and in the worlds that it
+        was chosen in.
+
+    Raises
+    ------
+    InputError
+        There is no layout, or they were judged in different numbers of worlds.
+    """
+    if not judged:
+        raise InputError("layouts", Unquoted("none"), "at least one")
+    n_samples = {len(item.apr_by_sample) for item in judged}
+    if len(n_samples) > 1:
+        raise InputError("samples", sorted(n_samples), "the same number for every layout")
+    subject, *others = judged
+    planned, chosen = planned_apr or {}, chosen_apr or {}
+    return SampledRecord(
+        uncertainty=build_uncertainty_record(uncertainty),
+        samples=n_samples.pop(),
+        seed=seed,
+        tail=tail,
+        layouts=tuple(
+            SampledLayoutRecord(
+                name=item.layout.name,
+                planned=planned.get(item.layout.name),
+                in_sample=chosen.get(item.layout.name),
+                **asdict(item.estimate),
+                cvar=cvar(item.apr_by_sample, tail),
+                worst=item.worst,
+                apr_by_sample=tuple(item.apr_by_sample.tolist()),
+                least_sure_runs=_least_sure(item),
+            )
+            for item in judged
+        ),
+        gains=tuple(
+            SampledGainRecord(
+                over=other.layout.name,
+                **asdict(
+                    estimate_mean(subject.apr_by_sample - other.apr_by_sample, bounds=(-1.0, 1.0))
+                ),
+            )
+            for other in others
+        ),
+        pairs=tuple(_pair(first, second) for first, second in combinations(judged, 2)),
+    )
+
+
+def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
+    """An uncertainty, with the names of its TOML file."""
+    latency, traffic = uncertainty.latency, uncertainty.traffic
+    if latency.budget is not None:
+        latency_record = UncertaintyLatencyRecord(
+            budget=latency.budget.name, drawn_per=latency.drawn_per
+        )
+    else:
+        latency_record = UncertaintyLatencyRecord(
+            distribution=latency.distribution,
+            mean_s=latency.mean_s,
+            sd_s=latency.sd_s,
+            drawn_per=latency.drawn_per,
+        )
+    return UncertaintyRecord(
+        name=uncertainty.name,
+        mounting=UncertaintyMountingRecord(**asdict(uncertainty.mounting)),
+        latency=latency_record,
+        messages=UncertaintyMessagesRecord(packet_loss=uncertainty.packet_loss),
+        detector=UncertaintyDetectorRecord(is_drawn=uncertainty.draws_detections),
+        traffic=UncertaintyTrafficRecord(
+            **{name: getattr(traffic, name) for name in UncertaintyTrafficRecord.__struct_fields__}
+        ),
+        vehicles=tuple(
+            UncertaintyVehicleRecord(
+                name=kind.actor.name,
+                parked_share=kind.parked_share,
+                waiting_share=kind.waiting_share,
+            )
+            for kind in traffic.vehicles
+        ),
+    )
+
+
+def _pair(first: SampledApr, second: SampledApr) -> SampledPairRecord:
+    """Two layouts in the same worlds: the difference, and who avoids more how often."""
+    gain = first.apr_by_sample - second.apr_by_sample
+    return SampledPairRecord(
+        first=first.layout.name,
+        second=second.layout.name,
+        **asdict(estimate_mean(gain, bounds=(-1.0, 1.0))),
+        more_share=float((gain > _SAME_APR).mean()),
+        equal_share=float((np.abs(gain) <= _SAME_APR).mean()),
+        less_share=float((gain < -_SAME_APR).mean()),
+    )
+
+
+def _least_sure(item: SampledApr) -> tuple[LeastSureRunRecord, ...]:
+    """Runs that are avoided in the fewest worlds, if not in all; those that count."""
+    share = item.avoided_share
+    order = np.argsort(share, kind="stable")
+    order = order[(share[order] < 1.0) & (item.axis.weight[order] > 0.0)]
+    return tuple(
+        LeastSureRunRecord(run=item.axis.run_ids[index], avoided_share=float(share[index]))
+        for index in order[:_MAX_LEAST_SURE_RUNS].tolist()
+    )

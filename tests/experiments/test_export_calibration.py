@@ -17,7 +17,6 @@ from experiments.export.calibration import calibrations
 from experiments.export.opencv import to_opencv
 from experiments.export.openlabel import to_openlabel
 from experiments.export.ros import camera_names, to_ros
-from experiments.export.yaml_text import yaml_number, yaml_text
 from geometry.errors import InputError
 from geometry.poses import camera_rotation, to_world
 from geometry.sensors import CameraModel, project_points
@@ -166,14 +165,19 @@ def test_lidars_alone_are_refused(name, export):
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_yaml_numbers_come_back_bit_by_bit(value):
-    again = yaml.safe_load(yaml_number(value))
+    unit = level_layout(0.0).units[0]
+    pose = replace(unit.pose, position_m=[value, 0.0, 7.0])
+    document = yaml.safe_load(to_ros(Layout(name="far", units=(replace(unit, pose=pose),))))
+    again = document["static_transform"]["transform"]["translation"]["x"]
     assert isinstance(again, float)
     assert again == value
 
 
 @given(st.text(st.characters(exclude_categories=["C", "Zl", "Zp"])))
 def test_yaml_texts_come_back(value):
-    assert yaml.safe_load(f"name: {yaml_text(value)}") == {"name": value}
+    unit = replace(level_layout(0.0).units[0], id=value)
+    text = to_ros(Layout(name="names", units=(unit,)))
+    assert yaml.safe_load(text)["unit"] == value
 
 
 def openlabel_project(root, name, points_m):

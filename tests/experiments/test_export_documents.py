@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from experiments.export.collective_perception import to_cpm
+from experiments.export.cpm import to_cpm
 from experiments.export.json import to_json
 from experiments.study.layout import load_carlancap_layout
 from geometry.actors import load_actors

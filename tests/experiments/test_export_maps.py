@@ -13,10 +13,11 @@ from defusedxml import ElementTree
 from export_layouts import MAP_CRS, awkward_layout, large_layout, map_scene, placeless_scene
 from pyproj import Transformer
 
-from experiments.export.geojson import to_geojson, to_geopackage
+from experiments.export.geojson import to_geojson
+from experiments.export.gpkg import to_geopackage
 from experiments.export.kml import to_kml
+from experiments.export.parquet import to_parquet
 from experiments.export.places import placed_records
-from experiments.export.tables import to_parquet
 from geometry.errors import InputError
 from geometry.scene_files import load_study_scene
 from placement.layout import layout_records

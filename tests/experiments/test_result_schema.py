@@ -150,7 +150,6 @@ def written(run, out, *arguments):
 PLACEMENTS = {
     "plain": (["--budget", "2"], {"front", "stages", "sensitivity", "explained"}),
     "refined": (["--budget", "1", "--refine"], {"refinement"}),
-    "weighted": (["--budget", "1", "--stage-weights", "apr=1,mean_margin_s=0.1"], {"stages"}),
     "cheapest": (["--target", "max", "--least", "cost", "--pool", "2"], {"goal"}),
     "single": (["--budget", "2", "--fusion", "single", "--survive", "1"], {"stages"}),
 }
@@ -166,11 +165,11 @@ def test_placements_are_as_the_schema_says(kind, small_study, without_figures, r
     assert load_result(tmp_path / "out").summary == summary
 
 
-def test_prices_of_private_ground_are_in_the_schema(
+def test_private_ground_is_in_the_schema(
     small_study, without_figures, run, tmp_path, garden, layout_files
 ):
     summary = written(
-        run, tmp_path / "out", "--budget", 1, "--no-look", garden, "--no-look-price", 1
+        run, tmp_path / "out", "--budget", 1, "--no-look", garden, "--no-look-share", 1
     )
     assert messages(summary) == []
     assert summary["private_ground"]["areas"][0]["name"] == "garden"

@@ -406,7 +406,7 @@ def test_the_study_scene_is_read_once():
         (
             "parked_rows.0.gap_m",
             True,
-            "{}: parked_rows[0].gap_m: got True; expected a number, at least 0",
+            "{}: parked_rows[0].gap_m: got True; expected a finite number",
         ),
         ("poles.0.radius_m", -1.0, "{}: poles[0].radius_m: got -1.0; expected a number > 0"),
         ("poles.0.kind", None, "{}: poles[0].kind: got nothing; expected a value"),

@@ -21,16 +21,7 @@ from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
 from scenarios.runs import Run
 
-from ...figures.evaluation import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    PINK,
-    SKY,
-    VERMILION,
-    describe_run,
-    unit_labels,
-)
+from ...figures.axes import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, describe_run, unit_labels
 from ...figures.plan import CLASS_STYLES, ground_footprint
 from ...figures.sensors import blind_footprint, ground_rings
 

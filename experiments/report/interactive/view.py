@@ -11,7 +11,7 @@ from geometry.scene import Scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
-from ...figures.evaluation import unit_labels
+from ...figures.axes import unit_labels
 from ...figures.plan import CLASS_STYLES
 from .records import (
     COLOURS,

@@ -170,10 +170,6 @@ def test_one_number_is_a_budget_too(run_latency):
         (("--latency", "25"), "--latency: got 25.0; expected at most 10 seconds"),
         (("--max", "0"), "--max: got '0'; expected seconds, more than 0"),
         (("--vut-latency", "-1"), "--vut-latency: got '-1'; expected seconds, at least 0"),
-        (
-            ("--phase", "worst"),
-            "--phase: got 'worst'; expected aligned: every latency is looked at on the same frames",
-        ),
         (("--layout", "carlancap-12"), "--layout: got 2 layouts; expected it once"),
         (
             ("--out", "mine.txt"),

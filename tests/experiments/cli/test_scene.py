@@ -13,11 +13,11 @@ from osm_text import OsmText
 from osm_text import crossing as crossing_streets
 from PIL import Image
 
-from experiments.figures.evaluation import to_png
+from experiments.figures.axes import to_png
 from experiments.figures.scene import plot_scene_plan, plot_scene_view
-from experiments.jobs import planning
 from experiments.jobs.scene import scene_text
 from geometry.scene_files import load_scene_folder, load_study_scene
+from placement import planning
 from placement.candidates import load_candidate_grid
 
 FOUR = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]

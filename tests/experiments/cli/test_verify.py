@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.jobs import placement
+from experiments.jobs import placement, writing
 from experiments.progress import StageProgress
-from experiments.results import writing
 from placement.compute import Compute
 from placement.question import Question
 from placement.verification.instances import load_problem, save_problem

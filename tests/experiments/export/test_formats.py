@@ -8,10 +8,10 @@ import pytest
 from pyproj import Transformer
 
 from experiments.export.carla import to_carla
-from experiments.export.formats import FORMATS
+from experiments.export.csv import to_csv
+from experiments.export.formats import load_format
 from experiments.export.geojson import to_geojson
 from experiments.export.json import to_json, to_json_text
-from experiments.export.tables import to_csv
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.frames import from_carla_pose
@@ -136,7 +136,7 @@ def test_carla_has_no_minus_zero(layout):
 
 def test_every_format_is_text_of_the_whole_layout(layout):
     for name in ("json", "csv", "geojson", "kml", "carla", "opencv", "ros", "openlabel", "cpm"):
-        text = FORMATS[name](layout, load_study_scene())
+        text = load_format(name).write(layout, load_study_scene())
         assert all(unit.id in text for unit in layout.units)
         assert text.endswith("\n")
 

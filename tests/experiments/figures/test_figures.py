@@ -7,15 +7,9 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.figures.evaluation import (
-    describe_run,
-    plot_apr_by_case,
-    plot_heatmap,
-    plot_heatmaps,
-    to_png,
-    unit_labels,
-)
-from experiments.results.text import percent
+from experiments.figures.axes import describe_run, to_png, unit_labels
+from experiments.figures.evaluation import plot_apr_by_case, plot_heatmap, plot_heatmaps
+from experiments.results.numbers import percent
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import (

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.path import Path
 
-from experiments.figures.evaluation import to_png
+from experiments.figures.axes import to_png
 from experiments.figures.plan import ground_footprint, plot_plan
 from experiments.study.layout import load_carlancap_layout
 from geometry.catalogue import load_cameras

@@ -1,25 +1,50 @@
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from partial_pages import render_partial
 
+from experiments.export.json import to_json_text
 from experiments.report.comparison import (
     comparison_part,
     difference_matrix,
     difference_rows,
     significance_sentences,
     significance_table,
-    summarise_differences,
 )
-from experiments.report.sampled_worlds import summarise_uncertainty
-from experiments.results.summary import summarise_comparison
+from experiments.results.result import build_comparison_result, build_difference_records
+from experiments.results.sampled_worlds import build_sampled_record
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
+from placement.detectors import load_detector
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
 from placement.sampling import SampledApr, load_uncertainty
+from placement.setting import Links
+
+
+def plain(record):
+    """As JSON has it."""
+    return json.loads(to_json_text(record))
+
+
+def differences(evaluations):
+    return plain(build_difference_records(evaluations))
+
+
+def compare(axis, rule, first, *others):
+    setting = SimpleNamespace(
+        axis=axis,
+        refusals=(),
+        rule=rule,
+        detector=load_detector(),
+        vut_sensors=(),
+        links=Links(),
+    )
+    return plain(build_comparison_result(setting, first, others))
+
 
 NAMES = ("a $1_", "<b>", "c")
 
@@ -63,9 +88,8 @@ def evaluations(evaluation_of):
 
 
 @pytest.fixture
-def summary(evaluations, rule):
-    first, *others = evaluations.values()
-    return summarise_comparison(first, others, rule)
+def summary(evaluations, frame_axis, rule):
+    return compare(frame_axis, rule, *evaluations.values())
 
 
 def sampled_of(evaluations, *aprs):
@@ -75,7 +99,7 @@ def sampled_of(evaluations, *aprs):
         )
         for item, apr in zip(evaluations.values(), aprs, strict=True)
     ]
-    return summarise_uncertainty(judged, load_uncertainty(), tail=1.0, seed=0)
+    return plain(build_sampled_record(judged, load_uncertainty(), tail=1.0, seed=0))
 
 
 @pytest.fixture
@@ -85,7 +109,7 @@ def sampled(evaluations):
 
 
 def test_of_any_two_layouts_the_runs_that_only_one_avoids_are_named(evaluations):
-    found = summarise_differences(evaluations)
+    found = differences(evaluations)
     assert json.loads(json.dumps(found)) == found
     assert [(one["first"], one["second"]) for one in found] == [
         ("a $1_", "<b>"), ("a $1_", "c"), ("<b>", "c"),
@@ -97,14 +121,14 @@ def test_of_any_two_layouts_the_runs_that_only_one_avoids_are_named(evaluations)
 
 
 def test_the_matrix_counts_row_not_column(evaluations):
-    table = difference_matrix(NAMES, summarise_differences(evaluations))
+    table = difference_matrix(NAMES, differences(evaluations))
     avoided = {name: item.rsu_all.is_avoided for name, item in evaluations.items()}
     for row, name in zip(table["rows"], NAMES, strict=True):
         assert row[0] == name
         for cell, other in zip(row[1:], NAMES, strict=True):
             expected = int((avoided[name] & ~avoided[other]).sum())
             assert cell == ("\N{EN DASH}" if name == other else str(expected))
-    assert len(difference_rows(summarise_differences(evaluations))) == 4
+    assert len(difference_rows(differences(evaluations))) == 4
 
 
 def test_side_by_side_every_layout_has_its_own_numbers(summary, evaluations):
@@ -158,21 +182,21 @@ def test_the_section_shows_all_and_escapes_names(summary, evaluations, sampled):
     assert "<img" not in plain
 
 
-def test_layouts_that_agree_and_a_layout_alone(evaluation_of, rule):
+def test_layouts_that_agree_and_a_layout_alone(evaluation_of, frame_axis, rule):
     twins = {name: evaluation_of(name, [1, 0, 0]) for name in ("x", "y")}
     first, second = twins.values()
-    part = comparison_part(summarise_comparison(first, [second], rule), twins)
+    part = comparison_part(compare(frame_axis, rule, first, second), twins)
     page = render_partial("comparison.html.j2", comparison=part)
     assert "All layouts avoid the same runs." in page
     assert comparison_part({"name": "x"}, {"x": first}) is None
 
 
-def test_of_many_layouts_the_table_alone_is_shown(evaluation_of, rule):
+def test_of_many_layouts_the_table_alone_is_shown(evaluation_of, frame_axis, rule):
     many = {f"l{index}": evaluation_of(f"l{index}", [1, 0, 0]) for index in range(9)}
     first, *others = many.values()
     generator = np.random.default_rng(0)
     sampled = sampled_of(many, *generator.uniform(0.2, 0.9, size=(9, 5)))
-    summary = summarise_comparison(first, others, rule) | {"sampled": sampled}
+    summary = compare(frame_axis, rule, first, *others) | {"sampled": sampled}
     part = comparison_part(summary, many)["sampled"]
     assert len(part["table"]["rows"]) == 36
     assert part["figure"] is None

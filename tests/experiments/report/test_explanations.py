@@ -10,13 +10,18 @@ from experiments.report.explanation import (
     explanation_text,
     missed_table,
     pool_sentences,
-    summarise_explanations,
 )
+from experiments.results.explanations import build_explained_record
+from experiments.results.record import to_plain
 from experiments.study.layout import load_carlancap_layout
 from placement.detection_table import pack_table
 from placement.explain import find_contributions, find_pool, find_unavoided
 from placement.pipeline import place
 from placement.wishes import Wishes
+
+
+def explain(*given, **options):
+    return to_plain(build_explained_record(*given, **options))
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +36,7 @@ def placement(small_setting, candidates):
 
 @pytest.fixture(scope="module")
 def summary(placement, small_setting, candidates):
-    found = summarise_explanations(placement, small_setting, candidates, n_pool=4, tolerance=0.2)
+    found = explain(placement, small_setting, candidates, n_pool=4)
     return json.loads(json.dumps(found, allow_nan=False))
 
 
@@ -47,7 +52,7 @@ def test_the_summary_says_what_the_library_found(summary, placement, small_setti
         assert record["without"] == part.without._asdict()
     missed = find_unavoided(small_setting, problem, candidates, chosen)
     assert [record["run"] for record in summary["not_avoided"]] == [e.run_id for e in missed]
-    pool = find_pool(problem, chosen, n_sets=4, tolerance=0.2)
+    pool = find_pool(problem, chosen, n_sets=4)
     record = summary["pool"]
     assert record["is_complete"] == (pool.scope == "all")
     assert record["within"] == pool.n_within
@@ -63,7 +68,7 @@ def test_the_summary_says_what_the_library_found(summary, placement, small_setti
 
 def test_what_one_unit_misses_is_explained_run_by_run(small_setting, candidates):
     placement = place(small_setting, candidates[8:9], wishes=Wishes(budget_units=1))
-    found = summarise_explanations(placement, small_setting, candidates[8:9])
+    found = explain(placement, small_setting, candidates[8:9])
     assert found["pool"] is None
     assert len(found["not_avoided"]) > 0
     for entry in found["not_avoided"]:
@@ -83,7 +88,7 @@ def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
     """The runs of one unit, with weight and without: all lists and counts say the same."""
     poses = candidates[8:9]
     everything = place(small_setting, poses, wishes=Wishes(budget_units=1))
-    found = summarise_explanations(everything, small_setting, poses)
+    found = explain(everything, small_setting, poses)
     assert found["runs_without_weight"] == 0
     missed_runs = {entry["run"] for entry in found["not_avoided"]}
     saved_runs = set(found["contributions"][0]["only_runs"])
@@ -95,7 +100,7 @@ def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
     weight = np.array([0.0 if run in out else 1.0 for run in axis.run_ids])
     weighted = replace(small_setting, axis=replace(axis, weight=weight / weight.sum()))
     placement = place(weighted, poses, wishes=Wishes(budget_units=1))
-    found = summarise_explanations(placement, weighted, poses)
+    found = explain(placement, weighted, poses)
     assert found["not_avoided"] == missed_table(found)["rows"] == []
     assert set(found["contributions"][0]["only_runs"]) == saved_runs - out
     assert found["contributions"][0]["marginal_apr"] == pytest.approx(1.0)
@@ -114,7 +119,7 @@ def test_sampled_worlds_are_explained_in_the_world_as_planned(placement, small_s
         limits=placement.problem.limits.of_poses(np.array(alone)),
     )
     sampled = replace(placement, nominal=nominal, nominal_index=tuple(range(len(alone))))
-    found = summarise_explanations(sampled, small_setting, candidates)
+    found = explain(sampled, small_setting, candidates)
     assert {entry["run"] for entry in found["not_avoided"]} == set(table.axis.run_ids)
     assert all(entry["rescue"] is None for entry in found["not_avoided"])
     assert [part["unit"] for part in found["contributions"]] == [table.pose_ids[c] for c in alone]

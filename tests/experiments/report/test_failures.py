@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from partial_pages import render_partial
 
-from experiments.report.answer import NOTHING
 from experiments.report.failures import (
     MAX_ROWS,
     failure_sentences,
     failure_table,
     failures_part,
 )
+from experiments.results.numbers import NOTHING
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict

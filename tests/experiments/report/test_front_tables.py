@@ -9,13 +9,14 @@ from small_tables import avoiding_problem
 
 from experiments.export.json import to_json_text
 from experiments.figures.front import plot_front
-from experiments.jobs.pareto import summarise_front
+from experiments.jobs.pareto import describe_front
 from experiments.report.front import (
     front_part,
     front_rows,
     proof_sentences,
     read_front,
 )
+from experiments.results.record import to_plain
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.optimiser import solve_placement
@@ -41,7 +42,7 @@ def front_of(n_units):
 @pytest.mark.parametrize("n_units", [1, 2, 8])
 def test_any_number_of_points_is_shown_with_its_proof(n_units, candidates):
     problem, front = front_of(n_units)
-    summary = summarise_front(front, problem, candidates)
+    summary = to_plain(describe_front(front, problem, candidates))
     part = front_part(json.loads(to_json_text(summary)))
     assert [row[0] for row in part["table"]["rows"]] == [str(n + 1) for n in range(n_units)]
     assert [row[1] for row in part["table"]["rows"]] == [
@@ -58,7 +59,7 @@ def test_any_number_of_points_is_shown_with_its_proof(n_units, candidates):
 
 def test_a_front_survives_its_plain_object(candidates):
     problem, front = front_of(3)
-    back = read_front(json.loads(to_json_text(summarise_front(front, problem, candidates))))
+    back = read_front(json.loads(to_json_text(describe_front(front, problem, candidates))))
     assert [point.value for point in back.points] == [point.value for point in front.points]
     assert [point.certificate for point in back.points] == [
         point.certificate for point in front.points
@@ -89,7 +90,7 @@ def test_what_is_open_is_said_and_never_called_proven(candidates):
     assert proof_sentences(none)[0].startswith("None of the 2 points is proven")
     assert front_rows(none)[0][-1] == "open: cost (EUR) no less than 10.000"
     unknown = loosened(front, 1, 1, math.inf)
-    part = front_part(json.loads(to_json_text(summarise_front(unknown, problem, candidates))))
+    part = front_part(json.loads(to_json_text(describe_front(unknown, problem, candidates))))
     assert part["table"]["rows"][1][-1].startswith("open: nothing is proven of the APR if")
     _, single = front_of(1)
     assert proof_sentences(loosened(single, 0, 0, 1.0))[0].startswith("Not proven")

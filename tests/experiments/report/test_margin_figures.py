@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from experiments.figures.evaluation import to_png
+from experiments.figures.axes import to_png
 from experiments.report.margins import MAX_COLUMNS, plot_margin_strip, plot_margins
 from placement.evaluation import Verdict
 

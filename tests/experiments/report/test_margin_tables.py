@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from partial_pages import render_partial
 from strategies import frame_axes
 
-from experiments.report.answer import NOTHING
 from experiments.report.margins import (
     margin_m,
     margin_notes,
@@ -18,6 +17,7 @@ from experiments.report.margins import (
     margins_part,
     summarise_margins,
 )
+from experiments.results.numbers import NOTHING
 from experiments.results.tables import margin_s
 from geometry.poses import Pose
 from placement.candidates import CandidatePose

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from experiments.figures.evaluation import new_axes, to_png
+from experiments.figures.axes import new_axes, to_png
 from experiments.report.pictures import MAX_TRUE_COLOUR_BYTES, build_picture, with_palette
 
 

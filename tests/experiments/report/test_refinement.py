@@ -4,7 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from experiments.report.refinement import refinement_sentences, summarise_refinement
+from experiments.export.json import to_json_text
+from experiments.report.refinement import refinement_sentences
+from experiments.results.fronts import build_refinement_record
+from experiments.results.record import to_plain
 from geometry.catalogue import pick_sensor
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
@@ -56,7 +59,7 @@ def _refinement(old, new, after, *, gap=0.0):
 
 
 def _sentences(refinement):
-    return refinement_sentences(json.loads(json.dumps(summarise_refinement(refinement))))
+    return refinement_sentences(json.loads(to_json_text(build_refinement_record(refinement))))
 
 
 def test_a_turned_unit_is_told_with_all_objectives_that_changed():
@@ -127,7 +130,9 @@ def test_nothing_better_is_said_as_it_is():
 
 def test_the_summary_holds_all_numbers():
     after = _values(1.0, 0.0, 0.5, 3.0, 1500.0)
-    summary = summarise_refinement(_refinement([_unit("U1")], [_unit("x", yaw=1.0)], after))
+    summary = to_plain(
+        build_refinement_record(_refinement([_unit("U1")], [_unit("x", yaw=1.0)], after))
+    )
     assert summary == {
         "is_improved": True,
         "before": dict(BEFORE),

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from experiments.figures.evaluation import to_png
+from experiments.figures.axes import to_png
 from experiments.report.sampled_worlds import (
     MAX_STAIRCASES,
     plot_differences,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from partial_pages import render_partial
 
-from experiments.figures.evaluation import to_png
+from experiments.figures.axes import to_png
 from experiments.report.sensitivity import (
     TITLES,
     phrase,
@@ -13,11 +13,16 @@ from experiments.report.sensitivity import (
     sensitivity_part,
     sensitivity_sentences,
     sensitivity_table,
-    summarise_sensitivity,
     value_text,
 )
+from experiments.results.explanations import build_sensitivity_record
+from experiments.results.record import to_plain
 from geometry.errors import InputError
 from placement.explain.sensitivity import RANGES, Assumption, Outcome, Sensitivity, Varied
+
+
+def summarise(*given, **options):
+    return to_plain(build_sensitivity_record(*given, **options))
 
 
 def outcome(apr, margin_s, one_failed=0.5):
@@ -45,7 +50,7 @@ def varied(value, found, *lost, unmoved=()):
 
 @pytest.fixture
 def summary():
-    return summarise_sensitivity(
+    return summarise(
         [
             sensitivity(
                 "latency_s",
@@ -85,10 +90,10 @@ def test_the_sentences_name_what_hits_hardest_first(summary):
 
 
 def test_where_nothing_lowers_the_apr_that_is_said():
-    calm = summarise_sensitivity([sensitivity("yaw_deg", varied(2.0, outcome(0.9, 0.5)))])
+    calm = summarise([sensitivity("yaw_deg", varied(2.0, outcome(0.9, 0.5)))])
     (only,) = sensitivity_sentences(calm)
     assert "none lowers the APR below the 90.0 %" in only
-    nothing = summarise_sensitivity([sensitivity("min_iou", left_out="no")])
+    nothing = summarise([sensitivity("min_iou", left_out="no")])
     assert sensitivity_sentences(nothing) == ["No assumption was varied."]
     assert sensitivity_part(nothing)["figures"] == []
 
@@ -162,7 +167,7 @@ def test_the_section_shows_all_and_escapes_names(summary):
 
 def test_where_nothing_is_avoided_the_figures_still_stand():
     nothing = replace(PLANNED, apr=0.0, smallest_margin_s=None)
-    summary = summarise_sensitivity(
+    summary = summarise(
         [
             replace(
                 sensitivity("yaw_deg", varied(2.0, nothing), varied(4.0, outcome(0.1, 0.2))),

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.figures.evaluation import to_png
+from experiments.figures.axes import to_png
 from experiments.report.sampled_worlds import (
     plot_sampled_apr,
-    summarise_uncertainty,
-    uncertainty_record,
     uncertainty_sentences,
     uncertainty_text,
     what_is_uncertain,
 )
+from experiments.results.record import to_plain
+from experiments.results.sampled_worlds import build_sampled_record, build_uncertainty_record
 from geometry.errors import InputError
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
@@ -25,6 +25,10 @@ from placement.sampling import (
     Uncertainty,
     load_uncertainty,
 )
+
+
+def summarise(*given, **options):
+    return to_plain(build_sampled_record(*given, **options))
 
 
 @pytest.fixture
@@ -51,7 +55,7 @@ def judged(judge):
 
 @pytest.fixture
 def summary(judged):
-    return summarise_uncertainty(
+    return summarise(
         judged,
         load_uncertainty(),
         tail=0.5,
@@ -86,7 +90,7 @@ def test_a_gain_is_taken_world_by_world(summary, judge):
     assert gain["standard_error"] == pytest.approx(differences.std(ddof=1) / 2.0)
     # Worlds that are bad for both take nothing from a difference that is always the same.
     pair = [judge("a", np.linspace(0.1, 0.9, 60) + 0.05), judge("b", np.linspace(0.1, 0.9, 60))]
-    (sure,) = summarise_uncertainty(pair, Uncertainty(), tail=1.0, seed=0)["gains"]
+    (sure,) = summarise(pair, Uncertainty(), tail=1.0, seed=0)["gains"]
     assert sure["mean"] == pytest.approx(0.05)
     assert 0.0 <= sure["high"] - sure["low"] < 0.15
 
@@ -105,7 +109,11 @@ def test_what_is_uncertain_is_recorded_under_the_names_of_its_file(summary):
     assert record["traffic"]["waiting_share"] == load_uncertainty().traffic.waiting_share
     assert [kind["name"] for kind in record["vehicles"]][-1] == "bus"
     drawn = Uncertainty(latency=LatencyJitter(budget=load_latency_budget("cpm-50ms")))
-    assert uncertainty_record(drawn)["latency"] == {"budget": "cpm-50ms", "drawn_per": "run"}
+    latency = to_plain(build_uncertainty_record(drawn))["latency"]
+    assert latency == {
+        "budget": "cpm-50ms",
+        "drawn_per": "run",
+    }
 
 
 def test_sentences_say_mean_interval_plan_tail_gain_and_what_is_least_sure(summary):
@@ -132,24 +140,24 @@ def test_sentences_say_mean_interval_plan_tail_gain_and_what_is_least_sure(summa
 
 def test_sentences_say_when_a_difference_is_not_sure_or_a_loss(judge):
     close = [judge("a", [0.5, 0.6, 0.5]), judge("b", [0.55, 0.5, 0.5])]
-    said = uncertainty_sentences(summarise_uncertainty(close, Uncertainty(), tail=1.0, seed=0))
+    said = uncertainty_sentences(summarise(close, Uncertainty(), tail=1.0, seed=0))
     assert any(s.startswith("Between a and b there is no sure difference") for s in said)
     assert "(nothing is uncertain)" in said[0]
     assert "as planned" not in said[0]
     worse = [judge("a", [0.5, 0.51, 0.5]), judge("b", [0.9, 0.9, 0.91])]
-    said = uncertainty_sentences(summarise_uncertainty(worse, Uncertainty(), tail=1.0, seed=0))
+    said = uncertainty_sentences(summarise(worse, Uncertainty(), tail=1.0, seed=0))
     assert any(s.startswith("a avoids 40.0 points less than b") for s in said)
 
 
 def test_nothing_is_least_sure_where_all_is_avoided(judge, frame_axis):
     sure = judge("a", [1.0, 1.0], avoided_share=(1.0, 1.0, 1.0))
-    summary = summarise_uncertainty([sure], Uncertainty(), tail=1.0, seed=0)
+    summary = summarise([sure], Uncertainty(), tail=1.0, seed=0)
     assert summary["layouts"][0]["least_sure_runs"] == []
     assert not any("Least sure" in s for s in uncertainty_sentences(summary))
     # A run of no weight is nobody's worry.
     free = replace(frame_axis, weight=np.array([0.5, 0.5, 0.0]))
     item = replace(judge("a", [1.0]), axis=free, avoided_share=np.array([1.0, 1.0, 0.0]))
-    alone = summarise_uncertainty([item], Uncertainty(), tail=1.0, seed=0)
+    alone = summarise([item], Uncertainty(), tail=1.0, seed=0)
     assert alone["layouts"][0]["least_sure_runs"] == []
     assert math.isnan(alone["layouts"][0]["standard_error"])
 
@@ -157,7 +165,7 @@ def test_nothing_is_least_sure_where_all_is_avoided(judge, frame_axis):
 def test_every_uncertainty_has_its_words(judge):
     def words(uncertainty):
         item = judge("a", [1.0])
-        return what_is_uncertain(summarise_uncertainty([item], uncertainty, tail=1.0, seed=0))
+        return what_is_uncertain(summarise([item], uncertainty, tail=1.0, seed=0))
 
     assert words(load_uncertainty()) == (
         "units off by 1\N{DEGREE SIGN} in yaw, 1\N{DEGREE SIGN} in pitch and 5 cm in height, "
@@ -183,7 +191,7 @@ def test_the_text_is_a_table_of_80_columns(summary):
 
 def test_long_names_are_cut_in_the_text(judge):
     item = judge("a layout with a name that goes on and on", [0.5, 0.6])
-    text = uncertainty_text(summarise_uncertainty([item], Uncertainty(), tail=0.1, seed=0))
+    text = uncertainty_text(summarise([item], Uncertainty(), tail=0.1, seed=0))
     assert "a layout with a nam\N{HORIZONTAL ELLIPSIS}" in text
     assert max(map(len, text.split("\n"))) <= 80
 
@@ -194,7 +202,7 @@ def test_what_was_not_judged_alike_is_not_compared(judge):
         ([judge("a", [1.0]), judge("b", [1.0, 1.0])], r"samples: got \[1, 2\]"),
     ):
         with pytest.raises(InputError, match=got):
-            summarise_uncertainty(items, Uncertainty(), tail=1.0, seed=0)
+            summarise(items, Uncertainty(), tail=1.0, seed=0)
 
 
 # Figure
@@ -240,7 +248,7 @@ def test_every_pair_of_layouts_is_compared_world_by_world(judge):
         judge("b", [0.5, 0.9, 1.0, 0.5]),
         judge("c", [0.6, 0.6, 0.6, 0.6]),
     ]
-    summary = summarise_uncertainty(judged, load_uncertainty(), tail=1.0, seed=0)
+    summary = summarise(judged, load_uncertainty(), tail=1.0, seed=0)
     named = {(pair["first"], pair["second"]): pair for pair in summary["pairs"]}
     assert list(named) == [("a", "b"), ("a", "c"), ("b", "c")]
     first = named["a", "b"]

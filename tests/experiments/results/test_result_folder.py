@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from experiments.jobs import writing
+from experiments.jobs.writing import check_result_folder, new_result_folder
 from experiments.progress import Interrupted, StageProgress, ending_on_signals
-from experiments.results import writing
-from experiments.results.writing import MARKER, check_result_folder, new_result_folder
+from experiments.results.reading import MARKER
 from geometry.errors import InputError
 
 

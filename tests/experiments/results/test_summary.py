@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from experiments.export.json import to_json_text
-from experiments.results.summary import (
+from experiments.results.drives import DrivesRecord, build_drives_record, versions
+from experiments.results.result import (
+    build_comparison_result,
+    build_evaluation_record,
+    build_layout_result,
     disagreeing_runs,
-    summarise_comparison,
-    summarise_drives,
-    summarise_evaluation,
-    summarise_layout,
-    versions,
 )
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
@@ -75,9 +74,30 @@ def evaluation_of(axis, camera):
     return build
 
 
+def setting_of(axis, *refusals):
+    return SimpleNamespace(
+        axis=axis,
+        refusals=refusals,
+        detector=load_detector(),
+        vut_sensors=("camera", "lidar"),
+        links=Links(packet_loss=0.25, vam_rate=0.5),
+        rule=RULE,
+    )
+
+
+@pytest.fixture
+def setting(axis):
+    return setting_of(axis)
+
+
+def plain(record):
+    """As JSON has it."""
+    return json.loads(to_json_text(record))
+
+
 def test_all_runs_avoided_is_exactly_one_and_none_is_zero(evaluation_of):
     for n_avoided, ratio in ((N_RUNS, 1.0), (0, 0.0)):
-        summary = summarise_evaluation(evaluation_of(n_avoided), RULE)
+        summary = plain(build_evaluation_record(evaluation_of(n_avoided), RULE))
         ratios = {"all": ratio, "by_case": {"A": ratio, "B": ratio}}
         assert summary == {
             "vut": ratios,
@@ -88,8 +108,8 @@ def test_all_runs_avoided_is_exactly_one_and_none_is_zero(evaluation_of):
         }
 
 
-def test_ratios_are_shares_of_the_runs(evaluation_of):
-    summary = summarise_layout(evaluation_of(7), RULE)
+def test_ratios_are_shares_of_the_runs(setting, evaluation_of):
+    summary = plain(build_layout_result(setting, evaluation_of(7)))
     assert summary["apr"] == pytest.approx(7 / N_RUNS, abs=1e-15)
     assert summary["evaluation"]["rsu_all"]["by_case"] == {
         "A": pytest.approx(4 / 25, abs=1e-15),
@@ -97,9 +117,9 @@ def test_ratios_are_shares_of_the_runs(evaluation_of):
     }
 
 
-def test_evaluation_and_comparison_have_the_keys_of_a_placement(evaluation_of):
-    single = summarise_layout(evaluation_of(3), RULE)
-    both = summarise_comparison(evaluation_of(3), [evaluation_of(5, "other")], RULE)
+def test_evaluation_and_comparison_have_the_keys_of_a_placement(setting, evaluation_of):
+    single = plain(build_layout_result(setting, evaluation_of(3)))
+    both = plain(build_comparison_result(setting, evaluation_of(3), [evaluation_of(5, "other")]))
     assert set(single) < set(both)
     assert {key for key, value in single.items() if value is None} == {
         "budget",
@@ -110,21 +130,21 @@ def test_evaluation_and_comparison_have_the_keys_of_a_placement(evaluation_of):
     }
 
 
-def test_comparison_lists_the_runs_that_differ(evaluation_of):
+def test_comparison_lists_the_runs_that_differ(setting, evaluation_of):
     more, less = evaluation_of(5, "more"), evaluation_of(3, "less")
     differing = ["B/north/3", "A/north/4"]
     better, worse = (
-        summarise_comparison(more, [less], RULE),
-        summarise_comparison(less, [more], RULE),
+        plain(build_comparison_result(setting, more, [less])),
+        plain(build_comparison_result(setting, less, [more])),
     )
     assert (better["runs_gained"], better["runs_lost"]) == (differing, [])
     assert (worse["runs_gained"], worse["runs_lost"]) == ([], differing)
-    assert better["baseline"] == summarise_evaluation(less, RULE)
+    assert better["baseline"] == plain(build_evaluation_record(less, RULE))
     assert (better["name"], better["baseline_name"]) == ("more", "less")
 
 
-def test_a_summary_is_plain_json(evaluation_of):
-    text = to_json_text(summarise_comparison(evaluation_of(5), [evaluation_of(3)], RULE))
+def test_a_summary_is_plain_json(setting, evaluation_of):
+    text = to_json_text(build_comparison_result(setting, evaluation_of(5), [evaluation_of(3)]))
     assert "NaN" not in text
     assert "Infinity" not in text
 
@@ -135,23 +155,13 @@ def test_versions_name_what_the_numbers_depend_on():
     assert sum(name.startswith("rays: ") for name in found) == 1
 
 
-def setting_of(axis, *refusals):
-    return SimpleNamespace(
-        axis=axis,
-        refusals=refusals,
-        detector=load_detector(),
-        vut_sensors=("camera", "lidar"),
-        links=Links(packet_loss=0.25, vam_rate=0.5),
-    )
-
-
 def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
     refusal = Refusal(
         case=SimpleNamespace(name="C"), approach="north", speeds_kmh=(20.0, 25.0), reason="no lane"
     )
     axis = replace(axis, weathers=("night", "day") + ("night",) * (N_RUNS - 2))
     setting = setting_of(axis, refusal)
-    assert json.loads(to_json_text(summarise_drives(setting))) == {
+    assert json.loads(to_json_text(build_drives_record(setting))) == {
         "cases": ["A", "B"],
         "weathers": ["night", "day"],
         "detector": "geometric",
@@ -164,11 +174,13 @@ def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
     }
 
 
-def test_drives_take_no_name_that_a_summary_has(evaluation_of, axis):
-    drives = summarise_drives(setting_of(axis))
-    summary = summarise_comparison(evaluation_of(3), [evaluation_of(5, "other")], RULE)
-    assert not set(drives) & set(summary)
-    assert drives["not_driven"] == []
+def test_a_result_says_what_was_driven(evaluation_of, axis):
+    setting = setting_of(axis)
+    drives = build_drives_record(setting)
+    result = build_comparison_result(setting, evaluation_of(3), [evaluation_of(5, "other")])
+    for name in DrivesRecord.__struct_fields__:
+        assert getattr(result, name) == getattr(drives, name)
+    assert drives.not_driven == ()
 
 
 def test_disagreement_is_judged_under_the_fusion_asked_for(evaluation_of, rule):

@@ -1,20 +1,12 @@
-"""Layouts as tables: CSV and Parquet."""
+"""Layouts as Apache Parquet tables."""
 
 import io
 
 from geometry.scene import Scene
 from placement.layout import Layout
 
+from .formats import ExportFormat
 from .places import longitude_latitude, placed_records, positions_m
-
-
-def to_csv(layout: Layout, scene: Scene | None = None) -> str:
-    """Layout as CSV: one row per unit, in full precision; see :func:`placed_records`."""
-    import pandas as pd  # takes longer to load than all other formats
-
-    records = placed_records(layout, scene)
-    text: str = pd.DataFrame(records).to_csv(index=False, lineterminator="\n")
-    return text
 
 
 def to_parquet(layout: Layout, scene: Scene) -> bytes:
@@ -30,7 +22,7 @@ def to_parquet(layout: Layout, scene: Scene) -> bytes:
     Returns
     -------
     content : bytes
-        Columns as in :func:`to_csv`; with a crs longitude_deg and latitude_deg (WGS 84), too.
+        Columns as in CSV; with a crs longitude_deg and latitude_deg (WGS 84), too.
     """
     import pandas as pd
 
@@ -41,3 +33,8 @@ def to_parquet(layout: Layout, scene: Scene) -> bytes:
     file = io.BytesIO()
     table.to_parquet(file, index=False)
     return file.getvalue()
+
+
+FORMAT = ExportFormat(
+    write=to_parquet, content="the same table, typed; pandas, Arrow, DuckDB", is_binary=True
+)

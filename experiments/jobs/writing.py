@@ -7,32 +7,36 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 from uuid import uuid4
 
+import msgspec
 from matplotlib.axes import Axes
 
 from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
 from placement.evaluation import Evaluation
+from placement.layout import layout_records
 from placement.pipeline import Placement
 from placement.setting import Setting
 from placement.verification.certificates import build_certificate, save_certificate
 
+from ..export.csv import to_csv
 from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
-from ..export.tables import to_csv
 from ..progress import WRITING, StageProgress, signals_held
 from ..report import bill_of_materials
 from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from ..report.page import write_report
-from . import tables
+from ..results.reading import MARKER
+from ..results.record import to_plain
+from ..results.result import Result
+from ..results.tables import apr_table, runs_table
 
 # ---------- A folder of results that is replaced as a whole, or left as it was
 
 
-# Marks a folder as one of ours, so that only such folders are ever replaced.
-MARKER = "summary.json"
+# MARKER marks a folder as one of ours: only such folders are ever replaced.
 _OURS = (
     MARKER,
     "report.html",
@@ -168,7 +172,7 @@ def _unwritable(folder: Path, error: Exception) -> InputError:
 
 def write_results(
     folder: Path,
-    summary: dict[str, Any],
+    result: Result,
     setting: Setting,
     evaluations: Mapping[str, Evaluation],
     *,
@@ -177,15 +181,15 @@ def write_results(
     placement: Placement | None = None,
     bill: BillOfMaterials | None = None,
     sampled_figure: Axes | None = None,
-) -> None:
-    """Fill a result folder; the times of all stages but the writing go into the summary.
+) -> Result:
+    """Fill a result folder; returns the result with its "seconds", all stages but the writing.
 
     Parameters
     ----------
     folder : Path
         Replaced as a whole, or left as it was.
-    summary : dict
-        By :mod:`experiments.results.summary`; its "seconds" are filled in.
+    result : Result
+        Of the first layout.
     setting : Setting
         What the layouts were judged in.
     evaluations : mapping of str to Evaluation
@@ -207,9 +211,9 @@ def write_results(
         Something cannot be written.
     """
     progress(WRITING, 0, 0)
-    summary["seconds"] = progress.seconds.copy()
+    result = msgspec.structs.replace(result, seconds=progress.seconds.copy())
     subject = next(iter(evaluations.values()))
-    known = {key: value for key, value in summary.items() if value is not None}
+    known = {key: value for key, value in to_plain(result).items() if value is not None}  # border
     with new_result_folder(folder) as new:
         layout = replace(subject.layout, scene_name=setting.scene.name)
         _write_text(new / "layout.json", to_json(layout))
@@ -222,16 +226,16 @@ def write_results(
                 placement.problem,
                 placement.certificate,
                 pose_index=placement.pose_index,
-                units=summary["layout"],
+                units=layout_records(subject.layout),
                 presolve=placement.presolve,
                 seconds=placement.seconds,
-                versions=summary["versions"],
+                versions=result.versions,
             )
             save_certificate(new, document, placement.problem)
         bill = bill or build_bill(layout, setting.scene)
         _write_text(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
-        tables.apr_table(evaluations).to_csv(new / "apr.csv", index=False)
-        tables.runs_table(evaluations).to_parquet(new / "runs.parquet")
+        apr_table(evaluations).to_csv(new / "apr.csv", index=False)
+        runs_table(evaluations).to_parquet(new / "runs.parquet")
         write_report(
             new,
             known,
@@ -241,9 +245,10 @@ def write_results(
             sampled_figure=sampled_figure,
             bill=bill,
         )
-        summary["seconds"] = progress.finish()
-        _write_text(new / MARKER, to_json_text(summary))
+        result = msgspec.structs.replace(result, seconds=progress.finish())
+        _write_text(new / MARKER, to_json_text(result))
     progress.kept = f"the results are in {folder}"
+    return result
 
 
 def left_as_it_was(folder: Path) -> str:

@@ -16,6 +16,7 @@ from placement.candidates import CandidatePose, is_ring
 from placement.detectors import load_detector
 from placement.layout import Layout
 
+from .formats import ExportFormat
 from .json import to_json_text
 from .places import longitude_latitude, require_crs
 
@@ -190,3 +191,10 @@ def _range_m(unit: CandidatePose, adult_px_m: float) -> float:
 def _tenths(value: float) -> int:
     """Tenths as the standard counts them: n is more than n - 1 and at most n of them."""
     return math.ceil(10.0 * value - _SLACK)
+
+
+FORMAT = ExportFormat(
+    write=to_cpm,
+    content="sensor information per site, ETSI TS 103 324 as JSON; V2X stacks",
+    needs_crs=True,
+)

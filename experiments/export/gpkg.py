@@ -1,0 +1,60 @@
+"""Layouts as GeoPackage."""
+
+import io
+
+from geometry.scene import Scene
+from placement.layout import Layout
+
+from .formats import ExportFormat
+from .places import longitude_latitude, map_positions, placed_records, positions_m, require_crs
+
+_LAYER = "units"
+
+
+def to_geopackage(layout: Layout, scene: Scene) -> bytes:
+    """Layout as a GeoPackage: points in the coordinates of the map that the scene was made from.
+
+    Parameters
+    ----------
+    layout : Layout
+        What to write.
+    scene : Scene
+        Where it hangs.
+
+    Returns
+    -------
+    content : bytes
+        A SQLite database with the layer "units": points with the height above the road as z, and
+        the fields of the layout; x_m and y_m among them stay in the world frame.
+
+    Raises
+    ------
+    InputError
+        The scene has no crs, or one that pyproj does not know.
+
+    References
+    ----------
+    .. [1] OGC 12-128, "GeoPackage Encoding Standard".
+    """
+    import geopandas as gpd
+    import pyogrio
+
+    require_crs(scene.crs, "gpkg")
+    longitude_latitude(positions_m(layout), scene.crs)  # refuses what lies nowhere
+    position = map_positions(layout, scene)
+    records = placed_records(layout, scene)
+    points = gpd.points_from_xy(
+        position[:, 0], position[:, 1], z=[record["z_m"] for record in records]
+    )
+    table = gpd.GeoDataFrame(records, geometry=points, crs=scene.source_crs or scene.crs)
+    file = io.BytesIO()
+    pyogrio.write_dataframe(table, file, layer=_LAYER, driver="GPKG", geometry_type="Point Z")
+    return file.getvalue()
+
+
+FORMAT = ExportFormat(
+    write=to_geopackage,
+    content="points in the map's own coordinates; QGIS, ArcGIS",
+    is_binary=True,
+    needs_crs=True,
+)

@@ -1,0 +1,114 @@
+"""Figures in one style: sizes, colours, axes, labels, PNG files; without pyplot's global state."""
+
+import warnings
+from io import BytesIO
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from geometry.arrays import FloatArray
+from placement.layout import Layout
+from scenarios.runs import FrameAxis
+
+# M. Okabe, K. Ito, "Color Universal Design" (2008): told apart with any colour vision.
+BLUE, SKY, GREEN, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#F0E442"
+ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
+
+WIDTH_IN = 6.8
+NARROW_IN = 4.0
+"""Width of figures whose letters can be read on a phone without moving the figure."""
+
+_DPI = 160
+_MAX_LABEL_LENGTH = 8
+
+
+def new_figure(width_in: float, height_in: float, *, dpi: float | None = None) -> Figure:
+    """An empty figure, drawn by Agg; sizes in inches.
+
+    By default a narrow figure has as many pixels as one of the usual width: fine enough for a
+    phone's screen.
+    """
+    if dpi is None:
+        dpi = WIDTH_IN * _DPI / width_in if width_in == NARROW_IN else _DPI
+    figure = Figure(figsize=(width_in, height_in), dpi=dpi, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def new_axes(width_in: float, height_in: float) -> Axes:
+    """One pair of axes in a figure of its own; sizes in inches."""
+    return new_figure(width_in, height_in).add_subplot()
+
+
+def finish_axes(
+    axes: Axes,
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    size: float = 8,
+    grid: str | None = None,
+    hidden: tuple[str, ...] = ("top", "right"),
+) -> None:
+    """Labels of the axes, tick labels, a light grid along ``x``, ``y`` or ``both``, no frame."""
+    if x is not None:
+        axes.set_xlabel(x, fontsize=size)
+    if y is not None:
+        axes.set_ylabel(y, fontsize=size)
+    axes.tick_params(labelsize=8)
+    if grid is not None:
+        axes.grid(axis=grid, color="#dddddd", linewidth=0.6)  # type: ignore[arg-type]
+        axes.set_axisbelow(True)
+    axes.spines[list(hidden)].set_visible(False)
+
+
+def show_square(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
+    """Show a square of the ground, as long in east as in north."""
+    axes.set_aspect("equal")
+    axes.set_xlim(middle_m[0] - half_size_m, middle_m[0] + half_size_m)
+    axes.set_ylim(middle_m[1] - half_size_m, middle_m[1] + half_size_m)
+
+
+def root_figure(drawn: Axes | Figure) -> Figure:
+    """The figure that some axes are in."""
+    figure = drawn.get_figure(root=True)
+    if figure is None:
+        raise ValueError("axes that are in no figure")
+    return figure
+
+
+def to_png(drawn: Axes | Figure) -> bytes:
+    """A figure, or the one that some axes are in, as a PNG file; equal ones give equal bytes."""
+    figure = root_figure(drawn)
+    buffer = BytesIO()
+    with warnings.catch_warnings():
+        # A name in a script that the font lacks is drawn as boxes; the report spells it out.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def literal(name: str) -> str:
+    """A name for matplotlib to draw letter by letter: no mathematics, and never left out."""
+    escaped = name.replace("$", r"\$")
+    return f" {escaped}" if escaped.startswith("_") else escaped
+
+
+def unit_labels(layout: Layout) -> dict[str, str]:
+    """Short labels of a layout's units, by id and in its order.
+
+    They are the ids if all are short; else "#1", "#2" and so on.
+    """
+    ids = [unit.id for unit in layout.units]
+    if all(len(unit_id) <= _MAX_LABEL_LENGTH for unit_id in ids):
+        return {unit_id: unit_id for unit_id in ids}
+    return {unit_id: f"#{number}" for number, unit_id in enumerate(ids, start=1)}
+
+
+def describe_run(axis: FrameAxis, run_index: int) -> str:
+    """A run in words: case, approach, speed, and the weather unless it is day."""
+    weather = axis.weathers[run_index]
+    return (
+        f"{axis.cases[run_index]} from the {axis.approaches[run_index]} at "
+        f"{axis.vut_speed_kmh[run_index]:g} km/h" + (f", {weather}" if weather != "day" else "")
+    )

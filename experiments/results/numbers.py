@@ -1,0 +1,67 @@
+"""Numbers and counts as results print them, on a terminal and in the report alike."""
+
+import math
+from collections.abc import Sequence
+
+NOTHING = "\N{EN DASH}"
+"""Stands where there is no number."""
+
+
+def percent(share: float | None) -> str:
+    """A share of 1 in print, with one digit: what is not quite all or none is never shown as it.
+
+    None and NaN (no run counts) are shown as a dash.
+
+    Examples
+    --------
+    >>> percent(0.5), percent(0.99999), percent(0.00001)
+    ('50.0 %', '>99.9 %', '<0.1 %')
+    """
+    if share is None or math.isnan(share):
+        return NOTHING
+    if 0.9995 <= share < 1.0 - 1.0e-9:
+        return ">99.9 %"
+    if 1.0e-9 < share < 0.0005:
+        return "<0.1 %"
+    return f"{100.0 * share:.1f} %"
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """A number with a typographic minus; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return NOTHING
+    # Adding zero turns -0.0 into 0.0.
+    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def milliseconds(time_s: float) -> str:
+    """A time in seconds as whole milliseconds, with the unit."""
+    return f"{number(1000.0 * time_s, 0)}\N{NO-BREAK SPACE}ms"
+
+
+def several(count: int, one: str, many: str) -> str:
+    """A count with its noun: several(2, "unit", "units") is "2 units"."""
+    return f"{count} {one if count == 1 else many}"
+
+
+def count_runs(n_runs: int) -> str:
+    """'1 run', '2 runs' and so on."""
+    return several(n_runs, "run", "runs")
+
+
+def joined(words: Sequence[str]) -> str:
+    """Words as a list in a sentence: "a", "a and b", "a, b and c"."""
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def first_of(words: Sequence[str], most: int) -> str:
+    """The first words of a list with commas, and how many more there are."""
+    listed = ", ".join(words[:most])
+    n_left = len(words) - most
+    return f"{listed} and {n_left} more" if n_left > 0 else listed
+
+
+def shortened(text: str, width: int) -> str:
+    """A text of at most so many letters; a longer one ends in an ellipsis."""
+    return text if len(text) <= width else text[: width - 1] + "\N{HORIZONTAL ELLIPSIS}"
