@@ -14,6 +14,7 @@ steps and a sweep over K like. What OSQP returns proves nothing by itself: its m
 """
 
 from dataclasses import dataclass
+from importlib.metadata import version
 
 import numpy as np
 import osqp
@@ -215,7 +216,9 @@ def polish(
     separation (Ben-Ameur, Neto 2007).
     """
     best, shares = tightened.bound, tightened.shares
-    row_share = float((coverage.values[::7] > coverage.floor).mean()) if coverage.n_poses else 0.0
+    if not coverage.values.size:
+        return tightened
+    row_share = float((coverage.values[::7] > coverage.floor).mean())
     n_core = min(n_core, int(max_values / max(row_share * coverage.n_rows, 1.0)))
     core = np.union1d(worthiest(best.worth, n_core), np.flatnonzero(shares > _SMALL_SHARE))
     for _ in range(n_rounds):
@@ -237,6 +240,11 @@ def polish(
         for bound in (best, on_the_way[-1]):
             core = np.union1d(core, worthiest(bound.worth, n_core // 4))
     return Tightened(bound=best, shares=shares)
+
+
+def relaxation_text() -> str:
+    """What the bounds rest on, for a certificate."""
+    return f"Lagrangian relaxation with OSQP {version('osqp')}"
 
 
 class _Levels:
