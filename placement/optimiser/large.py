@@ -63,14 +63,8 @@ def look_out(
 ) -> Outlook:
     """Bound all poses, and pick the promising ones.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        Its measure is a mean; wishes are left out, which only makes bounds higher.
-    has_margins : bool
-        Whether margins are bounded, too: another pass through the table.
-    on_step : callable, optional
-        Called with what is being done.
+    The problem's measure is a mean. Wishes are left out, which only makes bounds higher. To bound
+    margins, too, takes another pass through the table.
     """
     windows = timely_windows(problem.table.axis, problem.rule)
     weight = problem.table.axis.weight[windows.run_index]

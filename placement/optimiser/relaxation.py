@@ -65,12 +65,7 @@ class Relaxation:
     def __init__(self, coverage: Coverage, *, tolerance: float = _TOLERANCE) -> None:
         """Set up.
 
-        Parameters
-        ----------
-        coverage : Coverage
-            Some thousand poses at most: the factor of the matrix grows with their square.
-        tolerance : float
-            Of OSQP, absolute and relative, when the largest step of a level is 1.
+        `tolerance`: of OSQP, absolute and relative, when the largest step of a level is 1.
         """
         self._coverage = coverage
         self._levels = _Levels(coverage)
@@ -121,15 +116,7 @@ class Relaxation:
         )
 
     def start_at(self, shares: FloatArray, bound: Bound) -> None:
-        """Let the next solution begin where other steps have come to.
-
-        Parameters
-        ----------
-        shares : (n_poses,) float
-            x, roughly.
-        bound : Bound
-            Of multipliers for the same poses.
-        """
+        """Let the next solution begin at rough shares x, (n_poses,), and a bound's multipliers."""
         levels = self._levels
         earned = levels.earned(bound.multipliers.astype(np.float64))
         least = bound.worth[bound.pick.poses].min(initial=np.inf)
@@ -146,17 +133,7 @@ class Relaxation:
     def solve(self, max_units: int, *, max_steps: int = 500) -> Relaxed:
         """Solve for a number of units, from where the last solution stands.
 
-        Parameters
-        ----------
-        max_units : int
-            K.
-        max_steps : int
-            Of OSQP.
-
-        Returns
-        -------
-        relaxed : Relaxed
-            The bound holds whether OSQP has converged or not.
+        The bound holds whether OSQP has converged within `max_steps` or not.
         """
         levels, n_poses = self._levels, self._coverage.n_poses
         self._upper[len(levels.step)] = max_units
@@ -189,31 +166,13 @@ def polish(
     n_steps: int = 300,
     max_values: int = 100_000,
 ) -> Tightened:
-    """Take multipliers that are nearly right to those of the LP relaxation.
+    """Take multipliers that are nearly right to those of the LP relaxation; the bound never rises.
 
-    Parameters
-    ----------
-    coverage : Coverage
-        Some thousand poses.
-    tightened : Tightened
-        Multipliers for them, and a relaxed solution, roughly.
-    n_core : int
-        OSQP is given so many of the worthiest, and those that prove to be too good later.
-    n_rounds, n_steps : int
-        How often, and steps of OSQP each time.
-    max_values : int
-        Fewer poses if they have more values above zero: OSQP's factor grows with them.
-
-    Returns
-    -------
-    tightened : Tightened
-        Its bound is no higher.
-
-    Notes
-    -----
-    Multipliers that suit the core are wrong for the others: the best point on the way to them is
-    taken (the bound is convex), and what is too good at their end joins the core: in-out
-    separation (Ben-Ameur, Neto 2007).
+    OSQP is given the `n_core` worthiest of some thousand poses, fewer if these have more than
+    `max_values` values above zero, since its factor grows with them. Multipliers that suit the core
+    are wrong for the other poses: the best point on the way to them is taken (the bound is convex),
+    and poses that are too good at their end join the core: in-out separation (Ben-Ameur, Neto
+    2007).
     """
     best, shares = tightened.bound, tightened.shares
     if not coverage.values.size:

@@ -181,7 +181,7 @@ def _worth(reduced: ReducedProblem, worth: Objective, sets: IntArray) -> FloatAr
     return total
 
 
-# ---------- the objectives one by one: better sets, and how much better one could be
+# ---------- stages
 
 
 _SETS_PER_SECOND = 30_000  # enumeration; measured: two to three times as many

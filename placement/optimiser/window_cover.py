@@ -105,30 +105,14 @@ def first_seen_index(
     frames: slice | IntArray,
     workers: int = 1,
 ) -> NDArray[np.uint16]:
-    """First window of each run of which each pose sees certain frames.
+    """First window of each run of which each pose sees certain frames, (n_poses, n_rows).
 
-    Parameters
-    ----------
-    packed : (n_poses, n_bytes) uint8
-        V[c, f], lowest bit first.
-    windows : TimelyWindows
-        Of the same frames.
-    frames : slice or (n_rows, largest n_windows) int
-        Frames of a window that count. A slice: the same of every window, all needed, such as
-        ``slice(0, 1)``, the first one, or ``slice(None)``, all. An array: one of each window, see
-        :func:`hardest_frames`.
-    workers : int
-        Threads.
+    It is the window's number within the run, and n_windows of the run if there is none. `packed`
+    has V[c, f], the lowest bit first. `frames` says which frames of a window count. A slice stands
+    for the same frames of every window, all of which are needed: ``slice(0, 1)`` is the first one,
+    ``slice(None)`` all of them. An array has one frame for each window, see :func:`hardest_frames`.
 
-    Returns
-    -------
-    index : (n_poses, n_rows) uint16
-        Window within the run; n_windows of the run if there is none.
-
-    Raises
-    ------
-    ValueError
-        No frame counts, or one that no window has.
+    Raises ValueError if no frame counts, or one that no window has.
     """
     index = np.empty((len(packed), len(windows.run_index)), dtype=np.uint16)
 
@@ -148,30 +132,15 @@ def first_seen_values(
     out: NDArray[np.float32] | None = None,
     workers: int = 1,
 ) -> NDArray[np.float32]:
-    """What each pose alone is worth in each run.
+    """What each pose alone is worth in each run, v[c, r] rounded up, (n_poses, n_rows).
 
-    Parameters
-    ----------
-    packed, windows, frames, workers
-        As for :func:`first_seen_index`.
-    worth : (n_rows, largest n_windows + 1) float
-        If window k is the first one seen, such as weight times margin; what stands at n_windows
-        is for runs that are not seen. Must not grow with k.
-    out : (n_poses, n_rows) float32, optional
-        Where to write.
+    `worth`, (n_rows, largest n_windows + 1), is that of a run if window k is the first one seen,
+    such as weight times margin; it must not grow with k, and its entry at n_windows is for runs
+    that are not seen. For the other arguments and errors see :func:`first_seen_index`.
 
-    Returns
-    -------
-    values : (n_poses, n_rows) float32
-        v[c, r], rounded up. With ``slice(None)`` exact where one unit must confirm alone. With one
-        frame of each window the largest of the values of the chosen poses is a limit of what they
-        reach together, whoever sees the frames: where a window is seen as a whole, one of them
-        sees that frame of it.
-
-    Raises
-    ------
-    ValueError
-        As for :func:`first_seen_index`, or `worth` has another shape.
+    With all frames the values are exact where one unit must confirm alone. With one frame of each
+    window the largest of the values of the chosen poses is a limit of what they reach together,
+    whoever sees the frames: where a window is seen as a whole, one of them sees that frame of it.
     """
     if worth.shape != windows.margin_s.shape:
         raise ValueError(f"worth: got {worth.shape}; expected {windows.margin_s.shape}")
@@ -189,24 +158,11 @@ def first_seen_values(
 
 
 def hardest_frames(seen_share: FloatArray, windows: TimelyWindows) -> IntArray:
-    """Of each window the frame that is seen least.
+    """Of each window the frame that is seen least, for :func:`first_seen_values`.
 
-    Parameters
-    ----------
-    seen_share : (n_frames,) float
-        How much of each frame a relaxed solution sees, 0..1.
-    windows : TimelyWindows
-        Of the same frames.
-
-    Returns
-    -------
-    frames : (n_rows, largest n_windows) int
-        For :func:`first_seen_values`; of equal ones the first.
-
-    Notes
-    -----
-    Whichever frame of a window is asked for, values are limits. To ask for the one that is seen
-    least promises least: for a set it finds exactly the windows that it sees as a whole.
+    `seen_share`, (n_frames,), is how much of each frame a relaxed solution sees, 0..1. Whichever
+    frame of a window is asked for, values are limits. To ask for the one that is seen least
+    promises least: for a set it finds exactly the windows that it sees as a whole.
     """
     window = np.minimum(np.arange(windows.margin_s.shape[1] - 1), windows.n_windows[:, None] - 1)
     frame = windows.first_frame[:, None] + window
@@ -393,35 +349,12 @@ def find_window_cover(
     workers: int = 1,
     on_step: Callable[[str], None] | None = None,
 ) -> WindowCover:
-    """Find a set that is proven to be within a gap of the best.
+    """Find a set that is proven to be within a relative gap of the best, if time suffices.
 
-    Parameters
-    ----------
-    packed : (n_poses, n_bytes) uint8
-        V[c, f], lowest bit first.
-    windows : TimelyWindows
-        Of the same frames.
-    worth : (n_rows, largest n_windows + 1) float
-        Of each run if window k is the first one seen; must not grow with k.
-    supply : Supply
-        Which sets are feasible.
-    gap : float
-        Good enough, as a share of the value.
-    time_limit_s : float
-        The step under way is finished, then what is proven is returned. [s]
-    branches : bool
-        Whether the gap that relaxations leave may be closed by branch and bound.
-    seed : int
-        Of restarts.
-    workers : int
-        Threads.
-    on_step : callable, optional
-        Called with the name of every step when it begins.
-
-    Returns
-    -------
-    cover : WindowCover
-        The gap it reached may be larger than what was asked for.
+    `packed` has V[c, f], the lowest bit first. `worth`, (n_rows, largest n_windows + 1), is that of
+    each run if window k is the first one seen, and must not grow with k. When the time is up, the
+    step under way is finished; then the best set and what is proven are returned. Without
+    `branches`, only relaxations bound the set. `seed` is that of the restarts.
     """
     began_s = time.monotonic()
     end_s, report = began_s + time_limit_s, on_step or _ignore

@@ -145,10 +145,7 @@ def load_problem(path: Path) -> PlacementProblem:
 def instance_kind(path: Path) -> str:
     """What an instance file says it holds, such as :data:`KIND`.
 
-    Raises
-    ------
-    InputError
-        It is no ``.npz``, or does not say.
+    Raises InputError: it is no ``.npz``, or does not say.
     """
     with _archive(path) as archive:
         return _read_kind(archive, str(path))
@@ -157,16 +154,8 @@ def instance_kind(path: Path) -> str:
 def problem_hash(problem: PlacementProblem) -> str:
     """Hash of all that a problem says, whatever file it lies in.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        Two problems whose fields are equal have the same.
-
-    Returns
-    -------
-    sha256 : str
-        64 hexadecimal digits: SHA-256 over the names, types, shapes and bytes of the fields in
-        alphabetical order, little-endian; texts as JSON.
+    Returns: 64 hexadecimal digits: SHA-256 over the names, types, shapes and bytes of the fields in
+    alphabetical order, little-endian; texts as JSON.
     """
     digest = hashlib.sha256()
     for name, array in sorted(_to_arrays(problem).items()):

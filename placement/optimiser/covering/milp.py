@@ -47,10 +47,7 @@ class MilpAnswer:
 def check_solver(name: str) -> str:
     """The name of a solver as covering problems know it: "auto", "greedy" or "HIGHS".
 
-    Raises
-    ------
-    InputError
-        There is no such solver.
+    Raises InputError: there is no such solver.
     """
     if name in (AUTO, GREEDY):
         return name
@@ -70,20 +67,9 @@ def cover_at_least_cost(
 ) -> MilpAnswer:
     """Location set covering [1]_: least cost for which every row, or enough weight, is covered.
 
-    Parameters
-    ----------
-    covers : (n_columns, n_rows) sparse
-        Whether a column covers a row.
-    cost : (n_columns,) float
-        Price of each.
-    weight : (n_rows,) float
-        Of the rows.
-    needed_weight : float or None
-        What must be covered; None: every row.
-    time_limit_s : float
-        For the solver. [s]
-    gap : float
-        Relative gap at which it may stop.
+    `covers`, (n_columns, n_rows): whether a column covers a row. `cost`, (n_columns,): price of
+    each. `weight`, (n_rows,): of the rows. `needed_weight`: what must be covered; None: every row.
+    `gap`: relative gap at which it may stop.
 
     References
     ----------
@@ -116,12 +102,7 @@ def cover_most_weight(
 ) -> MilpAnswer:
     """Maximal covering [1]_: most weight that a number of columns, or some money, covers.
 
-    Parameters
-    ----------
-    covers, cost, weight, time_limit_s, gap
-        As for :func:`cover_at_least_cost`.
-    budget : CoveringBudget
-        What may be chosen.
+    `budget`: what may be chosen.
 
     References
     ----------
