@@ -75,8 +75,8 @@ class Separation:
 class Wish:
     """A placement problem that can be taken apart.
 
-    `separation`: where the rivals of its limits come from, if from a least distance.
-    `keeps_forced`: forced poses are no demand but a fact, such as units that hang there already.
+    `separation` says where the rivals of its limits come from, if from a least distance. With
+    `keeps_forced`, forced poses are no demand but a fact, such as units that hang there already.
     """
 
     def __init__(
@@ -236,10 +236,7 @@ class Relaxation:
 def relax(
     problem: PlacementProblem, relaxation: Relaxation, separation: Separation | None = None
 ) -> PlacementProblem:
-    """The problem with one demand relaxed, all others as they were.
-
-    `relaxation`: of one of its demands.
-    """
+    """The problem with one demand relaxed, all others as they were."""
     kind, value = relaxation.demand.kind, relaxation.value
     limits, items = problem.limits, list(relaxation.given_up)
     if kind == "floor":
@@ -290,8 +287,8 @@ def find_relaxation(
 ) -> Relaxation | None:
     """The least by which a demand has to give way so that others can be met, too.
 
-    `others`: demands that can be met together. Returns: None: not found in time. `suffices` is to
-    be filled in.
+    The others can be met together. None if nothing was found in time; `suffices` is to be filled
+    in.
     """
     demand = wish.demands[number]
     with_it, without = wish.part(others | {number}), wish.part(others)

@@ -36,8 +36,8 @@ _MAX_ADDED = 12  # what is left when units fail takes too long to tell of more
 def choose_greedily(reduced: ReducedProblem) -> IntArray:
     """Add poses one by one, that first which leaves the floors lacking least.
 
-    Returns (n_units,): poses of the reduced problem: no more than are needed, or all that greedy
-    choice has found room for. They may lack something, see :func:`meets`.
+    These are no more poses than are needed, or all that greedy choice has found room for; what
+    comes after the floors does not matter. They may lack something, see :func:`meets`.
     """
     quick = QuickRows(reduced)
     units = forced_units(reduced)
@@ -127,8 +127,8 @@ class Answer:
 class Oracle:
     """Answers by greedy choice, enumeration or mixed-integer models, until time is up.
 
-    `end_s`: when time is up, on the monotonic clock. [s]. `max_sets`: sets are gone through one by
-    one if there are no more.
+    All questions are about one problem with other limits and floors. Sets are gone through one by
+    one if there are no more than `max_sets`.
     """
 
     def __init__(self, problem: PlacementProblem, *, end_s: float, max_sets: int) -> None:
@@ -209,9 +209,9 @@ class Oracle:
         return replace(best, value=value, is_proven=is_proven)
 
     def most(self, problem: PlacementProblem, measure: Measure, n_failures: int) -> Answer:
-        """The highest ratio that is left when units fail, within limits and floors.
+        """The highest ratio left when the most painful units fail, within limits and floors.
 
-        `n_failures`: the most painful ones.
+        `measure` is that of all runs; the problem's floors hold beside.
         """
         if self._is_refused_at_once(problem):
             return _NONE

@@ -63,11 +63,10 @@ class Listed:
 def list_every_set(
     reduced: ReducedProblem, threshold: float, *, n_sets: int, max_prefixes: int
 ) -> Listed | None:
-    """The best sets of poses, and how often each pose appears in all within a threshold.
+    """The best sets of poses, and how often each pose appears in all that reach a threshold.
 
-    `threshold`: of the first stage. `n_sets`: how many to list. `max_prefixes`: give up if more
-    sets than this have to be looked at together with every pose. Returns: None: given up, for too
-    many sets, or too many that only their margins tell apart.
+    The threshold is one of the first stage. None if more than `max_prefixes` sets would have to be
+    looked at together with every pose, or if too many sets are told apart by their margins alone.
     """
     most = reduced.limits.max_units
     if sum(comb(reduced.n_poses, size) for size in range(most)) > max_prefixes:
@@ -183,12 +182,11 @@ def list_by_exchange(
     n_sets: int,
     max_looks: int,
 ) -> Listed:
-    """The best sets that exchanges lead to.
+    """The best `n_sets` sets that exchanges lead to from `start`, which meets limits and floors.
 
-    `start`, (n_units,): a set that meets limits and floors. `n_sets`: how many to list.
-    `max_looks`: when to stop: looks at a set with one unit taken away, together with every pose.
-    Returns: every set listed has been exchanged itself, unless the looks were used up. Beside
-    `start`, the best pose of each site, with what greedy choice adds to it, is a beginning.
+    Every set listed has been exchanged itself, unless `max_looks` were used up: looks at a set with
+    one unit taken away, together with every pose. Beside `start`, the best pose of each site, with
+    what greedy choice adds to it, is a beginning.
     """
     search = _Exchange(reduced, n_sets=n_sets, max_looks=max_looks)
     search.offer(start[None, :])

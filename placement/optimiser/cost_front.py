@@ -294,9 +294,9 @@ class _Climb:
     def point(self, step: _Step, least_eur: float, *, is_best: bool = True) -> FrontPoint:
         """The best layout for the cost of a step.
 
-        `least_eur`: no layout that is better than the point before costs less. `is_best`: nothing
-        with a higher APR than asked for costs as little: what was asked for need not be asked
-        again.
+        No layout that is better than the point before costs less than `least_eur`. With `is_best`,
+        nothing with a higher APR than asked for costs as little: what was asked for need not be
+        asked again.
         """
         assert step.pose_index is not None
         limits = _within(self.problem.limits, step.cost_eur)

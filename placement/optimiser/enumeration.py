@@ -168,15 +168,14 @@ class SmallSets:
 def best_sets(
     coverage: Coverage, need: float, *, max_triples: float = 1e9, workers: int = 1
 ) -> SmallSets | None:
-    """Find every feasible set of ``max_units`` poses, at most three, worth more than a need.
+    """All sets of up to three poses that promise more than `need`; None if they are too many.
 
-    `need`: what a set must be worth more than: an incumbent's value less a tolerance. A tolerance
-    below the rounding of the values, 6e-8 of them in float32, asks for float64 values.
-    `max_triples`: give up if so many are left after the first apex; their number is counted before
-    they are gone through, some ten million a second. Returns: None: given up, or ten million sets
-    are worth more.
+    `need` is such as an incumbent's value less a tolerance. A tolerance below the rounding of the
+    values, 6e-8 of them in float32, asks for float64 values. More than `max_triples` triples after
+    the first step are too many (some ten million are gone through a second), and so are ten million
+    sets.
 
-    Raises ValueError: more than three units or 6000 poses.
+    Raises ValueError for more than three units or 6000 poses.
     """
     n_units = coverage.supply.max_units
     if not 1 <= n_units <= MAX_UNITS or coverage.n_poses > MAX_POSES:

@@ -21,7 +21,7 @@ class UnmetError(InputError):
 def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
     """Check limits against each other, before anything is solved.
 
-    `pose_ids`: names of the poses, for messages.
+    `pose_ids` are the names of the poses in messages.
 
     Raises UnmetError: two of them cannot both be met: forced and forbidden, a site that is too
     small, money that does not suffice, rivals that are both forced, or no unit at all.

@@ -169,10 +169,10 @@ def lazy_greedy(
 ) -> IntArray:
     """Add the pose that gains most, again and again, as long as there is room and a gain.
 
-    `start`, (n,): poses that are chosen already; a feasible set. `per_euro`: take what gains most
-    for its money, with the site where that is not paid yet. `worth`, (n_poses,): gains beyond
-    `start`, or more, where they are at hand. Returns (n_units,): in the order of choice, `start`
-    first; among equal gains the lowest index.
+    It begins with the feasible set `start` and keeps the order of choice; among equal gains the
+    lowest index comes first. With `per_euro` it takes what gains most for its money, with the site
+    where that is not paid yet. `worth`, (n_poses,), are gains beyond `start`, or more, where they
+    are at hand.
 
     A gain never grows when the set grows, so that an old one is a limit of the new one, and most
     need not be computed again (Minoux 1978). The choice is that of plain greedy. With at most K

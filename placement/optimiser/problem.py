@@ -93,13 +93,10 @@ class Measure:
 def build_measure(
     weight: FloatArray, sample_index: ArrayLike | None = None, *, tail: float = 1.0
 ) -> Measure:
-    """Measure of runs with weights.
+    """Measure of runs with weights, (n_runs,), and the sampled world of each, 0, 1, ..
 
-    `weight`, (n_runs,): of the runs. `sample_index`, (n_runs,): sampled world of each run, 0, 1,
-    ..; by default there is one.
-
-    Raises InputError: the tail is not in 0 < tail <= 1, or the samples are not numbered 0, 1, ..
-    with weight.
+    By default there is one world. Raises InputError if the tail is not in 0 < tail <= 1, or the
+    samples are not numbered 0, 1, .. with weight.
     """
     if not 0.0 < tail <= 1.0:
         raise InputError("tail", tail, "a share of the samples, 0 < share <= 1")

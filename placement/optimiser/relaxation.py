@@ -63,9 +63,9 @@ class Relaxation:
     """The relaxation on some poses, set up and factorised once, solved for one K after another."""
 
     def __init__(self, coverage: Coverage, *, tolerance: float = _TOLERANCE) -> None:
-        """Set up.
+        """Set up for some thousand poses at most: the factor grows with their square.
 
-        `tolerance`: of OSQP, absolute and relative, when the largest step of a level is 1.
+        `tolerance` is that of OSQP, absolute and relative, when the largest step of a level is 1.
         """
         self._coverage = coverage
         self._levels = _Levels(coverage)

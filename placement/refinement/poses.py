@@ -106,9 +106,9 @@ def add_poses(
     places: Places,
     build_rows: Callable[[Sequence[CandidatePose]], NDArray[np.uint8]],
 ) -> Bench:
-    """A bench with more poses behind, those that it does not have yet.
+    """A bench with new poses behind those that it has; equal ids mean equal poses.
 
-    `proposals`: poses, and the rows of the grid that they stand for; equal ids mean equal poses.
+    `proposals` are poses and the rows of the grid that they stand for.
     """
     known = {candidate.id for candidate in bench.candidates}
     asked = {pose.id: (origin, pose) for origin, pose in proposals if pose.id not in known}
@@ -131,12 +131,11 @@ def add_poses(
 def promising_rows(
     reduced: ReducedProblem, pose_index: Sequence[int], *, n_best: int, n_per_site: int
 ) -> IntArray:
-    """Poses that could take a chosen one's place best.
+    """Rows of the full problem's table that stay in the race for a place, ascending.
 
-    `pose_index`: what is chosen, rows of the full problem's table. `n_best`: poses per unit, the
-    best ones beside all others. `n_per_site`: the same, of each site: so that every site stays in
-    the race. Returns (n,): of the full problem's table, ascending; the chosen ones and all that are
-    forced are among them.
+    For each unit these are the `n_best` poses beside all others, and the `n_per_site` best of each
+    site, so that every site stays in the race. The chosen poses and all that are forced are among
+    them.
     """
     chosen = np.flatnonzero(np.isin(reduced.pose_index, pose_index))
     found = [np.asarray(pose_index, dtype=np.int64)]
@@ -319,10 +318,9 @@ def is_same_place(one: CandidatePose, other: CandidatePose) -> bool:
 def pair_units(
     before: Sequence[CandidatePose], after: Sequence[CandidatePose]
 ) -> list[tuple[int | None, int | None]]:
-    """Which new pose each unit became: the nearest in direction at the same place.
+    """Pairs of a unit of a layout and the pose of another one that took its place.
 
-    `before`, `after`: units of a layout, and poses of another one. Returns: every index of both
-    once: the old units in their order, then what is new.
+    Every index stands in them once: the old units in their order, then what is new.
     """
     distances = sorted(
         (_distance_deg(one, other), old, new)
@@ -343,12 +341,11 @@ def pair_units(
 def rename(
     before: Layout, poses: Sequence[CandidatePose], *, named: Sequence[str], name: str
 ) -> tuple[Layout, tuple[Move, ...]]:
-    """Layout of new poses, and what became of each unit of the old one.
+    """A layout of the poses, whose units keep their names where they stay in place, and the moves.
 
-    `before`: with the names that units keep at their place. `poses`: under ids of their own.
-    `named`: names that mean one pose and no other, such as those of an existing layout: who has
-    another pose gets another name. Returns: units in the order of the old ones, what is new behind.
-    Returns: without those that stayed as they were.
+    `before` has the names that are kept. `named` are names that mean one pose and no other, such as
+    those of an existing layout: another pose gets another name. The units come in the order of the
+    old ones, new ones behind; the moves leave out units that stayed as they were.
     """
     taken = {unit.id for unit in before.units}
     free = (unit_id for unit_id in (f"U{n}" for n in count(1)) if unit_id not in taken)

@@ -165,10 +165,7 @@ class Places:
     row_of: Mapping[str, int]
 
     def height_range_m(self, origin: int) -> tuple[float, float]:
-        """Lowest and highest position at the site of a grid's pose; its own where none is known.
-
-        Returns: world frame. [m].
-        """
+        """Lowest and highest position for a row of the grid, in the world frame, in metres."""
         pose = self.candidates[origin]
         own_m = float(pose.pose.position_m[2])
         site = self.site_of(origin)
@@ -203,12 +200,11 @@ def moved(
     pitch_deg: float,
     fov_deg: float | None = None,
 ) -> CandidatePose | None:
-    """A pose at the place of one of the grid, with its sensor.
+    """What stands for a row of the grid, moved and turned; None if it would hang inside something.
 
-    `origin`: row of the grid. `height_m`: world frame; brought into the site's range. [m].
-    `yaw_deg`, `pitch_deg`: direction; the pitch is brought into -90 .. 90. [deg]. `fov_deg`: of a
-    varifocal lens, brought into its range; by default as in the grid. [deg]. Returns: rounded to
-    what can be mounted, its id says where and how; None if it would hang inside something.
+    The height is brought into the site's range, the pitch into -90 .. 90 degrees, and the field of
+    view into the range of a varifocal lens; it is that of the grid by default. The pose's id says
+    where it hangs and how it looks.
     """
     grid = places.candidates[origin]
     low_m, high_m = places.height_range_m(origin)
@@ -244,11 +240,10 @@ def around(
     *,
     spread: float,
 ) -> list[tuple[int, CandidatePose]]:
-    """Poses near those chosen, at the same sites.
+    """Poses around the chosen ones, with the rows of the grid that they stand for.
 
-    `chosen`: row of the grid that each chosen unit stands for, and the unit; only free ones are
-    moved. `spread`: 1 at first, less in later rounds: all steps are multiplied by it. Returns: with
-    the rows that they stand for.
+    `chosen` has the row of the grid that each chosen unit stands for, and the unit; only free ones
+    are moved. All steps are multiplied by `spread`, which is 1 at first and less in later rounds.
     """
     found = []
     free = [(origin, unit) for origin, unit in chosen if places.is_free[origin]]
@@ -282,11 +277,10 @@ def around(
 def aimed(
     places: Places, table: DetectionTable, spots: WeakSpots, rng: np.random.Generator
 ) -> list[tuple[int, CandidatePose]]:
-    """Poses that look at weak spots, from sites that may carry units.
+    """Poses that are aimed at weak spots, with the rows of the grid that they stand for.
 
-    `table`: of the grid: a site from which some pose of it sees a spot is preferred to one from
-    which none does. `spots`: what to look at. Returns: with the rows of the grid that they stand
-    for.
+    A site from which some pose of the grid's table sees a spot is preferred to one from which none
+    does.
     """
     free = np.flatnonzero(places.is_free)
     found: list[tuple[int, CandidatePose | None]] = []

@@ -63,9 +63,9 @@ def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool
 def certify(values: Sequence[StageValue], certificate: Certificate, solver: str) -> Certificate:
     """The bounds of a certificate, beside a set of poses that is as good as its layout or better.
 
-    `values`: of a set within the certificate's problem. A bound holds for all sets that are as good
-    in the stages before as the certificate's layout, so for those that are as good as this one.
-    `solver`: what to say of the solver, in its place.
+    `values` are those of a set within the certificate's problem. A bound holds for all sets that
+    are as good in the stages before as the certificate's layout, and so for those that are as good
+    as this one. `solver` is the text about the solver that the new certificate gets.
     """
     return Certificate(
         stages=tuple(
@@ -110,19 +110,14 @@ def turn(
 ) -> Turned:
     """Compass search over yaw, pitch and field of view, one unit after the other.
 
-    `rows`: the set to begin with, in the bench. `build_rows`: for the same mount position it should
-    not cast rays again. `end_s`: when to stop, on the monotonic clock. [s]. Returns: no step of any
-    unit alone improves it, unless time was up; it is never worse than before in the order of the
-    stages.
+    It begins with the set `rows` of the bench and stops at `end_s` on the monotonic clock. In the
+    end no step of any unit alone improves the set, unless time was up; the set is never worse than
+    before in the order of the stages.
 
-    Compass search [1]_ shrinks its step where none improves. What a set is worth is a step function
-    here - runs are avoided or not, frames come every tenth of a second -, so that a larger step may
+    Compass search shrinks its step where none improves (Kolda, Lewis, Torczon, "Optimization by
+    direct search", SIAM Review 45, 2003, section 3). What a set is worth is a step function here -
+    runs are avoided or not, frames come every tenth of a second -, so that a larger step may
     improve where smaller ones change nothing: all steps are tried at once.
-
-    References
-    ----------
-    .. [1] T. Kolda, R. Lewis, V. Torczon, "Optimization by direct search", SIAM Review 45, 2003,
-       section 3.
     """
     best = list(rows)
     values = stage_values(bench.problem(grid), best)
@@ -239,11 +234,7 @@ class RefinementEffort:
 
 
 class Search:
-    """Looks for a better set of poses than a placement's.
-
-    `placement`: what to begin with. `rng`: of the new poses. `started_s`: when the time began, on
-    the monotonic clock. [s].
-    """
+    """Looks for a better set of poses than that of a placement, with which it begins."""
 
     def __init__(
         self,
@@ -311,7 +302,17 @@ class Search:
         return n_rounds
 
     def turn(self) -> bool:
-        """Turn and zoom the units where they hang; whether that improves."""
+        """Compass search over yaw, pitch and field of view, one unit after the other.
+
+        It begins with the set `rows` of the bench and stops at `end_s` on the monotonic clock. In
+        the end no step of any unit alone improves the set, unless time was up; the set is never
+        worse than before in the order of the stages.
+
+        Compass search shrinks its step where none improves (Kolda, Lewis, Torczon, "Optimization by
+        direct search", SIAM Review 45, 2003, section 3). What a set is worth is a step function
+        here - runs are avoided or not, frames come every tenth of a second -, so that a larger step
+        may improve where smaller ones change nothing: all steps are tried at once.
+        """
         turned = turn(
             self.grid,
             self.bench,

@@ -103,12 +103,11 @@ def build_certificate(
     seconds: Mapping[str, float],
     versions: Mapping[str, str],
 ) -> dict[str, Any]:
-    """The document that ``certificate.json`` holds.
+    """The document that ``certificate.json`` holds; an infinite gap is None in it.
 
-    `pose_index`: rows of the detection table, in the order of `units`. `units`: the same units as
-    the layout's file has them. `presolve`: sizes before and after. `seconds`: time that the steps
-    took. [s]. `versions`: of the programs that the numbers depend on. Returns: plain values for
-    JSON; an infinite gap is None.
+    `units` are the units as the layout's file has them, and `pose_index` their rows of the
+    detection table in the same order. `seconds` says how long the steps took, `versions` which
+    programs the numbers depend on.
     """
     axis = problem.table.axis
     return {

@@ -152,10 +152,10 @@ def instance_kind(path: Path) -> str:
 
 
 def problem_hash(problem: PlacementProblem) -> str:
-    """Hash of all that a problem says, whatever file it lies in.
+    """SHA-256 of a problem, 64 hexadecimal digits.
 
-    Returns: 64 hexadecimal digits: SHA-256 over the names, types, shapes and bytes of the fields in
-    alphabetical order, little-endian; texts as JSON.
+    It is taken over the names, types, shapes and bytes of the fields in alphabetical order, in
+    little- endian order; texts are taken as JSON.
     """
     digest = hashlib.sha256()
     for name, array in sorted(_to_arrays(problem).items()):

@@ -317,9 +317,9 @@ def save_instance(path: Path, instance: CoveringInstance) -> None:
 
 
 def instance_kind(path: Path) -> str | None:
-    """What a file of this program says it holds, so that other kinds can be read elsewhere.
+    """What kind of instance one of this program's files holds, such as :data:`KIND`.
 
-    Returns: such as :data:`KIND`; None: it cannot be read, or is none of this program's files.
+    None if the file cannot be read, or is none of this program's.
     """
     try:
         # Opened here: numpy does not close a file that turns out to be no archive.

@@ -65,10 +65,7 @@ class CoveringInstance:
         return float(self.weight[np.unique(self.covers.indices)].sum())
 
     def covered_weight(self, columns: ArrayLike) -> float:
-        """Weight of the rows that a set of columns covers.
-
-        `columns`, (n,): indices of columns.
-        """
+        """Weight of the rows that some columns cover."""
         chosen = np.asarray(columns, dtype=np.int64)
         return float(self.weight[np.unique(self.covers[chosen].indices)].sum())
 

@@ -36,11 +36,7 @@ _SEED = 20  # of the hashes; equal sets are equal whatever it is
 
 
 def first_equal(sets: sp.csr_array) -> IntArray:
-    """For every set, the first one with the same members.
-
-    `sets`, (n_sets, n_members): sets, as rows. Returns (n_sets,): an index of `sets`, at most its
-    own.
-    """
+    """For every set, a row of `sets`, the first one with the same members, (n_sets,)."""
     n_sets = sets.shape[0]
     rng = np.random.default_rng(_SEED)
     hashes = rng.integers(np.iinfo(np.uint64).max, size=(2, sets.shape[1]), dtype=np.uint64)
@@ -63,12 +59,10 @@ def first_equal(sets: sp.csr_array) -> IntArray:
 def supersets(
     sets: sp.csr_array, price: FloatArray, *, max_work: float
 ) -> Iterator[tuple[int, IntArray]]:
-    """For every set, the larger sets at no higher price of which it is a part.
+    """For every set, the larger sets at no higher price of which it is a part: set, and those sets.
 
-    `sets`, (n_sets, n_members): sets, as rows; no two are equal, none is empty. `price`, (n_sets,):
-    a set is only compared with sets that cost no more. `max_work`: give up after so many
-    comparisons of pairs, the ones with fewest candidates first. Yields: a set. Yields (n,): sets
-    that contain it; at least one.
+    Rows of `sets`, (n_sets, n_members), are neither equal nor empty. The search gives up after
+    `max_work` comparisons of pairs, and begins with sets that have the fewest candidates.
 
     A whole has all members of its part, the rarest among them: only sets with that one are
     compared, by signatures. Where there are more members than bits the signature is a sieve, and
@@ -303,7 +297,8 @@ class _Reduction:
 def presolve_full_cover(instance: CoveringInstance) -> ReducedCovering:
     """Reduce the problem to cover, at least cost, every row with weight that can be covered.
 
-    Returns: its optima, with the essential columns, are optima of the problem, at no other cost.
+    The optima of what is left, with the essential columns, are optima of the problem, at no other
+    cost.
     """
     work = _Reduction(instance)
     work.drop_idle_rows()
@@ -327,8 +322,8 @@ def presolve_weighted_cover(
 ) -> ReducedCovering:
     """Reduce a problem in which not every row has to be covered.
 
-    `minds_cost`: whether cost matters, or only the number of columns. Returns: any set of its
-    columns covers the same weight in the full problem; none is essential.
+    `minds_cost` says whether cost matters, or only the number of columns. Any set of the columns
+    that are left covers the same weight in the full problem; none is essential.
     """
     work = _Reduction(instance)
     work.drop_idle_rows()
@@ -370,9 +365,8 @@ def dominated_columns(
 ) -> BoolArray:
     """Columns that cover less than another one, at no less cost, (n_columns,).
 
-    `covers`, (n_columns, n_rows): no two columns are equal, none covers nothing. `cost`,
-    (n_columns,): price of each. `max_work`: pairs of columns to compare; beyond, dominated ones may
-    stay.
+    No two columns of `covers`, (n_columns, n_rows), are equal, and none covers nothing. Beyond
+    `max_work` pairs of columns, dominated ones may stay.
     """
     is_dominated = np.zeros(covers.shape[0], dtype=np.bool_)
     for part, _ in supersets(covers, cost, max_work=max_work):
@@ -400,8 +394,8 @@ def equal_rows(covers: sp.csr_array) -> BoolArray:
 def dominated_rows(covers: sp.csr_array, *, max_work: float = _MAX_WORK) -> BoolArray:
     """Rows that are covered whenever another one is: by all its columns and more, (n_rows,).
 
-    `covers`, (n_columns, n_rows): no two rows are equal, none is without columns. `max_work`: pairs
-    of rows to compare; beyond, dominated ones may stay.
+    No two rows of `covers`, (n_columns, n_rows), are equal, and none is without columns. Beyond
+    `max_work` pairs of rows, dominated ones may stay.
     """
     rows = sp.csr_array(covers.T)
     is_dominated = np.zeros(rows.shape[0], dtype=np.bool_)
