@@ -18,10 +18,10 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.covering.files import load_instance, save_instance
-from placement.optimiser.covering.milp import check_solver
 from placement.optimiser.covering.solve import (
     CoveringInstance,
     CoveringSolution,
+    check_solver,
     solve_lscp,
     solve_mclp,
 )
