@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from interactive_pages import build_evaluation, build_layout
 from matplotlib.text import Text
+from result_records import as_result
 
+from experiments.cli.evaluate import evaluation_text
 from experiments.figures.evaluation import MAX_HEATMAP_UNITS, plot_heatmap, units_in_heatmap
 from experiments.figures.plan import MAX_LABELLED_UNITS, plot_plan
 from experiments.report.tables import MAX_UNIT_COLUMNS, unit_apr_table
@@ -72,7 +74,7 @@ def summary_of(n_units):
         "cost_eur": 1000.0,
         "layout": [
             {"id": key, "site": "s", **dict.fromkeys(("x_m", "y_m", "z_m"), 1.0)}
-            | {"yaw_deg": 0.0, "pitch_deg": 0.0}
+            | {"yaw_deg": 0.0, "pitch_deg": 0.0, "camera": "carla-ncap-rgb"}
             for key in ids
         ],
         "evaluation": {
@@ -81,6 +83,7 @@ def summary_of(n_units):
                 for index, key in enumerate(ids)
             },
             **dict.fromkeys(("rsu_all", "vut_and_rsus", "vut"), ratio),
+            "apr_without_worst_unit": 0.5,
         },
     }
 
@@ -88,7 +91,7 @@ def summary_of(n_units):
 @pytest.mark.parametrize(("n_units", "n_left"), [(24, 0), (26, 2), (200, 176)])
 @pytest.mark.parametrize("out", [Path("out"), None])
 def test_a_terminal_shows_the_units_of_the_highest_apr_and_counts_the_rest(n_units, n_left, out):
-    text = evaluation_table(summary_of(n_units), out)
+    text = evaluation_text(as_result(summary_of(n_units)), out)
     units = set(re.findall(r"unit/\d+", text))
     assert units == {f"unit/{index}" for index in range(n_units - 24, n_units)}
     assert (f"and {n_left} more units" in text) == (n_left > 0)
