@@ -28,9 +28,6 @@ from .files import (
 )
 from .poses import Pose
 
-# ---------- bodies that move or park
-
-
 _SHAPE_DECIMALS = 6  # of a shape: distances that differ in the last bits give the same one
 
 
@@ -38,12 +35,8 @@ _SHAPE_DECIMALS = 6  # of a shape: distances that differ in the last bits give t
 class Shape:
     """A body at one instant of its gait: one closed mesh.
 
-    Attributes
-    ----------
-    vertices_m : (n_vertices, 3) float
-        Body frame: origin on the road under the middle of the box, x ahead, y left. [m]
-    triangles : (n_triangles, 3) int32
-        Vertex indices; normals point outwards.
+    `vertices_m` (n_vertices, 3) are in the body frame: origin on the road under the middle of the
+    box, x ahead, y left. Normals of the `triangles` (n_triangles, 3) point outwards.
     """
 
     vertices_m: FloatArray
@@ -109,18 +102,7 @@ class Actor:
         return f"Actor({self.name!r}, {len(self.shapes)} shapes)"
 
     def shape_index(self, distance_m: ArrayLike) -> IntArray:
-        """Which shape the body has after some way.
-
-        Parameters
-        ----------
-        distance_m : (...,) float
-            Way covered since the body stood at rest. [m]
-
-        Returns
-        -------
-        index : (...,) int
-            Of the nearest instant in `shapes`.
-        """
+        """Index of the shape that the body has, a distance after it stood at rest."""
         distance = np.asarray(distance_m, dtype=np.float64)
         if self.cycle_m == 0.0:
             return np.zeros(distance.shape, dtype=np.int64)
@@ -132,15 +114,7 @@ class Actor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlacedActor:
-    """A body that stands somewhere, as at rest.
-
-    Attributes
-    ----------
-    actor : Actor
-        The body.
-    pose : Pose
-        Its body frame in the world; no pitch.
-    """
+    """A body that stands somewhere, as at rest; its pose has no pitch."""
 
     actor: Actor
     pose: Pose
@@ -159,19 +133,9 @@ def load_actors() -> dict[str, Actor]:
 
 
 def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
-    """Bodies of a catalogue.
+    """Bodies of a catalogue laid out as ``data/actors.toml``, by name.
 
-    Parameters
-    ----------
-    table : mapping
-        Laid out as ``geometry/data/actors.toml``.
-    source : Path or Traversable
-        The shapes that ``geometry.body_shapes`` has built from it.
-
-    Returns
-    -------
-    actors : dict
-        By name.
+    `source` has the shapes that ``geometry.body_shapes`` has built from it.
 
     Raises
     ------
@@ -198,13 +162,7 @@ def fingerprint(table: Table) -> str:
 
 
 def pick_actor(name: str, where: str) -> Actor:
-    """Body by name.
-
-    Raises
-    ------
-    InputError
-        The name is unknown.
-    """
+    """Body by name; the error about an unknown one lists the known ones."""
     actor: Actor = pick(load_actors(), name, where)
     return actor
 
@@ -232,29 +190,13 @@ _SIZES = ("length_m", "width_m", "height_m")
 _OPTIONAL = ("cycle_m", "reference_ahead_m", "wheelbase_m", "front_axle_ahead_m")
 
 
-# ---------- bodies parked one behind the other
-
-
 def park_row(
     actors: Sequence[Actor], *, first_bumper_m: FloatArray, yaw_deg: float, gap_m: float
 ) -> tuple[PlacedActor, ...]:
-    """Place bodies nose to tail, the first one in front.
+    """Place bodies nose to tail, from the first to the last, all looking the same way.
 
-    Parameters
-    ----------
-    actors : sequence of Actor
-        From the first to the last.
-    first_bumper_m : (2,) float
-        Middle of the first one's front bumper. World frame. [m]
-    yaw_deg : float
-        Where all of them look. [deg]
-    gap_m : float
-        From bumper to bumper. [m]
-
-    Returns
-    -------
-    row : tuple of PlacedActor
-        In the order given.
+    `first_bumper_m` (2,) is the middle of the first one's front bumper in the world frame; `gap_m`
+    leads from bumper to bumper.
     """
     yaw = np.radians(yaw_deg)
     backwards = -np.array([np.cos(yaw), np.sin(yaw)])

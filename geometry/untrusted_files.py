@@ -1,4 +1,4 @@
-"""Files from anywhere, opened without their traps: archives, XML, JSON, glTF, PBF."""
+"""Open untrusted files safely: archives, XML, JSON, glTF, PBF."""
 
 import json
 import os
@@ -15,9 +15,6 @@ from xml.etree.ElementTree import Element, ParseError
 
 from .errors import InputError, Unquoted
 
-# ---------- archives from anywhere, opened without the traps that archives have
-
-
 MAX_MEMBERS = 10_000
 MAX_UNPACKED_BYTES = 2_000_000_000
 MAX_RATIO = 200  # text of coordinates comes to 10; a bomb begins at 1000
@@ -27,28 +24,16 @@ _CHUNK_BYTES = 1 << 20
 
 @contextmanager
 def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
-    """The one file of a .zip that can be read, with what lies beside it, for as long as needed.
+    """Unpack a .zip, and yield the path of its one readable file, with everything beside it.
 
-    Parameters
-    ----------
-    path : Path
-        A .zip file.
-    suffixes : collection of str
-        Endings of the files that can be read, in lower case: ``{".geojson", ".shp"}``. What
-        belongs to such a file - ``.dbf``, ``.bin``, textures - has none of them.
+    `suffixes` are the endings of readable files in lower case: ``{".geojson", ".shp"}``; files that
+    belong to them (``.dbf``, ``.bin``, textures) have others. The temporary folder is removed at
+    the end. An :class:`InputError` about it that is raised within names the archive instead of the
+    folder.
 
-    Yields
-    ------
-    member : Path
-        In a temporary folder, which is removed at the end. An :class:`InputError` about it that is
-        raised within names the archive instead of the folder.
-
-    Raises
-    ------
-    InputError
-        It is no archive, is encrypted or damaged, is too large unpacked (2 GB, 10,000 files, 200
-        times its size), has names that lead out of the folder, links, or names twice; or none, or
-        several, of its files can be read.
+    Raises InputError if the archive is damaged or encrypted, is too large unpacked (2 GB, 10,000
+    files, 200 times its size), has names that lead out of the folder, links, or names twice; or if
+    none, or several, of its files are readable.
     """
     where = str(path)
     with TemporaryDirectory(prefix="place-rsus-") as folder:
@@ -75,7 +60,7 @@ def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
 
 
 def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipInfo]:
-    """Files of an archive, none of which leads astray."""
+    """Files of an archive; raises InputError if one of them is dangerous."""
     entries = archive.infolist()
     if len(entries) > MAX_MEMBERS:
         raise InputError(where, Unquoted(f"{len(entries):,} members"), f"at most {MAX_MEMBERS:,}")
@@ -103,7 +88,7 @@ def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipIn
 def _recognised(
     members: list[zipfile.ZipInfo], suffixes: Collection[str], where: str
 ) -> zipfile.ZipInfo:
-    """The one file that can be read; what describes another (roofs.shp.xml) does not count."""
+    """The one readable file; a description of another file (roofs.shp.xml) does not count."""
     names = {entry.filename for entry in members}
     found = [
         entry
@@ -125,7 +110,7 @@ def _recognised(
 def _extract(
     archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], folder: Path, where: str
 ) -> None:
-    """Write files into a folder, counting bytes: what the archive says may be wrong."""
+    """Write files into a folder and count their bytes: the sizes in the archive may be wrong."""
     n_bytes = 0
     for entry in members:
         target = folder / entry.filename
@@ -153,32 +138,15 @@ def _refuse_bomb(n_bytes: int, where: str) -> None:
         )
 
 
-# ---------- XML from anywhere, read without the traps that XML has: entities, bombs, endless files
-
-
+# ---------- XML
 MAX_FILE_BYTES = 500_000_000
 
 
 def read_xml(path: Path, *, expected: str) -> Element:
-    """Read an XML document as a whole.
+    """Read a whole XML document and return its root; `expected` names the format: "OpenDRIVE".
 
-    Parameters
-    ----------
-    path : Path
-        A file.
-    expected : str
-        What it should be, for messages: "OpenDRIVE".
-
-    Returns
-    -------
-    root : Element
-        Of the document.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is larger than half a gigabyte, is not well-formed XML, or has
-        entities or other parts that this cannot be trusted with.
+    Raises InputError if the file cannot be read, is larger than half a gigabyte, is not
+    well-formed, or has entities or other dangerous parts.
     """
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import parse
@@ -198,15 +166,7 @@ def read_xml(path: Path, *, expected: str) -> Element:
 
 
 def check_size(path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:
-    """Refuse a file that is too large to be read as a whole.
-
-    Raises
-    ------
-    InputError
-        It is.
-    OSError
-        There is no such file.
-    """
+    """Raise InputError if a file is too large to be read as a whole."""
     n_bytes = path.stat().st_size
     if n_bytes > max_bytes:
         raise InputError(
@@ -220,13 +180,7 @@ def local_name(element: Element) -> str:
 
 
 def read_xml_root(path: Path) -> Element:
-    """The first element of an XML document, without what it holds.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_xml`, as far as the file is read.
-    """
+    """The first element of an XML document without its content; raises as :func:`read_xml` does."""
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import iterparse
 
@@ -245,22 +199,14 @@ def read_xml_root(path: Path) -> Element:
     raise InputError(str(path), Unquoted("no element"), "well-formed XML")
 
 
-# ---------- JSON from anywhere, read without its traps: endless files, nesting without end
-
-
+# ---------- JSON
 _MAX_BYTES = 300_000_000
 
 _Table = Mapping[str, Any]
 
 
 def read_text(path: Path, expected: str) -> str:
-    """Text of a file in UTF-8.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, is too large, or is no UTF-8.
-    """
+    """Text of a UTF-8 file; raises InputError if it is unreadable, too large, or no UTF-8."""
     try:
         check_size(path, _MAX_BYTES)
         return path.read_text(encoding="utf-8-sig")
@@ -271,13 +217,7 @@ def read_text(path: Path, expected: str) -> str:
 
 
 def parse_json(text: str, where: str, expected: str) -> _Table:
-    """A JSON object.
-
-    Raises
-    ------
-    InputError
-        It is none, or is nested too deeply.
-    """
+    """Parse a JSON object; raises InputError if it is none, or is nested too deeply."""
     try:
         document = json.loads(text)
     except RecursionError:
@@ -289,24 +229,17 @@ def parse_json(text: str, where: str, expected: str) -> _Table:
     return document
 
 
-# ---------- what a glTF file claims, looked at before memory is given to it
-
-
+# ---------- glTF
 _MAX_COUNT = 20_000_000  # elements of one accessor: five million triangles have 15 million indices
 _MAX_NODES = 200_000
 _MAX_JSON_BYTES = 100_000_000
 
 
 def check_gltf(path: Path) -> None:
-    """Refuse claims that a file cannot keep.
+    """Check the claims of a glTF 2 file before memory is given to it.
 
-    Raises
-    ------
-    InputError
-        It is no glTF 2, or no JSON; it claims more elements than five million triangles have,
-        several parents for a node, or nodes that are their own ancestors.
-    OSError
-        It cannot be read.
+    Raises InputError if it is no glTF 2; claims more elements than five million triangles have; or
+    has nodes with several parents, or that are their own ancestors.
     """
     where = str(path)
     text = _binary_header(path) if path.suffix.lower() == ".glb" else path.read_bytes()
@@ -371,31 +304,17 @@ def _check_tree(nodes: list[Mapping[str, Any]], where: str) -> None:
         raise InputError(f"{where}: nodes", Unquoted("a node that is its own ancestor"), "a tree")
 
 
-# ---------- what a PBF file must not have before the library reads it
-
-
+# ---------- PBF of OpenStreetMap
 _MAX_HEADER_BYTES = 64 * 1024  # [1]
 _MAX_BLOB_BYTES = 32 * 1024 * 1024  # [1], packed or not
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
 
 
 def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:
-    """Refuse a PBF file that osmium cannot be trusted with.
+    """Raise InputError if a PBF file is one that osmium cannot be trusted with.
 
-    Parameters
-    ----------
-    path : Path
-        A file that begins as PBF does.
-    max_unpacked_bytes : int
-        How much it may hold in all.
-    expected : str
-        What it should be, for messages.
-
-    Raises
-    ------
-    InputError
-        It is damaged, holds more, is packed in another way than with zlib, or has a text with a
-        zero byte in it: osmium ends texts there and reads on behind its memory.
+    It is damaged, holds more than `max_unpacked_bytes`, is packed in another way than with zlib, or
+    has a zero byte in a text: osmium ends the text there and reads on beyond its memory.
     """
     n_left = max_unpacked_bytes
     try:
@@ -415,7 +334,7 @@ def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:
 
 
 class _DamagedError(Exception):
-    """Bytes are not what the format says."""
+    """Bytes do not follow the format."""
 
 
 def _blobs(path: Path) -> Iterator[tuple[bytes, bytes]]:
@@ -487,7 +406,7 @@ def _fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """A number of variable length and where the next field begins."""
+    """A number of variable length, and the position of the next field."""
     value, shift = 0, 0
     while True:
         byte = data[at]

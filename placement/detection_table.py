@@ -41,18 +41,7 @@ class DetectionTable:
         return len(self.pose_ids)
 
     def detected(self, pose_index: "NDArray[np.int64] | list[int] | slice") -> BoolArray:
-        """Rows of the table, unpacked.
-
-        Parameters
-        ----------
-        pose_index : (n,) int or slice
-            Which poses.
-
-        Returns
-        -------
-        detected : (n, n_frames) bool
-            V[c, f].
-        """
+        """Rows of the table, unpacked: V[c, f], (n, n_frames) bool."""
         bits = np.unpackbits(
             self.packed[pose_index], axis=1, count=self.axis.n_frames, bitorder="little"
         )

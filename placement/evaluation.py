@@ -137,19 +137,10 @@ def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
 
 
 def earliest_arrival_s(parties: Sequence[tuple[BoolArray, float]], axis: FrameAxis) -> FloatArray:
-    """When the VUT first knows of a detection made in each frame.
+    """When the VUT first knows of a detection made in each frame, (n_frames,) in s.
 
-    Parameters
-    ----------
-    parties : sequence of pair of (n_frames,) bool and float
-        Detected frames, and how long it takes until the VUT knows. [s]
-    axis : FrameAxis
-        Runs and frames.
-
-    Returns
-    -------
-    arrival_s : (n_frames,) float
-        Infinite where nobody detects. [s]
+    Each party has the (n_frames,) frames that it detects in, and how long it takes until the VUT
+    knows [s]. Infinite where nobody detects.
     """
     arrival = np.full(axis.n_frames, np.inf)
     for detected, latency_s in parties:
@@ -160,18 +151,9 @@ def earliest_arrival_s(parties: Sequence[tuple[BoolArray, float]], axis: FrameAx
 def leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray]]:
     """Smallest along the first axis, and the same without each of the rows in turn.
 
-    Parameters
-    ----------
-    times_s : (n, m) float
-        A row per party, at least one. [s]
-
-    Returns
-    -------
-    earliest_s : (m,) float
-        Smallest of all rows. [s]
-    without : iterator of (m,) float
-        One for each row: infinite without the only one; `earliest_s` itself, not a copy, without
-        one that nowhere alone is the smallest. [s]
+    `times_s` has a row for each party: (n, m), n at least 1 [s]. Without the only row all is
+    infinite; without one that is nowhere alone the smallest, `earliest_s` itself is given, no
+    copy.
     """
     earliest = times_s.min(axis=0)
     if len(times_s) == 1:
@@ -185,20 +167,7 @@ def leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray
 
 
 def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
-    """Smallest accident prevention ratio of the units, fused, that is left when one of them fails.
-
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of a layout.
-    rule : AebRule
-        Confirmation and latency.
-
-    Returns
-    -------
-    apr : float
-        0 .. 1; 0 for a layout of one unit.
-    """
+    """APR of all units together when the worst one fails; 0 for a layout of one unit."""
     axis = evaluation.axis
     arrivals = [
         earliest_arrival_s([(evaluation.units[unit.id].detected, unit.latency(rule))], axis)

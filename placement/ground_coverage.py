@@ -1,4 +1,4 @@
-"""What cameras see of the ground, and how finely: pixels per metre, as surveillance plans it."""
+"""Ground coverage: how many pixels per metre cameras have on the ground, as surveillance plans."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from geometry.sensors import CameraModel, project_points
 
 from .candidates import CandidatePose
 
-# ---------- free lines of sight from a mount to points, past its own housing, bracket and pole
+# ---------- lines of sight
 
 
 _SHORT_OF_M = 0.05  # rays end a little before the point
@@ -22,24 +22,10 @@ _SHORT_OF_M = 0.05  # rays end a little before the point
 def is_in_sight(
     caster: RayCaster, mount_m: ArrayLike, points_m: FloatArray, *, near_m: float
 ) -> BoolArray:
-    """Which points nothing hides from a mount.
+    """Which of (n, 3) points nothing hides from a mount.
 
-    Parameters
-    ----------
-    caster : RayCaster
-        What could hide them, in the same frame as the points.
-    mount_m : (3,) float
-        Where the sensor is. [m]
-    points_m : (n, 3) float
-        What is looked at. [m]
-    near_m : float
-        What is nearer hides nothing: the pole that carries the sensor, see
-        :class:`geometry.sensors.CameraModel`. [m]
-
-    Returns
-    -------
-    is_in_sight : (n,) bool
-        False for points nearer than `near_m`, too.
+    What is nearer than `near_m` hides nothing, such as the pole that carries the sensor (see
+    :class:`geometry.sensors.CameraModel`); points nearer than that are not in sight either.
     """
     mount = np.asarray(mount_m, dtype=np.float64)
     ways = points_m - mount
@@ -53,7 +39,7 @@ def is_in_sight(
     return is_seen
 
 
-# ---------- what cameras see of the ground
+# ---------- coverage
 
 
 LOOK_AT_M = 1.0  # height that is looked at: the middle of a road user
@@ -109,23 +95,10 @@ class GroundCoverage:
 
 
 def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> GroundCoverage:
-    """How finely cameras see the ground around a junction.
+    """How finely cameras see the ground, in pixels per metre across the line of sight.
 
-    Parameters
-    ----------
-    scene : Scene
-        What hides it; nothing that drives or parks.
-    units : sequence of CandidatePose
-        LiDARs take no pictures.
-
-    Returns
-    -------
-    coverage : GroundCoverage
-        Cells of a square metre, up to 45 m around the junction's middle, one metre above the road.
-
-    Notes
-    -----
-    Pixels per metre across the line of sight, focal length over depth.
+    Cells have a square metre and lie up to 45 m around the junction's middle, one metre above the
+    road. Nothing that drives or parks hides them. Pixels per metre are focal length over depth.
     """
     import shapely
 

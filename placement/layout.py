@@ -204,23 +204,11 @@ def layout_from_records(
     *,
     sensors: Mapping[str, Sensor] | None = None,
 ) -> Layout:
-    """Layout from plain records, checked field by field.
+    """Layout from plain records as :func:`layout_records` writes them; "site" may be missing.
 
-    Parameters
-    ----------
-    name : str
-        Name of the layout.
-    records : sequence of mapping
-        As :func:`layout_records` writes them; "site" may be missing.
-    where : str
-        What is being read, for error messages.
-    sensors : mapping of str to CameraModel or LidarModel, optional
-        Models beside those of the catalogue.
-
-    Raises
-    ------
-    InputError
-        A field is missing or not of its kind, an id is repeated, a sensor is unknown.
+    `sensors` are models beside those of the catalogue; `where` is what is read, for error
+    messages. Raises InputError where a field is missing or not of its kind, an id is repeated, or
+    a sensor is unknown.
     """
     units = []
     for index, record in enumerate(records):
@@ -321,20 +309,9 @@ def _read_own_sensors(records: Any, where: str) -> dict[str, Sensor]:
 
 
 def check_layout(layout: Layout, scene: Scene) -> None:
-    """Check that a layout is of a scene: every unit in the open air, at a site that exists.
+    """Raise InputError unless a layout is of a scene.
 
-    Parameters
-    ----------
-    layout : Layout
-        What is to be mounted.
-    scene : Scene
-        Where.
-
-    Raises
-    ------
-    InputError
-        The layout was made for another scene; a unit is underground or inside something, or names
-        an unknown site.
+    It must not be made for another one; every unit hangs in the open air, at a site that exists.
     """
     if layout.scene_name not in ("", scene.name):
         raise InputError(

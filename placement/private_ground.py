@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from geometry.arrays import (
     freeze,
 )
 from geometry.errors import InputError, Unquoted
+from geometry.maps.georeferences import transform
+from geometry.maps.gis_files import read_features
 from geometry.raycast import build_caster
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, project_points
@@ -47,23 +50,57 @@ class PrivateGround:
     area_m2: FloatArray
 
 
-def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
-    """Points all over areas.
+def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
+    """Private ground from a file of polygons, in a scene's world frame.
 
     Parameters
     ----------
-    areas : sequence of (str, shapely polygon)
-        Name and outline. World frame, metres.
-
-    Returns
-    -------
-    ground : PrivateGround
-        A point for each square metre, at least one for each area.
+    path : Path
+        GeoJSON, GeoPackage or Shapefile; a column "name" or "id" names an area.
+    scene : Scene
+        The junction.
 
     Raises
     ------
     InputError
-        An area is empty, or all together are too large.
+        The file cannot be read or has no polygon, or the file has coordinates on earth and the
+        scene has none.
+    """
+    import shapely
+
+    found = read_features(path)
+    if found.crs and not scene.crs:
+        raise InputError(
+            str(path),
+            Unquoted(f"coordinates in {found.crs}"),
+            "a scene that says where on earth it lies, or coordinates of its map without a crs",
+        )
+
+    def to_world(points: Any) -> Any:
+        if not found.crs:
+            return points - scene.source_origin_m if not scene.crs else points
+        return transform(points, found.crs, scene.crs)
+
+    areas = []
+    for number, feature in enumerate(found.features, start=1):
+        shape = feature.geometry
+        if shape is None or shape.geom_type not in ("Polygon", "MultiPolygon"):
+            continue
+        name = str(feature.values.get("name") or feature.values.get("id") or f"area {number}")
+        world = shapely.make_valid(shapely.transform(shapely.force_2d(shape), to_world))
+        if not np.isfinite(world.bounds).all():
+            raise InputError(feature.where, Unquoted("coordinates that cannot be"), "a polygon")
+        areas.append((name, world))
+    if not areas:
+        raise InputError(str(path), Unquoted("no polygon"), "areas that cameras must not look into")
+    return build_private_ground(areas)
+
+
+def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
+    """Points all over areas: one for each square metre, at least one for each area.
+
+    Areas are names and shapely polygons in the world frame, in metres. Raises InputError where one
+    is empty, or all together are too large.
     """
     import shapely
 
@@ -100,22 +137,10 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
 def private_shares(
     scene: Scene, candidates: Sequence[CandidatePose], ground: PrivateGround
 ) -> FloatArray:
-    """How much of private ground each pose has in its picture.
+    """How much of each private area each pose has in its picture, (n_candidates, n_areas).
 
-    Parameters
-    ----------
-    scene : Scene
-        What hides it; what parks or drives hides nothing for long.
-    candidates : sequence of CandidatePose
-        LiDARs take no pictures: they see none.
-    ground : PrivateGround
-        At least one area.
-
-    Returns
-    -------
-    share : (n_candidates, n_areas) float
-        Of each area's points those that are in the picture and not hidden, however small they are
-        there.
+    The share of an area's points that are in the picture and not hidden, however small they are
+    there. What parks or drives hides nothing for long. LiDARs take no pictures: they see none.
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     caster = build_caster(scene.vertices_m - origin, scene.triangles)
@@ -136,6 +161,23 @@ def private_shares(
             seen = is_open & _in_picture(ground.points_m, candidates[index])
             share[index] = np.bincount(ground.area_index[seen], minlength=n_areas) / counts
     return share
+
+
+def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArray:
+    """Which candidates see at most `max_share` of each private area, (n_candidates,) bool.
+
+    `shares` is that of :func:`private_shares`. Raises InputError where no candidate is left.
+    """
+    share: FloatArray = shares.max(axis=1)
+    kept: BoolArray = share <= max_share
+    if not kept.any():
+        least = np.ceil(1000.0 * share.min()) / 1000.0
+        raise InputError(
+            "--no-look-share",
+            Unquoted(f"{100.0 * max_share:.1f} %"),
+            f"at least {least:g}, the share that the pose with the least in its picture sees",
+        )
+    return kept
 
 
 def _in_picture(points_m: FloatArray, candidate: CandidatePose) -> BoolArray:

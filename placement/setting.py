@@ -8,7 +8,7 @@ from geometry.actors import pick_actor
 from geometry.errors import InputError, Unquoted
 from geometry.junction import build_junction
 from geometry.scene import Scene
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule
 from scenarios.cases import select_cases
@@ -31,7 +31,7 @@ from .detectors import (
 from .latency import load_latency_budget
 from .question import Question
 
-# ---------- how detections reach the VUT: messages get lost, and some VRUs announce themselves
+# ---------- radio links
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +56,7 @@ class Links:
                 raise InputError(f"links.{name}", getattr(self, name), "0 .. 1")
 
 
-# ---------- what a layout is placed in and judged by: scene, runs, braking rule, detectors, radio
+# ---------- the setting
 
 
 VUT_SENSORS = ("camera", "lidar")
@@ -110,7 +110,7 @@ class Setting:
         return f"Setting({self.scene.name!r}, {len(self.runs)} runs)"
 
 
-# ---------- from a question to what is driven, and to the setting in which layouts are judged
+# ---------- from a question to runs and setting
 
 
 _log = logging.getLogger(__name__)
@@ -157,24 +157,10 @@ class Drives:
 
 
 def drive(question: Question, scene: Scene) -> Drives:
-    """Lay the cases of a question on a scene's junction.
+    """Lay the cases of a question on a scene's junction; there may be no runs.
 
-    Parameters
-    ----------
-    question : Question
-        Cases, speeds, approaches, weathers, braking.
-    scene : Scene
-        The junction.
-
-    Returns
-    -------
-    drives : Drives
-        There may be no runs.
-
-    Raises
-    ------
-    InputError
-        A word of the question is unknown, or a speed is none that the protocol drives.
+    Raises InputError where a word of the question is unknown, or the protocol does not drive a
+    speed.
     """
     selection = select_cases(question.cases, speeds=question.speeds or None, force=question.force)
     for beyond in selection.beyond:
@@ -191,7 +177,6 @@ def drive(question: Question, scene: Scene) -> Drives:
         rule=build_rule(question),
         approaches=approaches,
         weathers=weathers,
-        phase=question.phase,
     )
     left_out = tuple(
         Refusal(
@@ -250,7 +235,7 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
         do not fit the runs.
     """
     question = question or Question()
-    scene = scene or find_scene(question.scene)
+    scene = scene or load_scene(question.scene)
     drives = drive(question, scene)
     runs = drives.runs
     driven = {run.case.name for run in runs}

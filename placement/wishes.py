@@ -1,4 +1,4 @@
-"""What a planner asks for, by names: units, money, targets, sites; and the problem it makes."""
+"""Wishes of a planner (units, money, targets, sites), and the optimiser's problem they make."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -52,8 +52,6 @@ class Wishes:
         For a site that is used, in place of the scene's. [EUR]
     separation_m : float
         Least distance on the ground between two units; on one site there is one at most then. [m]
-    surcharges_eur : tuple of (str, float)
-        Ids of candidates, and what each costs beside its sensor. [EUR]
     tail : float
         Share of the sampled worlds that counts, the worst ones, see
         :class:`placement.optimiser.problem.Measure`.
@@ -71,7 +69,6 @@ class Wishes:
     site_capacity: int | None = None
     site_cost_eur: float | None = None
     separation_m: float = 0.0
-    surcharges_eur: tuple[tuple[str, float], ...] = ()
     tail: float = 1.0
 
     def __post_init__(self) -> None:
@@ -127,19 +124,7 @@ def check_wishes(wishes: Wishes, scene: Scene) -> None:
 def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePose]) -> Limits:
     """What may be mounted together: a pose of no site of the scene stands alone on one of its own.
 
-    Parameters
-    ----------
-    wishes : Wishes
-        What is asked.
-    scene : Scene
-        Its sites.
-    candidates : sequence of CandidatePose
-        Poses to choose from.
-
-    Raises
-    ------
-    InputError
-        A kept unit is no candidate, or a number cannot be.
+    Raises InputError where a kept unit is no candidate, or a number cannot be.
     """
     sites = {site.id: site for site in scene.sites}
     keys = [c.site_id if c.site_id in sites else ("own", c.id) for c in candidates]
@@ -180,8 +165,7 @@ def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePos
         if n_free <= 0:
             expected = "candidates beside the units kept, at sites with room for them"
         raise InputError("--budget", wishes.budget_units, expected)
-    extra = dict(wishes.surcharges_eur)
-    price = np.array([c.sensor.price_eur + extra.get(c.id, 0.0) for c in candidates])
+    price = np.array([c.sensor.price_eur for c in candidates])
     return Limits(
         site_index=site_index,
         site_capacity=capacity,
@@ -207,32 +191,10 @@ def build_problem(
     fusion: Fusion = "any",
     sample_index: IntArray | None = None,
 ) -> PlacementProblem:
-    """The optimiser's problem.
+    """The optimiser's problem: the rows of the table are `candidates`.
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene and braking rule.
-    candidates : sequence of CandidatePose
-        The rows of the table.
-    table : DetectionTable
-        V[c, f].
-    wishes : Wishes
-        What is asked.
-    fusion : str
-        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    sample_index : (n_runs,) int, optional
-        Sampled world of each run.
-
-    Returns
-    -------
-    problem : PlacementProblem
-        Checked.
-
-    Raises
-    ------
-    InputError
-        As :func:`build_limits`; a target or floor is no share.
+    `sample_index` is the sampled world of each run, (n_runs,). Raises InputError as
+    :func:`build_limits`, and where a target or floor is no share.
     """
     problem = PlacementProblem(
         table=table,

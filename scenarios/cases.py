@@ -20,9 +20,6 @@ from geometry.files import (
     take_text,
 )
 
-# ---------- test cases, from ``data/cases.toml``: a new case is a new table there, not new code
-
-
 KINDS = ("crossing", "longitudinal", "turning")
 SIDES = ("near", "far")
 _LINES = ("crosswalk", "lane", "kerb")
@@ -179,17 +176,12 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
         A set ("study", "protocol-4.5.1", "all"), or names with commas between. The part of a name
         before its "-" stands for all cases that share it: "CPNA" for CPNA-25 and CPNA-75.
     where : str
-        For the error message.
+        For the error message about an unknown name.
 
     Returns
     -------
     cases : tuple of Case
         Each once, in the order named.
-
-    Raises
-    ------
-    InputError
-        A name is unknown.
 
     Examples
     --------
@@ -338,7 +330,7 @@ def _take_optional(entry: Table, key: str, where: str) -> float | None:
     return _take_positive(entry, key, where) if key in entry else None
 
 
-# ---------- what is driven, in the words of a user: cases, speeds
+# ---------- cases and speeds in the words of a user
 
 
 _HIGHEST_KMH = 250.0
@@ -366,19 +358,8 @@ class Selection:
 def select_cases(cases: str, *, speeds: str | None = None, force: bool = False) -> Selection:
     """Cases and speeds by the words of a user.
 
-    Parameters
-    ----------
-    cases : str
-        See :func:`scenarios.cases.pick_cases`.
-    speeds : str, optional
-        Speeds with commas between, or ranges: "20-40" is every speed of the case in it. [km/h]
-    force : bool
-        Drive speeds that the protocol does not.
-
-    Returns
-    -------
-    selection : Selection
-        At least one case.
+    `cases` is as for :func:`pick_cases`; `speeds` are km/h with commas between, or ranges: "20-40"
+    is every speed of the case in it. `force` drives speeds that the protocol does not.
 
     Raises
     ------

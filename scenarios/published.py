@@ -33,23 +33,19 @@ _FILES = ("town05_runs.toml",)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CasePlacement:
-    """Where a case is driven at a junction. World frame.
+    """Where a case is driven at a junction, in the world frame.
 
     Attributes
     ----------
-    scene_name : str
-        The junction.
+    scene_name, approach : str
+        The junction, and the arm from which the VUT comes.
     case : Case
         What is driven.
-    approach : str
-        The arm from which the VUT comes.
     vut_path, vru_path : StraightPath
         From the start points on.
-    vru_meeting_m : float
-        Distance along the VRU's path from its start to where the middle of the VRU is at the
-        impact. [m]
-    vut_meeting_m : float
-        Distance along the VUT's path from its start to the point beside the VRU's middle. [m]
+    vut_meeting_m, vru_meeting_m : float
+        Distances along the paths from their starts to where the middle of the VRU is at the impact,
+        and to the point beside it on the VUT's path. [m]
     obstruction : tuple of PlacedActor
         Parked bodies that belong to this case only.
     """
@@ -95,20 +91,8 @@ def find_placement(scene_name: str, case: Case, approach: str) -> CasePlacement 
 def stage_published(placement: CasePlacement, *, vut_speed_kmh: float, vut: Actor) -> Staging:
     """Set a run up as the study's generator does.
 
-    Parameters
-    ----------
-    placement : CasePlacement
-        Starts and meeting point.
-    vut_speed_kmh : float
-        Constant. [km/h]
-    vut : Actor
-        The vehicle under test.
-
-    Returns
-    -------
-    staging : Staging
-        Both stand at their start, set off at full speed and keep it. At the impact the middle of
-        the VRU is at the meeting point, and the VUT's front at its flank (longitudinal: its rear).
+    Both stand at their start, set off at full speed and keep it. At the impact the middle of the
+    VRU is at the meeting point, and the VUT's front at its flank (longitudinal: its rear).
     """
     case = placement.case
     vut_speed, vru_speed = vut_speed_kmh * kmh, case.vru_speed_kmh * kmh

@@ -88,19 +88,10 @@ class Turn:
         return float((self._half_way() * np.exp(-1j * half)).real / np.cos(half))
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position and direction after a distance.
+        """Position (..., 2), ahead and left of the start, and angle turned after a distance.
 
-        Parameters
-        ----------
-        distance_m : (...,) float
-            From the start of the curve; before it and behind its end the path is straight. [m]
-
-        Returns
-        -------
-        position_m : (..., 2) float
-            Ahead of the start and to the left of it. [m]
-        angle_deg : (...,) float
-            Turned so far, counter-clockwise. [deg]
+        Before the curve and behind its end the path is straight. The angle counts in degrees,
+        counter-clockwise.
 
         Notes
         -----
@@ -124,17 +115,7 @@ class Turn:
         return position, self.side * np.degrees(angle)
 
     def turned_by(self, angle_deg: float) -> "Turn":
-        """Return the same turn with another arc, between lanes that meet at another angle.
-
-        Parameters
-        ----------
-        angle_deg : float
-            By how much the whole curve shall turn. [deg]
-
-        Returns
-        -------
-        turn : Turn
-            Same clothoids, same radius.
+        """The same turn with another arc, for lanes that meet at another angle.
 
         Raises
         ------
@@ -176,15 +157,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurnAtSpeed:
-    """A turn and how fast it is driven.
-
-    Attributes
-    ----------
-    turn : Turn
-        The curve.
-    speed_kmh : float
-        Of the VUT. [km/h]
-    """
+    """A turn and how fast the VUT drives it, in km/h."""
 
     turn: Turn
     speed_kmh: float
@@ -209,20 +182,10 @@ def load_turns() -> dict[str, TurnAtSpeed]:
 
 
 def pick_turn(side: str, speed_kmh: float) -> Turn:
-    """Turn on which the VUT drives at a speed.
+    """Turn to a side, "far" (left) or "near" (right), on which the VUT drives at a speed.
 
-    Parameters
-    ----------
-    side : str
-        "far" (left) or "near" (right).
-    speed_kmh : float
-        Of the VUT. [km/h]
-
-    Returns
-    -------
-    turn : Turn
-        Of the tabulated speed. Faster than all: that of the fastest, as the protocol rules for
-        25 km/h; slower than all: that of the slowest.
+    Faster than all tabulated speeds: that of the fastest, as the protocol rules for 25 km/h; slower
+    than all: that of the slowest.
 
     Raises
     ------

@@ -200,13 +200,12 @@ def additions(result: "Result") -> list[str]:
 
 def _private_sentences(result: Mapping[str, Any]) -> list[str]:
     """What cameras see of private ground; of each layout where several are compared."""
-    from ..report.private_ground import private_sentences
+    from ..report.private_ground import private_ground_sentence
 
     return [
-        *private_sentences(result["private_ground"]),
+        private_ground_sentence(result["private_ground"]),
         *(
-            f"{other['name']}: {sentence}"
+            f"{other['name']}: {private_ground_sentence(other['private_ground'])}"
             for other in result.get("compared", ())
-            for sentence in private_sentences(other["private_ground"])
         ),
     ]

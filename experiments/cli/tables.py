@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from ..report.private_ground import private_sentences
+from ..report.private_ground import private_ground_sentence
 from ..report.refinement import refinement_sentences
 from ..report.sampled_worlds import uncertainty_sentences
 
@@ -23,10 +23,10 @@ def _private(summary: Mapping[str, Any]) -> list[str]:
     """What cameras see of private ground; of each layout where several are compared."""
     if "private_ground" not in summary:
         return []
-    sentences = private_sentences(summary["private_ground"])
-    for other in summary.get("compared", ()):
-        sentences += [
-            f"{other['name']}: {sentence}"
-            for sentence in private_sentences(other["private_ground"])
-        ]
-    return sentences
+    return [
+        private_ground_sentence(summary["private_ground"]),
+        *(
+            f"{other['name']}: {private_ground_sentence(other['private_ground'])}"
+            for other in summary.get("compared", ())
+        ),
+    ]

@@ -1,97 +1,15 @@
 """What each unit sees of private ground, as a table."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
-
-import numpy as np
-
-from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, Unquoted
-from geometry.maps.georeferences import transform
-from geometry.maps.gis_files import read_features
-from geometry.scene import Scene
-from placement.private_ground import PrivateGround, build_private_ground
 
 from ..results.numbers import percent
 
 # ---------- ``--no-look FILE``: private ground from a planner's polygons, and what units see of it
 
 
-def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
-    """Private ground from a file of polygons.
-
-    Parameters
-    ----------
-    path : Path
-        GeoJSON, GeoPackage or Shapefile; a column "name" or "id" names an area.
-    scene : Scene
-        Into whose world frame.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or has no polygon, or the scene does not say where on earth it lies
-        while the file does.
-    """
-    import shapely
-
-    found = read_features(path)
-    if found.crs and not scene.crs:
-        raise InputError(
-            str(path),
-            Unquoted(f"coordinates in {found.crs}"),
-            "a scene that says where on earth it lies, or coordinates of its map without a crs",
-        )
-
-    def to_world(points: Any) -> Any:
-        if not found.crs:
-            return points - scene.source_origin_m if not scene.crs else points
-        return transform(points, found.crs, scene.crs)
-
-    areas = []
-    for number, feature in enumerate(found.features, start=1):
-        shape = feature.geometry
-        if shape is None or shape.geom_type not in ("Polygon", "MultiPolygon"):
-            continue
-        name = str(feature.values.get("name") or feature.values.get("id") or f"area {number}")
-        world = shapely.make_valid(shapely.transform(shapely.force_2d(shape), to_world))
-        if not np.isfinite(world.bounds).all():
-            raise InputError(feature.where, Unquoted("coordinates that cannot be"), "a polygon")
-        areas.append((name, world))
-    if not areas:
-        raise InputError(str(path), Unquoted("no polygon"), "areas that cameras must not look into")
-    return build_private_ground(areas)
-
-
-def is_decent(shares: FloatArray, *, most: float) -> BoolArray:
-    """Which candidates see no more than a share of any private area.
-
-    Parameters
-    ----------
-    shares : (n_candidates, n_areas) float
-        See :func:`placement.private_ground.private_shares`.
-    most : float
-        How much they may see, 0 .. 1.
-
-    Raises
-    ------
-    InputError
-        None is.
-    """
-    share = shares.max(axis=1)
-    kept: BoolArray = share <= most
-    if not kept.any():
-        raise InputError(
-            "--no-look-share",
-            Unquoted(percent(most)),
-            f"at least {np.ceil(1000.0 * share.min()) / 1000.0:g}, what the most decent pose sees",
-        )
-    return kept
-
-
-def private_sentences(summary: dict[str, Any]) -> list[str]:
-    """The same in a sentence or two."""
+def private_ground_sentence(summary: Mapping[str, Any]) -> str:
+    """Which unit sees how much of which area."""
     seen = [
         f"{unit} sees {percent(share)} of {name}"
         for unit, shares in summary["units"].items()
@@ -101,14 +19,8 @@ def private_sentences(summary: dict[str, Any]) -> list[str]:
     n_areas = len(summary["areas"])
     what = "the private area" if n_areas == 1 else f"any of the {n_areas} private areas"
     if not seen:
-        return [f"No camera has {what} in its picture."]
-    sentences = [f"Of private ground, {'; '.join(seen)}."]
-    if summary["price_eur"]:
-        sentences.append(
-            f"That is in the cost with {summary['price_eur']:,.0f} EUR, "
-            f"{summary['eur_per_m2']:g} EUR a square metre: no money is paid for it."
-        )
-    return sentences
+        return f"No camera has {what} in its picture."
+    return f"Of private ground, {'; '.join(seen)}."
 
 
 # ---------- what each unit sees of private ground, as a table
@@ -134,7 +46,7 @@ def private_ground_part(
     Returns
     -------
     part : dict or None
-        Sentences, caption, columns and rows: one per area, those seen the most first.
+        Sentence, caption, columns and rows: one per area, those seen the most first.
     """
     if private_ground is None:
         return None
@@ -155,7 +67,7 @@ def private_ground_part(
         if n_shown < n_all:
             caption += f"; of {n_all} {what} the {n_shown} that matter most"
     return {
-        "sentences": _sentences(private_ground, most_seen),
+        "sentence": _short_sentence(private_ground, most_seen),
         "caption": caption,
         "columns": [
             "area",
@@ -175,16 +87,14 @@ def private_ground_part(
     }
 
 
-def _sentences(private_ground: Mapping[str, Any], most_seen: Mapping[str, float]) -> list[str]:
-    """Short where few are seen; where many are, only how many."""
+def _short_sentence(private_ground: Mapping[str, Any], most_seen: Mapping[str, float]) -> str:
+    """Each unit and area where few are seen; where many are, only how many."""
     n_seen = sum(share > 0.0 for share in most_seen.values())
     n_seeing = sum(max(shares.values()) > 0.0 for shares in private_ground["units"].values())
-    of_each, *of_price = private_sentences(dict(private_ground))
     if n_seen * n_seeing <= _MAX_NAMED:
-        return [of_each, *of_price]
+        return private_ground_sentence(private_ground)
     worst = max(most_seen, key=lambda name: most_seen[name])
-    return [
+    return (
         f"{n_seeing} of {len(private_ground['units'])} units see something of {n_seen} of "
-        f"{len(most_seen)} private areas; the most is {percent(most_seen[worst])} of {worst}.",
-        *of_price,
-    ]
+        f"{len(most_seen)} private areas; the most is {percent(most_seen[worst])} of {worst}."
+    )

@@ -1,4 +1,4 @@
-"""The junctions of a map: which there are, and the one that somebody means."""
+"""The junctions of a map: list them, and choose one by name or place."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,21 +18,20 @@ _NEAR_M = 100.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surveyed:
-    """A junction of a map, and what leads there.
+    """A junction of a map and the lanes that lead to it.
 
     Attributes
     ----------
     junction : MapJunction
-        Itself.
+        The junction itself.
     arms : tuple of str
-        Names of its arms; none where no lane ends at its outline.
+        Names of its arms; empty if no lane ends at its outline.
     n_lanes : int
         Driving lanes into it and out of it.
     n_driven : int
         Arms from which a driving lane leads into it.
     position : (2,) float
-        Its middle in the coordinate reference system of the file: longitude and latitude, or
-        metres.
+        Its middle in the file's coordinate reference system: longitude and latitude, or metres.
     """
 
     junction: MapJunction
@@ -45,15 +44,7 @@ class Surveyed:
 def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
     """All junctions of a map, the largest first: by arms, driven arms, then lanes.
 
-    Parameters
-    ----------
-    source : SourceMap
-        With lanes.
-
-    Returns
-    -------
-    surveyed : tuple of Surveyed
-        Of equally large ones that nearest to the middle of the map comes first.
+    Of equally large ones the one nearest to the middle of the map comes first.
     """
     by_junction: dict[str, list[MapLane]] = {junction.id: [] for junction in source.junctions}
     for lane in source.lanes:
@@ -78,29 +69,24 @@ def choose_junction(
     name: str = "",
     at: tuple[float, float] | None = None,
 ) -> Surveyed:
-    """The junction that is meant.
+    """Choose a junction by name or point; by default the first.
 
     Parameters
     ----------
     source : SourceMap
         The map.
     surveyed : sequence of Surveyed
-        Its junctions, as :func:`survey_junctions` gives them.
+        Its junctions, as :func:`survey_junctions` returns them.
     name : str
-        Its id, or its name, or a part of it that no other one has; empty: any.
+        Id or name, or a part of the name that no other junction has; empty: any.
     at : (float, float), optional
-        A point within 100 m, in the coordinate reference system of the file: longitude and
-        latitude, or metres.
-
-    Returns
-    -------
-    chosen : Surveyed
-        By name or point; if nothing is said, the first one.
+        A point within 100 m, in the file's coordinate reference system: longitude and latitude, or
+        metres.
 
     Raises
     ------
     InputError
-        The map has no junction, none is meant, or several are.
+        The map has no junction, or none or several match.
     """
     if not surveyed:
         raise InputError(source.name, Unquoted("no junction"), "a map in which roads meet")

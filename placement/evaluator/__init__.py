@@ -1,10 +1,10 @@
 """Layout -> Evaluation, by rendering every frame: independent of the detection table.
 
-Tour: ``surroundings`` holds everything there is to see; ``render`` casts one ray per pixel and
-gives instances and depths; ``perceive`` derives the visible and the amodal box of the VRU in
-every frame, for roadside cameras and for the one that ``vut_camera`` places on the VUT;
-``scan`` counts LiDAR points, ``pictures`` draws for networks, ``watch`` detects from every unit,
-``awareness`` is what VRUs announce; ``evaluate`` confirms, brakes and looks for contact.
+``surroundings`` holds everything there is to see, and the place of the VUT's camera; ``render``
+casts one ray per pixel and gives instances and depths; ``perceive`` derives the visible and the
+amodal box of the VRU in every frame; ``scan`` counts LiDAR points; ``watch`` detects from every
+unit, and draws pictures for networks; ``evaluate`` adds what VRUs announce themselves, confirms,
+brakes and looks for contact.
 """
 
 from .evaluate import evaluate_layout, evaluate_layouts

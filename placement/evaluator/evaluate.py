@@ -29,7 +29,7 @@ from .watch import (
     watch,
 )
 
-# ---------- from detected frames to verdicts: messages, confirmation, braking, contact
+# ---------- verdicts: confirmation, braking, contact
 
 
 class Judge:
@@ -42,15 +42,8 @@ class Judge:
     def verdict(self, parties: Sequence[tuple[BoolArray, float]]) -> Verdict:
         """Verdict on parties that are fused: in each frame any of them may be the detector.
 
-        Parameters
-        ----------
-        parties : sequence of pair of (n_frames,) bool and float
-            Detected frames that reach the VUT, and how long that takes. [s]
-
-        Returns
-        -------
-        verdict : Verdict
-            Braking sets in when the last message that confirms has arrived.
+        Each party has the (n_frames,) detected frames that reach the VUT, and how long that takes
+        [s]. Braking begins when the last message that confirms has arrived.
         """
         arrival = earliest_arrival_s(parties, self.axis)
         confirmation, onset = onset_times_s(
@@ -104,20 +97,7 @@ def load_vam_rule() -> VamRule:
 
 
 def sent_frames(run: Run, rule: VamRule) -> BoolArray:
-    """Frames of a run in which the VRU's device sends a message; the first is one of them.
-
-    Parameters
-    ----------
-    run : Run
-        How the VRU moves.
-    rule : VamRule
-        When a message is due.
-
-    Returns
-    -------
-    is_sent : (n_frames,) bool
-        One per frame.
-    """
+    """Frames of a run in which the VRU's device sends, (n_frames,) bool; the first is one."""
     time, position, yaw = run.time_s, run.vru_position_m, run.vru_yaw_deg
     steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
     speed = np.append(steps / np.diff(time), 0.0) if len(time) > 1 else np.zeros(1)
@@ -143,22 +123,10 @@ def sent_frames(run: Run, rule: VamRule) -> BoolArray:
 
 
 def known_frames(runs: Sequence[Run], links: Links, rng: np.random.Generator) -> BoolArray:
-    """Frames in which the VUT knows of the VRU from its own messages.
+    """Frames of all runs, end to end, in which the VUT knows of the VRU from its own messages.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        What is driven.
-    links : Links
-        Share of equipped VRUs, and of lost messages.
-    rng : numpy.random.Generator
-        Who is equipped, and what is lost.
-
-    Returns
-    -------
-    is_known : (n_frames,) bool
-        Of all runs, end to end. A message received counts until the next one must come; what the
-        device knows of its own position is taken for good enough.
+    The random numbers say who is equipped and which messages are lost. A message that was received
+    counts until the next one must come. The device is taken to know its own position exactly.
     """
     rule = load_vam_rule()
     luck: dict[int, tuple[float, FloatArray]] = {}
@@ -179,7 +147,7 @@ def known_frames(runs: Sequence[Run], links: Links, rng: np.random.Generator) ->
 _ROUNDING_S = 1.0e-6
 
 
-# ---------- frame by frame to a verdict for every run
+# ---------- evaluation of layouts
 
 
 def evaluate_layout(

@@ -1,4 +1,4 @@
-"""What images show of the VRU in every frame, from pixels.
+"""Boxes of the VRU in every frame, derived from pixels.
 
 Each unit is a camera that is fixed to something: an RSU to the world, the VUT's camera to the
 VUT. Seen from there many instants look the same but for the VUT: such a sight is rendered once.
@@ -45,26 +45,11 @@ def perceive_from_roadside(
     min_height_px: float = 0.0,
     with_shares: bool = False,
 ) -> Evidence:
-    """What a fixed camera sees.
+    """What a fixed camera sees, one row for each frame.
 
-    Parameters
-    ----------
-    surroundings : Surroundings
-        What there is.
-    pose : Pose
-        Where the camera is and looks. World frame.
-    camera : CameraModel
-        What is mounted.
-    min_height_px : float
-        Where the VRU's box cannot be this high nothing is cast, and boxes are zeros. [px]
-    with_shares : bool
-        Whether visible share and cut-off share are wanted; else they are 1, and many rays are
-        saved.
-
-    Returns
-    -------
-    evidence : Evidence
-        One row per frame.
+    Where the VRU's box cannot be `min_height_px` high, nothing is cast and boxes are zeros.
+    Visible share and cut-off share are found `with_shares` only; else they are 1, which saves many
+    rays.
     """
     return _perceive(
         surroundings,
@@ -84,22 +69,7 @@ def perceive_from_vut(
     min_height_px: float = 0.0,
     with_shares: bool = False,
 ) -> Evidence:
-    """What the VUT's own camera sees; the VUT itself is not drawn.
-
-    Parameters
-    ----------
-    surroundings : Surroundings
-        What there is.
-    vut_camera : VutCamera
-        The camera and its place on the VUT.
-    min_height_px, with_shares
-        As in :func:`perceive_from_roadside`. [px]
-
-    Returns
-    -------
-    evidence : Evidence
-        One row per frame.
-    """
+    """What the VUT's own camera sees; the VUT itself is not drawn."""
     vut_poses = surroundings.vut_poses
     return _perceive(
         surroundings,
@@ -284,15 +254,9 @@ def _look(sights: _Sights) -> Iterator[_Glimpse]:
 def _boxes_from_edges(sights: _Sights) -> tuple[FloatArray, BoolArray]:
     """Boxes of VRUs that are seen on all four sides: only the edges of the crops are cast.
 
-    Where a pixel of the VRU's outermost row or column is seen on each side, the visible box is
-    the amodal one, whatever is between: a large part of all rays is saved.
-
-    Returns
-    -------
-    boxes_px : (n, 4) float
-        Visible and amodal box where settled.
-    is_settled : (n,) bool
-        Otherwise the whole crop must be looked at.
+    Where a pixel of the VRU's outermost row or column is seen on each side, the visible box is the
+    amodal one, whatever is between: a large part of all rays is saved. Gives (n, 4) boxes [px]
+    where that settles them, and (n,) whether it does: otherwise the whole crop must be looked at.
     """
     n_sights = len(sights.crops)
     x_min, y_min, x_max, y_max = sights.crops.T

@@ -105,20 +105,7 @@ class View:
 
 
 def build_body(shape: Shape, *, library: str | None = None) -> Solid:
-    """A road user at one instant of its gait, ready for rays in its body frame.
-
-    Parameters
-    ----------
-    shape : Shape
-        Its mesh.
-    library : str, optional
-        Ray library, see :func:`geometry.raycast.build_caster`.
-
-    Returns
-    -------
-    body : Solid
-        Frame: that of the shape.
-    """
+    """A road user at one instant of its gait, ready for rays in its body frame."""
     hull = ConvexHull(shape.vertices_m).vertices
     return Solid(
         caster=build_caster(shape.vertices_m, shape.triangles, library=library),
@@ -134,24 +121,10 @@ def build_static(
     middle_m: FloatArray,
     library: str | None = None,
 ) -> Solid:
-    """Everything that stands still, ready for rays.
+    """Everything that stands still, with the parked bodies of a run, ready for rays.
 
-    Parameters
-    ----------
-    scene : Scene
-        The junction.
-    obstruction : sequence of PlacedActor
-        Parked bodies of a run.
-    middle_m : (2,) float
-        Origin of the solid's frame, so that coordinates are small where rays are cast in single
-        precision. World frame. [m]
-    library : str, optional
-        Ray library, see :func:`geometry.raycast.build_caster`.
-
-    Returns
-    -------
-    static : Solid
-        Its road pose in the world is (*middle_m, 0).
+    The origin is `middle_m`, (2,) in the world frame [m], so that coordinates are small where rays
+    are cast in single precision: its road pose in the world is (*middle_m, 0).
     """
     vertices, triangles = [scene.vertices_m], [scene.triangles]
     for body in obstruction:
@@ -176,20 +149,7 @@ def _normals(shape: Shape) -> FloatArray:
 
 
 def build_lens(pose: Pose, camera: CameraModel) -> Lens:
-    """A camera at its place.
-
-    Parameters
-    ----------
-    pose : Pose
-        Where it is and looks: in the world, or on the VUT.
-    camera : CameraModel
-        Its model.
-
-    Returns
-    -------
-    lens : Lens
-        In the frame of `pose`.
-    """
+    """A camera at its place, in the frame of `pose`: the world, or the VUT."""
     columns, rows = np.arange(camera.width_px), np.arange(camera.height_px)
     across = pixel_rays(columns, np.zeros_like(columns), pose, camera)
     down = pixel_rays(np.zeros_like(rows), rows, pose, camera)
@@ -211,21 +171,9 @@ def render_view(
 ) -> View:
     """Render the image of a camera, or a part of it.
 
-    Parameters
-    ----------
-    lens : Lens
-        The camera.
-    static, vru, vut : pair of Solid and (3,) float
-        What is there and its road pose in the lens's frame; without `vut` there is no VUT, as
-        for the VUT's own camera.
-    crop_px : tuple of int, optional
-        x_min, y_min, x_max, y_max: columns x_min .. x_max - 1 and rows y_min .. y_max - 1;
-        by default the whole image. [px]
-
-    Returns
-    -------
-    view : View
-        Instances and depths.
+    `static`, `vru` and `vut` come with their road poses (3,) in the lens's frame; without `vut`
+    there is no VUT, as for the VUT's own camera. `crop_px` is x_min, y_min, x_max, y_max: columns
+    x_min .. x_max - 1 and rows y_min .. y_max - 1; by default the whole image.
     """
     whole = (0, 0, lens.camera.width_px, lens.camera.height_px)
     crop = np.array([crop_px or whole], dtype=np.int64)
@@ -251,24 +199,12 @@ def render_view(
 def crop_boxes(
     lens: Lens, hull_m: FloatArray, road_poses: FloatArray
 ) -> tuple[IntArray, FloatArray]:
-    """Parts of the image that hold a body, and its depths, for many poses.
+    """Parts of the image that hold a body, and its depths, for many road poses (n, 3).
 
-    Parameters
-    ----------
-    lens : Lens
-        The camera.
-    hull_m : (n_vertices, 3) float
-        Vertices of the body's convex hull, body frame. [m]
-    road_poses : (n, 3) float
-        Of the body.
-
-    Returns
-    -------
-    crops_px : (n, 4) int
-        Box around the projection, a pixel larger, clipped to the image; zeros where the body is
-        outside the field of view. The whole image where the body reaches behind the lens.
-    depth_m : (n, 2) float
-        Depth of the nearest and the farthest vertex along the optical axis. [m]
+    Gives (n, 4) the box around the projection of the hull's vertices (body frame), a pixel larger,
+    clipped to the image [px]: zeros where the body is outside the field of view, the whole image
+    where it reaches behind the lens; and (n, 2) the depth of the nearest and the farthest vertex
+    [m].
     """
     camera = lens.camera
     right, down, depth = _hulls_in_camera(lens, hull_m, road_poses)
@@ -298,17 +234,9 @@ def crop_boxes(
 
 
 def inside_shares(lens: Lens, hull_m: FloatArray, road_poses: FloatArray) -> FloatArray:
-    """Part of a body's box that the image's edges do not cut off.
+    """Part of a body's box that the image's edges do not cut off, (n,) 0 .. 1.
 
-    Parameters
-    ----------
-    lens, hull_m, road_poses
-        As for :func:`crop_boxes`.
-
-    Returns
-    -------
-    inside_share : (n,) float
-        0 .. 1; 0 where the body reaches behind the lens.
+    It is 0 where the body reaches behind the lens.
     """
     right, down, depth = _hulls_in_camera(lens, hull_m, road_poses)
     inside = np.ones(len(road_poses))
@@ -328,25 +256,11 @@ def cast_crops(
     crops_px: IntArray,
     masks: Sequence[BoolArray] | None = None,
 ) -> list[FloatRays]:
-    """Depths of one solid at many poses, in a part of the image for each.
+    """Depths of one solid at many road poses (n, 3), in a part of the image for each, in one go.
 
-    Parameters
-    ----------
-    lens : Lens
-        The camera.
-    solid : Solid
-        Against what rays are cast, in one go.
-    road_poses : (n, 3) float
-        Of the solid.
-    crops_px : (n, 4) int
-        Parts of the image: x_min, y_min, x_max, y_max. [px]
-    masks : sequence of (h, w) bool, optional
-        Pixels of the crops that are wanted; by default all.
-
-    Returns
-    -------
-    depths_m : list of (n_pixels,) float32
-        Row by row; infinite where nothing is hit beyond the camera's nearest distance. [m]
+    `crops_px` is (n, 4): x_min, y_min, x_max, y_max; `masks` say which of their pixels are wanted,
+    by default all. Depths are float32, row by row, infinite where nothing is hit beyond the
+    camera's nearest distance [m].
     """
     rotations, origins = _into_body(lens, road_poses)
     shapes = crops_px[:, [3, 2]] - crops_px[:, [1, 0]]

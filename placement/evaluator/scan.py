@@ -1,4 +1,4 @@
-"""What a LiDAR's beams hit of the VRU in every frame: counted, thinned by distance and weather."""
+"""LiDAR points on the VRU in every frame: counted, and thinned by distance and weather."""
 
 import itertools
 from collections.abc import Iterator
@@ -29,23 +29,9 @@ _SIGHTS_AT_ONCE = 256
 def scan_from_roadside(
     surroundings: Surroundings, pose: Pose, lidar: LidarModel, rng: np.random.Generator
 ) -> BoolArray:
-    """Frames in which a fixed LiDAR detects the VRU.
+    """Frames in which a fixed LiDAR gets enough points on the VRU, (n_frames,) bool.
 
-    Parameters
-    ----------
-    surroundings : Surroundings
-        What there is.
-    pose : Pose
-        Where the LiDAR is and looks. World frame.
-    lidar : LidarModel
-        What is mounted.
-    rng : numpy.random.Generator
-        Which pulses come back.
-
-    Returns
-    -------
-    detected : (n_frames,) bool
-        Enough points on the VRU.
+    The random numbers say which pulses come back.
     """
     return _scan(
         surroundings,
@@ -179,20 +165,9 @@ def _beams_around(
 ) -> Iterator[IntArray]:
     """Beams in boxes of angles around cones, cone by cone: line by line, each from right to left.
 
-    Parameters
-    ----------
-    lidar : LidarModel
-        Scan pattern.
-    towards : (n, 3) float
-        Axes of the cones, unit vectors in the LiDAR's frame.
-    half_angle_rad : (n,) float
-        How wide they are. [rad]
-
-    Yields
-    ------
-    beam : (n_beams,) int
-        Into the flattened scan pattern. Over the seam of a LiDAR that scans all round they go on:
-        a cone has the same beams in the same order however the LiDAR is turned.
+    Cones have axes (n, 3), unit vectors in the LiDAR's frame. Beams are indices into the flattened
+    scan pattern. Over the seam of a LiDAR that scans all round they go on: a cone has the same
+    beams in the same order however the LiDAR is turned.
     """
     azimuth = np.arctan2(towards[:, 1], towards[:, 0])
     elevation = np.arcsin(np.clip(towards[:, 2], -1.0, 1.0))

@@ -34,7 +34,7 @@ from .render import (
     render_view,
 )
 
-# ---------- everything that can be seen in the frames of some runs
+# ---------- surroundings of runs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,27 +105,7 @@ _PER_FRAME = (
 def build_surroundings(
     scene: Scene, runs: Sequence[Run], *, library: str | None = None
 ) -> Surroundings:
-    """Prepare a scene and runs for rendering.
-
-    Parameters
-    ----------
-    scene : Scene
-        The junction.
-    runs : sequence of Run
-        At least one; all with the same VUT.
-    library : str, optional
-        Ray library, see :func:`geometry.raycast.build_caster`.
-
-    Returns
-    -------
-    surroundings : Surroundings
-        Frames of the runs in order.
-
-    Raises
-    ------
-    InputError
-        There is more than one VUT.
-    """
+    """Prepare a scene and runs for rendering; InputError if there is more than one VUT."""
     vuts = {run.encounter.vut.name: run.encounter.vut for run in runs}
     if len(vuts) != 1:
         raise InputError("runs: VUT", sorted(vuts), "the same vehicle in all runs")
@@ -171,28 +151,7 @@ def render_frame(
     with_vut: bool = True,
     crop_px: tuple[int, int, int, int] | None = None,
 ) -> View:
-    """Render one frame.
-
-    Parameters
-    ----------
-    surroundings : Surroundings
-        What there is.
-    frame_index : int
-        When.
-    pose : Pose
-        Where the camera is and looks. World frame.
-    camera : CameraModel
-        What is mounted.
-    with_vut : bool
-        Whether the VUT is drawn; the VUT's own camera does not see it.
-    crop_px : tuple of int, optional
-        Part of the image, see :func:`placement.evaluator.render.render_view`. [px]
-
-    Returns
-    -------
-    view : View
-        Instances and depths.
-    """
+    """Render one frame; `crop_px` as for :func:`placement.evaluator.render.render_view`."""
     vut = (surroundings.vut, surroundings.vut_poses[frame_index])
     return render_view(
         build_lens(pose, camera),
@@ -210,17 +169,7 @@ def render_frame(
 
 
 def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> FloatArray:
-    """Road poses as seen from a carrier.
-
-    Parameters
-    ----------
-    road_poses, carrier_poses : (n, 3) float
-        East, north, yaw in one frame. [m], [deg]
-
-    Returns
-    -------
-    relative : (n, 3) float
-        Ahead, left, yaw in the carrier's frame. [m], [deg]
+    """Road poses (n, 3) - east, north, yaw - as ahead, left, yaw of a carrier, in m and deg.
 
     Examples
     --------
@@ -278,18 +227,7 @@ class VutCamera:
     up_per_half_height: float
 
     def pose_on(self, vut: Actor) -> Pose:
-        """Where it is in the body frame of a vehicle.
-
-        Parameters
-        ----------
-        vut : Actor
-            The vehicle.
-
-        Returns
-        -------
-        pose : Pose
-            Body frame of `vut`.
-        """
+        """Where it is in the body frame of a vehicle."""
         ahead_m = self.ahead_per_half_length * 0.5 * vut.length_m
         up_m = self.up_per_half_height * 0.5 * vut.height_m
         return Pose(position_m=np.array([ahead_m, 0.0, up_m]), yaw_deg=0.0)

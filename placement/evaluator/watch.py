@@ -37,7 +37,7 @@ from .perceive import perceive_from_roadside, perceive_from_vut
 from .scan import scan_from_roadside, scan_from_vut
 from .surroundings import VutCamera, build_surroundings, load_vut_camera, load_vut_lidar
 
-# ---------- pictures of the evaluator's frames, for detectors that look at them
+# ---------- pictures for networks
 
 
 PictureOfFrame = Callable[[int], Image]
@@ -66,20 +66,7 @@ class PictureSource:
         self._is_closed = True
 
     def from_roadside(self, pose: Pose, camera: CameraModel) -> PictureOfFrame:
-        """Pictures of a fixed camera.
-
-        Parameters
-        ----------
-        pose : Pose
-            World frame.
-        camera : CameraModel
-            What is mounted.
-
-        Returns
-        -------
-        picture : callable
-            From a frame of all runs, end to end, to its image.
-        """
+        """Pictures of a fixed camera: from a frame of all runs, end to end, to its image."""
         return lambda frame: self._draw(frame, pose, camera, with_vut=True)
 
     def from_vut(self, mount: VutCamera) -> PictureOfFrame:
@@ -134,7 +121,7 @@ def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
     )
 
 
-# ---------- frames in which the VRU is detected, by every unit and by the VUT itself
+# ---------- detections
 
 
 UnitKey = tuple[object, ...]
@@ -162,22 +149,11 @@ def watch(
     *,
     compute: Compute,
 ) -> dict[UnitKey, BoolArray]:
-    """Frames in which each unit, and the VUT under ``VUT_KEY``, detects the VRU.
+    """Frames in which each unit, and the VUT under ``VUT_KEY``, detects the VRU, (n_frames,) each.
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene, runs, detector, the VUT's sensors.
-    units : mapping of key to CandidatePose
-        See :func:`unit_key`.
-    compute : Compute
-        Progress is called from the calling thread: first with poses looked from, a quarter of the
-        VUT's frames counting as one; then, where the detector looks at pictures, with pictures.
-
-    Returns
-    -------
-    detected : dict of key to (n_frames,) bool
-        Before any message is lost.
+    No message is lost yet. Progress is called from the calling thread: first with poses looked
+    from, a quarter of the VUT's frames counting as one; then, where the detector looks at
+    pictures, with pictures.
     """
     watcher = _Watcher(setting, compute)
     looks, detected = watcher.look(units)

@@ -1,10 +1,10 @@
 """Why, and why not: what a layout's units are there for, what they miss, what else would do.
 
-``contributions`` takes one unit away at a time; ``unavoided`` takes the runs that are not avoided,
-and asks ``hiding`` what is in the way; ``pool`` lists other sets as good, by going through
-``every_set`` or by ``exchange``, on the ``rows`` of what sets are worth. ``conflicts`` finds the
-smallest set of ``demands`` that no layout meets and asks ``relaxing`` how little has to give way,
-both by the ``oracle``; ``wording`` says it in the words of the command line.
+``contributions`` takes one unit away at a time; ``failures`` looks at every set of units that may
+fail together; ``unavoided`` says why runs are not avoided, and what is in the way; ``pool`` lists
+other sets that are as good; ``sensitivity`` changes one assumption at a time, ``tolerance`` the
+mounting of one unit. ``conflicts`` finds the smallest set of ``demands`` that no layout meets, and
+how little has to give way.
 """
 
 from .conflicts import Conflict, build_separation, find_conflicts, find_refusal

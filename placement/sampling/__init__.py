@@ -1,10 +1,9 @@
-"""What is not known when a layout is chosen -> detection tables of many worlds.
+"""Uncertainty -> sampled worlds -> detection tables of many worlds.
 
-``uncertainty`` says what is uncertain and how much, ``files`` reads it; ``luck`` keeps all draws
-apart; ``traffic`` parks vehicles and lets others wait, ``ways`` keeps them off those of VUT and
-VRU; ``samples`` draws worlds, ``drawing`` what a detector misses in them and which messages are
-lost; ``tables`` stacks their detection tables for the optimiser, ``fresh`` judges a layout in
-worlds that it was not chosen in, ``risk`` sums up what comes out.
+``uncertainty`` says what is uncertain and how much; ``random_streams`` gives each thing random
+numbers of its own; ``traffic`` parks vehicles and lets others wait, out of the way of VUT and VRU;
+``worlds`` draws worlds, and ``tables`` their detection tables, with misses and lost messages, end
+to end for the optimiser. ``out_of_sample`` evaluates a layout in worlds that it was not chosen in.
 """
 
 from .out_of_sample import (

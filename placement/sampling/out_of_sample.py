@@ -1,4 +1,4 @@
-"""A layout in fresh worlds: what it is worth where it was not chosen."""
+"""Evaluation of layouts in sampled worlds that they were not chosen in."""
 
 import math
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from .tables import build_sample_tables
 from .uncertainty import Uncertainty
 from .worlds import draw_samples
 
-# ---------- many sampled worlds in a few numbers
+# ---------- statistics of many worlds
 
 
 CONFIDENCE = 0.95
@@ -158,7 +158,7 @@ def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
     return math.fsum(counts * samples) / n_counted
 
 
-# ---------- A layout in fresh worlds: what it is worth where it was not chosen
+# ---------- layouts in new worlds
 
 
 STAGE = "out of sample"
@@ -220,7 +220,7 @@ def out_of_sample(
     fusion: str = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> SampledApr:
-    """Judge one layout in fresh worlds; see :func:`out_of_sample_layouts`."""
+    """Evaluate one layout in new worlds; see :func:`out_of_sample_layouts`."""
     (judged,) = out_of_sample_layouts(
         setting,
         [layout],
@@ -241,7 +241,7 @@ def out_of_sample_layouts(
     fusion: str = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> list[SampledApr]:
-    """Judge layouts in fresh worlds, all in the same ones.
+    """Evaluate layouts in new sampled worlds, all in the same ones.
 
     Parameters
     ----------

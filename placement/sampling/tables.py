@@ -1,4 +1,4 @@
-"""Detection tables of sampled worlds, end to end in one: the optimiser sees a table like any."""
+"""Detection tables of sampled worlds, end to end in one table for the optimiser."""
 
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -41,7 +41,7 @@ from .random_streams import Luck, pose_key
 from .uncertainty import Uncertainty
 from .worlds import Sample, draw_samples
 
-# ---------- what a detector misses by chance, frame by frame, and which messages are lost
+# ---------- misses and lost messages
 
 
 def build_drawn_table(
@@ -52,21 +52,9 @@ def build_drawn_table(
 ) -> DetectionTable:
     """Detection table of a sampled world in which chance decides every frame of a camera.
 
-    Parameters
-    ----------
-    sample : Sample
-        The world.
-    detector : ResponseDetector
-        Gives the probabilities. Boxes are not drawn: they are near enough to match.
-    compute : Compute
-        Progress is told the mount positions.
-
-    Returns
-    -------
-    table : DetectionTable
-        V[c, f]. The luck of a pose does not depend on the others, and is one and the same in all
-        weathers; from frame to frame it is linked as in the evaluator. A LiDAR counts the points
-        that it may expect.
+    The random numbers of a pose do not depend on the other poses, and are the same in all
+    weathers; from frame to frame they are linked as in the evaluator. Boxes are not drawn: they
+    are near enough to match. A LiDAR counts the points that it may expect.
     """
     setting = sample.setting
     world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed)
@@ -107,17 +95,7 @@ def build_drawn_table(
 def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
     """A table without the detections whose messages are lost.
 
-    Parameters
-    ----------
-    sample : Sample
-        The world: its share of lost messages, its luck.
-    table : DetectionTable
-        Its rows are the poses of the sample.
-
-    Returns
-    -------
-    table : DetectionTable
-        Each pose loses its messages by itself; in all weathers the same ones.
+    Each pose loses its messages independently of the others, the same ones in all weathers.
     """
     loss = sample.setting.links.packet_loss
     if loss == 0.0:
@@ -147,19 +125,9 @@ class FrameLinks:
     index: IntArray
 
     def noise(self, correlation: float, rng: np.random.Generator) -> FloatArray:
-        """Standard normal numbers, each linked to that of the frame before.
+        """Standard normal numbers, (n_frames,): a first-order autoregression in each run.
 
-        Parameters
-        ----------
-        correlation : float
-            Of one frame with the next, 0 .. 1.
-        rng : numpy.random.Generator
-            Of the draws.
-
-        Returns
-        -------
-        noise : (n_frames,) float
-            A first-order autoregression in each run.
+        `correlation` is that of a frame with the next, 0 .. 1.
         """
         fresh = rng.standard_normal(self.is_frame.shape)
         step = np.sqrt(1.0 - correlation**2)
@@ -272,18 +240,7 @@ class SampledTable:
         object.__setattr__(self, "sample_index", freeze(index))
 
     def apr_by_sample(self, is_avoided: BoolArray) -> FloatArray:
-        """Accident prevention ratio in each world.
-
-        Parameters
-        ----------
-        is_avoided : (n_runs,) bool
-            Of `table`.
-
-        Returns
-        -------
-        apr : (n_samples,) float
-            0 .. 1.
-        """
+        """Accident prevention ratio in each world, (n_samples,), of (n_runs,) avoided runs."""
         weight = self.table.axis.weight
         every, avoided = (
             np.bincount(self.sample_index, weights=counted, minlength=self.n_samples)
@@ -360,20 +317,8 @@ def build_sample_tables(
 ) -> Iterator[tuple[Sample, DetectionTable]]:
     """Detection table of one sampled world after the other, from the cache or built anew.
 
-    Parameters
-    ----------
-    samples : iterable of Sample
-        Worlds of one setting.
-    n_samples : int
-        How many worlds there are, for the progress.
-    compute : Compute
-        As for :func:`sampled_table`.
-
-    Yields
-    ------
-    sample, table : Sample, DetectionTable
-        V[c, f], less what is lost on the way. Worlds in which all looks as planned, whatever
-        messages do, share one build.
+    Detections whose messages are lost are taken out. Worlds in which everything looks as planned
+    share one build. `n_samples` is the number of all worlds, for the progress.
     """
     as_planned: DetectionTable | None = None
     for index, sample in enumerate(samples):

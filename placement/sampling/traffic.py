@@ -23,7 +23,7 @@ from scenarios.runs import Run
 
 from .uncertainty import StandingTraffic, VehicleKind
 
-# ---------- what VUT and VRU sweep over, and what stands in their way
+# ---------- ways of VUT and VRU
 
 
 _STEP_M = 0.25  # along a way, from one footprint to the next
@@ -64,20 +64,10 @@ def group_key(run: Run) -> GroupKey:
 
 
 def build_ways(runs: Sequence[Run], rule: AebRule) -> dict[GroupKey, Ways]:
-    """Ways of runs by group.
+    """Ways of runs by group, see :func:`group_key`.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        What is driven.
-    rule : AebRule
-        The VUT may brake as late as at the impact: its way ends where it then stands, and the
-        VRU's where it then is.
-
-    Returns
-    -------
-    ways : dict
-        By :func:`group_key`.
+    The VUT may brake as late as at the impact: its way ends where it then stands, and the VRU's
+    where it then is.
     """
     groups: dict[GroupKey, list[Run]] = {}
     for run in runs:
@@ -133,7 +123,7 @@ def _sweep(body: Actor, motion: Motion, end_m: float) -> FloatArray:
     return footprint_corners(position, yaw_deg, length_m=body.length_m, width_m=body.width_m)
 
 
-# ---------- vehicles that stand at random: in the parking lanes of the arms, and at the stop lines
+# ---------- vehicles that stand
 
 
 _HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls; and just below each roof
@@ -246,20 +236,7 @@ class Street:
 
 
 def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
-    """Find where in a scene vehicles may stand.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its junction's lanes.
-    traffic : StandingTraffic
-        How near to the junction, how far along the arms.
-
-    Raises
-    ------
-    InputError
-        The scene has no junction.
-    """
+    """Find where in a scene vehicles may stand; raises InputError where there is no junction."""
     parking, entries = [], []
     for arm in build_junction(scene).arms.values():
         for is_in, lanes in ((True, arm.lanes_in), (False, arm.lanes_out)):
@@ -286,21 +263,9 @@ def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
 
 
 def stop_line_m(arm: Arm, lane: Lane, crosswalk_gap_m: float) -> float:
-    """How far before a lane's mouth the first vehicle waits: there, or before the crosswalk.
+    """How far before a lane's mouth the first vehicle waits, at least 0 m.
 
-    Parameters
-    ----------
-    arm : Arm
-        Where pedestrians cross.
-    lane : Lane
-        That leads into the junction.
-    crosswalk_gap_m : float
-        From the line on which they cross to the first bumper. [m]
-
-    Returns
-    -------
-    distance_m : float
-        At least 0. [m]
+    At the mouth, or `crosswalk_gap_m` before the line on which pedestrians cross.
     """
     line, _ = lane_line(lane, is_in=True, length_m=_MOUTH_M)
     if abs(line.left @ arm.crosswalk.direction) < _PARALLEL:
@@ -314,20 +279,8 @@ def clear_of_ways(
 ) -> dict[GroupKey, tuple[PlacedActor, ...]]:
     """Vehicles that stand in nobody's way, by group of runs.
 
-    Parameters
-    ----------
-    vehicles : tuple of PlacedActor
-        All that stand.
-    ways : mapping of group to Ways
-        What the runs of each group sweep over.
-    clearance_m : float
-        Nobody stands nearer to a way. [m]
-
-    Returns
-    -------
-    clear : dict
-        What stands in the runs of each group: a vehicle that is in the way has not come yet, or
-        has left.
+    Nobody stands nearer to a way than `clearance_m`: a vehicle that would has not come yet, or has
+    left.
     """
     corners = [footprint_of(placed) for placed in vehicles]
     return {

@@ -1,4 +1,4 @@
-"""What is not known on the day a layout is chosen, and how much of it."""
+"""Uncertainty: mounting errors, traffic, misses, lost messages, latencies; read from TOML."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ from geometry.files import (
 
 from ..latency import LatencyBudget, load_latency_budget
 
-# ---------- what is not known on the day a layout is chosen, and how much of it
+# ---------- kinds of uncertainty
 
 
 DISTRIBUTIONS = ("gamma", "uniform")
@@ -95,21 +95,9 @@ class LatencyJitter:
             raise InputError("budget", self.budget.name, "no mean_s and sd_s beside it")
 
     def draw_s(self, rng: np.random.Generator, n_runs: int, *, rule_latency_s: float) -> FloatArray:
-        """Draw how much longer messages take than by the rule.
+        """Draw how much longer messages take than by the rule, (n_runs,) in s.
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Of the draws.
-        n_runs : int
-            How many runs.
-        rule_latency_s : float
-            What the rule counts on. [s]
-
-        Returns
-        -------
-        extra_s : (n_runs,) float
-            Negative where a budget's total is shorter than the rule's latency. [s]
+        Negative where a budget's total is shorter than the rule's latency.
         """
         n_draws = n_runs if self.drawn_per == "run" else 1
         if self.budget is not None:
@@ -269,7 +257,7 @@ def _check_range(holder: object, name: str, most: float, unit: str) -> None:
         raise InputError(name, value, f"0 to {most:g} {unit}".rstrip())
 
 
-# ---------- uncertainties by name, or from a user's TOML file
+# ---------- reading
 
 
 UNCERTAINTY_NAMES = ("default", "none")

@@ -1,4 +1,4 @@
-"""Sampled worlds: how units really hang, what stands in the street, how long messages take."""
+"""Sampled worlds: mounting errors, standing vehicles and latencies, drawn for each world."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -1,8 +1,8 @@
 """Candidates + runs -> detection table.
 
-``surface`` spreads points over a VRU, ``obstructions`` tells apart what stands in some runs only,
-``casting`` sends rays from each mount position to the points, ``build`` projects what the rays
-reach into every camera of the position, ``cache`` keeps the table.
+``casting`` spreads points over each VRU and sends rays to them from every mount position,
+``sensing`` projects the points that the rays reach into the sensors of the position, ``build``
+makes the table of all positions, ``cache`` keeps it on disk.
 """
 
 from .build import build_detection_table

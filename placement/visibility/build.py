@@ -117,7 +117,7 @@ def _reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
     return max_distance_m(sensor, detector, vru_height_m=2.0 * world.radius_m)
 
 
-# ---------- what a few poses detect, each under a detector of its own: rays only to what is in view
+# ---------- a few poses, each with a detector of its own
 
 
 _MARGIN_RAD = 1.0e-3  # for the rounding of single precision
@@ -131,23 +131,10 @@ def detected_frames(
     pool: ThreadPoolExecutor,
     compute: Compute,
 ) -> BoolArray:
-    """Frames in which units detect, each with a detector of its own.
+    """Frames in which units detect, each with a detector of its own, (n_looks, n_frames) bool.
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene and runs.
-    looks : sequence of (CandidatePose, PlanningDetector)
-        Rays are cast once for all from one place, and only to what any of them has in its view.
-    pool : ThreadPoolExecutor
-        Works on the places.
-    compute : Compute
-        Progress is told the places.
-
-    Returns
-    -------
-    detected : (n_looks, n_frames) bool
-        The rows that :func:`placement.visibility.build_detection_table` has for each.
+    These are the rows that :func:`build_detection_table` has for each. Rays are cast once for all
+    from one place, and only to what any of them has in its view.
     """
     world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed)
     places: dict[tuple[float, ...], list[int]] = {}

@@ -34,18 +34,7 @@ def table_fingerprint(
     *,
     seed: int,
 ) -> str:
-    """Hash of all that a detection table depends on.
-
-    Parameters
-    ----------
-    scene, candidates, runs, detector, seed
-        As given to :func:`placement.visibility.build.build_detection_table`.
-
-    Returns
-    -------
-    fingerprint : str
-        32 hexadecimal digits.
-    """
+    """Hash of all that a detection table depends on, 32 hexadecimal digits."""
     digest = hashlib.blake2b(digest_size=16)
 
     def add(*values: object) -> None:
@@ -95,17 +84,7 @@ def _numbered(things: Iterable[_T]) -> dict[_T, int]:
 
 
 def save_table(path: Path, table: DetectionTable, *, fingerprint: str) -> None:
-    """Write a table, whole or not at all; a folder that cannot be written to is only logged.
-
-    Parameters
-    ----------
-    path : Path
-        The file; its folder is made.
-    table : DetectionTable
-        What to keep.
-    fingerprint : str
-        Of the table's inputs.
-    """
+    """Write a table, whole or not at all; a folder that cannot be written to is only logged."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(
@@ -121,22 +100,7 @@ def save_table(path: Path, table: DetectionTable, *, fingerprint: str) -> None:
 def load_table(
     path: Path, *, fingerprint: str, candidates: Sequence[CandidatePose], axis: FrameAxis
 ) -> DetectionTable | None:
-    """Read a table; a damaged or foreign file is logged and not used.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    fingerprint : str
-        What the table must have been made from.
-    candidates, axis
-        Rows and columns of the table.
-
-    Returns
-    -------
-    table : DetectionTable or None
-        None if there is no such file, or it cannot be trusted.
-    """
+    """Read a table of a fingerprint; None, and logged, if the file is damaged or foreign."""
     try:
         # Opened here: numpy does not close a file that turns out to be no archive.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:

@@ -26,7 +26,7 @@ from geometry.scene import Scene
 from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
-# ---------- what stands still in some runs only
+# ---------- obstructions
 
 
 def obstruction_key(run: Run) -> tuple[object, ...]:
@@ -44,24 +44,7 @@ def find_obstructions(
 def build_static_mesh(
     scene: Scene, obstruction: tuple[PlacedActor, ...], origin_m: FloatArray
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Vertices and triangles of a scene with an obstruction, relative to an origin.
-
-    Parameters
-    ----------
-    scene : Scene
-        What stands still in all runs.
-    obstruction : tuple of PlacedActor
-        What stands still in some.
-    origin_m : (3,) float
-        Of `World`. [m]
-
-    Returns
-    -------
-    vertices_m : (n, 3) float
-        Relative to the origin. [m]
-    triangles : (m, 3) int32
-        Vertex indices.
-    """
+    """Vertices (n, 3) from an origin, and triangles (m, 3), of a scene with an obstruction."""
     vertices, triangles = [scene.vertices_m], [scene.triangles]
     for parked in obstruction:
         shape = parked.actor.shapes[0]
@@ -70,7 +53,7 @@ def build_static_mesh(
     return np.concatenate(vertices) - origin_m, np.concatenate(triangles)
 
 
-# ---------- points spread over a body: what rays are sent to
+# ---------- points on a body
 
 
 _SAMPLES_PER_POINT = 30
@@ -101,24 +84,10 @@ class Surface:
 
 @cache  # tables of variants ask for the same bodies again
 def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -> Surface:
-    """Spread points evenly over the outside of a body.
+    """Spread points evenly over the outside of a body's shape, a closed mesh.
 
-    Parameters
-    ----------
-    actor : Actor
-        The body.
-    shape_index : int
-        Which of its shapes: a closed mesh.
-    n_points : int
-        How many.
-    seed : int
-        Of the random samples that the points are picked from.
-
-    Returns
-    -------
-    surface : Surface
-        The extremes along 26 directions first, so that boxes around the points are boxes around
-        the shape; then, one by one, the sample farthest from all points so far.
+    The extremes along 26 directions come first, so that boxes around the points are boxes around
+    the shape; then, one by one, the random sample farthest from all points so far.
 
     References
     ----------
@@ -154,7 +123,7 @@ def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -
     )
 
 
-# ---------- rays from a mount position to the VRU's points: once per position and unique VRU pose
+# ---------- rays
 
 
 _OFF_SURFACE_M = 1.0e-3
@@ -261,23 +230,9 @@ class Sight:
 
 
 def build_world(scene: Scene, runs: Sequence[Run], *, n_points: int, seed: int) -> World:
-    """Prepare scenes, bodies and views for rays.
+    """Prepare scene, bodies and views for :func:`cast_sight`, from any thread.
 
-    Parameters
-    ----------
-    scene : Scene
-        What stands still.
-    runs : sequence of Run
-        All with the same VUT.
-    n_points : int
-        Points per VRU.
-    seed : int
-        Of the points.
-
-    Returns
-    -------
-    world : World
-        Ready for :func:`cast_sight`, from any thread.
+    All runs have the same VUT.
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     shapes = _find_shapes(runs)
@@ -361,23 +316,10 @@ def _build_views(
 def cast_sight(
     world: World, position_m: FloatArray, *, near_m: float, max_distance_m: float
 ) -> Sight:
-    """Cast all rays of one mount position.
+    """Cast all rays of one mount position; entries without any visible point are left out.
 
-    Parameters
-    ----------
-    world : World
-        What is looked at and what is in the way.
-    position_m : (3,) float
-        Mount position, world frame. [m]
-    near_m : float
-        What is nearer than this to the lens hides nothing. [m]
-    max_distance_m : float
-        VRUs farther than this are not looked at. [m]
-
-    Returns
-    -------
-    sight : Sight
-        Entries without any visible point are left out.
+    What is nearer than `near_m` to the lens hides nothing; VRUs farther than `max_distance_m` are
+    not looked at.
     """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m

@@ -1,4 +1,4 @@
-"""What the sensors of one mount position detect: project the points that the rays reach."""
+"""Detections of the sensors of one mount position: projects the points that the rays reach."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -102,17 +102,7 @@ class Sensing:
 def build_sensing(
     world: World, sight: Sight, position_m: FloatArray, detector: PlanningDetector
 ) -> Sensing:
-    """All that does not depend on where a sensor looks.
-
-    Parameters
-    ----------
-    world, sight
-        What is seen from the mount.
-    position_m : (3,) float
-        Of the mount, world frame. [m]
-    detector : PlanningDetector
-        Of cameras.
-    """
+    """All that does not depend on where a sensor at a mount looks."""
     views = world.views
     eye = (position_m - world.origin_m).astype(np.float32)
     offsets = views.points_m[sight.view_index] - eye
@@ -134,21 +124,9 @@ def build_sensing(
 
 
 def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
-    """Distance from a mount beyond which a sensor detects no VRU, however its lens is set.
+    """Distance from a mount beyond which a sensor detects no VRU, however its lens is set, in m.
 
-    Parameters
-    ----------
-    sensor : CameraModel or LidarModel
-        What hangs there.
-    detector : PlanningDetector
-        Of cameras.
-    world : World
-        What is looked at.
-
-    Returns
-    -------
-    reach_m : float
-        To the middle of the footprint; may be infinite. [m]
+    To the middle of the footprint; may be infinite.
     """
     extent_m = 2.0 * world.radius_m  # to the nearest point it is at most this much less
     if isinstance(sensor, LidarModel):
@@ -163,24 +141,11 @@ def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
 def max_distance_m(
     camera: CameraModel, detector: PlanningDetector, *, vru_height_m: float
 ) -> float:
-    """Distance beyond which no VRU is high enough in the image to be detected.
+    """Distance beyond which no VRU is high enough in the image to be detected, in m.
 
-    A body of extent h whose nearest point is at distance d from the lens spans at most
-    h / d * f / cos^2(e) pixels, where e is the largest angle off the optical axis.
-
-    Parameters
-    ----------
-    camera : CameraModel
-        Intrinsics.
-    detector : PlanningDetector
-        Its smallest box.
-    vru_height_m : float
-        Largest extent of a body. [m]
-
-    Returns
-    -------
-    distance_m : float
-        Infinite if the detector takes boxes of any height. [m]
+    A body of extent h whose nearest point is at distance d from the lens spans at most h / d * f /
+    cos^2(e) pixels, where e is the largest angle off the optical axis. Infinite if the detector
+    takes boxes of any height.
     """
     if detector.min_box_height_px == 0.0:
         return np.inf

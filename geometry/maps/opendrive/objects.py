@@ -11,23 +11,20 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
-from ..source_map import POLE_KINDS, MapLane, Pole, Thing
-from .attributes import Omissions, load_facts, numbered, take_number_or
+from ..source_map import POLE_KINDS, MapLane, Omissions, Pole, Thing
+from .attributes import load_facts, numbered, take_number_or
 from .junctions import JunctionRecord
-from .object_places import (
+from .object_shapes import (
     Copy,
     Outline,
     Sweep,
     box_corners,
+    build_body,
     place,
     read_outlines,
     read_places,
 )
-from .object_shapes import build_body
 from .roads import Road
-
-# ---------- what an object or a signal is, from its type and its name
-
 
 _MAX_CHARACTERS = 100  # of a name that is looked at
 _MAX_WORDS = 3  # that are read as one
@@ -36,13 +33,10 @@ _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 
 def object_kind(element: Element) -> str | None:
-    """Kind of an object; None: none that matters here.
+    """Kind of an object from its type and name; None: none that matters here.
 
-    Returns
-    -------
-    kind : str or None
-        "crosswalk", "parking space", "tree", "vegetation", "building", "wall", "parked vehicle", or
-        one of ``POLE_KINDS``; "obstacle" where the standard's type says no more than that.
+    "crosswalk", "parking space", "tree", "vegetation", "building", "wall", "parked vehicle", one of
+    ``POLE_KINDS``, or "obstacle" if the standard's type says no more than that.
     """
     object_type, name = element.get("type", ""), element.get("name", "")
     if has_word((object_type, name), load_facts()["flat"]["words"]):
@@ -63,13 +57,7 @@ def object_kind(element: Element) -> str | None:
 
 
 def signal_kind(element: Element) -> str | None:
-    """Kind of a signal.
-
-    Returns
-    -------
-    kind : str or None
-        "traffic light", "crosswalk" (painted), "sign"; None: other paint.
-    """
+    """Kind of a signal: "traffic light", "crosswalk" (painted), "sign"; None: other paint."""
     facts = load_facts()["signals"]
     texts = (element.get("name", ""), element.get("type", ""), element.get("subtype", ""))
     number = element.get("type", "").strip()
@@ -84,12 +72,12 @@ def signal_kind(element: Element) -> str | None:
 
 
 def words(text: str) -> list[str]:
-    """Words of a name, written small: "streetLamp_3" has street and lamp."""
+    """Words of a name in lower case: "streetLamp_3" has street and lamp."""
     return [word.lower() for word in _WORD.findall(text[:_MAX_CHARACTERS])]
 
 
 def has_word(texts: Iterable[str], wanted: Sequence[str]) -> bool:
-    """One of the texts has a word of the list, or several that together are one."""
+    """One of the texts has a word of the list, or several words that together are one."""
     return any(phrase in wanted for text in texts for phrase in _phrases(text))
 
 
@@ -104,9 +92,7 @@ def _phrases(text: str) -> frozenset[str]:
     )
 
 
-# ---------- crosswalks as lines: from kerb to kerb
-
-
+# ---------- crosswalks
 _CLEARLY_LONGER = 1.3  # of two sides: below it, people cross more nearly across the road
 _MIN_LENGTH_M = 0.5
 
@@ -114,24 +100,11 @@ _MIN_LENGTH_M = 0.5
 def crosswalk_line(
     road: Road, one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float
 ) -> FloatArray | None:
-    """Line on which pedestrians cross.
+    """Line (2, 2) on which pedestrians cross, or None if the object has no extent.
 
-    Parameters
-    ----------
-    road : Road
-        That the object belongs to.
-    one : Copy or Sweep
-        Where.
-    outlines : sequence of Outline
-        What it has there.
-    turn_rad : float
-        Of its length against the road. [rad]
-
-    Returns
-    -------
-    line_m : (2, 2) float or None
-        Through the middle of its smallest box, the long way; where that is nearly a square, across
-        the road. Two corners are the line itself. None: it has no extent. [m]
+    It runs through the middle of the smallest box the long way; if that is nearly a square, across
+    the road. Two corners are the line itself. `turn_rad` is the heading of the object against the
+    road.
     """
     copy = one.start if isinstance(one, Sweep) else one
     _, heading = place(road, copy)
@@ -195,9 +168,7 @@ def _long_way(corners_m: FloatArray, across_road: FloatArray) -> FloatArray | No
     return line
 
 
-# ---------- parking spaces, taken together as rows along the road
-
-
+# ---------- parking spaces
 _SAME_ROW_T_M = 1.0
 _SAME_ROW_GAP_M = 1.5
 _STEP_M = 2.0
@@ -206,15 +177,7 @@ _MIN_SIZE_M = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
-    """A parking space, as its box along the road.
-
-    Attributes
-    ----------
-    first_m, last_m : float
-        Where it begins and ends along the road. [m]
-    right_m, left_m : float
-        And beside it, to the left of the reference line. [m]
-    """
+    """A parking space as a box along its road: s from first to last, t from right to left."""
 
     first_m: float
     last_m: float
@@ -228,17 +191,7 @@ class Space:
 
 
 def read_space(one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float) -> Space | None:
-    """One parking space, or a strip of them; None: it has no extent.
-
-    Parameters
-    ----------
-    one : Copy or Sweep
-        Where.
-    outlines : sequence of Outline
-        What it has there.
-    turn_rad : float
-        Of its length against the road. [rad]
-    """
+    """One parking space, or a strip of them; None if it has no extent."""
     if isinstance(one, Sweep):
         start, end = one.start, one.end
         if start.width_m is None:
@@ -258,27 +211,14 @@ def read_space(one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float) 
     if min(last_m - first_m, left_m - right_m) < _MIN_SIZE_M:
         return None
     return Space(
-        first_m=float(first_m),
-        last_m=float(last_m),
-        right_m=float(right_m),
-        left_m=float(left_m),
+        first_m=float(first_m), last_m=float(last_m), right_m=float(right_m), left_m=float(left_m)
     )
 
 
 def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
-    """Parking lanes of a road: spaces that lie side by side, or one behind the other.
+    """Parking lanes of a road: spaces side by side, or one behind the other, as one lane.
 
-    Parameters
-    ----------
-    road : Road
-        That the spaces belong to.
-    spaces : sequence of Space
-        In any order.
-
-    Returns
-    -------
-    lanes : list of MapLane
-        As wide as the spaces reach across; in the direction of the traffic on their side.
+    It is as wide as the spaces are on average, and runs in the direction of traffic on its side.
     """
     rows: list[list[Space]] = []
     open_rows: list[list[Space]] = []  # those that may still go on
@@ -318,9 +258,7 @@ def _build_row(road: Road, row: Sequence[Space], name: str) -> MapLane | None:
     )
 
 
-# ---------- objects beside and on the roads: what hides things, what could carry sensors
-
-
+# ---------- all objects
 _MAX_PLACES = 100_000  # of all objects of a file
 _MAX_VERTICES = 5_000_000
 _CLASSES = {"tree": "vegetation", "obstacle": "wall"}
@@ -334,22 +272,12 @@ _NO_SIZE = "it has no outline, length, width or radius"
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What stands and lies along the roads.
-
-    Attributes
-    ----------
-    things, poles : list
-        As the map has them.
-    crosswalks_m : list of (2, 2) float
-        Lines on which pedestrians cross. [m]
-    spaces : dict of str to list of Space
-        Parking spaces by id of the road.
-    """
+    """Objects along the roads."""
 
     things: list[Thing] = field(default_factory=list)
     poles: list[Pole] = field(default_factory=list)
-    crosswalks_m: list[FloatArray] = field(default_factory=list)
-    spaces: dict[str, list[Space]] = field(default_factory=dict)
+    crosswalks_m: list[FloatArray] = field(default_factory=list)  # (2, 2) each
+    spaces: dict[str, list[Space]] = field(default_factory=dict)  # parking spaces by id of the road
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -362,19 +290,10 @@ class _Object:
 
 
 def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
-    """Objects of all roads.
+    """Objects of all roads; what is left out is noted in `omissions`.
 
-    Parameters
-    ----------
-    roads : mapping of str to Road
-        By id.
-    omissions : Omissions
-        Where to note what is left out.
-
-    Raises
-    ------
-    InputError
-        A number is missing or not finite, or there is more than can be.
+    Raises InputError if a number is missing or not finite, or there are too many objects or
+    corners.
     """
     found = Found()
     n_places = n_vertices = n_counted = 0
@@ -427,7 +346,7 @@ def _taken_objects(roads: Mapping[str, Road], omissions: Omissions) -> "list[_Ob
 
 
 def _take(one: _Object, spot: Copy | Sweep, name: str, found: Found) -> bool:
-    """Take an object at one of its places; False: it has no size."""
+    """Add an object at one of its places to `found`; False: it has no size."""
     if one.kind in POLE_KINDS:
         found.poles.append(_build_pole(one, spot, name))
         return True

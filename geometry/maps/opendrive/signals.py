@@ -1,4 +1,4 @@
-"""Signals beside the roads: traffic lights and signs, and the poles that carry them."""
+"""Signals beside the roads: traffic lights, signs, painted crosswalks, and poles below signals."""
 
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,10 +8,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ...arrays import FloatArray
-from ..source_map import Pole
+from ..source_map import Omissions, Pole
 from .attributes import (
     Offset,
-    Omissions,
     load_facts,
     numbered,
     take_number,
@@ -19,12 +18,9 @@ from .attributes import (
     take_size,
 )
 from .lanes import SampledSection, lane_kind
-from .object_places import is_on
+from .object_shapes import is_on
 from .objects import signal_crosswalk, signal_kind
 from .roads import Road
-
-# ---------- signals beside the roads: traffic lights and signs, and the poles that carry them
-
 
 _PAINT = "paint on the road, or nothing above it"
 
@@ -41,7 +37,7 @@ class _Signal:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Position:
-    """Foot below a signal, its top above that, and where on a road that is (empty: unknown)."""
+    """Foot below a signal, its top above that, and its place on a road (empty: unknown)."""
 
     foot_m: FloatArray
     top_m: float
@@ -56,30 +52,10 @@ def read_signals(
     offset: Offset,
     omissions: Omissions,
 ) -> tuple[list[Pole], list[FloatArray]]:
-    """Signals of all roads.
+    """Poles, one per signal, and crosswalk lines (2, 2) that are written as signals.
 
-    Parameters
-    ----------
-    roads : mapping of str to Road
-        By id.
-    sampled : mapping of str to sequence of SampledSection
-        Of these roads: what hangs over a driving lane stands on no pole there.
-    offset : Offset
-        From the file's coordinates to the projection's.
-    omissions : Omissions
-        Where to note what is left out.
-
-    Returns
-    -------
-    poles : list of Pole
-        One per signal.
-    crosswalks_m : list of (2, 2) float
-        Those that are written as signals. [m]
-
-    Raises
-    ------
-    InputError
-        A number is missing or not finite.
+    A signal that hangs over a driving lane has no pole there. Raises InputError if a number is
+    missing or not finite.
     """
     poles: list[Pole] = []
     crosswalks: list[FloatArray] = []
@@ -125,7 +101,7 @@ def _listed_signals(roads: Mapping[str, Road]) -> Iterator[_Signal]:
 
 
 def _find_position(one: _Signal, roads: Mapping[str, Road], offset: Offset) -> _Position:
-    """Where a signal is; where it stands may be said apart from where it holds."""
+    """Position of a signal, which may be given apart from the place where it applies."""
     height_m = take_size(one.element, "height", one.where) or 0.0
     road, s_m, t_m = one.road, one.s_m, one.t_m
     z_m = take_number_or(one.element, "zOffset", one.where, 0.0)
@@ -189,26 +165,16 @@ def _road_width_m(sections: Sequence[SampledSection], s_m: float) -> float:
     return max(left for _, left in edges) - min(right for right, _ in edges) if edges else 0.0
 
 
-# ---------- poles: one for all that hangs at the same place
-
-
+# ---------- poles
 _CELL_M = 0.05
 _KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")  # what a pole with several is
 
 
 def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
-    """One pole for all that hangs at the same place.
+    """Join poles within half a metre of one another.
 
-    Parameters
-    ----------
-    poles : sequence of Pole
-        One per signal, lamp or pole.
-
-    Returns
-    -------
-    poles : list of Pole
-        Those within half a metre of one another as one: as high as the highest, of the kind that
-        says most, where the pole itself stands if the file has it, else where the first hangs.
+    A joined pole is as high as the highest and of the most telling kind; it stands where the file
+    has the pole itself, or else where the first signal hangs.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -236,8 +202,5 @@ def _merge(group: Sequence[Pole]) -> Pole:
     stands = next((pole for pole in group if pole.kind in ("pole", "lamp post")), group[0])
     heights = [pole.height_m for pole in group if pole.height_m is not None]
     return Pole(
-        id=stands.id,
-        kind=kind,
-        position_m=stands.position_m,
-        height_m=max(heights, default=None),
+        id=stands.id, kind=kind, position_m=stands.position_m, height_m=max(heights, default=None)
     )

@@ -1,39 +1,25 @@
-"""Lanes of a road from its tags: how many in each direction, how wide, what lies beside them."""
+"""Lanes of a road from its tags: number per direction, widths, and strips beside them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from .elements import DEFAULTS, Notes, Tags
-from .tags import is_yes, parse_count, parse_length_m, side_value
-
-# ---------- how many lanes a road has in each direction, from its tags
+from ..source_map import Omissions
+from .elements import DEFAULTS, Tags, is_yes, parse_count, parse_length_m, side_value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneCounts:
-    """Lanes of a road.
-
-    Attributes
-    ----------
-    n_forward, n_backward : int
-        In each direction, as the way's nodes run and against them.
-    is_shared : bool
-        The only lane is for both directions: both counts are 1 and mean the same lane.
-    has_centre : bool
-        There is a lane in the middle for turning from both directions.
-    is_counted : bool
-        Tags say how many lanes there are.
-    """
+    """Lanes of a road in each direction, as the way's nodes run and against them."""
 
     n_forward: int
     n_backward: int
-    is_shared: bool = False
-    has_centre: bool = False
-    is_counted: bool = False
+    is_shared: bool = False  # the only lane serves both directions; both counts are 1
+    has_centre: bool = False  # a lane in the middle is for turning from both directions
+    is_counted: bool = False  # tags give the number of lanes
 
 
 def is_oneway(tags: Tags) -> bool:
-    """A road on which cars drive one way only, as its nodes run or against them."""
+    """A road on which cars drive one way only, in the order of its nodes or against it."""
     text = tags.get("oneway", "").strip().lower()
     if text in ("yes", "true", "1", "-1", "reverse"):
         return True
@@ -47,17 +33,10 @@ def runs_backward(tags: Tags) -> bool:
     return tags.get("oneway", "").strip().lower() in ("-1", "reverse")
 
 
-def count_lanes(tags: Tags, *, element: str, notes: Notes) -> LaneCounts:
-    """Lanes of a road in each direction.
+def count_lanes(tags: Tags, *, element: str, omissions: Omissions) -> LaneCounts:
+    """Lanes of a road in each direction; senseless tags are noted.
 
-    Parameters
-    ----------
-    tags : dict
-        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
-    element : str
-        For notes: "way 5".
-    notes : Notes
-        Told of what makes no sense.
+    If it is a one-way road, its tags must be turned so that cars drive in the order of its nodes.
     """
     highest = int(DEFAULTS["cross_section"]["max_lanes"])
     usual = DEFAULTS["roads"][tags["highway"]]
@@ -67,7 +46,7 @@ def count_lanes(tags: Tags, *, element: str, notes: Notes) -> LaneCounts:
             return None
         count = parse_count(tags[key], highest=at_most)
         if count is None and tags[key].strip() != "0":
-            notes.add("ways", element, f"{key} makes no sense; the usual number of lanes taken")
+            omissions.add("ways", element, f"{key} makes no sense; the usual number of lanes taken")
         return count
 
     def listed(key: str) -> int | None:
@@ -109,9 +88,7 @@ def count_lanes(tags: Tags, *, element: str, notes: Notes) -> LaneCounts:
     )
 
 
-# ---------- what lies beside the driving lanes of a road: parked cars, cyclists, pedestrians
-
-
+# ---------- strips beside the driving lanes
 Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
 
 _ON_CARRIAGEWAY = ("lane", "half_on_kerb", "shoulder", "yes")
@@ -123,38 +100,16 @@ _CYCLE_TRACKS = ("track", "opposite_track")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Roadside:
-    """Beside one side of the driving lanes, from these outwards.
+    """Strips beside the driving lanes, outwards: kind, width [m], runs as the way does."""
 
-    Attributes
-    ----------
-    inner : tuple of (str, float, bool)
-        On the carriageway: kind, width [m], whether it runs as the way does.
-    outer : tuple of (str, float, bool)
-        Behind the kerb.
-    """
-
-    inner: tuple[Part, ...]
-    outer: tuple[Part, ...]
+    inner: tuple[Part, ...]  # on the carriageway
+    outer: tuple[Part, ...]  # behind the kerb
 
 
 def roadside_strips(
-    tags: Tags, *, side: str, keeps_left: bool, element: str, notes: Notes
+    tags: Tags, *, side: str, keeps_left: bool, element: str, omissions: Omissions
 ) -> Roadside:
-    """Parked cars, cyclists and pedestrians on one side of a road.
-
-    Parameters
-    ----------
-    tags : dict
-        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
-    side : {"left", "right"}
-        Seen along the way.
-    keeps_left : bool
-        Traffic keeps left.
-    element : str
-        For notes: "way 5".
-    notes : Notes
-        Told of widths that make no sense.
-    """
+    """Parked cars, cyclists and pedestrians on a side of a road, "left" or "right"."""
     is_near = side == ("left" if keeps_left else "right")  # the side of traffic along the way
     is_forward = is_near or is_oneway(tags)
     inner: list[Part] = []
@@ -167,7 +122,7 @@ def roadside_strips(
             return usual_m
         width_m = parse_length_m(text)
         if width_m is None or not 0.5 <= width_m <= 15.0:
-            notes.add("ways", element, f"{key} width makes no sense; the usual one taken")
+            omissions.add("ways", element, f"{key} width makes no sense; the usual one taken")
             return usual_m
         return width_m
 
@@ -203,7 +158,7 @@ def _cycleway(tags: Tags, side: str, *, is_near: bool) -> str:
 
 
 def _parking(tags: Tags, side: str) -> tuple[str, str]:
-    """Where cars park on a side, and how."""
+    """Position and orientation of parked cars on a side."""
     position = side_value(tags, "parking", side)
     if position is not None:
         restriction = tags.get(
@@ -234,52 +189,25 @@ def _has_sidewalk(tags: Tags, side: str) -> bool:
     return tags.get("sidewalk") in ("both", "yes", side)
 
 
-# ---------- lanes of a road side by side, from its tags
-
-
+# ---------- cross-sections
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Strip:
-    """One lane in a cross-section.
+    """One lane in a cross-section."""
 
-    Attributes
-    ----------
-    kind : str
-        One of :data:`geometry.maps.source_map.LANE_KINDS`.
-    place : str
-        Tells strips of a kind apart: "forward", "backward" for driving lanes, "left", "right" for
-        others.
-    number : int
-        Among those of its kind and place; 0: next to the kerb.
-    width_m : float
-        [m]
-    left_m : float
-        Of its middle, to the left of the way. [m]
-    is_forward : bool
-        Traffic runs as the way does.
-    """
-
-    kind: str
-    place: str
-    number: int
+    kind: str  # one of geometry.maps.source_map.LANE_KINDS
+    place: str  # "forward" or "backward" for driving lanes, "left" or "right" for others
+    number: int  # among those of its kind and place; 0: next to the kerb
     width_m: float
-    left_m: float
-    is_forward: bool
+    left_m: float  # of its middle, to the left of the way
+    is_forward: bool  # traffic runs in the direction of the way
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossSection:
-    """What lies side by side along a way; its carriageway's middle is the way.
+    """Strips side by side along a way, which runs in the middle of the carriageway."""
 
-    Attributes
-    ----------
-    strips : tuple of Strip
-        From left to right.
-    width_m : float
-        From kerb to kerb, parked cars and cycle lanes on the carriageway included. [m]
-    """
-
-    strips: tuple[Strip, ...]
-    width_m: float
+    strips: tuple[Strip, ...]  # from left to right
+    width_m: float  # from kerb to kerb, with parked cars and cycle lanes on the carriageway
 
     def lanes(self, *, is_forward: bool) -> tuple[Strip, ...]:
         """Driving lanes of one direction, from the kerb to the axis."""
@@ -304,29 +232,22 @@ _OPPOSITE = {"forward": "backward", "backward": "forward", "left": "right", "rig
 
 
 def build_cross_section(
-    tags: Tags, *, element: str, keeps_left: bool, notes: Notes
+    tags: Tags, *, element: str, keeps_left: bool, omissions: Omissions
 ) -> CrossSection:
-    """What lies side by side along a road.
+    """Strips side by side along a road; defaults replace senseless tags, which are noted.
 
-    Parameters
-    ----------
-    tags : dict
-        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
-    element : str
-        For notes: "way 5".
-    keeps_left : bool
-        Traffic keeps left.
-    notes : Notes
-        Told of what makes no sense in the tags; defaults stand in for it.
+    If it is a one-way road, its tags must be turned so that cars drive in the order of its nodes.
     """
     limits = DEFAULTS["cross_section"]
     left, right = (
-        roadside_strips(tags, side=side, keeps_left=keeps_left, element=element, notes=notes)
+        roadside_strips(
+            tags, side=side, keeps_left=keeps_left, element=element, omissions=omissions
+        )
         for side in ("left", "right")
     )
-    counts = count_lanes(tags, element=element, notes=notes)
+    counts = count_lanes(tags, element=element, omissions=omissions)
     beside_m = sum(width for _, width, _ in (*left.inner, *right.inner))
-    widths, counts = _lane_widths(tags, counts, beside_m, element=element, notes=notes)
+    widths, counts = _lane_widths(tags, counts, beside_m, element=element, omissions=omissions)
     driving = _driving(widths, counts, keeps_left=keeps_left)
     # From the left kerb to the right one, then what lies behind the kerbs.
     driving_m = sum(width for _, _, width in driving)
@@ -374,12 +295,7 @@ def build_cross_section(
 
 
 def _strip(
-    kind: str,
-    side: str,
-    numbers: dict[str, int],
-    width_m: float,
-    left_m: float,
-    is_forward: bool,
+    kind: str, side: str, numbers: dict[str, int], width_m: float, left_m: float, is_forward: bool
 ) -> Strip:
     numbers[kind] = numbers.get(kind, -1) + 1
     return Strip(
@@ -394,7 +310,7 @@ def _strip(
 
 @dataclass(frozen=True, slots=True)
 class _Widths:
-    """Widths of lanes in metres, each from left to right in its driving direction."""
+    """Widths of lanes in metres, from left to right in their driving direction."""
 
     forward: Sequence[float]
     backward: Sequence[float]
@@ -419,7 +335,7 @@ def _driving(
 
 
 def _lane_widths(
-    tags: Tags, counts: LaneCounts, beside_m: float, *, element: str, notes: Notes
+    tags: Tags, counts: LaneCounts, beside_m: float, *, element: str, omissions: Omissions
 ) -> tuple[_Widths, LaneCounts]:
     limits = DEFAULTS["cross_section"]
     narrow_m, wide_m = limits["min_lane_width_m"], limits["max_lane_width_m"]
@@ -429,7 +345,7 @@ def _lane_widths(
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
         return _Widths(forward, backward, centre_m), counts
-    total_m = _total_width_m(tags, element=element, notes=notes)
+    total_m = _total_width_m(tags, element=element, omissions=omissions)
     if total_m is not None:
         free_m = total_m - beside_m - centre_m
         fitting = counts
@@ -439,7 +355,7 @@ def _lane_widths(
         n_lanes = 1 if fitting.is_shared else counts.n_forward + counts.n_backward
         if narrow_m <= free_m / n_lanes <= wide_m:
             return _even(free_m / n_lanes, centre_m, fitting), fitting
-        notes.add("ways", element, "its width does not fit its lanes; usual widths taken")
+        omissions.add("ways", element, "its width does not fit its lanes; usual widths taken")
     return _even(usual_m, centre_m, counts), counts
 
 
@@ -448,7 +364,7 @@ def _even(width_m: float, centre_m: float, counts: LaneCounts) -> _Widths:
 
 
 def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) -> list[float] | None:
-    """Widths of each lane in metres, where they are listed and as many as there are lanes."""
+    """Widths of each lane in metres, if they are listed for the right number of lanes."""
     if not count:
         return []
     text = tags.get(f"width:lanes:{direction}") or (tags.get("width:lanes") if is_alone else None)
@@ -464,11 +380,11 @@ def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) ->
     return known if len(known) == len(widths) == count else None
 
 
-def _total_width_m(tags: Tags, *, element: str, notes: Notes) -> float | None:
+def _total_width_m(tags: Tags, *, element: str, omissions: Omissions) -> float | None:
     for key in ("width:carriageway", "width", "est_width"):
         if key in tags:
             width_m = parse_length_m(tags[key])
             if width_m is not None and 1.0 < width_m < 100.0:
                 return width_m
-            notes.add("ways", element, f"{key} makes no sense; usual widths taken")
+            omissions.add("ways", element, f"{key} makes no sense; usual widths taken")
     return None

@@ -3,12 +3,10 @@ from partial_pages import render_partial
 from experiments.report.private_ground import MAX_AREAS, MAX_UNITS, private_ground_part
 
 
-def summary(shares, price_eur=0.0):
+def summary(shares):
     """Shares of areas by unit, as `summarise_private_ground` gives them."""
     names = list(next(iter(shares.values())))
     return {
-        "eur_per_m2": 2.0 if price_eur else 0.0,
-        "price_eur": price_eur,
         "areas": [{"name": name, "area_m2": 10.0 + number} for number, name in enumerate(names)],
         "units": shares,
     }
@@ -39,20 +37,18 @@ def test_of_many_units_and_areas_those_that_matter_are_shown_and_it_is_told():
         f"U{unit}": {f"area{area}": (unit * area) / 40_000.0 for area in range(100)}
         for unit in range(200)
     }
-    part = private_ground_part(summary(shares, price_eur=5.0), {})
+    part = private_ground_part(summary(shares), {})
     assert part["columns"][3:] == [f"U{unit}" for unit in range(200 - MAX_UNITS, 200)]
     assert [row[0] for row in part["rows"]] == [
         f"area{area}" for area in range(99, 99 - MAX_AREAS, -1)
     ]
     assert "of 200 units the 12" in part["caption"]
     assert "of 100 areas the 60" in part["caption"]
-    in_short, price = part["sentences"]
-    assert price.startswith("That is in the cost with 5 EUR")
-    assert in_short == (
+    assert part["sentence"] == (
         "199 of 200 units see something of 99 of 100 private areas; the most is 49.3 % of area99."
     )
 
 
 def test_nothing_seen_is_said_as_the_planner_says_it():
     part = private_ground_part(summary({"A": {"lawn": 0.0}}), {})
-    assert part["sentences"] == ["No camera has the private area in its picture."]
+    assert part["sentence"] == "No camera has the private area in its picture."
