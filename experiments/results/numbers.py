@@ -7,6 +7,18 @@ NOTHING = "\N{EN DASH}"
 """Stands where there is no number."""
 
 
+STAGES = {
+    "apr": "APR",
+    "apr_one_failed": "APR if the most needed unit fails",
+    "smallest_margin_s": "smallest time to spare",
+    "mean_margin_s": "mean time to spare",
+    "cost_eur": "cost",
+    "units": "units",
+    "apr_survived": "APR if the most needed units fail",
+}
+"""Names of the optimiser's objectives."""
+
+
 def percent(share: float | None) -> str:
     """A share of 1 in print, with one digit: what is not quite all or none is never shown as it.
 
@@ -32,6 +44,11 @@ def number(value: float | None, digits: int = 2) -> str:
         return NOTHING
     # Adding zero turns -0.0 into 0.0.
     return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def or_nan(value: float | None) -> float:
+    """A number as records have it: NaN where there is none."""
+    return math.nan if value is None else value
 
 
 def milliseconds(time_s: float) -> str:
