@@ -1,26 +1,17 @@
-"""Progress on stderr, an orderly end on signals, and what a call knows of its surroundings."""
+"""Progress on stderr, and an orderly end when the user or the system asks for one."""
 
 import logging
 import os
-import shlex
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import click
-
-if TYPE_CHECKING:
-    from placement.layout import Layout
-
-
-# ---------- progress on stderr, and an orderly end when the user or the system asks for one
-
 
 WRITING = "write results"
 """The stage in which files are written."""
@@ -229,60 +220,3 @@ def _watch(read_end: int, is_over: threading.Event, progress: StageProgress) -> 
     progress.stop()
     click.echo(progress.interruption(), err=True)
     os._exit(128 + received[0])
-
-
-# ---------- what a call of the program knows of its surroundings. Imports nothing heavy
-
-
-def cache_folder() -> Path:
-    """Where detection tables are kept: PLACE_RSUS_CACHE, or the user's cache folder."""
-    folder = os.environ.get("PLACE_RSUS_CACHE")
-    if folder:
-        return Path(folder)
-    from platformdirs import user_cache_path
-
-    return user_cache_path("place-rsus")
-
-
-def load_one_layout(names: Sequence[str]) -> "Layout":
-    """The layout of a command that takes ``--layout`` once.
-
-    Raises
-    ------
-    click.UsageError
-        It is given several times, or not at all.
-    InputError
-        There is no such layout.
-    """
-    if len(names) != 1:
-        given = f"{len(names)} layouts" if names else "nothing"
-        raise click.UsageError(f"--layout: got {given}; expected it once")
-    from .study.layout import find_layout
-
-    return find_layout(names[0], "--layout")
-
-
-def command_line() -> str:
-    """The command line of this call, as a shell would take it again."""
-    # What the system hands over need not be text.
-    arguments = [argument.encode(errors="replace").decode() for argument in sys.argv[1:]]
-    return shlex.join(["place-rsus", *arguments])
-
-
-def print_result(
-    result: Any, progress: StageProgress, as_json: bool, text: Callable[[], str]
-) -> None:
-    """End a command: take the bar away, print its result as JSON or as text for people."""
-    from .export.json import to_json_text
-
-    progress.stop()
-    click.echo(to_json_text(result).rstrip() if as_json else text())
-
-
-def warn_of_slow_rays() -> None:
-    """Say so where rays are cast by the slower library."""
-    from geometry.raycast import open3d_problem
-
-    problem = open3d_problem()
-    if problem is not None:
-        _log.warning("%s", problem)

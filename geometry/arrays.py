@@ -1,6 +1,6 @@
 """Array types and the one check of shape and finiteness."""
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,29 +10,20 @@ from .errors import InputError, Unquoted
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
+# Arrays of one shape, for values that are read from files (see geometry.files.read_table).
+Point2 = np.ndarray[tuple[Literal[2]], np.dtype[np.float64]]
+Point3 = np.ndarray[tuple[Literal[3]], np.dtype[np.float64]]
+Points2 = np.ndarray[tuple[int, Literal[2]], np.dtype[np.float64]]
+Segment2 = np.ndarray[tuple[Literal[2], Literal[2]], np.dtype[np.float64]]
 
 
 def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
-    """Read-only float64 copy of `values`, checked.
-
-    Parameters
-    ----------
-    values : array_like
-        What to copy.
-    shape : tuple of int
-        Shape that is expected; -1 allows any length along that axis.
-    name : str
-        Name for the error message.
-
-    Returns
-    -------
-    array : (*shape) float
-        Finite, not writeable.
+    """Read-only float64 copy of `values`: of this shape (-1: any length) and finite.
 
     Raises
     ------
     InputError
-        The shape differs, or a value is not a finite number.
+        The shape differs, or a value is not a finite number; `name` says where.
 
     Examples
     --------

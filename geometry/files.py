@@ -1,34 +1,27 @@
-"""Files: TOML read with the place of every problem, results written whole or not at all."""
+"""Files: TOML read into checked values, results written whole or not at all."""
 
 import os
+import re
 import sys
 import tempfile
 import tomllib
 from collections.abc import Callable, Mapping
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal, TypeVar, get_args, get_origin
 
+import msgspec
+import numpy as np
+
+from .arrays import float_array
 from .errors import InputError, Unquoted
 
-# ---------- reading TOML: every problem names the file, the field and what is expected
-
-
 Table = Mapping[str, Any]
+_T = TypeVar("_T")
 
 
 def load_toml(source: Path | Traversable) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Parameters
-    ----------
-    source : Path or Traversable
-        A file, or a data file of a package.
-
-    Returns
-    -------
-    table : dict
-        The whole document.
+    """Read a TOML file, or a data file of a package, as a whole.
 
     Raises
     ------
@@ -45,14 +38,187 @@ def load_toml(source: Path | Traversable) -> dict[str, Any]:
         raise InputError(str(source), Unquoted(error), "valid TOML in UTF-8") from None
 
 
-def take(table: Table, key: str, where: str) -> Any:
-    """Value of a key that must be there.
+def read_table(table: object, kind: type[_T], where: str) -> _T:
+    """Convert a table of a TOML or JSON file to a value.
+
+    Parameters
+    ----------
+    table : object
+        What was read, usually a mapping.
+    kind : type
+        A frozen dataclass or msgspec.Struct whose fields have the names of the table's keys, or a
+        list or tuple of such. Arrays state their shape: ``ndarray[tuple[int, Literal[2]], ...]``,
+        as in :mod:`geometry.arrays`. Ranges stand in ``Annotated[float, msgspec.Meta(gt=0)]``; a
+        description there is what the message says to be expected.
+    where : str
+        What is being read: "sensors.toml", or "sensors.toml: wide" for an entry of it.
+
+    Returns
+    -------
+    value : kind
+        Checked; numbers are finite. Keys that are no field are ignored, except by a Struct with
+        ``forbid_unknown_fields``.
 
     Raises
     ------
     InputError
-        The key is missing.
+        Names the file, the field, the value and what is expected.
     """
+    _check_finite(table, where)
+    try:
+        return msgspec.convert(table, kind, dec_hook=_read_array)
+    except msgspec.ValidationError as error:
+        raise _input_error(error, table, kind, where) from None
+
+
+def read_tables(table: Table, kind: type[_T], where: str) -> dict[str, _T]:
+    """Convert a table of named tables; each entry's key is its field ``name``."""
+    entries = {}
+    for name, entry in table.items():
+        here = _join(where, f".{name}")
+        if not isinstance(entry, Mapping):
+            raise InputError(here, entry, "a table of fields")
+        entries[name] = read_table({**entry, "name": name}, kind, here)
+    return entries
+
+
+def _check_finite(value: object, where: str) -> None:
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            _check_finite(item, _join(where, f".{key}"))
+    elif isinstance(value, list):
+        if any(isinstance(item, Mapping) for item in value):
+            for index, item in enumerate(value):
+                _check_finite(item, _join(where, f"[{index}]"))
+        elif not _is_finite(value):
+            raise InputError(where, value, "finite numbers")
+    elif not _is_finite(value):
+        raise InputError(where, value, "a finite number")
+
+
+def _is_finite(value: object) -> bool:
+    """Whether a number, or each number in a list of lists, is finite."""
+    if isinstance(value, list):
+        return all(map(_is_finite, value))
+    return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
+
+
+def _join(where: str, path: str) -> str:
+    """A path such as ".sites[2].id" behind the name of a file, or of an entry in it."""
+    return f"{where}{path}" if ": " in where else f"{where}: {path.removeprefix('.')}"
+
+
+def _read_array(kind: Any, value: object) -> Any:
+    """Convert a list to an array of the shape that its type states; msgspec's hook."""
+    if get_origin(kind) is not np.ndarray:
+        raise NotImplementedError(f"no reader for {kind}")
+    axes = get_args(get_args(kind)[0])
+    shape = tuple(get_args(axis)[0] if get_origin(axis) is Literal else -1 for axis in axes)
+    if not isinstance(value, list):
+        raise InputError("", value, "a list")
+    return float_array(value, shape, "")
+
+
+_PLACE = re.compile(r" - at `(key in )?\$(?P<path>.*)`$")
+_STEP = re.compile(r"\.(\w+)|\[(\d+|\.\.\.)\]")
+
+
+def _input_error(
+    error: msgspec.ValidationError, table: object, kind: Any, where: str
+) -> InputError:
+    """What msgspec says, in our words: it knows the place and the type, but not the value."""
+    message, cause = str(error), error.__cause__
+    if isinstance(cause, InputError) and cause.where:  # of a field's own check
+        return cause
+    place = _PLACE.search(message)
+    path = place["path"] if place else ""
+    value, node, shown = table, msgspec.inspect.type_info(kind), ""
+    for step in _STEP.finditer(path):
+        node = _step_into(node, step)
+        if step[2] == "...":  # a key of a mapping, which msgspec does not name
+            break
+        value = value[step[1] or int(step[2])]  # type: ignore[index]
+        shown += step[0]
+    here = _join(where, shown) if shown else where
+    if isinstance(cause, InputError):  # of an array
+        return InputError(here, cause.got, cause.expected)
+    if missing := re.match(r"Object missing required field `(.*?)`", message):
+        return InputError(_join(where, f"{shown}.{missing[1]}"), Unquoted("nothing"), "a value")
+    if unknown := re.match(r"Object contains unknown field `(.*?)`", message):
+        known = ", ".join(field.encode_name for field in _plain(node).fields)
+        return InputError(here, unknown[1], f"one of {known}")
+    return InputError(here, value, _expected(node))
+
+
+def _plain(node: Any) -> Any:
+    """A type without its description; of an optional one, what it is when it is there."""
+    while isinstance(node, msgspec.inspect.Metadata | msgspec.inspect.UnionType):
+        if isinstance(node, msgspec.inspect.Metadata):
+            node = node.type
+        else:
+            is_none = msgspec.inspect.NoneType
+            node = next(one for one in node.types if not isinstance(one, is_none))
+    return node
+
+
+def _step_into(node: Any, step: re.Match[str]) -> Any:
+    """Type of a field or of an item."""
+    node = _plain(node)
+    if step[1] is not None:
+        return next(field.type for field in node.fields if field.encode_name == step[1])
+    if isinstance(node, msgspec.inspect.DictType):
+        return node.value_type
+    if isinstance(node, msgspec.inspect.TupleType):
+        return node.item_types[int(step[2])]
+    return node.item_type
+
+
+def _expected(node: Any) -> str:
+    """What a type accepts, in words."""
+    if isinstance(node, msgspec.inspect.UnionType):
+        node = next(one for one in node.types if not isinstance(one, msgspec.inspect.NoneType))
+    if isinstance(node, msgspec.inspect.Metadata):
+        description = (node.extra_json_schema or {}).get("description")
+        if description:
+            return str(description)
+    match _plain(node):
+        case msgspec.inspect.LiteralType(values=values):
+            return "one of " + ", ".join(map(str, values))
+        case msgspec.inspect.EnumType(cls=kind):
+            return "one of " + ", ".join(str(member.value) for member in kind)
+        case msgspec.inspect.FloatType() | msgspec.inspect.IntType() as number:
+            return _expected_number(number)
+        case msgspec.inspect.StrType():
+            return "text"
+        case msgspec.inspect.BoolType():
+            return "true or false"
+        case msgspec.inspect.TupleType(item_types=items):
+            return f"a list of {len(items)}"
+        case msgspec.inspect.ListType() | msgspec.inspect.VarTupleType():
+            return "a list"
+        case _:
+            return "a table"
+
+
+def _expected_number(node: msgspec.inspect.FloatType | msgspec.inspect.IntType) -> str:
+    is_whole = isinstance(node, msgspec.inspect.IntType)
+    what = "a whole number" if is_whole else "a number"
+    limits = []
+    if node.gt is not None:
+        limits.append(f"> {node.gt:g}")
+    if node.ge is not None:
+        limits.append(f"at least {node.ge:g}")
+    if node.lt is not None:
+        limits.append(f"< {node.lt:g}")
+    if node.le is not None:
+        limits.append(f"at most {node.le:g}")
+    if limits:
+        return f"{what}{' ' if limits[0][0] in '<>' else ', '}{', '.join(limits)}"
+    return what if is_whole else "a finite number"
+
+
+def take(table: Table, key: str, where: str) -> Any:
+    """Value of a key that must be there."""
     if key not in table:
         raise InputError(f"{where}.{key}", Unquoted("nothing"), "a value")
     return table[key]
@@ -84,35 +250,16 @@ def take_list(table: Table, key: str, where: str) -> list[Any]:
 
 
 def pick(known: Mapping[str, Any], name: str, where: str) -> Any:
-    """Look a name up; an unknown one lists the known ones.
-
-    Raises
-    ------
-    InputError
-        The name is unknown.
-    """
+    """Look a name up; the error about an unknown one lists the known ones."""
     if name not in known:
         raise InputError(where, name, "one of " + ", ".join(sorted(known)))
     return known[name]
 
 
-# ---------- files that are there whole or not at all
-
-
 def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file under a temporary name beside it and move it into place.
 
-    Parameters
-    ----------
-    path : Path
-        The file; its folder must exist.
-    write : callable
-        Gets the open temporary file. Whatever it raises leaves `path` as it was.
-
-    Raises
-    ------
-    OSError
-        The folder is missing or cannot be written to.
+    Whatever `write` raises leaves `path` as it was. The folder must exist.
     """
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
     try:

@@ -2,22 +2,19 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import ArrayLike
 from scipy.special import expit, logit
 
 from .arrays import FloatArray, IntArray
 from .errors import InputError
-from .files import (
-    Table,
-    load_toml,
-    take,
-    take_number,
-)
+from .files import Table, load_toml, read_table, read_tables
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -294,73 +291,46 @@ def noisy_ranges(lidar: LidarModel, distance_m: ArrayLike, rng: np.random.Genera
     return noisy
 
 
-@cache
-def load_lidars() -> dict[str, LidarModel]:
-    """All LiDAR models of the catalogue, by name, from ``data/lidars.toml``."""
-    entries = take(_data(), "lidars", _FILE)
-    return {name: read_lidar(name, entry, _FILE) for name, entry in entries.items()}
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _DetectionEntry:
+    """A class of road users in ``data/lidars.toml``."""
 
-
-@cache
-def load_lidar_detection() -> LidarDetection:
-    """What it takes to find a road user in a point cloud, from ``data/lidars.toml``."""
-    return _read_detection(take(_data(), "detection", _FILE))
-
-
-@cache
-def load_surface_reflectivity() -> dict[str, float]:
-    """Diffuse reflectivity of all but VRUs, by class name, from ``data/lidars.toml``."""
-    table = take(_data(), "surfaces", _FILE)
-    return {name: take_number(table, name, f"{_FILE}: surfaces") for name in table}
+    min_points: Annotated[int, Meta(ge=1, description="a whole number of points, > 0")]
+    reflectivity: Annotated[float, Meta(gt=0.0, le=1.0, description="0 < share <= 1")]
 
 
 _FILE = "lidars.toml"
 
 
 @cache
-def _data() -> Table:
+def _load_file() -> Table:
     return load_toml(files(__package__) / "data" / _FILE)
 
 
-def read_lidar(name: str, entry: Table, source: str) -> LidarModel:
-    """LiDAR model from the fields of a TOML table.
+@cache
+def load_lidars() -> dict[str, LidarModel]:
+    """All LiDAR models of the catalogue, by name, from ``data/lidars.toml``."""
+    return read_tables(_load_file()["lidars"], LidarModel, _FILE)
 
-    Parameters
-    ----------
-    name : str
-        Name in the catalogue.
-    entry : mapping
-        Fields of :class:`LidarModel`.
-    source : str
-        What is being read, for error messages.
 
-    Raises
-    ------
-    InputError
-        A field is missing or not of its kind.
-    """
-    where = f"{source}: {name}"
-    numbers = [field.name for field in fields(LidarModel) if field.type is float]
-    return LidarModel(
-        name=name,
-        n_lines=take(entry, "n_lines", where),
-        **{key: take_number(entry, key, where) for key in numbers},
-    )
+@cache
+def load_lidar_detection() -> LidarDetection:
+    """What it takes to find a road user in a point cloud, from ``data/lidars.toml``."""
+    return _read_detection(_load_file()["detection"])
 
 
 def _read_detection(table: Table) -> LidarDetection:
-    min_points: dict[str, int] = {}
-    reflectivity: dict[str, float] = {}
-    for name, entry in table.items():
-        where = f"{_FILE}: detection.{name}"
-        count = take(entry, "min_points", where)
-        if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-            raise InputError(f"{where}.min_points", count, "a whole number of points, > 0")
-        share = take_number(entry, "reflectivity", where)
-        if not 0.0 < share <= 1.0:
-            raise InputError(f"{where}.reflectivity", share, "0 < share <= 1")
-        min_points[name], reflectivity[name] = count, share
-    return LidarDetection(min_points=min_points, reflectivity=reflectivity)
+    entries = read_tables(table, _DetectionEntry, f"{_FILE}: detection")
+    return LidarDetection(
+        min_points={name: entry.min_points for name, entry in entries.items()},
+        reflectivity={name: entry.reflectivity for name, entry in entries.items()},
+    )
+
+
+@cache
+def load_surface_reflectivity() -> dict[str, float]:
+    """Diffuse reflectivity of all but VRUs, by class name, from ``data/lidars.toml``."""
+    return read_table(_load_file()["surfaces"], dict[str, float], f"{_FILE}: surfaces")
 
 
 def _cell_centres(extent: float, n_cells: int) -> FloatArray:

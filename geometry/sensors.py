@@ -2,8 +2,10 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
@@ -42,7 +44,9 @@ class CameraModel:
     frame_rate_hz: float
     near_m: float
     price_eur: float
-    fov_range_deg: tuple[float, float] | None = None
+    fov_range_deg: (
+        Annotated[tuple[float, float], Meta(description="[low, high] in degrees")] | None
+    ) = None
 
     def __post_init__(self) -> None:
         for field in ("width_px", "height_px"):

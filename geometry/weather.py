@@ -1,7 +1,7 @@
 """Named weathers: light, and what the air takes from contrast and from laser pulses."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
@@ -10,13 +10,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
 from .errors import InputError
-from .files import (
-    Table,
-    load_toml,
-    pick,
-    take,
-    take_number,
-)
+from .files import load_toml, pick, read_tables
 
 CONTRAST_AT_VISIBILITY = 0.05
 """Of the meteorological optical range: contrast that is left at the visibility (WMO-No. 8)."""
@@ -155,26 +149,10 @@ def _kim_exponent(visibility_m: float) -> float:
 def load_weathers() -> dict[str, Weather]:
     """All weathers, by name, from ``data/weather.toml``."""
     table = load_toml(files(__package__) / "data" / "weather.toml")
-    return {name: _read_weather(name, entry) for name, entry in table.items()}
-
-
-def _read_weather(name: str, entry: Table) -> Weather:
-    where = f"weather.toml: {name}"
-    numbers = [field.name for field in fields(Weather) if field.type is float]
-    return Weather(
-        name=name,
-        has_lamps=take(entry, "has_lamps", where),
-        **{key: take_number(entry, key, where) for key in numbers},
-    )
+    return read_tables(table, Weather, "weather.toml")
 
 
 def pick_weather(name: str, where: str) -> Weather:
-    """Weather by name.
-
-    Raises
-    ------
-    InputError
-        The name is unknown.
-    """
+    """Weather by name; the error about an unknown one lists the known ones."""
     weather: Weather = pick(load_weathers(), name, where)
     return weather

@@ -2,14 +2,14 @@
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
-from pathlib import Path
 
 from geometry.errors import InputError, Unquoted
 
 from .candidates import CandidatePose
+from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable
 from .explain import find_refusal
 from .layout import Certificate, Layout
@@ -35,9 +35,6 @@ from .visibility import (
 from .wishes import Wishes, build_problem, check_wishes
 
 _log = logging.getLogger(__name__)
-
-# Called with the stage, and how much of how much is done; 0 of 0 where that is not known.
-StageProgress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,10 +93,7 @@ def place(
     effort: Effort | None = None,
     uncertainty: Uncertainty | None = None,
     n_samples: int = 0,
-    seed: int = 0,
-    workers: int = 1,
-    cache_folder: Path | None = None,
-    on_progress: StageProgress | None = None,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> Placement:
     """Find the best layout that meets wishes.
 
@@ -113,20 +107,14 @@ def place(
         What is asked.
     fusion : str
         "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    seed : int
-        Of the points on the VRUs.
-    workers : int
-        Threads.
-    cache_folder : Path, optional
-        Where detection tables are kept; by default nowhere.
     effort : Effort, optional
         How hard the optimiser tries.
     uncertainty : Uncertainty, optional
         What is drawn in sampled worlds.
     n_samples : int
         Worlds to choose in; 0: the one as planned.
-    on_progress : callable, optional
-        See ``StageProgress``.
+    compute : Compute
+        Seed, threads, where detection tables are kept, and who is told the progress.
 
     Returns
     -------
@@ -142,7 +130,6 @@ def place(
     if not candidates:
         raise InputError("candidates", Unquoted("none"), "at least one pose")
     check_wishes(wishes, setting.scene)
-    report = on_progress or _ignore
     started = time.perf_counter()
     sample_index = None
     if uncertainty is not None and n_samples:
@@ -151,27 +138,17 @@ def place(
             candidates,
             uncertainty,
             n_samples=n_samples,
-            seed=seed,
-            workers=workers,
-            cache_folder=cache_folder,
-            on_progress=report,
+            compute=compute,
         )
         table, sample_index = sampled.table, sampled.sample_index
     else:
-        table = obtain_table(
-            setting,
-            candidates,
-            seed=seed,
-            workers=workers,
-            cache_folder=cache_folder,
-            on_progress=report,
-        )
+        table = obtain_table(setting, candidates, compute=compute)
     table_done = time.perf_counter()
     _log.info("detection table: %d poses, %d frames", table.n_poses, table.axis.n_frames)
     problem = build_problem(
         setting, candidates, table, wishes=wishes, fusion=fusion, sample_index=sample_index
     )
-    report("optimise", 0, 0)
+    compute.progress("optimise", 0, 0)
     reduced = presolve(problem)
     _log.info("presolve: %s", reduced.statistics)
     try:
@@ -179,10 +156,10 @@ def place(
             problem,
             reduced,
             effort=effort,
-            on_stage=lambda stage: report(f"optimise: {stage}", 0, 0),
+            on_stage=lambda stage: compute.progress(f"optimise: {stage}", 0, 0),
         )
     except UnmetError as error:
-        report("what has to give way", 0, 0)
+        compute.progress("what has to give way", 0, 0)
         effort = effort or Effort()
         refusal = find_refusal(
             problem,
@@ -190,15 +167,14 @@ def place(
             setting.scene,
             candidates,
             time_limit_s=effort.time_limit_s,
-            milp_solver=effort.milp_solver,
         )
         raise refusal or error from None
     optimised = time.perf_counter()
-    report("greedy", 0, 0)
+    compute.progress("greedy", 0, 0)
     greedy_index = solve_greedy(problem, reduced)
     nominal, nominal_index = problem, solution.pose_index
     if sample_index is not None:
-        nominal = _alone(setting, candidates, solution.pose_index, fusion, seed, workers)
+        nominal = _alone(setting, candidates, solution.pose_index, fusion, compute.within("greedy"))
         nominal_index = tuple(range(nominal.table.n_poses))
     return Placement(
         layout=pick_layout(candidates, solution.pose_index, f"best-{len(solution.pose_index)}"),
@@ -221,47 +197,29 @@ def obtain_table(
     setting: Setting,
     candidates: Sequence[CandidatePose],
     *,
-    seed: int,
-    workers: int,
-    cache_folder: Path | None,
-    on_progress: StageProgress,
+    compute: Compute,
 ) -> DetectionTable:
-    """Detection table of a setting, from the cache or built anew.
-
-    Parameters
-    ----------
-    setting, candidates, seed, workers, cache_folder
-        As for :func:`place`.
-    on_progress : callable
-        See ``StageProgress``.
-
-    Returns
-    -------
-    table : DetectionTable
-        V[c, f].
-    """
-    if cache_folder is not None:
+    """Detection table of a setting, from the cache or built anew."""
+    if compute.cache_folder is not None:
         fingerprint = table_fingerprint(
-            setting.scene, candidates, setting.runs, setting.planner, seed=seed
+            setting.scene, candidates, setting.runs, setting.planner, seed=compute.seed
         )
-        path = cache_folder / f"table-{fingerprint}.npz"
+        path = compute.cache_folder / f"table-{fingerprint}.npz"
         cached = load_table(path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis)
         if cached is not None:
             _log.info("detection table read from %s", path)
-            on_progress("detection table (cached)", 0, 0)
+            compute.progress("detection table (cached)", 0, 0)
             return cached
-    on_progress("detection table", 0, 0)
+    compute.progress("detection table", 0, 0)
     table = build_detection_table(
         setting.scene,
         candidates,
         setting.runs,
         setting.axis,
         detector=setting.planner,
-        seed=seed,
-        workers=workers,
-        on_progress=lambda done, total: on_progress("detection table", done, total),
+        compute=compute,
     )
-    if cache_folder is not None:
+    if compute.cache_folder is not None:
         save_table(path, table, fingerprint=fingerprint)
     return table
 
@@ -271,8 +229,7 @@ def _alone(
     candidates: Sequence[CandidatePose],
     pose_index: Sequence[int],
     fusion: Fusion,
-    seed: int,
-    workers: int,
+    compute: Compute,
 ) -> PlacementProblem:
     """A layout in the world as planned."""
     units = [candidates[index] for index in pose_index]
@@ -282,8 +239,7 @@ def _alone(
         setting.runs,
         setting.axis,
         detector=setting.planner,
-        seed=seed,
-        workers=workers,
+        compute=compute,
     )
     wishes = Wishes(budget_units=1, kept=tuple(unit.id for unit in units[1:]))
     return build_problem(setting, units, table, wishes=wishes, fusion=fusion)
@@ -306,7 +262,3 @@ def pick_layout(
             for candidate in chosen
         ),
     )
-
-
-def _ignore(stage: str, done: int, total: int) -> None:
-    """Take no notice of progress."""

@@ -1,128 +1,530 @@
-"""The question: what a user asks, in the words of the command line. Imports nothing heavy."""
+"""The question: what a user asks, each field with its option; read from and written to TOML.
 
-from dataclasses import dataclass
+A field carries all that the command line and the question file need to know about it: its help,
+its section, its type with the values that it may have, and its default. Imports nothing heavy.
+"""
+
+from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from msgspec import Meta
 
 DEFAULT_CASES = "study"
 BASELINE_NAME = "carlancap-12"
 """What a user calls the study's own layout."""
+
+ASKED = "What is asked"
+MOUNTED = "What may be mounted, and where"
+SOUGHT = "How it is looked for"
+DRIVEN = "What is driven"
+SEEN = "What is seen, told and braked"
+SECTIONS = (ASKED, MOUNTED, SOUGHT, DRIVEN, SEEN)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Option:
+    """How a user meets a field of :class:`Question`.
+
+    Attributes
+    ----------
+    section, help : str
+        Where and how the help describes it.
+    metavar : str
+        What the help shows for a value; empty: what the type says.
+    name : str
+        Without dashes in front; empty: the field's name. In a question file, dashes are
+        underscores.
+    is_common : bool
+        Whether most people need it: the short help shows it.
+    is_path : bool
+        Whether a shell completes the value as a path.
+    """
+
+    section: str
+    help: str
+    metavar: str = ""
+    name: str = ""
+    is_common: bool = False
+    is_path: bool = False
+
+
+def _share(of: str) -> Meta:
+    return Meta(ge=0.0, le=1.0, description=f"{of}, 0 to 1")
+
+
+def _at_least(least: float, of: str) -> Meta:
+    return Meta(ge=least, description=f"{of}, at least {least}")
+
+
+def _positive(of: str) -> Meta:
+    return Meta(gt=0.0, description=f"{of}, more than 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
     """What is asked: what is driven and how it brakes, what may be mounted, how hard to look.
 
-    Attributes
-    ----------
-    scene : str
-        Folder or .zip file of a scene; empty: the study's junction.
-    cases, speeds : str
-        See :func:`scenarios.cases.select_cases`; no speeds: those of the cases.
-    approaches : str
-        Arms with commas between; empty: all.
-    weather : str
-        Weathers with commas between.
-    weights : str
-        See :func:`scenarios.exposure.weigh`.
-    phase : str
-        See :func:`scenarios.runs.build_runs`.
-    force : bool
-        Drive speeds that the protocol does not.
-    deceleration_mps2, build_up_s, latency_s, n_confirmations
-        In place of the study's, see :class:`scenarios.aeb.AebRule`.
-    detector : str
-        See :func:`placement.detectors.load_detector`.
-    vut_sensors : str
-        Of the VUT itself, with commas between, see :class:`placement.setting.Setting`.
-    packet_loss, vam_rate : float
-        See :class:`placement.setting.Links`.
-    budget : int, optional
-        Units.
-    budget_cost : float, optional
-        Money. [EUR]
-    target : str
-        A share, or "max"; empty: none.
-    least : str
-        "units" or "cost": what a target is reached with the least of.
-    min_case_apr, survive, site_capacity, site_cost_eur, separation_m
-        See :class:`placement.wishes.Wishes`.
-    keep, within : str
-        Layouts by name or file; empty: none.
-    force_site, forbid_site : str
-        Sites with commas between.
-    stage_weights : str
-        Such as "apr=1,mean_margin_s=0.1"; empty: the stages in order.
-    fusion : str
-        See :class:`placement.optimiser.PlacementProblem`.
-    sensors : str
-        Models with commas between; empty: the default grid's.
-    no_look : str
-        File of areas that cameras must not look into; empty: none.
-    no_look_share : float, optional
-        Share of an area that a camera may have in its picture; by default none, or any where it
-        has a price.
-    no_look_price : float
-        Of a square metre of such an area in a camera's picture. [EUR]
-    study_poses : bool
-        Whether the study's 12 poses are candidates.
-    solver, time_limit_s, gap, milp_solver
-        See :class:`placement.optimiser.Effort`.
-    refine : bool
-        Whether to look between the poses of the grid.
-    samples : int
-        Sampled worlds to choose in; 0: the nominal one.
-    uncertainty : str
-        See :func:`placement.sampling.load_uncertainty`.
-    pool : int
-        Layouts as good to list beside the one chosen.
-    pool_tolerance : float
-        See :func:`placement.explain.find_pool`.
-    risk : str
-        "mean", "worst", or the share of the worst worlds whose mean counts.
+    Each field carries its :class:`Option`, which says what it means. Lists are one text with
+    commas between; an empty text means that nothing is given.
     """
 
-    scene: str = ""
-    cases: str = DEFAULT_CASES
-    speeds: str = ""
-    approaches: str = ""
-    weather: str = "day"
-    weights: str = "run"
+    budget: Annotated[
+        Annotated[int, _at_least(1, "a whole number of units")] | None,
+        Option(section=ASKED, help="Most units to mount.", is_common=True),
+    ] = None
+    budget_cost: Annotated[
+        Annotated[float, _positive("euros")] | None,
+        Option(
+            section=ASKED,
+            help="Most money to spend on units and sites.",
+            metavar="EUR",
+            is_common=True,
+        ),
+    ] = None
+    target: Annotated[
+        str,
+        Option(
+            section=ASKED,
+            help="APR to be reached with the fewest units: 0.99, or max for all that can be "
+            "reached.",
+            metavar="SHARE",
+            is_common=True,
+        ),
+    ] = ""
+    least: Annotated[
+        Literal["units", "cost"],
+        Option(section=ASKED, help="What --target is reached with the least of.", is_common=True),
+    ] = "units"
+    min_case_apr: Annotated[
+        Annotated[float, _share("a share of the runs")],
+        Option(section=ASKED, help="APR that must be reached in every case."),
+    ] = 0.0
+    survive: Annotated[
+        Annotated[int, _at_least(0, "units that may fail, 0 to 2")],
+        Option(
+            section=ASKED,
+            help="Reach --target and --min-case-apr even when any N units fail; without these, "
+            "look for the highest APR that is left then.",
+            is_common=True,
+        ),
+    ] = 0
+
+    keep: Annotated[
+        str,
+        Option(
+            section=MOUNTED,
+            help="A layout that hangs there and is paid: units are added to it.",
+            metavar="LAYOUT",
+            is_common=True,
+            is_path=True,
+        ),
+    ] = ""
+    within: Annotated[
+        str,
+        Option(
+            section=MOUNTED,
+            help="Choose among the units of this layout alone: carlancap-12, or a file.",
+            metavar="LAYOUT",
+            is_common=True,
+            is_path=True,
+        ),
+    ] = ""
+    force_site: Annotated[
+        str, Option(section=MOUNTED, help="Sites that must carry units.", metavar="SITES")
+    ] = ""
+    forbid_site: Annotated[
+        str, Option(section=MOUNTED, help="Sites that must not carry any.", metavar="SITES")
+    ] = ""
+    site_capacity: Annotated[
+        Annotated[int, _at_least(1, "units per site")] | None,
+        Option(section=MOUNTED, help="Units that each site can carry; default: the scene's."),
+    ] = None
+    site_cost_eur: Annotated[
+        Annotated[float, _at_least(0, "euros")] | None,
+        Option(
+            section=MOUNTED,
+            help="Of each site that is used, once; default: the scene's.",
+            metavar="EUR",
+            name="site-cost",
+        ),
+    ] = None
+    separation_m: Annotated[
+        Annotated[float, _at_least(0, "metres")],
+        Option(
+            section=MOUNTED,
+            help="Least distance between two units on the ground; one per site then.",
+            metavar="METRES",
+            name="separation",
+        ),
+    ] = 0.0
+    sensors: Annotated[
+        str,
+        Option(
+            section=MOUNTED,
+            help="Models to choose from, with commas between: carla-ncap-rgb,carla-ncap-lidar, or "
+            "your own: FILE.toml, FILE.toml:NAME; default: the study's camera.",
+            metavar="NAMES",
+            is_common=True,
+        ),
+    ] = ""
+    no_look: Annotated[
+        str,
+        Option(
+            section=MOUNTED,
+            help="Areas that no camera may have in its picture; of a layout that is given, the "
+            "share of them in each picture is told. Polygons in GeoJSON, GeoPackage or Shapefile.",
+            metavar="FILE",
+            is_common=True,
+            is_path=True,
+        ),
+    ] = ""
+    no_look_share: Annotated[
+        Annotated[float, _share("a share of an area")] | None,
+        Option(
+            section=MOUNTED,
+            help="Share of such an area that may be in the picture all the same; default: none.",
+        ),
+    ] = None
+
+    solver: Annotated[
+        Literal["auto", "exact", "relax", "greedy"],
+        Option(
+            section=SOUGHT,
+            help="greedy: search only; relax: bounds of relaxations; exact: models and "
+            "enumeration to the end; auto: what the size allows.",
+        ),
+    ] = "auto"
+    time_limit_s: Annotated[
+        Annotated[float, _positive("seconds")],
+        Option(
+            section=SOUGHT,
+            help="For the optimiser; when it is up, the best layout found and its gap are given.",
+            metavar="SECONDS",
+            name="time-limit",
+            is_common=True,
+        ),
+    ] = 20.0
+    gap: Annotated[
+        Annotated[float, _share("a relative gap")],
+        Option(section=SOUGHT, help="Relative gap at which an objective counts as settled."),
+    ] = 0.0
+    refine: Annotated[
+        bool,
+        Option(
+            section=SOUGHT,
+            help="Look between the poses of the grid, too: turn, tilt, raise and zoom the units "
+            "found; up to a minute more.",
+            is_common=True,
+        ),
+    ] = False
+    samples: Annotated[
+        Annotated[int, _at_least(0, "a number of sampled worlds")],
+        Option(
+            section=SOUGHT,
+            help="Choose, or compare, in so many worlds with mounting errors, traffic, misses and "
+            "lost messages drawn at random; each needs a detection table of its own.",
+        ),
+    ] = 0
+    uncertainty: Annotated[
+        str,
+        Option(
+            section=SOUGHT,
+            help="What is drawn for --samples: a name, or a .toml file.",
+            metavar="NAME",
+        ),
+    ] = "default"
+    risk: Annotated[
+        str,
+        Option(
+            section=SOUGHT,
+            help="With --samples: mean, worst, or the share of the worst worlds whose mean APR "
+            "counts.",
+            metavar="HOW",
+        ),
+    ] = "mean"
+    pool: Annotated[
+        Annotated[int, _at_least(0, "a number of layouts")],
+        Option(
+            section=SOUGHT,
+            help="List so many layouts that are as good in the first objective, the best first, "
+            "and how often each site appears in them.",
+        ),
+    ] = 0
+
+    scene: Annotated[
+        str,
+        Option(
+            section=DRIVEN,
+            help="Folder or .zip file of `place-rsus scene import`; default: the study's junction.",
+            metavar="PATH",
+            is_common=True,
+            is_path=True,
+        ),
+    ] = ""
+    cases: Annotated[
+        str,
+        Option(
+            section=DRIVEN,
+            help="A set - study, protocol-4.5.1, all - or names with commas between; CPNA stands "
+            "for CPNA-25 and CPNA-75. `place-rsus scenarios list` shows them.",
+            metavar="CASES",
+            is_common=True,
+        ),
+    ] = DEFAULT_CASES
+    speeds: Annotated[
+        str,
+        Option(
+            section=DRIVEN,
+            help="VUT speeds: 30,50 or 20-40 (the case's own speeds in that range); default: all.",
+            metavar="KMH",
+            is_common=True,
+        ),
+    ] = ""
+    approaches: Annotated[
+        str,
+        Option(
+            section=DRIVEN,
+            help="From where the VUT comes: north,east; default: every arm of the junction.",
+            metavar="ARMS",
+        ),
+    ] = ""
+    weather: Annotated[
+        str,
+        Option(
+            section=DRIVEN,
+            help="day,night,rain,fog: each run is driven in each.",
+            metavar="WEATHER",
+            is_common=True,
+        ),
+    ] = "day"
+    force: Annotated[
+        bool, Option(section=DRIVEN, help="Drive speeds that the protocol does not.")
+    ] = False
+    weights: Annotated[
+        str,
+        Option(
+            section=DRIVEN,
+            help="run: every run counts the same; case: every case; euroncap-rating-2026: by its "
+            "points; or a CSV file with case, approach, weight.",
+            metavar="HOW",
+        ),
+    ] = "run"
+
+    fusion: Annotated[
+        Literal["any", "single"],
+        Option(
+            section=SEEN,
+            help="any: a frame counts if any unit detects; single: one unit must confirm alone.",
+            is_common=True,
+        ),
+    ] = "any"
+    detector: Annotated[
+        str,
+        Option(
+            section=SEEN,
+            help="Of cameras: geometric (by boxes), response (misses by size, cover, class, "
+            "weather), a .toml file with a response table, or an .onnx network that looks at "
+            "rendered pictures.",
+            metavar="HOW",
+            is_common=True,
+        ),
+    ] = "geometric"
+    vut_sensors: Annotated[
+        str,
+        Option(
+            section=SEEN,
+            help="What the VUT itself looks with: camera,lidar.",
+            metavar="SENSORS",
+        ),
+    ] = "camera"
+    packet_loss: Annotated[
+        Annotated[float, _share("a share of lost messages")],
+        Option(
+            section=SEEN,
+            help="Of the RSUs' and road users' messages, frame by frame; in the evaluation.",
+        ),
+    ] = 0.0
+    vam_rate: Annotated[
+        Annotated[float, _share("a share of equipped road users")],
+        Option(
+            section=SEEN,
+            help="Of the road users who announce themselves (VRU awareness messages).",
+        ),
+    ] = 0.0
+    n_confirmations: Annotated[
+        Annotated[int, _at_least(1, "a number of frames")] | None,
+        Option(
+            section=SEEN,
+            help="Detected frames in a row that confirm; default: the study's 3.",
+            name="confirmations",
+        ),
+    ] = None
+    latency_s: Annotated[
+        Annotated[float, _at_least(0, "seconds")] | None,
+        Option(
+            section=SEEN,
+            help="From the confirming frame to braking; default: the study's 0.025.",
+            metavar="SECONDS",
+            name="latency",
+        ),
+    ] = None
+    latency_budget: Annotated[
+        str,
+        Option(
+            section=SEEN,
+            help="In place of --latency: the mean of study, cpm-100ms, cpm-50ms, or of a .toml "
+            "file of parts.",
+            metavar="NAME|FILE",
+        ),
+    ] = ""
+    deceleration_mps2: Annotated[
+        Annotated[float, _positive("m/s^2")] | None,
+        Option(
+            section=SEEN,
+            help="Of full braking; default: the study's 7.72.",
+            metavar="M/S2",
+            name="deceleration",
+        ),
+    ] = None
+    build_up_s: Annotated[
+        Annotated[float, _at_least(0, "seconds")] | None,
+        Option(
+            section=SEEN,
+            help="Until braking is full; default: the study's 0.",
+            metavar="SECONDS",
+            name="brake-build-up",
+        ),
+    ] = None
+
     phase: str = "aligned"
-    force: bool = False
-    deceleration_mps2: float | None = None
-    build_up_s: float | None = None
-    latency_s: float | None = None
-    n_confirmations: int | None = None
-    detector: str = "geometric"
-    vut_sensors: str = "camera"
-    packet_loss: float = 0.0
-    vam_rate: float = 0.0
-    budget: int | None = None
-    budget_cost: float | None = None
-    target: str = ""
-    least: str = "units"
-    min_case_apr: float = 0.0
-    survive: int = 0
-    site_capacity: int | None = None
-    site_cost_eur: float | None = None
-    separation_m: float = 0.0
-    keep: str = ""
-    within: str = ""
-    force_site: str = ""
-    forbid_site: str = ""
     stage_weights: str = ""
-    fusion: str = "any"
-    sensors: str = ""
-    no_look: str = ""
-    no_look_share: float | None = None
     no_look_price: float = 0.0
     study_poses: bool = True
-    solver: str = "auto"
-    time_limit_s: float = 20.0
-    gap: float = 0.0
     milp_solver: str = "HIGHS"
-    refine: bool = False
-    samples: int = 0
-    uncertainty: str = "default"
-    risk: str = "mean"
-    pool: int = 0
     pool_tolerance: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answerable:
+    """A field of :class:`Question`, taken apart.
+
+    Attributes
+    ----------
+    name : str
+        Of the field.
+    kind : type
+        int, float, bool or str, or one of the words of a Literal; with limits in a
+        :class:`msgspec.Meta`.
+    default : object
+        Of the field; None: nothing is given.
+    option : Option
+        How the user meets it.
+    """
+
+    name: str
+    kind: Any
+    default: Any
+    option: Option
+
+    @property
+    def option_name(self) -> str:
+        """Such as "--site-cost"."""
+        return "--" + (self.option.name or self.name.replace("_", "-"))
+
+    @property
+    def key(self) -> str:
+        """Such as "site_cost": the name in a question file."""
+        return self.option_name.removeprefix("--").replace("-", "_")
+
+
+@cache
+def question_fields() -> dict[str, Answerable]:
+    """The fields of a question that a user can set, by name, in the order of the help."""
+    hints = get_type_hints(Question, include_extras=True)
+    found = {}
+    for field in fields(Question):
+        if get_origin(hints[field.name]) is not Annotated:
+            continue
+        kind, *limits, option = get_args(hints[field.name])
+        if limits:  # Python makes one list of what is annotated twice
+            kind = Annotated[kind, *limits]
+        if get_origin(kind) in (Union, UnionType):  # of a value and None
+            kind = next(one for one in get_args(kind) if one is not NoneType)
+        found[field.name] = Answerable(
+            name=field.name, kind=kind, default=field.default, option=option
+        )
+    return found
+
+
+def load_answers(path: Path) -> dict[str, Any]:
+    """Read a question file: the values that it gives, by the names of the fields.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has an unknown key or a value that cannot be.
+    """
+    from geometry.errors import InputError
+    from geometry.files import load_toml, read_table
+
+    known = {field.key: field for field in question_fields().values()}
+    answers = {}
+    for key, value in load_toml(path).items():
+        if key not in known:
+            raise InputError(str(path), key, "one of " + ", ".join(known))
+        field = known[key]
+        if field.kind is str and isinstance(value, int | float) and not isinstance(value, bool):
+            value = f"{value:g}"
+        answers[field.name] = read_table(value, field.kind, f"{path}: {key}")
+    return answers
+
+
+def load_question(path: Path) -> Question:
+    """Read a question file (TOML); what it does not give has its default.
+
+    Parameters
+    ----------
+    path : Path
+        Its keys are the names of the options with underscores, such as ``site_cost = 500.0``.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has an unknown key or a value that cannot be.
+    """
+    return Question(**load_answers(path))
+
+
+def save_question(path: Path, question: Question) -> None:
+    """Write a question file: every field that differs from its default, below its help.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    import textwrap
+
+    import tomlkit
+
+    from geometry.errors import InputError, Unquoted
+    from geometry.files import write_atomically
+
+    document = tomlkit.document()
+    document.add(tomlkit.comment("A question for place-rsus --question FILE."))
+    for field in question_fields().values():
+        value = getattr(question, field.name)
+        if value != field.default:
+            document.add(tomlkit.nl())
+            for line in textwrap.wrap(field.option.help, 96, break_on_hyphens=False):
+                document.add(tomlkit.comment(line))
+            document.add(field.key, value)
+    try:
+        write_atomically(path, lambda file: file.write(tomlkit.dumps(document).encode()))
+    except OSError as error:
+        raise InputError(
+            str(path), Unquoted(error.strerror or error), "a file that can be written"
+        ) from None

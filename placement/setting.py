@@ -28,6 +28,7 @@ from .detectors import (
     load_detector,
     load_planning_detector,
 )
+from .latency import load_latency_budget
 from .question import Question
 
 # ---------- how detections reach the VUT: messages get lost, and some VRUs announce themselves
@@ -116,12 +117,23 @@ _log = logging.getLogger(__name__)
 
 
 def build_rule(question: Question) -> AebRule:
-    """The study's braking rule, with what the question changes."""
+    """The study's braking rule, with what the question changes.
+
+    Raises
+    ------
+    InputError
+        The latency budget is unknown, or a latency is given beside it.
+    """
     changes = {
         name: getattr(question, name)
         for name in ("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations")
         if getattr(question, name) is not None
     }
+    if question.latency_budget:
+        if question.latency_s is not None:
+            raise InputError("--latency", Unquoted("it beside --latency-budget"), "one of them")
+        budget = load_latency_budget(question.latency_budget, where="--latency-budget")
+        changes["latency_s"] = budget.mean_s
     return replace(load_aeb_rule(), **changes)
 
 

@@ -54,8 +54,6 @@ class Wishes:
         Least distance on the ground between two units; on one site there is one at most then. [m]
     surcharges_eur : tuple of (str, float)
         Ids of candidates, and what each costs beside its sensor. [EUR]
-    stage_weights : (5,) float, optional
-        See :class:`placement.optimiser.PlacementProblem`.
     tail : float
         Share of the sampled worlds that counts, the worst ones, see
         :class:`placement.optimiser.problem.Measure`.
@@ -74,7 +72,6 @@ class Wishes:
     site_cost_eur: float | None = None
     separation_m: float = 0.0
     surcharges_eur: tuple[tuple[str, float], ...] = ()
-    stage_weights: tuple[float, ...] | None = None
     tail: float = 1.0
 
     def __post_init__(self) -> None:
@@ -244,7 +241,6 @@ def build_problem(
         rule=setting.rule,
         goal=wishes.goal,
         survive=0 if wishes.target is not None or wishes.min_case_apr else wishes.survive,
-        stage_weights=wishes.stage_weights,
         sample_index=sample_index,
         tail=wishes.tail,
     )

@@ -25,6 +25,7 @@ from geometry.maps.importing import (
 )
 from geometry.maps.junctions import choose_junction
 from geometry.maps.source_map import SourceMap
+from placement.compute import Compute
 from placement.evaluation import apr
 from placement.evaluator import evaluate_layout
 from placement.pipeline import place
@@ -125,10 +126,11 @@ def _run(task: _Task, budget: int, pictures: Path) -> list[str]:
     began_s = time.perf_counter()
     setting = build_setting(Question(), scene)
     plan = build_plan(Question(budget=budget), scene)
+    compute = Compute(workers=_WORKERS)
     placement = place(
-        setting, plan.candidates, wishes=plan.wishes, effort=plan.effort, workers=_WORKERS
+        setting, plan.candidates, wishes=plan.wishes, effort=plan.effort, compute=compute
     )
-    evaluation = evaluate_layout(placement.layout, setting, workers=_WORKERS)
+    evaluation = evaluate_layout(placement.layout, setting, compute=compute)
     arms = build_junction(scene).arms
     n_lanes = sum(len(arm.entry_lanes) + len(arm.exit_lanes) for arm in arms.values())
     return [

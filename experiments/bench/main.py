@@ -20,6 +20,7 @@ import click
 from geometry.raycast import caster_name
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
+from placement.compute import Compute
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout
 from placement.question import Question
@@ -75,14 +76,15 @@ def _measure_growth(candidates: tuple[CandidatePose, ...]) -> dict[str, Any]:
     layout = Layout(name="three", units=load_carlancap_layout().units[:3])
     figures: dict[str, Any] = {}
     per_run_s = []
+    compute = Compute(workers=_WORKERS)
     for cases in ("CBLA", _OWN_CASES, "study", "protocol-4.5.1"):
         began_s = time.perf_counter()
         setting = build_setting(Question(cases=cases), scene)
         laid_s = time.perf_counter()
         build_detection_table(
-            scene, few, setting.runs, setting.axis, detector=setting.planner, workers=_WORKERS
+            scene, few, setting.runs, setting.axis, detector=setting.planner, compute=compute
         )
-        evaluate_layout(layout, setting, workers=_WORKERS)
+        evaluate_layout(layout, setting, compute=compute)
         n_runs = len(setting.runs)
         per_run_s.append((time.perf_counter() - began_s) / n_runs)
         name = f"growth: {cases}, {n_runs} runs"

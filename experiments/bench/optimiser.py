@@ -17,6 +17,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from placement.candidates import CandidatePose
+from placement.compute import Compute
 from placement.detection_table import DetectionTable
 from placement.optimiser import (
     Effort,
@@ -340,7 +341,7 @@ def measure_optimiser(
         setting.runs,
         setting.axis,
         detector=setting.planner,
-        workers=_WORKERS,
+        compute=Compute(workers=_WORKERS),
     )
     wishes = Wishes(budget_units=budget)
     problem = build_problem(setting, candidates, table, wishes=wishes, fusion="any")

@@ -13,6 +13,7 @@ from geometry.catalogue import Sensor, load_cameras
 from geometry.lidar import load_lidars
 from geometry.weather import load_weathers
 from placement.candidates import CandidatePose
+from placement.compute import Compute
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_from_roadside
 from placement.evaluator.render import Solid
@@ -106,7 +107,7 @@ def _measure_lidar(setting: Setting) -> dict[str, Any]:
             setting.runs,
             setting.axis,
             detector=setting.planner,
-            workers=_WORKERS,
+            compute=Compute(workers=_WORKERS),
         )
 
     lidar, camera = load_lidars()["carla-ncap-lidar"], load_cameras()["carla-ncap-rgb"]
@@ -135,7 +136,7 @@ def _measure_pictures(runs: tuple[Run, ...]) -> dict[str, Any]:
                 unit.pose,
                 load_cameras()["carla-ncap-rgb"],
                 weather=weather,
-                workers=_WORKERS,
+                compute=Compute(workers=_WORKERS),
             )
             seconds.append(time.perf_counter() - began_s)
         figures[f"picture: seconds, {name} (about 1)"] = statistics.median(seconds)

@@ -1,23 +1,30 @@
 """``place-rsus compare``: any number of layouts on the same runs."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+from msgspec import UNSET
 
+from placement.compute import Compute
 from placement.question import Question
 
-from ..progress import StageProgress, command_line, print_result, warn_of_slow_rays
-from .latency import latency_budget_options
+from ..progress import StageProgress
+from .evaluate import TOGETHER, additions, apr_lines, as_result, written
 from .options import (
+    JUDGED,
     SectionedCommand,
-    WholeNumber,
+    compute_options,
     json_option,
-    no_look_option,
+    option,
     question_options,
     quiet_option,
-    seed_option,
-    workers_option,
 )
+from .running import begin, command_line, print_result
+from .terminal import sentences
+
+if TYPE_CHECKING:
+    from ..results.result import Result
 
 
 @click.command(
@@ -29,54 +36,34 @@ Examples:
   place-rsus compare a.json b.json --samples 60     is the difference sure?""",
 )
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
-@click.option("--layout", "more_layouts", multiple=True, help="The same as an argument.")
-@click.option(
+@option("--layout", "more_layouts", multiple=True, help="The same as an argument.")
+@option(
     "--report",
     "--out",
     "out",
     type=click.Path(path_type=Path),
     help="Folder for a report; else none.",
 )
-@click.option(
-    "--samples",
-    type=WholeNumber(0, "a number of sampled worlds"),
-    default=0,
-    help="Compare in so many worlds with mounting errors, traffic, misses and lost messages drawn "
-    "at random, too: differences then have a 95 % interval.",
-)
-@click.option(
-    "--uncertainty",
-    default="default",
-    show_default=True,
-    metavar="NAME",
-    help="What is drawn: a name, or a .toml file.",
-)
-@no_look_option("Areas of which the share is told that each camera has in its picture")
-@question_options()
-@latency_budget_options()
+@question_options("samples", "uncertainty", "no_look", *JUDGED)
 @json_option
 @quiet_option
-@seed_option
-@workers_option
+@compute_options()
 @click.pass_obj
 def compare(
     progress: StageProgress,
     *,
     layouts: tuple[str, ...],
     more_layouts: tuple[str, ...],
-    samples: int,
-    uncertainty: str,
-    no_look: str,
     out: Path | None,
     question: Question,
     as_json: bool,
     quiet: bool,
-    seed: int,
-    workers: int,
+    compute: Compute,
 ) -> None:
     """Compare layouts on the same runs: the first against each of the others.
 
-    A layout is carlancap-12 or a layout file, such as layout.json in a folder of results.
+    A layout is carlancap-12 or a layout file, such as layout.json in a folder of results. With
+    --samples, differences have a 95 % interval.
     """
     names = (*layouts, *more_layouts)
     if len(names) < 2:
@@ -85,26 +72,43 @@ def compare(
     from ..study.layout import find_layout
 
     found = [find_layout(name, "LAYOUT") for name in names]
-    progress.start(quiet=quiet)
-    warn_of_slow_rays()
+    begin(progress, quiet=quiet)
     from ..jobs import placement
-    from ..results.record import to_plain
-    from ..results.text import comparison_table
-    from .tables import with_additions
 
-    result = placement.run_comparison(
+    summary = placement.run_comparison(
         question,
         layouts=found,
-        samples=samples,
-        uncertainty=uncertainty,
-        no_look=no_look,
+        samples=question.samples,
+        uncertainty=question.uncertainty,
+        no_look=question.no_look,
         out=out,
-        seed=seed,
-        workers=workers,
+        compute=compute,
         command=command_line(),
         progress=progress,
     )
-    summary = to_plain(result)  # border
-    print_result(
-        summary, progress, as_json, lambda: with_additions(summary, comparison_table(summary, out))
-    )
+    print_result(summary, progress, as_json, lambda: comparison_text(as_result(summary), out))
+
+
+def comparison_text(result: "Result", out: Path | None) -> str:
+    """Layouts' results side by side, and the runs in which the first differs from each other."""
+    assert result.compared is not UNSET
+    parties = {}
+    for name, evaluation in (
+        (result.name, result.evaluation),
+        *((other.name, other.evaluation) for other in result.compared),
+    ):
+        parties[name] = evaluation.rsu_all
+        parties[f"{name} and VUT"] = evaluation.vut_and_rsus
+    names = ", ".join(other.name for other in result.compared)
+    lines = [
+        *additions(result),
+        *sentences(f"{result.name} against {names} on {result.runs} runs:"),
+        *apr_lines(parties | {"VUT alone": result.evaluation.vut}),
+        *sentences(f"each layout's units are {TOGETHER}.", indent=2),
+    ]
+    for other in result.compared:
+        over = f" over {other.name}" if len(result.compared) > 1 else ""
+        for words, runs in (("gained", other.runs_gained), ("lost", other.runs_lost)):
+            head = f"runs {words}{over}:".ljust(len(f"runs gained{over}: "))
+            lines += sentences(", ".join(runs) or "none", head=head, indent=2, hanging=len(head))
+    return "\n".join([*lines, *written(out)])

@@ -3,22 +3,16 @@
 import os
 import platform
 import sys
-import textwrap
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import click
 
-from geometry.raycast import caster_name, open3d_problem
-from placement.optimiser.milp import installed_solvers
+from .options import cache_folder, json_option
+from .terminal import WIDTH, sentences
 
-from ..progress import cache_folder
-from .options import json_option
-
-# ---------- what is installed here, what is missing, and what that costs
-
-
+_EXIT_FAILED = 1
 # Import name of what an extra brings; extra; what is not there without it.
 _EXTRAS = (
     ("requests", "online", "scene import --bbox: fetching OpenStreetMap"),
@@ -48,6 +42,8 @@ def examine(cache_folder: Path) -> dict[str, Any]:
         "milp_solvers": [..], "cache": {"folder", "files", "bytes", "is_writable"}, "is_well"}``.
         Well: everything that is not an extra is there, and the cache can be written.
     """
+    from geometry.raycast import caster_name, open3d_problem
+
     libraries = {name: _version(name) for name in _LIBRARIES}
     cache = _examine_cache(cache_folder)
     return {
@@ -61,7 +57,7 @@ def examine(cache_folder: Path) -> dict[str, Any]:
             {"package": package, "extra": extra, "version": _version(package), "without": without}
             for package, extra, without in _EXTRAS
         ],
-        "milp_solvers": installed_solvers(),
+        "milp_solvers": ["HIGHS"] if libraries["highspy"] else [],
         "cache": cache,
         "is_well": all(libraries.values()) and bool(cache["is_writable"]),
     }
@@ -72,13 +68,14 @@ def doctor_text(summary: dict[str, Any]) -> str:
     lines = [
         f"place-rsus {summary['version'] or '(not installed)'}, Python {summary['python']}, "
         f"{summary['processors']} processors",
-        f"  {summary['platform']}"[:80],
+        f"  {summary['platform']}"[:WIDTH],
         "",
         f"rays are cast by {summary['rays']['by']}",
     ]
     if summary["rays"]["problem"]:
-        lines += _wrapped(summary["rays"]["problem"])
-        lines += _wrapped("embreex casts the same rays: nothing is lost")
+        lines += sentences(
+            summary["rays"]["problem"], "embreex casts the same rays: nothing is lost", indent=2
+        )
     lines += ["", "libraries:"]
     lines += [
         f"  {name:<22} {found or 'MISSING: place-rsus does not work without it'}"
@@ -90,14 +87,13 @@ def doctor_text(summary: dict[str, Any]) -> str:
             lines.append(f"  {entry['package']:<22} {entry['version']}")
         else:
             lines.append(f"  {entry['package']:<22} not installed (place-rsus[{entry['extra']}])")
-            lines += _wrapped(f"without it: no {entry['without']}", indent="    ")
+            lines += sentences(f"without it: no {entry['without']}", indent=4)
     lines += ["", "mixed-integer solvers: " + ", ".join(summary["milp_solvers"])]
     cache = summary["cache"]
     state = "" if cache["is_writable"] else "; it cannot be written to: tables are made anew"
-    lines += _wrapped(
+    lines += sentences(
         f"detection tables: {cache['files']} in {cache['folder']}, "
-        f"{cache['bytes'] / 2**20:,.0f} MiB{state}",
-        indent="",
+        f"{cache['bytes'] / 2**20:,.0f} MiB{state}"
     )
     return "\n".join(lines)
 
@@ -122,16 +118,6 @@ def _examine_cache(folder: Path) -> dict[str, Any]:
     }
 
 
-def _wrapped(text: str, indent: str = "  ") -> list[str]:
-    return textwrap.wrap(text, 80, initial_indent=indent, subsequent_indent=indent)
-
-
-# ---------- ``place-rsus doctor``: what is installed, what is missing, what that costs
-
-
-_EXIT_FAILED = 1
-
-
 @click.command(
     epilog="""\b
 Examples:
@@ -143,7 +129,6 @@ Exit codes: 0 all is well (extras may be missing), 1 something is not."""
 @json_option
 def doctor(*, as_json: bool) -> None:
     """Say what is installed here, what is missing, and what that costs."""
-    pass
     from ..export.json import to_json_text
 
     summary = examine(cache_folder())

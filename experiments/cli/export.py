@@ -5,8 +5,8 @@ from pathlib import Path
 import click
 
 from ..export import FORMAT_NAMES
-from ..progress import load_one_layout
-from .options import OneOf, layout_option, scene_option
+from .options import layout_option, option, scene_option
+from .running import load_one_layout, unwritable
 
 
 class _ExportCommand(click.Command):
@@ -38,16 +38,16 @@ Examples:
   place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg""",
 )
 @layout_option
-@click.option(
+@option(
     "--format",
     "format_name",
     required=True,
     metavar="FORMAT",
-    type=OneOf(FORMAT_NAMES),
+    type=click.Choice(FORMAT_NAMES),
     help="One of those below.",
 )
 @scene_option
-@click.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 def export(
     *, layout_names: tuple[str, ...], format_name: str, scene: str, out: Path | None
 ) -> None:
@@ -72,6 +72,4 @@ def export(
     try:
         write_atomically(out, lambda file: file.write(data))
     except OSError as error:
-        raise click.UsageError(
-            f"--out: got {out}: {error.strerror}; expected a file that can be written"
-        ) from None
+        raise unwritable(out, error) from None

@@ -1,112 +1,96 @@
-"""Options that several commands share, and how their values are read."""
+"""Options: those of a question, made from its fields, and those that several commands share."""
 
+import math
 import os
+import re
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from functools import wraps
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
+from msgspec import Meta
 
-from placement.question import BASELINE_NAME, DEFAULT_CASES, Question
+from placement.compute import Compute
+from placement.question import (
+    ASKED,
+    BASELINE_NAME,
+    DRIVEN,
+    MOUNTED,
+    SECTIONS,
+    SEEN,
+    SOUGHT,
+    Answerable,
+    Question,
+    load_answers,
+    question_fields,
+    save_question,
+)
 
-# ---------- options that several commands share, and how their values are read
-
-
-PHASES = ("aligned", "worst")
-_MAX_DIGITS = 100
-
-
-class OneOf(click.ParamType[str]):
-    """A word from a list; another one is told in this project's words."""
-
-    name = "name"
-
-    def __init__(self, words: Sequence[str]) -> None:
-        self.words = words
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """What the help shows for a value."""
-        return "[" + "|".join(self.words) + "]"
-
-    def convert(self, value: str, param: Any, ctx: Any) -> str:
-        """The value, checked."""
-        if value not in self.words:
-            raise input_error(option_name(param), value, "one of " + ", ".join(self.words))
-        return value
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """Words for a shell to complete."""
-        return [CompletionItem(word) for word in self.words if word.startswith(incomplete)]
+PROGRAM = "The program itself"
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+_WHOLE_NUMBER = re.compile("-?[0-9]{1,100}")
 
 
-class WholeNumber(click.ParamType[int]):
-    """A whole number from a least value on."""
+class WordedOption(click.Option):
+    """An option that stands in a section of the help, and words errors as this project does.
 
-    name = "number"
+    Parameters
+    ----------
+    section : str
+        Title in the help; empty: a command's own options, which stand before all sections.
+    is_common : bool
+        Whether the short help shows it, too.
+    expected : str
+        What a value must be; for the message about another one.
+    """
 
-    def __init__(self, least: int, what: str) -> None:
-        self.least = least
-        self.what = what
+    def __init__(
+        self,
+        *args: Any,
+        section: str = "",
+        is_common: bool = True,
+        expected: str = "",
+        is_path: bool = False,
+        **kwargs: Any,
+    ) -> None:
+        if is_path:
+            kwargs["shell_complete"] = complete_paths
+        super().__init__(*args, **kwargs)
+        self.section, self.is_common, self.expected = section, is_common, expected
+        if isinstance(self.type, click.Choice):
+            self.expected = "one of " + ", ".join(map(str, self.type.choices))
 
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """What the help shows for a value."""
-        return "N"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> int:
-        """The value, checked."""
-        text = str(value)
-        # int() would also take 1_0, other scripts' digits and spaces.
-        is_whole = text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS
-        if not is_whole or int(text) < self.least:
-            raise input_error(option_name(param), value, f"{self.what}, at least {self.least}")
-        return int(text)
-
-
-class Number(click.ParamType[float]):
-    """A finite number, more than a limit or at least it."""
-
-    name = "number"
-
-    def __init__(self, metavar: str, what: str, *, may_be_zero: bool = False) -> None:
-        self.metavar = metavar
-        self.what = what
-        self.may_be_zero = may_be_zero
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """What the help shows for a value."""
-        return self.metavar
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """The value, checked."""
+    def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
+        """The value, checked by its type."""
         try:
-            number = float(value)
-        except ValueError:
-            number = -1.0
-        if not (0.0 < number < float("inf") or (self.may_be_zero and number == 0.0)):
-            least = "at least 0" if self.may_be_zero else "more than 0"
-            raise input_error(option_name(param), value, f"{self.what}, {least}")
-        return number
+            typed = super().type_cast_value(ctx, value)
+        except click.BadParameter:
+            if not self.expected:
+                raise
+            raise input_error(option_name(self), value, self.expected) from None
+        # Python also reads 1_0, other scripts' digits and spaces as numbers, and NaN as a float.
+        is_odd = isinstance(value, str) and (
+            not math.isfinite(typed)
+            if isinstance(typed, float)
+            else isinstance(typed, int) and not _WHOLE_NUMBER.fullmatch(value)
+        )
+        if self.expected and is_odd:
+            raise input_error(option_name(self), value, self.expected)
+        return typed
+
+    def get_help_extra(self, ctx: click.Context) -> Any:
+        """What the help shows in brackets: the default, but no range."""
+        extra = super().get_help_extra(ctx)
+        extra.pop("range", None)
+        return extra
 
 
-class Share(Number):
-    """A number from 0 to 1."""
-
-    def __init__(self, what: str) -> None:
-        super().__init__("SHARE", what, may_be_zero=True)
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """The value, checked."""
-        try:
-            number = float(value)
-        except ValueError:
-            number = -1.0
-        if not 0.0 <= number <= 1.0:
-            raise input_error(option_name(param), value, f"{self.what}, 0 to 1")
-        return number
+def option(*names: str, **settings: Any) -> Decorator:
+    """``click.option`` with what :class:`WordedOption` takes."""
+    return click.option(*names, cls=WordedOption, **settings)
 
 
 def option_name(param: click.Parameter) -> str:
@@ -121,6 +105,12 @@ def input_error(where: str, got: object, expected: str) -> Exception:
     return InputError(where, got, expected)
 
 
+def is_given(name: str) -> bool:
+    """Whether a parameter of the running command stands on the command line."""
+    source = click.get_current_context().get_parameter_source(name)
+    return source is ParameterSource.COMMANDLINE
+
+
 def complete_paths(
     context: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
@@ -131,9 +121,167 @@ def complete_paths(
     return [CompletionItem(incomplete, type="file")]
 
 
-json_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print JSON on stdout and nothing else."
+def _decorate(command: Callable[..., Any], options: Sequence[Decorator]) -> Callable[..., Any]:
+    """Add options so that the help shows them in this order."""
+    for add in reversed(options):
+        command = add(command)
+    return command
+
+
+# ---------- options of a question
+
+
+def fields_in(*sections: str, but: Sequence[str] = ()) -> tuple[str, ...]:
+    """Names of a question's fields in these sections of the help, without some of them."""
+    return tuple(
+        name
+        for name, field in question_fields().items()
+        if field.option.section in sections and name not in but
+    )
+
+
+PLANNED = (*fields_in(ASKED, MOUNTED, SOUGHT), "fusion")
+"""Fields of commands that look for layouts."""
+JUDGED = fields_in(DRIVEN, SEEN, but=("fusion",))
+"""Fields of commands that evaluate layouts."""
+ONLY_DRIVEN = fields_in(
+    DRIVEN, SEEN, but=("fusion", "weights", "detector", "vut_sensors", "packet_loss", "vam_rate")
 )
+"""Fields of commands that show what is driven and judge nothing."""
+
+
+def field_option(field: Answerable, default: Any = None) -> Decorator:
+    """The option of a field of a question.
+
+    Parameters
+    ----------
+    default : object
+        In place of the field's own.
+    """
+    default = field.default if default is None else default
+    kind, *limits = get_args(field.kind) if get_origin(field.kind) is Annotated else [field.kind]
+    limit = limits[0] if limits else Meta()
+    settings: dict[str, Any] = {
+        "default": default,
+        "show_default": bool(default),
+        "help": field.option.help,
+        "section": field.option.section,
+        "is_common": field.option.is_common,
+        "is_path": field.option.is_path,
+        "metavar": field.option.metavar or None,
+        "expected": limit.description or "",
+    }
+    name = field.option_name
+    if kind is bool:
+        return option(f"{name}/--no-{name.removeprefix('--')}", field.name, **settings)
+    if get_origin(kind) is Literal:
+        settings["type"] = click.Choice(get_args(kind))
+    elif kind is int:
+        settings["type"] = click.IntRange(min=limit.ge)
+        settings["metavar"] = "N"
+    elif kind is float:
+        is_open = limit.gt is not None
+        settings["type"] = click.FloatRange(
+            min=limit.gt if is_open else limit.ge, min_open=is_open, max=limit.le
+        )
+        settings["metavar"] = settings["metavar"] or "SHARE"
+    return option(name, field.name, **settings)
+
+
+def question_options(
+    *names: str, defaults: dict[str, Any] | None = None, has_file: bool = True
+) -> Decorator:
+    """Options of a command that asks something; the command gets them as one `question`.
+
+    Parameters
+    ----------
+    names : str
+        Fields of :class:`placement.question.Question`. The others keep their defaults, also where
+        a question file gives them: one file serves every command.
+    defaults : dict, optional
+        In place of the fields' own.
+    has_file : bool
+        Whether there are ``--question`` and ``--save-question``.
+    """
+    known = question_fields()
+    options = [
+        field_option(field, (defaults or {}).get(name))
+        for name, field in known.items()
+        if name in names
+    ]
+    if has_file:
+        options += [_question_option, _save_question_option]
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def with_question(*args: Any, save_question_to: Path | None = None, **values: Any) -> Any:
+            question = Question(**{name: values.pop(name) for name in known if name in values})
+            if save_question_to is not None:
+                save_question(save_question_to, question)
+            return command(*args, question=question, **values)
+
+        return _decorate(with_question, options)
+
+    return decorate
+
+
+def one_run_options() -> Decorator:
+    """The argument and the options that name a single run, and how it brakes, as one `question`."""
+    naming = (
+        click.argument("cases", metavar="CASE"),
+        option("--approach", "approaches", required=True, metavar="ARM", help="Such as east."),
+        option(
+            "--speed",
+            "speeds",
+            required=True,
+            metavar="KMH",
+            type=click.FloatRange(min=0.0, min_open=True),
+            callback=lambda _context, _param, value: f"{value:g}",
+            expected="km/h, more than 0",
+            help="Of the VUT.",
+        ),
+    )
+    others = question_options(
+        *(name for name in ONLY_DRIVEN if name not in ("cases", "approaches", "speeds")),
+        has_file=False,
+    )
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        return _decorate(others(command), naming)
+
+    return decorate
+
+
+def _read_question(context: click.Context, _param: click.Parameter, path: Path | None) -> None:
+    """Let a question file give what the command line does not."""
+    if path is not None:
+        context.default_map = load_answers(path)
+
+
+_question_option = option(
+    "--question",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    expose_value=False,
+    is_eager=True,
+    callback=_read_question,
+    is_path=True,
+    section=PROGRAM,
+    help="Read the question from a TOML file: every option above, by its name with underscores; "
+    "what stands on the command line wins, what this command has no option for is not used.",
+)
+_save_question_option = option(
+    "--save-question",
+    "save_question_to",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    is_path=True,
+    section=PROGRAM,
+    help="Write the question in use to a TOML file for --question.",
+)
+
+
+# ---------- options that several commands share
 
 
 def _be_verbose(context: click.Context, param: click.Parameter, is_verbose: bool) -> None:
@@ -141,14 +289,23 @@ def _be_verbose(context: click.Context, param: click.Parameter, is_verbose: bool
         context.obj.tell_more()
 
 
-_verbose_option = click.option(
+json_option = option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    section=PROGRAM,
+    help="Print JSON on stdout and nothing else.",
+)
+_verbose_option = option(
     "--verbose",
     is_flag=True,
     expose_value=False,
     callback=_be_verbose,
+    section=PROGRAM,
+    is_common=False,
     help="Also tell sizes, bounds, files that are read, and seconds per stage.",
 )
-_quiet_option = click.option("--quiet", is_flag=True, help="No progress on stderr.")
+_quiet_option = option("--quiet", is_flag=True, section=PROGRAM, help="No progress on stderr.")
 
 
 def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -156,304 +313,134 @@ def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
     return _quiet_option(_verbose_option(command))
 
 
-workers_option = click.option(
+_workers_option = option(
     "--workers",
-    type=WholeNumber(1, "a number of threads"),
+    type=click.IntRange(min=1),
+    metavar="N",
     default=os.cpu_count() or 1,
     show_default="one per processor",
+    expected="a number of threads, at least 1",
+    section=PROGRAM,
+    is_common=False,
     help="Threads.",
 )
-seed_option = click.option(
+_seed_option = option(
     "--seed",
-    type=WholeNumber(0, "a whole number"),
+    type=click.IntRange(min=0),
+    metavar="N",
     default=0,
     show_default=True,
+    expected="a whole number, at least 0",
+    section=PROGRAM,
+    is_common=False,
     help="Of all that is left to chance: points on the road users, misses, lost messages.",
 )
-layout_option = click.option(
-    "--layout",
-    "layout_names",
-    multiple=True,
-    shell_complete=complete_paths,
-    help="carlancap-12, or a layout file.",
-)
-
-
-def no_look_option(what: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """``--no-look``: a file of areas."""
-    return click.option(
-        "--no-look",
-        default="",
-        metavar="FILE",
-        shell_complete=complete_paths,
-        help=f"{what}: polygons in GeoJSON, GeoPackage or Shapefile.",
-    )
-
-
-def _cases_option(default: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    return click.option(
-        "--cases",
-        metavar="CASES",
-        default=default,
-        show_default=True,
-        help="A set - study, protocol-4.5.1, all - or names with commas between; CPNA stands for "
-        "CPNA-25 and CPNA-75. `place-rsus scenarios list` shows them.",
-    )
-
-
-_SELECTION_OPTIONS = (
-    click.option(
-        "--speeds",
-        default="",
-        metavar="KMH",
-        help="VUT speeds: 30,50 or 20-40 (the case's own speeds in that range); default: all.",
-    ),
-    click.option(
-        "--approaches",
-        default="",
-        metavar="ARMS",
-        help="From where the VUT comes: north,east; default: every arm of the junction.",
-    ),
-)
-_DRIVE_OPTIONS = (
-    click.option(
-        "--weather",
-        default="day",
-        show_default=True,
-        metavar="WEATHER",
-        help="day,night,rain,fog: each run is driven in each.",
-    ),
-    click.option("--force", is_flag=True, help="Drive speeds that the protocol does not."),
-)
-cache_option = click.option(
+_cache_option = option(
     "--cache/--no-cache",
     "uses_cache",
     default=True,
     show_default=True,
+    section=PROGRAM,
+    is_common=False,
     help="Keep detection tables between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
 )
-scene_option = click.option(
-    "--scene",
-    default="",
-    metavar="PATH",
-    shell_complete=complete_paths,
-    help="Folder or .zip file of `place-rsus scene import`; default: the study's junction.",
-)
-_BRAKING_OPTIONS = (
-    click.option(
-        "--deceleration",
-        "deceleration_mps2",
-        type=Number("M/S2", "m/s^2"),
-        help="Of full braking; default: the study's 7.72.",
-    ),
-    click.option(
-        "--brake-build-up",
-        "build_up_s",
-        type=Number("SECONDS", "seconds", may_be_zero=True),
-        help="Until braking is full; default: the study's 0.",
-    ),
-    click.option(
-        "--latency",
-        "latency_s",
-        type=Number("SECONDS", "seconds", may_be_zero=True),
-        help="From the confirming frame to braking; default: the study's 0.025.",
-    ),
-    click.option(
-        "--confirmations",
-        "n_confirmations",
-        type=WholeNumber(1, "a number of frames"),
-        help="Detected frames in a row that confirm; default: the study's 3.",
-    ),
-    click.option(
-        "--phase",
-        type=OneOf(PHASES),
-        default="aligned",
-        show_default=True,
-        help="aligned: a frame falls on the impact; worst: of ten phases the one that loses most.",
-    ),
-)
-_PERCEPTION_OPTIONS = (
-    click.option(
-        "--detector",
-        default="geometric",
-        show_default=True,
-        metavar="HOW",
-        help="Of cameras: geometric (by boxes), response (misses by size, cover, class, weather), "
-        "a .toml file with a response table, or an .onnx network that looks at rendered pictures.",
-    ),
-    click.option(
-        "--vut-sensors",
-        default="camera",
-        show_default=True,
-        metavar="SENSORS",
-        help="What the VUT itself looks with: camera,lidar.",
-    ),
-    click.option(
-        "--packet-loss",
-        type=Share("a share of lost messages"),
-        default=0.0,
-        show_default=True,
-        help="Of the RSUs' and road users' messages, frame by frame; in the evaluation.",
-    ),
-    click.option(
-        "--vam-rate",
-        type=Share("a share of equipped road users"),
-        default=0.0,
-        show_default=True,
-        help="Of the road users who announce themselves (VRU awareness messages).",
-    ),
-)
-_WEIGHT_OPTION = click.option(
-    "--weights",
-    default="run",
-    show_default=True,
-    metavar="HOW",
-    help="run: every run counts the same; case: every case; euroncap-rating-2026: by its points; "
-    "or a CSV file with case, approach, weight.",
-)
 
 
-def question_options(
-    *, cases: str = DEFAULT_CASES, has_weights: bool = True
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Options that say what is driven; the command gets them as one `question`.
+def compute_options(*, has_cache: bool = False) -> Decorator:
+    """Options that say how to compute; the command gets them as one `compute`.
 
     Parameters
     ----------
-    cases : str
-        What is driven unless the user says.
-    has_weights : bool
-        Whether the command weighs runs and judges layouts on them.
+    has_cache : bool
+        Whether the command builds detection tables, which can be kept.
     """
-    judging = [_WEIGHT_OPTION, *_PERCEPTION_OPTIONS] if has_weights else []
-    return _into_question(
-        scene_option,
-        _cases_option(cases),
-        *_SELECTION_OPTIONS,
-        *_DRIVE_OPTIONS,
-        *judging,
-        *_BRAKING_OPTIONS,
-    )
 
-
-def one_run_options() -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Options and the argument that name a single run, and how it brakes, as one `question`."""
-    return _into_question(
-        click.argument("cases", metavar="CASE"),
-        click.option(
-            "--approach", "approaches", required=True, metavar="ARM", help="Such as east."
-        ),
-        click.option(
-            "--speed",
-            "speeds",
-            required=True,
-            type=Number("KMH", "km/h"),
-            callback=lambda _context, _param, value: f"{value:g}",
-            help="Of the VUT.",
-        ),
-        scene_option,
-        *_DRIVE_OPTIONS,
-        *_BRAKING_OPTIONS,
-    )
-
-
-def _into_question(
-    *options: Callable[[Callable[..., Any]], Callable[..., Any]],
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
-        def with_question(*args: Any, **values: Any) -> Any:
-            names = [field.name for field in fields(Question) if field.name in values]
-            question = Question(**{name: values.pop(name) for name in names})
-            return command(*args, question=question, **values)
+        def with_compute(
+            *args: Any, seed: int, workers: int, uses_cache: bool = False, **values: Any
+        ) -> Any:
+            compute = Compute(
+                seed=seed,
+                workers=workers,
+                cache_folder=cache_folder() if uses_cache else None,
+                progress=click.get_current_context().find_root().obj,
+            )
+            return command(*args, compute=compute, **values)
 
-        for option in reversed(options):
-            with_question = option(with_question)
-        return with_question
+        cache = [_cache_option] if has_cache else []
+        return _decorate(with_compute, [_seed_option, _workers_option, *cache])
 
     return decorate
 
 
-# ---------- help in sections
+def cache_folder() -> Path:
+    """Where detection tables are kept: PLACE_RSUS_CACHE, or the user's cache folder."""
+    folder = os.environ.get("PLACE_RSUS_CACHE")
+    if folder:
+        return Path(folder)
+    from platformdirs import user_cache_path
+
+    return user_cache_path("place-rsus")
 
 
-_SECTIONS = {
-    "What is asked": (
-        "budget",
-        "budget_cost",
-        "target",
-        "least",
-        "min_case_apr",
-        "survive",
-        "stage_weights",
-    ),
-    "What may be mounted, and where": (
-        "keep",
-        "within",
-        "force_site",
-        "forbid_site",
-        "site_capacity",
-        "site_cost_eur",
-        "separation_m",
-        "sensors",
-        "no_look",
-        "no_look_share",
-        "no_look_price",
-        "study_poses",
-    ),
-    "How it is looked for": (
-        "solver",
-        "milp_solver",
-        "time_limit_s",
-        "gap",
-        "refine",
-        "samples",
-        "uncertainty",
-        "risk",
-        "pool",
-        "pool_tolerance",
-    ),
-    "What is driven": (
-        "scene",
-        "cases",
-        "speeds",
-        "approaches",
-        "weather",
-        "force",
-        "phase",
-        "weights",
-    ),
-    "What is seen, told and braked": (
-        "fusion",
-        "detector",
-        "vut_sensors",
-        "packet_loss",
-        "vam_rate",
-        "n_confirmations",
-        "latency_s",
-        "latency_budget",
-        "latency_mode",
-        "deceleration_mps2",
-        "build_up_s",
-        "recording",
-        "min_confidence",
-    ),
-    "The program itself": (
-        "as_json",
-        "quiet",
-        "verbose",
-        "seed",
-        "workers",
-        "uses_cache",
-        "version",
-        "_click_default_help",
-    ),
-}
-"""Names of parameters, section by section; what is in none stands before them all."""
+layout_option = option(
+    "--layout",
+    "layout_names",
+    multiple=True,
+    is_path=True,
+    help="carlancap-12, or a layout file.",
+)
+scene_option = field_option(question_fields()["scene"])
+
+
+# ---------- help in sections: the short one, and all of it
+
+
+def _show_all(context: click.Context, _param: click.Parameter, is_asked: bool) -> None:
+    if is_asked:
+        context.meta[_show_all.__qualname__] = True
+        click.echo(context.get_help(), color=context.color)
+        context.exit()
+
+
+def _write_sections(
+    command: click.Command, ctx: click.Context, formatter: click.HelpFormatter
+) -> None:
+    shows_all = ctx.meta.get(_show_all.__qualname__, False)
+    sections: dict[str, list[tuple[str, str]]] = {title: [] for title in ("", *SECTIONS, PROGRAM)}
+    for param in command.get_params(ctx):
+        record = param.get_help_record(ctx)
+        if record is not None and (shows_all or getattr(param, "is_common", True)):
+            sections[getattr(param, "section", PROGRAM)].append(record)
+    for title, records in sections.items():
+        if records:
+            with formatter.section(title or "Options"):
+                formatter.write_dl(records)
+
+
+def _with_help_all(params: list[click.Parameter]) -> list[click.Parameter]:
+    """Parameters and ``--help-all``, where there is more than the short help shows."""
+    if all(getattr(param, "is_common", True) for param in params):
+        return params
+    help_all = WordedOption(
+        ["--help-all"],
+        is_flag=True,
+        expose_value=False,
+        is_eager=True,
+        callback=_show_all,
+        section=PROGRAM,
+        help="Show this message with every option.",
+    )
+    return [*params, help_all]
 
 
 class SectionedCommand(click.Command):
-    """A command whose options are listed in sections."""
+    """A command whose options are listed in sections, the common ones alone unless asked."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.params = _with_help_all(self.params)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options."""
@@ -463,22 +450,11 @@ class SectionedCommand(click.Command):
 class SectionedGroup(click.Group):
     """A group with options of its own, listed in sections, and commands."""
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.params = _with_help_all(self.params)
+
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write commands first: whoever looks for one need not pass by the options."""
         self.format_commands(ctx, formatter)
         _write_sections(self, ctx, formatter)
-
-
-def _write_sections(
-    command: click.Command, ctx: click.Context, formatter: click.HelpFormatter
-) -> None:
-    section_of = {name: title for title, names in _SECTIONS.items() for name in names}
-    sections: dict[str, list[tuple[str, str]]] = {"Options": [], **{key: [] for key in _SECTIONS}}
-    for param in command.get_params(ctx):
-        record = param.get_help_record(ctx)
-        if record is not None:
-            sections[section_of.get(str(param.name), "Options")].append(record)
-    for title, records in sections.items():
-        if records:
-            with formatter.section(title):
-                formatter.write_dl(records)

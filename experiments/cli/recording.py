@@ -1,42 +1,48 @@
-"""``--recording``: the options of commands that work on recorded detections as well."""
+"""``--recording``: for commands that work on recorded detections, too, and what they print."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
-from .options import Share, option_name
+from ..results.numbers import percent
+from .options import SEEN, is_given, option, option_name
+from .terminal import sentences, table, wide_table
 
 _WITH_RECORDING = frozenset(
-    ("recording", "min_confidence", "out", "as_json", "quiet", "budget", "fusion")
-    + ("solver", "milp_solver", "time_limit_s", "gap")
-    + ("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations")
-    + ("latency_budget", "latency_mode")
+    ("recording", "min_confidence", "out", "as_json", "quiet", "question", "save_question_to")
+    + ("budget", "fusion", "solver", "time_limit_s", "gap")
+    + ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget", "n_confirmations")
+)
+_NOTE = (
+    "Unit folder 3 is RSU3, car is the VUT's camera. In Eval, cam_index is a unit's folder; "
+    "12 (where no unit has that number) and -1 mean car, too. The last moment follows from speeds "
+    "and distances alone: a VUT that turns is taken as crossing."
 )
 
 
 def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add ``--recording`` and ``--min-confidence`` to a command."""
-    confidence = click.option(
+    confidence = option(
         "--min-confidence",
-        type=Share("a confidence"),
+        type=click.FloatRange(min=0.0, max=1.0),
+        metavar="SHARE",
+        expected="a confidence, 0 to 1",
         default=0.0,
         show_default=True,
+        section=SEEN,
+        is_common=False,
         help="With --recording: detections below do not count.",
     )
-    return click.option(
+    return option(
         "--recording",
         type=click.Path(path_type=Path),
+        section=SEEN,
+        is_common=False,
         metavar="DIR",
         help="Work on recorded detections in the study's folder format; --out gets summary.json.",
     )(confidence(command))
-
-
-def is_given(name: str) -> bool:
-    """Whether an option of the running command stands on the command line."""
-    source = click.get_current_context().get_parameter_source(name)
-    return source is click.core.ParameterSource.COMMANDLINE
 
 
 def check_recording_options(recording: Path | None) -> None:
@@ -57,3 +63,92 @@ def check_recording_options(recording: Path | None) -> None:
                 f"{option_name(param)}: got it beside --recording; expected one of them: "
                 "a recording has units and drives of its own"
             )
+
+
+def recording_table(summary: Mapping[str, Any], out: Path | None) -> str:
+    """The result of :func:`run_recording` for a terminal."""
+    lines = [
+        *sentences(f"{summary['recording']} on {summary['runs']} drives:"),
+        *_parties_text(summary["evaluation"], summary["detected_share"], summary["cases"]),
+        *_footer(summary, out),
+    ]
+    return "\n".join(lines)
+
+
+def recorded_placement_table(summary: Mapping[str, Any], out: Path | None) -> str:
+    """The result of :func:`run_recorded_placement` for a terminal."""
+    chosen = ", ".join(unit["id"] for unit in summary["layout"])
+    head = (
+        f"Best {len(summary['layout'])} of {summary['candidates']} recorded units on "
+        f"{summary['runs']} drives (fusion {summary['fusion']}): {chosen}"
+    )
+    stages = []
+    for stage in summary["stages"]:
+        is_time = stage["name"].endswith("_s")
+        found, bound = (
+            f"{stage[key]:.3f} s" if is_time else percent(stage[key])
+            for key in ("objective", "bound")
+        )
+        gap = "proven" if stage["gap"] == 0.0 else percent(min(stage["gap"], 9.99))
+        stages.append([stage["name"], found, bound, gap])
+    lines = [*sentences(head), "", *table(["stage", "found", "bound", "gap"], stages)]
+    from ..jobs.recording import ALL_UNITS
+
+    everything = summary["baseline"]["rsu_all"]
+    lines += [
+        "",
+        *_parties_text(summary["evaluation"], summary["detected_share"], summary["cases"]),
+        f"  {ALL_UNITS} of all {summary['candidates']} recorded units: "
+        f"{percent(everything['all'])} of the accidents prevented.",
+        *_footer(summary, out),
+    ]
+    return "\n".join(lines)
+
+
+def _parties_text(
+    evaluation: Mapping[str, Any], shares: Mapping[str, Any], cases: Sequence[str]
+) -> list[str]:
+    """A row per party; APR over all drives, share of frames, and APR by case as columns."""
+    from ..jobs.recording import ALL_UNITS
+
+    rows = [(name, evaluation["units"][name], shares["units"][name]) for name in shares["units"]]
+    rows += [
+        (name, evaluation[key], shares[key])
+        for key, name in (
+            ("rsu_all", ALL_UNITS),
+            ("vut", "car"),
+            ("vut_and_rsus", f"car + {ALL_UNITS}"),
+        )
+        if evaluation[key] is not None
+    ]
+    columns = {
+        "accidents prevented": [percent(ratios["all"]) for _, ratios, _ in rows],
+        "frames detected": [percent(share) for _, _, share in rows],
+    }
+    for case in cases:
+        columns[case.replace("-", " ")] = [
+            percent(ratios["by_case"][case]) for _, ratios, _ in rows
+        ]
+    return wide_table("", [name for name, _, _ in rows], columns)
+
+
+def _footer(summary: Mapping[str, Any], out: Path | None) -> list[str]:
+    """What was read, what was left out and why."""
+    frames = summary["frames"]
+    read = (
+        f"Read: {frames['recorded']} frames; {summary['runs']} drives with {frames['in_drives']} "
+        f"frames, {frames['missing_in_drives']} of them missing and so not detected."
+    )
+    if frames["several_vrus_in_view"]:
+        read += (
+            f" In {frames['several_vrus_in_view']} frames a roadside unit has several VRUs of the "
+            "drive's class in view: they count only if each of them is detected."
+        )
+    skipped = "; ".join(f"{number} {reason}" for reason, number in summary["skipped"].items())
+    lines = [
+        "",
+        *sentences(read, f"Skipped: {skipped or 'nothing'}.", _NOTE),
+    ]
+    if out is not None:
+        lines += ["", f"Written to {out}: summary.json."]
+    return lines

@@ -6,39 +6,18 @@ from typing import Any
 
 import click
 
+from placement.compute import Compute
+
 from ..progress import StageProgress
 from .options import (
     SectionedCommand,
-    WholeNumber,
-    input_error,
+    compute_options,
     layout_option,
-    option_name,
+    option,
     quiet_option,
     scene_option,
-    workers_option,
 )
-
-_MAX_DIGITS = 9
-
-
-class FrameNumber(click.ParamType[int]):
-    """A whole number, negative from the end."""
-
-    name = "number"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """What the help shows for a value."""
-        return "N"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> int:
-        """The value, checked."""
-        text = str(value)
-        digits = text.removeprefix("-")
-        if not (digits.isascii() and digits.isdigit() and len(digits) <= _MAX_DIGITS):
-            raise input_error(
-                option_name(param), value, "a frame of the run, such as 40, or -1 for the last"
-            )
-        return int(text)
+from .running import load_one_layout, unwritable
 
 
 @click.command(
@@ -55,45 +34,38 @@ Examples:
       --frame -11 --unit VUT-LIDAR""",
 )
 @layout_option
-@click.option(
+@option(
     "--run",
     "run_id",
     required=True,
     metavar="RUN",
     help="case/approach/speed or case/approach/speed/weather.",
 )
-@click.option(
+@option(
     "--frame",
     required=True,
-    type=FrameNumber(),
+    type=click.IntRange(min=-(10**9), max=10**9),
+    metavar="N",
+    expected="a frame of the run, such as 40, or -1 for the last",
     help="Of the run, from 0; negative: from the end, -1 is at the impact.",
 )
-@click.option(
+@option(
     "--unit",
     "unit_id",
     required=True,
     metavar="UNIT",
     help="One of the layout's, VUT or VUT-LIDAR.",
 )
-@click.option(
-    "--weather", metavar="WEATHER", help="day, night, rain or fog; default: that of the run."
-)
-@click.option(
+@option("--weather", metavar="WEATHER", help="day, night, rain or fog; default: that of the run.")
+@option(
     "--out",
     type=click.Path(path_type=Path),
     help="File to write, .png or .jpg; -instances.png and -depth.png are written beside it; of a "
     "LiDAR .ply, or .bin with float32 x, y, z, intensity; default: in results/renders.",
 )
-@click.option(
-    "--seed",
-    type=WholeNumber(0, "a whole number"),
-    default=0,
-    show_default=True,
-    help="Of sensor noise and rain.",
-)
 @scene_option
 @quiet_option
-@workers_option
+@compute_options()
 @click.pass_obj
 def render(
     progress: StageProgress,
@@ -104,25 +76,20 @@ def render(
     unit_id: str,
     weather: str | None,
     out: Path | None,
-    seed: int,
     scene: str,
     quiet: bool,
-    workers: int,
+    compute: Compute,
 ) -> None:
     """Render what a camera sees in one frame (colours, instances, depths), or scan by LiDAR."""
-    if len(layout_names) != 1:
-        got = f"{len(layout_names)} layouts" if layout_names else "nothing"
-        raise click.UsageError(f"--layout: got {got}; expected it once")
+    layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
     progress("lay the run", 0, 0)
     from geometry.scene_folders import find_scene
     from placement.layout import check_layout
 
     from ..jobs import render
-    from ..study.layout import find_layout
 
     around = find_scene(scene)
-    layout = find_layout(layout_names[0], "--layout")
     check_layout(layout, around)
     run = render.find_run(run_id, around, weather=weather)
     frame_index = render.find_frame(run, frame)
@@ -131,15 +98,13 @@ def render(
     path = out or _default_path(run, unit_id, frame_index, suffix)
     render.check_path(path, viewpoint.sensor)
     progress("render", 0, 0)
-    seen = render.render(around, run, frame_index, viewpoint, seed=seed, workers=workers)
+    seen = render.render(around, run, frame_index, viewpoint, compute=compute)
     try:
         if out is None:
             path.parent.mkdir(parents=True, exist_ok=True)
         written = render.save(path, seen)
     except OSError as error:
-        raise click.UsageError(
-            f"--out: got {path}: {error.strerror or error}; expected a file that can be written"
-        ) from None
+        raise unwritable(path, error) from None
     progress.stop()
     for file in written:
         click.echo(f"Written to {file}.")

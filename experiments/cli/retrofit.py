@@ -4,37 +4,28 @@ from pathlib import Path
 
 import click
 
+from placement.compute import Compute
 from placement.question import Question
 
-from ..progress import (
-    StageProgress,
-    cache_folder,
-    command_line,
-    load_one_layout,
-    print_result,
-    warn_of_slow_rays,
-)
-from .latency import latency_budget_options
+from ..progress import StageProgress
 from .options import (
-    Number,
+    JUDGED,
+    MOUNTED,
     SectionedCommand,
-    cache_option,
+    compute_options,
+    fields_in,
     json_option,
     layout_option,
+    option,
     question_options,
     quiet_option,
-    seed_option,
-    workers_option,
 )
-from .pareto import leave_out
-from .planning import planning_options
+from .pareto import FRONT_SOUGHT
+from .running import begin, command_line, load_one_layout, print_result
 
 _TIME_LIMIT_S = 60.0
 # What hangs there is --layout; what is added is asked for by money alone.
-_NOT_ASKED = (
-    *("budget", "target", "least", "min_case_apr", "survive", "stage_weights"),
-    *("keep", "within", "force_site", "study_poses"),
-)
+_ASKED = ("budget_cost", *fields_in(MOUNTED, but=("keep", "within", "force_site")))
 
 
 @click.command(
@@ -47,25 +38,23 @@ Examples:
   place-rsus retrofit --layout carlancap-12 --visit-cost 300 --json""",
 )
 @layout_option
-@click.option(
+@option(
     "--visit-cost",
     "visit_eur",
-    type=Number("EUR", "euros", may_be_zero=True),
+    type=click.FloatRange(min=0.0),
+    metavar="EUR",
+    expected="euros, at least 0",
     help="Of a re-aim or a removal; default: people and a lift, by the project's assumptions.",
 )
-@click.option(
+@option(
     "--out",
     type=click.Path(path_type=Path),
     help="Folder for retrofit.csv and retrofit.json; else none.",
 )
-@planning_options(has_samples=False)
-@question_options()
-@latency_budget_options()
+@question_options(*_ASKED, *FRONT_SOUGHT, *JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S})
 @json_option
 @quiet_option
-@seed_option
-@workers_option
-@cache_option
+@compute_options(has_cache=True)
 @click.pass_obj
 def retrofit(
     progress: StageProgress,
@@ -76,9 +65,7 @@ def retrofit(
     question: Question,
     as_json: bool,
     quiet: bool,
-    seed: int,
-    workers: int,
-    uses_cache: bool,
+    compute: Compute,
 ) -> None:
     """What to change about units that hang already: remove, re-aim or add one, each priced.
 
@@ -86,22 +73,16 @@ def retrofit(
     re-aims and additions together for the money, too.
     """
     layout = load_one_layout(layout_names)
-    progress.start(quiet=quiet)
+    begin(progress, quiet=quiet)
     from ..jobs.retrofit import retrofit_text, run_retrofit
 
-    warn_of_slow_rays()
     summary = run_retrofit(
         question,
         layout=layout,
         visit_eur=visit_eur,
         out=out,
-        seed=seed,
-        workers=workers,
-        cache_folder=cache_folder() if uses_cache else None,
+        compute=compute,
         command=command_line(),
         progress=progress,
     )
     print_result(summary, progress, as_json, lambda: retrofit_text(summary, out))
-
-
-leave_out(retrofit, _NOT_ASKED, time_limit_s=_TIME_LIMIT_S)

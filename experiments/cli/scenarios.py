@@ -1,31 +1,34 @@
 """``place-rsus scenarios``: look at what is driven, without placing anything."""
 
-import textwrap
+import math
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from placement.question import Question
-from placement.setting import Drives
 
-from ..progress import StageProgress, print_result
+from ..progress import StageProgress
+from ..results.numbers import several
 from .options import (
+    ONLY_DRIVEN,
+    SectionedCommand,
     json_option,
     one_run_options,
+    option,
     question_options,
     quiet_option,
 )
+from .running import print_result, unwritable
+from .terminal import sentences, table
 
-# ---------- cases by approach, as rows and as a table for a terminal
+if TYPE_CHECKING:
+    from placement.setting import Drives
 
 
-_WIDTH = 80
-
-
-def list_rows(drives: Drives) -> list[dict[str, Any]]:
+def list_rows(drives: "Drives") -> list[dict[str, Any]]:
     """One row per case and approach.
 
     Parameters
@@ -62,7 +65,7 @@ def list_rows(drives: Drives) -> list[dict[str, Any]]:
         if run.vut_speed_kmh not in entry["speeds_kmh"]:
             last_s = run.last_brake_time_s
             entry["speeds_kmh"].append(run.vut_speed_kmh)
-            entry["last_brake_time_s"].append(last_s if np.isfinite(last_s) else None)
+            entry["last_brake_time_s"].append(last_s if math.isfinite(last_s) else None)
     for refusal in (*drives.refused, *drives.left_out):
         entry = row(refusal.case.name, refusal.approach)
         is_partly = set(refusal.speeds_kmh) != set(refusal.case.vut_speeds_kmh)
@@ -74,26 +77,31 @@ def list_rows(drives: Drives) -> list[dict[str, Any]]:
 
 
 def scenario_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The rows as a table, at most 80 columns wide."""
-    lines = [f"{'case':<13} {'from':<11} {'km/h':<8} {'runs':>4}  last moment to brake (s)"]
-    previous = ""
+    """The rows as a table; below it what is not driven, and why."""
+    cells = [
+        [
+            entry["case"],
+            entry["approach"],
+            _span(entry["speeds_kmh"], "g"),
+            str(entry["n_runs"]),
+            _last_moments(entry),
+        ]
+        for entry in rows
+    ]
+    for row, (before, after) in enumerate(pairwise(rows), start=1):
+        if before["case"] == after["case"]:  # each is named once
+            cells[row][0] = ""
+    heads = ["case", "from", "km/h", "runs", "last moment to brake (s)"]
+    lines = table(heads, cells, n_left=3, indent=0)
     for entry in rows:
-        case = entry["case"] if entry["case"] != previous else ""
-        previous = entry["case"]
-        lines.append(
-            f"{case:<13} {entry['approach']:<11} {_span(entry['speeds_kmh'], 'g'):<8} "
-            f"{entry['n_runs']:>4}  {_last_moments(entry)}".rstrip()
-        )
         if entry["reason"] is not None:
-            lines += textwrap.wrap(
-                f"not driven: {entry['reason']}",
-                _WIDTH,
-                initial_indent=" " * 14,
-                subsequent_indent=" " * 16,
+            lines += sentences(
+                f"{entry['case']} from {entry['approach']} not driven: {entry['reason']}",
+                hanging=2,
             )
     n_runs = sum(entry["n_runs"] for entry in rows)
     n_cases = len({entry["case"] for entry in rows})
-    lines.append(f"{n_runs} runs of {n_cases} case" + ("s" if n_cases != 1 else ""))
+    lines.append(f"{n_runs} runs of {several(n_cases, 'case', 'cases')}")
     return "\n".join(lines)
 
 
@@ -113,9 +121,6 @@ def _span(values: Sequence[float], form: str) -> str:
     return low if low == high else f"{low} to {high}" if form != "g" else f"{low}-{high}"
 
 
-# ---------- ``place-rsus scenarios``: look at what is driven, without placing anything
-
-
 @click.group(
     epilog="""\b
 Examples:
@@ -131,11 +136,12 @@ def scenarios() -> None:
 
 @scenarios.command(
     "list",
+    cls=SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus scenarios list --cases protocol-4.5.1 --approaches east,west""",
 )
-@question_options(cases="all", has_weights=False)
+@question_options(*ONLY_DRIVEN, defaults={"cases": "all"})
 @json_option
 @quiet_option
 @click.pass_obj
@@ -151,8 +157,6 @@ def list_scenarios(
     from geometry.scene_folders import find_scene
     from placement.setting import drive
 
-    pass
-
     progress.start(quiet=quiet)
     progress("lay the cases", 0, 0)
     rows = list_rows(drive(question, find_scene(question.scene)))
@@ -166,7 +170,7 @@ Examples:
   place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif"""
 )
 @one_run_options()
-@click.option(
+@option(
     "--out",
     type=click.Path(path_type=Path),
     help="Film strip (.png, .svg, .pdf) or animation (.gif); default: a .png in results/scenarios.",
@@ -187,12 +191,7 @@ def show(progress: StageProgress, *, question: Question, out: Path | None, quiet
     progress("draw", 0, 0)
     _write(
         path,
-        lambda: save_film(
-            path,
-            scene,
-            run,
-            on_progress=lambda done, total: progress("draw", done, total),
-        ),
+        lambda: save_film(path, scene, run, progress=progress),
         makes_folder=out is None,
     )
     progress.stop()
@@ -205,7 +204,7 @@ Examples:
   place-rsus scenarios export CPNA-25 --approach east --speed 10 --out a.xosc"""
 )
 @one_run_options()
-@click.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 def export(*, question: Question, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""
     from geometry.files import write_atomically
@@ -228,6 +227,4 @@ def _write(path: Path, write: Callable[[], Any], *, makes_folder: bool = False) 
             path.parent.mkdir(parents=True, exist_ok=True)
         write()
     except OSError as error:
-        raise click.UsageError(
-            f"--out: got {path}: {error.strerror}; expected a file that can be written"
-        ) from None
+        raise unwritable(path, error) from None

@@ -8,75 +8,58 @@ from typing import Any
 
 import click
 
-from ..progress import StageProgress, print_result
-from .options import (
-    Number,
-    OneOf,
-    input_error,
-    json_option,
-    option_name,
-    quiet_option,
-)
+from ..progress import StageProgress
+from .options import json_option, option, quiet_option
+from .running import print_result
 
 _EXIT_FAILED = 1
 
 
-class Point(click.ParamType[tuple[float, float]]):
-    """Two numbers with a comma between."""
-
-    name = "point"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """What the help shows for a value."""
-        return "X,Y"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, float]:
-        """The value, checked."""
-        words = str(value).split(",")
-        try:
-            numbers = [float(word) for word in words]
-        except ValueError:
-            numbers = []
-        if len(numbers) != 2 or not all(abs(number) < float("inf") for number in numbers):
-            raise input_error(option_name(param), value, "two numbers: X,Y")
-        return numbers[0], numbers[1]
+def _point(text: str) -> tuple[float, float]:
+    """Two finite numbers with a comma between."""
+    x, y = (float(word) for word in text.split(","))
+    if not (abs(x) < float("inf") and abs(y) < float("inf")):
+        raise ValueError
+    return x, y
 
 
 _READING_OPTIONS = (
-    click.option(
+    option(
         "--unit",
-        type=OneOf(("m", "km", "cm", "mm", "ft", "in")),
+        type=click.Choice(("m", "km", "cm", "mm", "ft", "in")),
         help="Of meshes whose format does not say (OBJ, PLY, STL).",
     ),
-    click.option(
+    option(
         "--up",
-        type=OneOf(("x", "y", "z", "-x", "-y", "-z")),
+        type=click.Choice(("x", "y", "z", "-x", "-y", "-z")),
         help="Axis of meshes that points up, where the format does not say.",
     ),
-    click.option(
+    option(
         "--class",
         "class_name",
-        type=OneOf(("building", "wall", "vegetation")),
+        type=click.Choice(("building", "wall", "vegetation")),
         default="building",
         show_default=True,
         help="Of meshes, point clouds and footprints that do not say.",
     ),
-    click.option(
+    option(
         "--traffic",
-        type=OneOf(("left", "right")),
+        type=click.Choice(("left", "right")),
         help="Side on which it keeps; default: what the map says or shows.",
     ),
-    click.option(
+    option(
         "--crs",
         default="",
         metavar="CRS",
         help="Of files that do not say where they lie: EPSG:25832.",
     ),
-    click.option("--layer", default="", metavar="NAME", help="Of a GeoPackage."),
-    click.option(
+    option("--layer", default="", metavar="NAME", help="Of a GeoPackage."),
+    option(
         "--offset",
         "offset_m",
-        type=Point(),
+        type=_point,
+        metavar="X,Y",
+        expected="two numbers: X,Y",
         help="Metres by which buildings, meshes and clouds are moved, into the coordinates "
         "of the map with the roads.",
     ),
@@ -94,8 +77,8 @@ def _reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         reading["keeps_left"] = None if traffic is None else traffic == "left"
         return command(*args, reading=reading, **values)
 
-    for option in reversed(_READING_OPTIONS):
-        with_reading = option(with_reading)
+    for add in reversed(_READING_OPTIONS):
+        with_reading = add(with_reading)
     return with_reading
 
 
@@ -121,21 +104,25 @@ Examples:
   place-rsus --scene scene --budget 3              and then""",
 )
 @click.argument("files", nargs=-1, metavar="FILE...")
-@click.option("--junction", default="", metavar="ID", help="Id, name or part of the name.")
-@click.option(
+@option("--junction", default="", metavar="ID", help="Id, name or part of the name.")
+@option(
     "--at",
-    type=Point(),
+    type=_point,
+    metavar="X,Y",
+    expected="two numbers: X,Y",
     help="A point near the junction, in the file's own coordinates: longitude,latitude or metres.",
 )
-@click.option(
+@option(
     "--radius",
     "radius_m",
-    type=Number("METRES", "metres"),
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="METRES",
+    expected="metres, more than 0",
     default=80.0,
     show_default=True,
     help="Of what is kept around the junction.",
 )
-@click.option(
+@option(
     "--sites",
     default="auto",
     show_default=True,
@@ -143,20 +130,16 @@ Examples:
     help="map: its lamps, signals and poles; kerb:15: every 15 m along the kerbs; a CSV or GeoJSON "
     "file; auto: map, and where it has none kerb:15.",
 )
-@click.option(
-    "--ground", "ground_m", type=float, help="Height of the road in city models and meshes."
-)
-@click.option("--name", default="", metavar="NAME", help="Of the scene.")
-@click.option(
+@option("--ground", "ground_m", type=float, help="Height of the road in city models and meshes.")
+@option("--name", default="", metavar="NAME", help="Of the scene.")
+@option(
     "--bbox",
     default="",
     metavar="W,S,E,N",
     help="Fetch OpenStreetMap there instead of a file (extra: online).",
 )
 @_reading_options
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file."
-)
+@option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file.")
 @json_option
 @quiet_option
 @click.pass_obj
@@ -204,7 +187,7 @@ def import_(
         out=out,
         progress=progress,
     )
-    _print(summary, progress, as_json, scene_text)
+    print_result(summary, progress, as_json, lambda: scene_text(summary))
 
 
 @scene.command(
@@ -217,7 +200,7 @@ Examples:
 )
 @click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
 @_reading_options
-@click.option(
+@option(
     "--out", type=click.Path(path_type=Path), help="Folder for plan.png and view.png; else none."
 )
 @json_option
@@ -245,7 +228,7 @@ def show(
         out=out,
         progress=progress,
     )
-    _print(summary, progress, as_json, scene_text)
+    print_result(summary, progress, as_json, lambda: scene_text(summary))
 
 
 @scene.command(
@@ -267,16 +250,6 @@ def check(progress: StageProgress, *, path: str, as_json: bool, quiet: bool) -> 
     from ..jobs.scene import findings_text
 
     summary = scene.run_check(path, progress=progress)
-    _print(summary, progress, as_json, findings_text)
+    print_result(summary, progress, as_json, lambda: findings_text(summary))
     if not summary["is_sound"]:
         sys.exit(_EXIT_FAILED)
-
-
-def _print(
-    summary: dict[str, Any],
-    progress: StageProgress,
-    as_json: bool,
-    text: Callable[[dict[str, Any]], str],
-) -> None:
-
-    print_result(summary, progress, as_json, lambda: text(summary))

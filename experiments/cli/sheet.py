@@ -4,19 +4,21 @@ from pathlib import Path
 
 import click
 
+from placement.compute import Compute
 from placement.question import Question
 
-from ..progress import StageProgress, load_one_layout, print_result, warn_of_slow_rays
-from .latency import latency_budget_options
+from ..progress import StageProgress
 from .options import (
+    JUDGED,
     SectionedCommand,
+    compute_options,
     json_option,
     layout_option,
+    option,
     question_options,
     quiet_option,
-    seed_option,
-    workers_option,
 )
+from .running import begin, load_one_layout, print_result
 
 
 @click.command(
@@ -27,13 +29,11 @@ Examples:
   place-rsus sheet --layout mine.json --scene scene --out mounting.pdf --json""",
 )
 @layout_option
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="PDF file to write.")
-@question_options()
-@latency_budget_options()
+@option("--out", type=click.Path(path_type=Path), required=True, help="PDF file to write.")
+@question_options(*JUDGED)
 @json_option
 @quiet_option
-@seed_option
-@workers_option
+@compute_options()
 @click.pass_obj
 def sheet(
     progress: StageProgress,
@@ -43,8 +43,7 @@ def sheet(
     question: Question,
     as_json: bool,
     quiet: bool,
-    seed: int,
-    workers: int,
+    compute: Compute,
 ) -> None:
     """Write a PDF for whoever mounts the units: a page each.
 
@@ -52,11 +51,8 @@ def sheet(
     nearest landmarks, and how many degrees and centimetres it may be off before a run is lost.
     """
     layout = load_one_layout(layout_names)
-    progress.start(quiet=quiet)
-    warn_of_slow_rays()
+    begin(progress, quiet=quiet)
     from ..jobs.sheet import run_sheet, sheet_text
 
-    summary = run_sheet(
-        question, layout=layout, out=out, seed=seed, workers=workers, progress=progress
-    )
+    summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)
     print_result(summary, progress, as_json, lambda: sheet_text(summary))

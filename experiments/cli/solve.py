@@ -1,45 +1,28 @@
 """``place-rsus solve``: covering instances from files, solved and proven."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
-from ..progress import StageProgress, print_result
-from .options import (
-    Number,
-    OneOf,
-    SectionedCommand,
-    WholeNumber,
-    input_error,
-    json_option,
-    quiet_option,
-)
+from ..progress import StageProgress
+from .options import SectionedCommand, is_given, json_option, option, quiet_option
+from .running import print_result, unwritable
 
-FORMATS = ("auto", "npz", "orlib", "gecco")
-_QUESTIONS = ("--budget", "--budget-cost", "--target")
+_QUESTIONS = {
+    "budget_units": "--budget",
+    "budget_cost": "--budget-cost",
+    "target": "--target",
+}
 
 
-class Target(click.ParamType[float | None]):
-    """The word max, or a share."""
-
-    name = "target"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """What the help shows for a value."""
-        return "max|SHARE"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float | None:
-        """The share; None for all that can be covered."""
-        if value == "max":
-            return None
-        try:
-            share = float(value)
-        except ValueError:
-            share = -1.0
-        if not 0.0 <= share <= 1.0:
-            raise input_error("--target", value, "max, or a share of the weight, 0 to 1")
-        return share
+def _target(text: str) -> float | None:
+    """A share of the weight; None for all that can be covered."""
+    if text == "max":
+        return None
+    share = float(text)
+    if not 0.0 <= share <= 1.0:
+        raise ValueError
+    return share
 
 
 @click.command(
@@ -53,24 +36,30 @@ Examples:
   place-rsus solve results/latest/instance.npz --budget 2""",
 )
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option(
+@option(
     "--budget",
     "budget_units",
-    type=WholeNumber(1, "a whole number of columns"),
+    type=click.IntRange(min=1),
+    metavar="N",
+    expected="a whole number of columns, at least 1",
     help="Cover as much as so many columns can.",
 )
-@click.option(
+@option(
     "--budget-cost",
-    type=Number("COST", "an amount of money", may_be_zero=True),
+    type=click.FloatRange(min=0.0),
+    metavar="COST",
+    expected="an amount of money, at least 0",
     help="Cover as much as columns for so much money can.",
 )
-@click.option(
+@option(
     "--target",
-    type=Target(),
+    type=_target,
+    metavar="max|SHARE",
+    expected="max, or a share of the weight, 0 to 1",
     help="Cover that share of the weight, or all that can be covered (max), at least cost; max is "
     "the default.",
 )
-@click.option(
+@option(
     "--solver",
     default="auto",
     show_default=True,
@@ -78,30 +67,34 @@ Examples:
     help="auto: exact search for a few columns, else HiGHS; greedy: no proof; or a solver that "
     "cvxpy finds: HIGHS, SCIPY, SCIP, CBC, GLPK_MI, GUROBI.",
 )
-@click.option(
+@option(
     "--time-limit",
-    type=Number("SECONDS", "seconds"),
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="SECONDS",
+    expected="seconds, more than 0",
     default=60.0,
     show_default=True,
     help="When it is up, the best answer found and its gap are given.",
 )
-@click.option(
+@option(
     "--gap",
-    type=Number("SHARE", "a share", may_be_zero=True),
+    type=click.FloatRange(min=0.0),
+    metavar="SHARE",
+    expected="a share, at least 0",
     default=0.0,
     show_default=True,
     help="Relative distance of objective and bound that is good enough.",
 )
-@click.option(
+@option(
     "--format",
     "format_name",
-    type=OneOf(FORMATS),
+    type=click.Choice(("auto", "npz", "orlib", "gecco")),
     default="auto",
     show_default=True,
     help="npz: this program's own; orlib: OR-Library's set covering; gecco: the camera placement "
     "competition of GECCO 2020; auto: told from the content.",
 )
-@click.option(
+@option(
     "--out",
     type=click.Path(path_type=Path),
     metavar="FILE.npz",
@@ -141,18 +134,13 @@ def solve(
     from ..jobs import solve
 
     if format_name in ("auto", "npz") and instance_kind(file) == KIND:
-        from ..jobs import solve
-
         if out is not None:
             raise click.UsageError(f"--out: got {out}; expected it with covering problems only")
-        has_target = click.get_current_context().get_parameter_source("target")
         summary = solve.run_solve_windows(
             file,
             budget_units=budget_units,
             budget_cost=budget_cost,
-            target=float("inf")
-            if target is None and has_target is click.core.ParameterSource.COMMANDLINE
-            else target,
+            target=float("inf") if target is None and is_given("target") else target,
             solver=solver,
             time_limit_s=time_limit,
             gap=gap,
@@ -176,23 +164,12 @@ def solve(
     except OSError as error:
         if out is None:
             raise
-        raise click.UsageError(
-            f"--out: got {out}: {error.strerror}; expected a file that can be written"
-        ) from None
+        raise unwritable(out, error) from None
     print_result(summary, progress, as_json, lambda: solve.solution_text(summary))
 
 
 def _check_one_question() -> None:
-    context = click.get_current_context()
-    given = [
-        name
-        for name in _QUESTIONS
-        if context.get_parameter_source(
-            {"--budget": "budget_units"}.get(name, name[2:].replace("-", "_"))
-        )
-        is click.core.ParameterSource.COMMANDLINE
-    ]
+    given = [words for name, words in _QUESTIONS.items() if is_given(name)]
     if len(given) > 1:
-        raise click.UsageError(
-            f"{given[1]}: got it beside {given[0]}; expected one of {', '.join(_QUESTIONS)}"
-        )
+        known = ", ".join(_QUESTIONS.values())
+        raise click.UsageError(f"{given[1]}: got it beside {given[0]}; expected one of {known}")

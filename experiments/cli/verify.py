@@ -5,8 +5,9 @@ from pathlib import Path
 
 import click
 
-from ..progress import StageProgress, print_result
+from ..progress import StageProgress
 from .options import json_option, quiet_option
+from .running import print_result
 
 _EXIT_FAILED = 1
 

@@ -1,6 +1,5 @@
 """A run from above: film strip or animation, with what the VUT has in sight of the VRU."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -22,6 +21,7 @@ from geometry.footprints import footprint_corners
 from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
+from placement.compute import Progress, silent
 from placement.evaluator import load_vut_camera
 from placement.visibility.casting import build_static_mesh
 from scenarios.runs import Run
@@ -72,9 +72,7 @@ def plot_film(scene: Scene, run: Run) -> list[Axes]:
     return panels
 
 
-def save_film(
-    path: Path, scene: Scene, run: Run, *, on_progress: Callable[[int, int], None] | None = None
-) -> None:
+def save_film(path: Path, scene: Scene, run: Run, *, progress: Progress = silent) -> None:
     """Write a run as a film strip or, to a ``.gif``, as an animation in real time.
 
     Parameters
@@ -83,8 +81,8 @@ def save_film(
         Its suffix says what is written.
     scene, run
         As for :func:`plot_film`.
-    on_progress : callable, optional
-        Called with frames drawn and all frames of an animation.
+    progress : Progress
+        Is told the frames of an animation.
 
     Raises
     ------
@@ -95,7 +93,7 @@ def save_film(
     """
     suffix = path.suffix.lower()
     if suffix == ANIMATION:
-        data = _animate(scene, run, on_progress)
+        data = _animate(scene, run, progress)
     elif suffix in STILLS:
         buffer = BytesIO()
         metadata = {"Software": None} if suffix == ".png" else {}
@@ -108,7 +106,7 @@ def save_film(
     write_atomically(path, lambda file: file.write(data))
 
 
-def _animate(scene: Scene, run: Run, on_progress: Callable[[int, int], None] | None) -> bytes:
+def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
     frames = [frame for frame in range(len(run.time_s)) if run.time_s[frame] >= _first_s(run)]
     figure = new_figure(5.6, 6.6, dpi=100)
     figure.suptitle(_title(run), fontsize=9)
@@ -127,7 +125,11 @@ def _animate(scene: Scene, run: Run, on_progress: Callable[[int, int], None] | N
     with TemporaryDirectory() as folder:  # the library writes to names only
         name = Path(folder) / "film.gif"
         rate_hz = round(1.0 / float(np.diff(run.time_s[-2:])[0]))
-        animation.save(name, writer=PillowWriter(fps=rate_hz), progress_callback=on_progress)
+        animation.save(
+            name,
+            writer=PillowWriter(fps=rate_hz),
+            progress_callback=lambda done, total: progress("draw", done, total),
+        )
         return name.read_bytes()
 
 

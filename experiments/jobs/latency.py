@@ -11,6 +11,7 @@ import pandas as pd
 
 from geometry.errors import InputError, Unquoted
 from geometry.scene_folders import find_scene
+from placement.compute import Compute
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout
 from placement.latency import (
@@ -53,8 +54,7 @@ def run_latency(
     vut_latency_s: float | None,
     max_latency_s: float | None,
     out: Path | None,
-    seed: int,
-    workers: int,
+    compute: Compute,
     progress: StageProgress,
 ) -> dict[str, Any]:
     """APR of every sensing party against latency; table and figure to `out` if asked to.
@@ -73,8 +73,8 @@ def run_latency(
         Shown up to here; by default as far as the budget reaches, and the RSUs' APR falls. [s]
     out : Path, optional
         Folder that gets ``latency.csv`` and ``latency.png``; what else it holds stays.
-    seed, workers
-        See :func:`placement.evaluator.evaluate_layouts`.
+    compute : Compute
+        Seed and threads; its progress is `progress`.
     progress : StageProgress
         Is told the stages.
 
@@ -100,14 +100,7 @@ def run_latency(
     progress("setting", 0, 0)
     setting = build_setting(question, find_scene(question.scene))
     check_layout(layout, setting.scene)
-    progress("evaluate", 0, 0)
-    evaluation = evaluate_layout(
-        layout,
-        setting,
-        seed=seed,
-        workers=workers,
-        on_progress=lambda done, total: progress("evaluate", done, total),
-    )
+    evaluation = evaluate_layout(layout, setting, compute=compute)
     curves = apr_by_latency(evaluation, setting.rule, vut_latency_s=vut_latency_s)
     shown_s = _default_max_s(curves, chosen) if max_latency_s is None else max_latency_s
     summary = summarise_latency(evaluation, curves, chosen, max_latency_s=shown_s)

@@ -11,6 +11,7 @@ import pandas as pd
 
 from geometry.scene_folders import find_scene
 from placement.candidates import CandidatePose
+from placement.compute import Compute
 from placement.optimiser import Fusion, PlacementProblem
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import Front, StageChoice
@@ -46,9 +47,7 @@ def run_pareto(
     max_units: int,
     all_stages: bool,
     out: Path | None,
-    seed: int,
-    workers: int,
-    cache_folder: Path | None,
+    compute: Compute,
     command: str,
     progress: StageProgress,
 ) -> dict[str, Any]:
@@ -70,8 +69,8 @@ def run_pareto(
     out : Path, optional
         Folder that gets ``pareto.csv``, ``pareto.json`` and ``pareto.png``; what else it holds
         stays.
-    seed, workers, cache_folder
-        See :func:`placement.pipeline.place`.
+    compute : Compute
+        Seed, threads, cache; its progress is `progress`.
     command : str
         Command line that makes the result again.
     progress : StageProgress
@@ -98,10 +97,7 @@ def run_pareto(
     table = obtain_table(
         setting,
         plan.candidates,
-        seed=seed,
-        workers=workers,
-        cache_folder=cache_folder,
-        on_progress=progress,
+        compute=compute,
     )
     fusion = cast(Fusion, question.fusion)
     problem = build_problem(setting, plan.candidates, table, wishes=wishes, fusion=fusion)

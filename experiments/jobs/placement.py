@@ -10,7 +10,8 @@ from msgspec import UNSET, UnsetType
 from msgspec.structs import replace as replace_fields
 
 from geometry.scene_folders import find_scene
-from placement.evaluation import Evaluation, apr
+from placement.compute import Compute
+from placement.evaluation import apr
 from placement.evaluator import evaluate_layouts
 from placement.explain.sensitivity import find_sensitivity
 from placement.layout import Layout, check_layout
@@ -56,9 +57,7 @@ def run_placement(
     question: Question,
     *,
     out: Path,
-    seed: int,
-    workers: int,
-    cache_folder: Path | None,
+    compute: Compute,
     command: str,
     progress: StageProgress,
 ) -> Result:
@@ -81,7 +80,8 @@ def run_placement(
         uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
 
     def report(stage: str, done: int, total: int) -> None:
-        if stage == "optimise" and cache_folder is not None and any(cache_folder.glob("table-*")):
+        cache = compute.cache_folder
+        if stage == "optimise" and cache is not None and any(cache.glob("table-*")):
             progress.kept += "; the detection table is kept for the next call"
         progress(stage, done, total)
 
@@ -93,10 +93,7 @@ def run_placement(
         effort=plan.effort,
         uncertainty=uncertainty,
         n_samples=question.samples,
-        seed=seed,
-        workers=workers,
-        cache_folder=cache_folder,
-        on_progress=report,
+        compute=replace(compute, progress=report),
     )
     refinement = None
     if question.refine:
@@ -105,8 +102,8 @@ def run_placement(
             placement,
             plan.candidates,
             solver=plan.effort,
-            seed=seed,
-            workers=workers,
+            seed=compute.seed,
+            workers=compute.workers,
             on_progress=report,
         )
         placement = refinement.placement
@@ -117,12 +114,11 @@ def run_placement(
         setting,
         poses,
         n_pool=question.pool,
-        tolerance=question.pool_tolerance,
-        seed=seed,
+        compute=compute,
     )
     front = _front_below(placement, plan, progress)
     layouts = [placement.layout, placement.greedy, *([] if study is None else [study])]
-    found, greedy, *others = _evaluate(layouts, setting, seed, workers, progress)
+    found, greedy, *others = evaluate_layouts(layouts, setting, compute=compute)
     baseline = others[0] if others else None
     result = build_placement_result(
         placement, setting, found=found, greedy=greedy, baseline=baseline
@@ -135,9 +131,7 @@ def run_placement(
             if front is None
             else describe_front(front, placement.problem, poses, n_kept=len(plan.wishes.kept))
         ),
-        sensitivity=_what_if(
-            setting, placement.layout, seed, workers, progress, fusion=question.fusion
-        ),
+        sensitivity=_what_if(setting, placement.layout, compute, fusion=question.fusion),
         private_ground=(
             UNSET
             if plan.private is None
@@ -154,16 +148,14 @@ def run_placement(
             layouts,
             uncertainty,
             n_samples=max(question.samples, MIN_FRESH_WORLDS),
-            seed=seed,
             fusion=question.fusion,
-            workers=workers,
-            on_progress=progress,
+            compute=compute,
         )
         sampled = build_sampled_record(
             judged,
             uncertainty,
             tail=plan.wishes.tail,
-            seed=seed,
+            seed=compute.seed,
             planned_apr={
                 item.layout.name: apr(item.rsu_all, item.axis) for item in (found, greedy, *others)
             },
@@ -194,7 +186,7 @@ def run_placement(
 def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
     problem = placement.problem
-    if problem.goal != "best" or problem.survive or problem.stage_weights is not None:
+    if problem.goal != "best" or problem.survive:
         return None
     return front_below(
         problem,
@@ -207,24 +199,10 @@ def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> F
 
 
 def _what_if(
-    setting: Setting,
-    layout: Layout,
-    seed: int,
-    workers: int,
-    progress: StageProgress,
-    *,
-    fusion: str = "any",
+    setting: Setting, layout: Layout, compute: Compute, *, fusion: str = "any"
 ) -> SensitivityRecord:
     """What becomes of a layout if an assumption is wrong."""
-    progress("what if", 0, 0)
-    found = find_sensitivity(
-        setting,
-        layout,
-        fusion=cast(Fusion, fusion),
-        seed=seed,
-        workers=workers,
-        on_progress=lambda done, total: progress("what if", done, total),
-    )
+    found = find_sensitivity(setting, layout, fusion=cast(Fusion, fusion), compute=compute)
     return build_sensitivity_record(found)
 
 
@@ -234,8 +212,7 @@ def run_evaluation(
     layout: Layout,
     no_look: str = "",
     out: Path | None,
-    seed: int,
-    workers: int,
+    compute: Compute,
     command: str,
     progress: StageProgress,
 ) -> Result:
@@ -251,8 +228,7 @@ def run_evaluation(
         [layout],
         no_look=no_look,
         out=out,
-        seed=seed,
-        workers=workers,
+        compute=compute,
         command=command,
         progress=progress,
     )
@@ -266,8 +242,7 @@ def run_comparison(
     uncertainty: str = "default",
     no_look: str = "",
     out: Path | None,
-    seed: int,
-    workers: int,
+    compute: Compute,
     command: str,
     progress: StageProgress,
 ) -> Result:
@@ -288,8 +263,7 @@ def run_comparison(
         uncertainty=uncertainty,
         no_look=no_look,
         out=out,
-        seed=seed,
-        workers=workers,
+        compute=compute,
         command=command,
         progress=progress,
     )
@@ -303,8 +277,7 @@ def _judge(
     uncertainty: str = "default",
     no_look: str = "",
     out: Path | None,
-    seed: int,
-    workers: int,
+    compute: Compute,
     command: str,
     progress: StageProgress,
 ) -> Result:
@@ -319,7 +292,7 @@ def _judge(
     for layout in layouts:
         check_layout(layout, setting.scene)
     private = load_private_ground(Path(no_look), setting.scene) if no_look else None
-    verdicts = _evaluate(layouts, setting, seed, workers, progress)
+    verdicts = evaluate_layouts(layouts, setting, compute=compute)
     seen: list[PrivateGroundRecord | UnsetType] = [
         UNSET
         if private is None
@@ -340,19 +313,17 @@ def _judge(
             layouts,
             drawn,
             n_samples=samples,
-            seed=seed,
-            workers=workers,
-            on_progress=progress,
+            compute=compute,
         )
         planned = {item.layout.name: apr(item.rsu_all, item.axis) for item in verdicts}
-        sampled = build_sampled_record(judged, drawn, tail=1.0, seed=seed, planned_apr=planned)
+        sampled = build_sampled_record(
+            judged, drawn, tail=1.0, seed=compute.seed, planned_apr=planned
+        )
         result = replace_fields(result, sampled=sampled)
         sampled_figure = plot_sampled_apr(judged)
     if out is None:
         return replace_fields(result, seconds=progress.finish())
-    result = replace_fields(
-        result, sensitivity=_what_if(setting, layouts[0], seed, workers, progress)
-    )
+    result = replace_fields(result, sensitivity=_what_if(setting, layouts[0], compute))
     return write_results(
         out,
         result,
@@ -374,20 +345,3 @@ def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
         taken.add(name)
         named.append(replace(layout, name=name))
     return named
-
-
-def _evaluate(
-    layouts: Sequence[Layout],
-    setting: Setting,
-    seed: int,
-    workers: int,
-    progress: StageProgress,
-) -> list[Evaluation]:
-    progress("evaluate", 0, 0)
-    return evaluate_layouts(
-        layouts,
-        setting,
-        seed=seed,
-        workers=workers,
-        on_progress=lambda done, total: progress("evaluate", done, total),
-    )

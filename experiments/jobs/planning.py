@@ -18,8 +18,8 @@ from placement.candidates import (
     load_candidate_grid,
 )
 from placement.layout import Layout, check_layout
-from placement.optimiser import Effort, PlacementValue
-from placement.optimiser.milp import DEFAULT_SOLVER, SolverName, check_solver
+from placement.optimiser import Effort
+from placement.optimiser.milp import SolverName
 from placement.private_ground import PrivateGround, private_shares
 from placement.question import Question
 from placement.wishes import Wishes, check_wishes
@@ -88,8 +88,6 @@ def build_plan(question: Question, scene: Scene) -> Plan:
     ):
         if value and not question.no_look:
             raise InputError(option, value, "--no-look beside it")
-    if question.pool_tolerance and not question.pool:
-        raise InputError("--pool-tolerance", question.pool_tolerance, "--pool beside it")
     study = find_baseline(scene) if question.study_poses else None
     kept = _layout(question.keep, "--keep", scene)
     within = _layout(question.within, "--within", scene)
@@ -128,7 +126,6 @@ def build_plan(question: Question, scene: Scene) -> Plan:
         site_cost_eur=question.site_cost_eur,
         separation_m=question.separation_m,
         surcharges_eur=surcharges,
-        stage_weights=_stage_weights(question.stage_weights),
         tail=_tail(question.risk, question.samples),
     )
     check_wishes(wishes, scene)
@@ -151,15 +148,12 @@ def effort_of(question: Question) -> Effort:
     Raises
     ------
     InputError
-        A solver that is not installed, a number that cannot be.
+        A number that cannot be.
     """
     return Effort(
         solver=cast(SolverName, question.solver),
         time_limit_s=question.time_limit_s,
         gap=question.gap,
-        milp_solver=DEFAULT_SOLVER
-        if question.milp_solver == DEFAULT_SOLVER
-        else check_solver(question.milp_solver),
     )
 
 
@@ -219,22 +213,6 @@ def _tail(risk: str, n_samples: int) -> float:
     if tail == 0.0:
         raise InputError("--risk", risk, "mean, worst, or a share of the worst worlds, more than 0")
     return tail
-
-
-def _stage_weights(text: str) -> tuple[float, ...] | None:
-    if not text:
-        return None
-    weights = dict.fromkeys(PlacementValue._fields, 0.0)
-    for word in _words(text):
-        name, _, number = word.partition("=")
-        if name not in weights:
-            raise InputError(
-                "--stage-weights", word, "NAME=WEIGHT, NAME one of " + ", ".join(weights)
-            )
-        weights[name] = _number("--stage-weights", number, "weights, at least 0", 0.0, np.inf)
-    if not any(weights.values()):
-        raise InputError("--stage-weights", Unquoted(text), "a weight that is not 0")
-    return tuple(weights.values())
 
 
 def _number(option: str, text: str, expected: str, low: float, high: float) -> float:

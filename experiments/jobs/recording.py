@@ -37,7 +37,6 @@ from placement.setting import build_rule
 from placement.verification.certificates import build_certificate, save_certificate
 from scenarios.aeb import AebRule
 
-from ..cli.tables import ALL_UNITS
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.drives import versions

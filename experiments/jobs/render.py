@@ -16,6 +16,7 @@ from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.scene import Scene
 from geometry.weather import pick_weather
+from placement.compute import Compute
 from placement.evaluator.surroundings import load_vut_camera, load_vut_lidar
 from placement.evaluator.watch import vut_camera_pose
 from placement.imaging import (
@@ -145,7 +146,7 @@ def find_viewpoint(layout: Layout, unit_id: str, run: Run, frame_index: int) -> 
 
 
 def render(
-    scene: Scene, run: Run, frame_index: int, viewpoint: Viewpoint, *, seed: int, workers: int
+    scene: Scene, run: Run, frame_index: int, viewpoint: Viewpoint, *, compute: Compute
 ) -> Picture | PointCloud:
     """The picture, or point cloud, of a frame in the run's weather."""
     weather = pick_weather(run.weather, "--weather")
@@ -158,7 +159,7 @@ def render(
             viewpoint.sensor,
             weather=weather,
             with_vut=viewpoint.with_vut,
-            seed=seed,
+            seed=compute.seed,
         )
     return render_picture(
         scene,
@@ -168,8 +169,7 @@ def render(
         viewpoint.sensor,
         weather=weather,
         with_vut=viewpoint.with_vut,
-        seed=seed,
-        workers=workers,
+        compute=compute,
     )
 
 

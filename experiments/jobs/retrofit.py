@@ -10,6 +10,7 @@ import pandas as pd
 
 from geometry.scene_folders import find_scene
 from placement.candidates import CandidatePose
+from placement.compute import Compute
 from placement.layout import Layout, check_layout, layout_records
 from placement.optimiser import Fusion, PlacementValue, is_better
 from placement.pipeline import obtain_table
@@ -219,9 +220,7 @@ def run_retrofit(
     layout: Layout,
     visit_eur: float | None,
     out: Path | None,
-    seed: int,
-    workers: int,
-    cache_folder: Path | None,
+    compute: Compute,
     command: str,
     progress: StageProgress,
 ) -> dict[str, Any]:
@@ -239,8 +238,8 @@ def run_retrofit(
         Of a re-aim or a removal; by default by :func:`placement.retrofit.load_labour`. [EUR]
     out : Path, optional
         Folder that gets ``retrofit.csv`` and ``retrofit.json``; what else it holds stays.
-    seed, workers, cache_folder
-        See :func:`placement.pipeline.place`.
+    compute : Compute
+        Seed, threads, cache; its progress is `progress`.
     command : str
         Command line that makes the result again.
     progress : StageProgress
@@ -269,10 +268,7 @@ def run_retrofit(
     table = obtain_table(
         setting,
         poses.candidates,
-        seed=seed,
-        workers=workers,
-        cache_folder=cache_folder,
-        on_progress=progress,
+        compute=compute,
     )
     progress("retrofit", 0, 0)
     problem = build_problem(

@@ -23,6 +23,7 @@ from geometry.scene_folders import find_scene
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, is_ring, is_turn_useless
+from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain.tolerance import LIFTS_M, TURNS_DEG, Tolerance, find_tolerances
 from placement.imaging import render_picture
 from placement.layout import Layout, check_layout
@@ -51,8 +52,7 @@ def mounting_sheet(
     setting: Setting,
     tolerances: Sequence[Tolerance],
     *,
-    seed: int = 0,
-    workers: int = 1,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> bytes:
     """A PDF with a page for each unit: where, how high, where it looks, what it will see.
 
@@ -65,10 +65,8 @@ def mounting_sheet(
         is near.
     tolerances : sequence of Tolerance
         One for each unit, in their order.
-    seed : int
-        Of sensor noise.
-    workers : int
-        Threads.
+    compute : Compute
+        Its seed is that of sensor noise.
 
     Returns
     -------
@@ -79,7 +77,7 @@ def mounting_sheet(
     buffer = io.BytesIO()
     with PdfPages(buffer, metadata={"Title": f"Mounting sheet: {layout.name}"}) as pages:
         for unit, tolerance in zip(layout.units, tolerances, strict=True):
-            figure = _page(layout, unit, labels[unit.id], setting, tolerance, seed, workers)
+            figure = _page(layout, unit, labels[unit.id], setting, tolerance, compute)
             pages.savefig(figure)
     return buffer.getvalue()
 
@@ -90,8 +88,7 @@ def _page(
     label: str,
     setting: Setting,
     tolerance: Tolerance,
-    seed: int,
-    workers: int,
+    compute: Compute,
 ) -> Figure:
     scene = setting.scene
     figure = Figure(figsize=_A4_IN)
@@ -124,8 +121,7 @@ def _page(
         ),
         unit,
         setting,
-        seed,
-        workers,
+        compute,
     )
     return figure
 
@@ -269,9 +265,7 @@ def _plan_middle(unit: CandidatePose, scene: Scene) -> FloatArray:
     return between
 
 
-def _draw_picture(
-    axes: Axes, unit: CandidatePose, setting: Setting, seed: int, workers: int
-) -> None:
+def _draw_picture(axes: Axes, unit: CandidatePose, setting: Setting, compute: Compute) -> None:
     axes.set_axis_off()
     if not isinstance(unit.sensor, CameraModel):
         axes.text(0.5, 0.5, "A LiDAR takes no picture.", ha="center", va="center", fontsize=11)
@@ -285,8 +279,7 @@ def _draw_picture(
         unit.sensor,
         weather=pick_weather(run.weather, "weather"),
         with_vut=True,
-        seed=seed,
-        workers=workers,
+        compute=compute,
     )
     axes.imshow(picture.rgb)
     axes.set_title(
@@ -322,8 +315,7 @@ def run_sheet(
     *,
     layout: Layout,
     out: Path,
-    seed: int,
-    workers: int,
+    compute: Compute,
     progress: StageProgress,
 ) -> dict[str, Any]:
     """Write the mounting sheet of a layout.
@@ -347,9 +339,9 @@ def run_sheet(
     setting = build_setting(question, find_scene(question.scene))
     check_layout(layout, setting.scene)
     progress("tolerances", 0, 0)
-    tolerances = find_tolerances(setting, layout.units, seed=seed, workers=workers)
+    tolerances = find_tolerances(setting, layout.units, compute=compute)
     progress(WRITING, 0, 0)
-    pdf = mounting_sheet(layout, setting, tolerances, seed=seed, workers=workers)
+    pdf = mounting_sheet(layout, setting, tolerances, compute=compute)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(out, lambda file: file.write(pdf))

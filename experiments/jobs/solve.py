@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -19,13 +19,14 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.covering.files import load_instance, save_instance
+from placement.optimiser.covering.milp import check_solver
 from placement.optimiser.covering.solve import (
     CoveringInstance,
     CoveringSolution,
     solve_lscp,
     solve_mclp,
 )
-from placement.optimiser.milp import DEFAULT_SOLVER, check_solver
+from placement.optimiser.milp import SolverName
 from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress
@@ -245,10 +246,11 @@ def run_solve_windows(
     """
     progress("read", 0, 0)
     problem = _asked(load_problem(path), budget_units, budget_cost, target)
-    is_search = solver in _SEARCHES
+    if solver not in _SEARCHES:
+        check_solver(solver)
+        solver = "exact"
     effort = Effort(
-        solver="exact" if not is_search else solver,  # type: ignore[arg-type]
-        milp_solver=DEFAULT_SOLVER if is_search else check_solver(solver),
+        solver=cast(SolverName, solver),
         time_limit_s=time_limit_s,
         gap=gap,
     )

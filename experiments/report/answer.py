@@ -9,13 +9,14 @@ from geometry.arrays import BoolArray
 from geometry.catalogue import sensor_kind
 from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout
+from placement.optimiser.objectives import Objective
 from placement.setting import Setting
 from scenarios.runs import FrameAxis
 
-from ..results.numbers import NOTHING, STAGES, number, or_nan, percent, several
+from ..results.numbers import NOTHING, number, or_nan, percent, several
 from ..results.record import StageRecord
 from ..results.result import Result
-from .private_ground import private_sentences
+from .private_ground import result_private_sentences
 from .refinement import refinement_sentences
 from .sampled_worlds import uncertainty_sentences
 from .section import Block, Section, Table
@@ -60,21 +61,10 @@ def answer(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
         ]
     return [
         *(f"{sentence}." for sentence in sentences if sentence),
-        *_private_sentences(result),
+        *result_private_sentences(result),
         *(refinement_sentences(result.refinement) if result.refinement else []),
         *(uncertainty_sentences(result.sampled) if result.sampled else []),
     ]
-
-
-def _private_sentences(result: Result) -> list[str]:
-    """What cameras see of private ground; of each layout where several are compared."""
-    if not result.private_ground:
-        return []
-    sentences = private_sentences(result.private_ground)
-    for other in result.compared or ():
-        if other.private_ground:
-            sentences += [f"{other.name}: {one}" for one in private_sentences(other.private_ground)]
-    return sentences
 
 
 def _proof_in_short(stages: Sequence[StageRecord], n_candidates: int) -> str:
@@ -171,7 +161,7 @@ def proof_section(result: Result) -> Section | None:
     """The optimiser's objectives with their proof; None where nothing was optimised."""
     if not result.stages:
         return None
-    is_open = [STAGES[stage.name] for stage in result.stages if stage.gap != 0.0]
+    is_open = [Objective(stage.name).label for stage in result.stages if stage.gap != 0.0]
     proof = "Yes: every objective's gap is closed."
     if is_open:
         proof = f"Not in full: proven are all objectives but {', '.join(is_open)}."
@@ -199,7 +189,7 @@ def _stage_row(stage: StageRecord) -> list[str]:
 
     gap = stage.gap
     return [
-        STAGES[stage.name],
+        Objective(stage.name).label,
         shown(stage.objective),
         shown(stage.bound),
         NOTHING if gap is None or not math.isfinite(gap) else percent(gap),

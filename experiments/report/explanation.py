@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from msgspec import UnsetType
 
+from placement.optimiser.objectives import Objective
+
 from ..results.explanations import (
     ContributionRecord,
     ExplainedRecord,
@@ -13,7 +15,7 @@ from ..results.explanations import (
     MissedRunRecord,
     PoolRecord,
 )
-from ..results.numbers import NOTHING, STAGES, count_runs, first_of, number, percent
+from ..results.numbers import NOTHING, count_runs, first_of, number, percent
 from .section import Block, Section, Table
 
 # ---------- in sentences
@@ -122,13 +124,9 @@ def pool_sentences(explained: ExplainedRecord) -> list[str]:
     pool = explained.pool
     if pool is None:
         return []
-    stage, within = STAGES[pool.stage], pool.within
+    stage, within = Objective(pool.stage).label, pool.within
     worth = f"the best {stage}"
-    if pool.tolerance:
-        worth += f", or up to {percent(pool.tolerance)} of the runs less"
-        if pool.stage in ("units", "cost_eur"):
-            worth = f"the least {stage}, or up to {percent(pool.tolerance)} more"
-    elif pool.stage in ("units", "cost_eur"):
+    if pool.stage in ("units", "cost_eur"):
         worth = f"the least {stage}"
     if not pool.is_complete:
         return [

@@ -9,8 +9,7 @@ from msgspec import UnsetType
 from placement.layout import Certificate, Stage
 from placement.optimiser import PlacementValue
 from placement.optimiser.front import Front, FrontPoint
-from placement.optimiser.limits import COST_TOLERANCE_EUR
-from placement.optimiser.problem import TOLERANCE
+from placement.optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE
 
 from ..figures.front import plot_front
 from ..results.fronts import FrontPointRecord, FrontRecord

@@ -16,6 +16,7 @@ from placement.private_ground import PrivateGround, build_private_ground
 
 from ..results.explanations import PrivateGroundRecord
 from ..results.numbers import percent
+from ..results.result import Result
 from .section import Section, Table
 
 
@@ -104,6 +105,17 @@ def private_sentences(found: PrivateGroundRecord) -> list[str]:
     if not seen:
         return [f"No camera has {what} in its picture."]
     return [f"Of private ground, {'; '.join(seen)}.", *_price_sentences(found)]
+
+
+def result_private_sentences(result: Result) -> list[str]:
+    """The same of a result; of each layout where several are compared."""
+    if not result.private_ground:
+        return []
+    sentences = private_sentences(result.private_ground)
+    for other in result.compared or ():
+        if other.private_ground:
+            sentences += [f"{other.name}: {one}" for one in private_sentences(other.private_ground)]
+    return sentences
 
 
 def _price_sentences(found: PrivateGroundRecord) -> list[str]:

@@ -1,12 +1,10 @@
 """What refinement between the poses of the grid changed, in sentences."""
 
-from placement.optimiser.limits import COST_TOLERANCE_EUR
-from placement.optimiser.problem import TOLERANCE
+from placement.optimiser.objectives import Objective
 
 from ..results.fronts import MoveRecord, RefinementRecord
-from ..results.numbers import STAGES, joined, number, percent
+from ..results.numbers import joined, number, percent
 
-_SHARES = ("apr", "apr_one_failed", "apr_survived")
 _MAX_DIGITS = 6
 
 
@@ -56,22 +54,21 @@ def _deed(move: MoveRecord) -> str:
 
 def _changes(found: RefinementRecord) -> str:
     """Objectives before and after, those that changed."""
-    before, after = found.before, found.after
+    values = [(Objective(name), before, found.after[name]) for name, before in found.before.items()]
     return ", ".join(
-        f"{STAGES[name]} {_from_to(name, before[name], after[name])}"
-        for name in before
-        if abs(after[name] - before[name])
-        > (COST_TOLERANCE_EUR if name == "cost_eur" else TOLERANCE)
+        f"{objective.label} {_from_to(objective, before, after)}"
+        for objective, before, after in values
+        if abs(after - before) > objective.tolerance
     )
 
 
-def _from_to(name: str, before: float, after: float) -> str:
+def _from_to(objective: Objective, before: float, after: float) -> str:
     """Two values with as many digits as tell them apart."""
-    if name in _SHARES and percent(before) != percent(after):
+    is_share = objective.value.startswith("apr")
+    if is_share and percent(before) != percent(after):
         return f"{percent(before)} to {percent(after)}"
-    unit = {"cost_eur": " EUR", "units": ""}.get(name, " s")
-    scale, unit = (100.0, " %") if name in _SHARES else (1.0, unit)
-    first = 0 if name in ("cost_eur", "units") else 2
+    scale, unit = (100.0, " %") if is_share else (1.0, f" {objective.unit}".rstrip())
+    first = 0 if objective.is_minimised else 2
     for digits in range(first, _MAX_DIGITS + 1):
         one, other = number(scale * before, digits), number(scale * after, digits)
         if one != other:

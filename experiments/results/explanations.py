@@ -8,6 +8,7 @@ import numpy as np
 
 from geometry.scene import Scene
 from placement.candidates import CandidatePose
+from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain import (
     Contribution,
     Pool,
@@ -139,13 +140,9 @@ class PoseShareRecord(Record, frozen=True, kw_only=True):
 
 
 class PoolRecord(Record, frozen=True, kw_only=True):
-    """Layouts that are as good in the first stage, or nearly."""
+    """Layouts that are as good in the first stage."""
 
     stage: Annotated[StageName, says("The first stage.")]
-    tolerance: Annotated[
-        float,
-        says("How much worse they may be: in shares of the runs, or of units or costs.", ge=0),
-    ]
     is_complete: Annotated[
         bool,
         says("Whether all choices were gone through; else one unit was exchanged for another."),
@@ -253,8 +250,7 @@ def build_explained_record(
     candidates: Sequence[CandidatePose],
     *,
     n_pool: int = 0,
-    tolerance: float = 0.0,
-    seed: int = 0,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> ExplainedRecord:
     """What a placement rests on.
 
@@ -267,10 +263,8 @@ def build_explained_record(
         Rows of the placement's table: a refinement's own, if there was one.
     n_pool : int
         How many other layouts to list; 0: none are looked for.
-    tolerance : float
-        See :func:`placement.explain.find_pool`.
-    seed : int
-        Of the points on the VRUs: that of the table.
+    compute : Compute
+        With the seed of the table.
     """
     problem, chosen = placement.problem, placement.pose_index
     names = {
@@ -278,18 +272,18 @@ def build_explained_record(
         for pose, unit in zip(chosen, placement.layout.units, strict=True)
     }
     if placement.nominal is problem:
-        missed = find_unavoided(setting, problem, candidates, chosen, seed=seed)
+        missed = find_unavoided(setting, problem, candidates, chosen, compute=compute)
     else:
         missed = find_unavoided(
             setting,
             placement.nominal,
             [candidates[pose] for pose in chosen],
             placement.nominal_index,
-            seed=seed,
+            compute=compute,
         )
     pool = None
     if n_pool:
-        pool = find_pool(problem, chosen, n_sets=n_pool, tolerance=tolerance)
+        pool = find_pool(problem, chosen, n_sets=n_pool)
     return ExplainedRecord(
         contributions=tuple(
             _contribution(problem, part, names) for part in find_contributions(problem, chosen)
@@ -349,7 +343,6 @@ def _pool(problem: PlacementProblem, candidates: Sequence[CandidatePose], pool: 
     frequent = np.argsort(-pool.pose_share, kind="stable")
     return PoolRecord(
         stage=pool.stage,
-        tolerance=pool.tolerance,
         is_complete=pool.scope == "all",
         within=pool.n_within,
         sets=tuple(

@@ -7,18 +7,6 @@ NOTHING = "\N{EN DASH}"
 """Stands where there is no number."""
 
 
-STAGES = {
-    "apr": "APR",
-    "apr_one_failed": "APR if the most needed unit fails",
-    "smallest_margin_s": "smallest time to spare",
-    "mean_margin_s": "mean time to spare",
-    "cost_eur": "cost",
-    "units": "units",
-    "apr_survived": "APR if the most needed units fail",
-}
-"""Names of the optimiser's objectives."""
-
-
 def percent(share: float | None) -> str:
     """A share of 1 in print, with one digit: what is not quite all or none is never shown as it.
 

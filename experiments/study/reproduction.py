@@ -22,6 +22,7 @@ from geometry.files import (
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
 from geometry.scene_files import load_study_scene
+from placement.compute import Compute, silent
 from placement.detectors import GeometricDetector, load_planning_detector
 from placement.evaluation import (
     Evaluation,
@@ -250,30 +251,27 @@ def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
     return found
 
 
-def write_reproduction(
-    folder: Path, *, workers: int, on_progress: Callable[[str, int, int], None]
-) -> None:
+def write_reproduction(folder: Path, *, compute: Compute) -> None:
     """Evaluate all variants and weathers, and write ``reproduction.md`` with its heatmaps.
 
     Parameters
     ----------
     folder : Path
         Where to.
-    workers : int
-        Threads.
-    on_progress : callable
-        Called with the stage, steps done and all steps.
+    compute : Compute
+        Threads and progress.
     """
     variants = build_variants()
     n_steps = len(variants) + len(DETECTORS)
     evaluations = []
+    quiet = replace(compute, progress=silent)
     for number, variant in enumerate(variants):
-        on_progress("evaluate variants", number, n_steps)
-        evaluations.append(_evaluate(variant, workers))
+        compute.progress("evaluate variants", number, n_steps)
+        evaluations.append(_evaluate(variant, quiet))
     by_weather = {}
     for number, detector in enumerate(DETECTORS, start=len(variants)):
-        on_progress("evaluate variants", number, n_steps)
-        by_weather[detector] = _evaluate_weathers(detector, variants[0], workers)
+        compute.progress("evaluate variants", number, n_steps)
+        by_weather[detector] = _evaluate_weathers(detector, variants[0], quiet)
     base = evaluations[0]
     heatmaps = [
         base.axis.run_ids.index(f"{case}/east/{speed}")
@@ -307,14 +305,14 @@ def write_reproduction(
     write_atomically(folder / "reproduction.md", lambda file: file.write(text.encode()))
 
 
-def _evaluate(variant: Variant, workers: int) -> Evaluation:
-    return evaluate_layout(variant.layout, variant.setting, workers=workers)
+def _evaluate(variant: Variant, compute: Compute) -> Evaluation:
+    return evaluate_layout(variant.layout, variant.setting, compute=compute)
 
 
-def _evaluate_weathers(detector: str, base: Variant, workers: int) -> Evaluation:
+def _evaluate_weathers(detector: str, base: Variant, compute: Compute) -> Evaluation:
     question = Question(cases=OWN_CASES, weather=",".join(WEATHERS), detector=detector)
     setting = build_setting(question, base.setting.scene)
-    return evaluate_layout(base.layout, setting, workers=workers)
+    return evaluate_layout(base.layout, setting, compute=compute)
 
 
 def _introduction() -> list[str]:
@@ -488,7 +486,7 @@ def main(out: Path, workers: int, quiet: bool) -> None:
     progress = StageProgress()
     progress.start(quiet=quiet)
     try:
-        write_reproduction(out, workers=workers, on_progress=progress)
+        write_reproduction(out, compute=Compute(workers=workers, progress=progress))
     finally:
         progress.stop()
 

@@ -1,6 +1,6 @@
 """From detected frames to a verdict for every run: messages, confirmation, braking, contact."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -15,11 +15,13 @@ from geometry.poses import wrap_deg
 from scenarios.aeb import AebRule, has_contact
 from scenarios.runs import FrameAxis, Run, onset_times_s
 
+from ..compute import DEFAULT_COMPUTE, Compute
 from ..evaluation import Evaluation, Verdict, earliest_arrival_s
 from ..layout import Layout
 from ..setting import Links, Setting
 from .surroundings import draw_index
 from .watch import (
+    STAGE,
     VUT_KEY,
     UnitKey,
     build_rng,
@@ -184,24 +186,17 @@ def evaluate_layout(
     layout: Layout,
     setting: Setting,
     *,
-    seed: int = 0,
-    workers: int = 1,
-    on_progress: Callable[[int, int], None] | None = None,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> Evaluation:
     """Evaluate one layout; see :func:`evaluate_layouts`."""
-    evaluations = evaluate_layouts(
-        [layout], setting, seed=seed, workers=workers, on_progress=on_progress
-    )
-    return evaluations[0]
+    return evaluate_layouts([layout], setting, compute=compute)[0]
 
 
 def evaluate_layouts(
     layouts: Sequence[Layout],
     setting: Setting,
     *,
-    seed: int = 0,
-    workers: int = 1,
-    on_progress: Callable[[int, int], None] | None = None,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> list[Evaluation]:
     """Verdicts of layouts by rendering every frame, detecting, confirming and braking.
 
@@ -211,13 +206,10 @@ def evaluate_layouts(
         Units at the same pose in several layouts are rendered once.
     setting : Setting
         Scene, runs, braking rule, detector, radio.
-    seed : int
-        Of what is left to chance: misses, lost messages, who carries a device. A unit's luck
-        depends on its pose, not on the layout that it is part of.
-    workers : int
-        Threads.
-    on_progress : callable, optional
-        See :func:`placement.evaluator.watch.watch`.
+    compute : Compute
+        What is left to chance are misses, lost messages, who carries a device. A unit's luck
+        depends on its pose, not on the layout that it is part of. For the progress see
+        :func:`placement.evaluator.watch.watch`.
 
     Returns
     -------
@@ -227,26 +219,23 @@ def evaluate_layouts(
     Raises
     ------
     InputError
-        The setting's axis does not belong to its runs, or `workers` is less than 1.
+        The setting's axis does not belong to its runs.
     """
-    _check(setting, workers)
+    _check(setting)
+    compute.progress(STAGE, 0, 0)
     units = {unit_key(unit): unit for layout in layouts for unit in layout.units}
     with threadpool_limits(1):  # one BLAS thread per worker: idle ones spin
-        detected = watch(
-            setting, units, seed=seed, workers=workers, on_progress=on_progress or _ignore
-        )
+        detected = watch(setting, units, compute=compute)
     judge = Judge(setting.runs, setting.axis, setting.rule)
-    return [_evaluate(layout, setting, detected, judge, seed) for layout in layouts]
+    return [_evaluate(layout, setting, detected, judge, compute.seed) for layout in layouts]
 
 
-def _check(setting: Setting, workers: int) -> None:
+def _check(setting: Setting) -> None:
     runs, axis = setting.runs, setting.axis
     if tuple(run.id for run in runs) != axis.run_ids or not np.array_equal(
         np.concatenate([run.time_s for run in runs]), axis.time_s
     ):
         raise InputError("axis", Unquoted("frames of other runs"), "the frame axis of these runs")
-    if workers < 1:
-        raise InputError("workers", workers, "a whole number, at least 1")
 
 
 def _evaluate(
@@ -280,7 +269,3 @@ def _evaluate(
         vut_and_rsus=judge.verdict([*units.values(), vut]),
         others=others,
     )
-
-
-def _ignore(done: int, total: int) -> None:
-    """Take no notice of progress."""

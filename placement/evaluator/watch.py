@@ -28,6 +28,7 @@ from geometry.weather import pick_weather
 from scenarios.runs import Run
 
 from ..candidates import CandidatePose
+from ..compute import Compute
 from ..detectors import Evidence, is_matched, load_min_iou
 from ..detectors.evidence import Image
 from ..imaging import Backdrop, build_backdrop, draw_picture
@@ -52,7 +53,8 @@ class PictureSource:
     """
 
     def __init__(self, scene: Scene, runs: Sequence[Run], *, seed: int) -> None:
-        self._scene, self._runs, self._seed = scene, runs, seed
+        self._scene, self._runs = scene, runs
+        self._compute = Compute(seed=seed, workers=1)  # frames are drawn side by side
         self._start = np.concatenate([[0], np.cumsum([len(run.time_s) for run in runs])])
         self._backdrops: dict[tuple[object, ...], Backdrop] = {}
         self._lock = Lock()
@@ -106,7 +108,7 @@ class PictureSource:
             camera,
             weather=pick_weather(run.weather, "run: weather"),
             with_vut=with_vut,
-            seed=self._seed,
+            compute=self._compute,
         )
         with self._lock:
             self.n_drawn += 1
@@ -137,7 +139,7 @@ def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
 
 UnitKey = tuple[object, ...]
 VUT_KEY: UnitKey = ("vut",)
-Progress = Callable[[int, int], None]
+STAGE = "evaluate"
 
 _VUT_JOBS = 4  # nothing repeats in the VUT's images: they take longer than those of an RSU
 _POLL_S = 0.5
@@ -158,9 +160,7 @@ def watch(
     setting: Setting,
     units: Mapping[UnitKey, CandidatePose],
     *,
-    seed: int,
-    workers: int,
-    on_progress: Progress,
+    compute: Compute,
 ) -> dict[UnitKey, BoolArray]:
     """Frames in which each unit, and the VUT under ``VUT_KEY``, detects the VRU.
 
@@ -170,22 +170,18 @@ def watch(
         Scene, runs, detector, the VUT's sensors.
     units : mapping of key to CandidatePose
         See :func:`unit_key`.
-    seed : int
-        Of what is left to chance.
-    workers : int
-        Threads.
-    on_progress : callable
-        Called from the calling thread: first with poses looked from, a quarter of the VUT's frames
-        counting as one; then, where the detector looks at pictures, with pictures.
+    compute : Compute
+        Progress is called from the calling thread: first with poses looked from, a quarter of the
+        VUT's frames counting as one; then, where the detector looks at pictures, with pictures.
 
     Returns
     -------
     detected : dict of key to (n_frames,) bool
         Before any message is lost.
     """
-    watcher = _Watcher(setting, seed)
-    looks, detected = watcher.look(units, workers, on_progress)
-    found = watcher.find(looks, units, workers, on_progress)
+    watcher = _Watcher(setting, compute)
+    looks, detected = watcher.look(units)
+    found = watcher.find(looks, units)
     nothing = np.zeros(setting.axis.n_frames, dtype=bool)
     return {key: found.get(key, nothing) | detected.get(key, nothing) for key in (VUT_KEY, *units)}
 
@@ -193,14 +189,14 @@ def watch(
 class _Watcher:
     """Looks from every unit, then lets the detector find the VRU in what is seen."""
 
-    def __init__(self, setting: Setting, seed: int) -> None:
-        self._setting, self._seed = setting, seed
+    def __init__(self, setting: Setting, compute: Compute) -> None:
+        self._setting, self._compute, self._seed = setting, compute, compute.seed
         self._surroundings = build_surroundings(setting.scene, setting.runs)
         mount = load_vut_camera()
         self._mount = replace(mount, camera=setting.vut_camera or mount.camera)
 
     def look(
-        self, units: Mapping[UnitKey, CandidatePose], workers: int, on_progress: Progress
+        self, units: Mapping[UnitKey, CandidatePose]
     ) -> tuple[dict[UnitKey, Evidence], dict[UnitKey, BoolArray]]:
         """What cameras show, and the frames in which LiDARs detect."""
         n_frames = self._setting.axis.n_frames
@@ -208,7 +204,7 @@ class _Watcher:
         looks: dict[UnitKey, Future[Evidence]] = {}
         scans: dict[UnitKey, Future[BoolArray]] = {}
         by_vut: list[Future[Evidence]] = []
-        with _pool(workers) as pool:
+        with _pool(self._compute.workers) as pool:
             if "camera" in self._setting.vut_sensors:
                 by_vut = [pool.submit(self._look_from_vut, frames) for frames in parts]
             if "lidar" in self._setting.vut_sensors:
@@ -221,7 +217,7 @@ class _Watcher:
             jobs: list[Future[Any]] = [*by_vut, *looks.values(), *scans.values()]
             for n_done, future in enumerate(as_completed(jobs), start=1):
                 future.result()
-                on_progress(n_done, len(jobs))
+                self._compute.progress(STAGE, n_done, len(jobs))
         seen = {key: future.result() for key, future in looks.items()}
         if by_vut:
             seen[VUT_KEY] = _join([future.result() for future in by_vut])
@@ -231,8 +227,6 @@ class _Watcher:
         self,
         looks: Mapping[UnitKey, Evidence],
         units: Mapping[UnitKey, CandidatePose],
-        workers: int,
-        on_progress: Progress,
     ) -> dict[UnitKey, BoolArray]:
         """Frames in which the detector finds the VRU in what each camera shows."""
         detector = self._setting.detector
@@ -242,7 +236,7 @@ class _Watcher:
         least_px = max(detector.min_box_height_px, np.finfo(float).tiny)
         n_pictures = sum(int((height >= least_px).sum()) for height in heights)
         source = PictureSource(self._setting.scene, self._setting.runs, seed=self._seed)
-        with _pool(workers) as pool, closing(source):
+        with _pool(self._compute.workers) as pool, closing(source):
             found = {
                 key: pool.submit(
                     self._detect,
@@ -256,7 +250,7 @@ class _Watcher:
                 done, pending = wait(pending, timeout=_POLL_S, return_when=FIRST_COMPLETED)
                 for future in done:
                     future.result()
-                on_progress(source.n_drawn, n_pictures)
+                self._compute.progress(STAGE, source.n_drawn, n_pictures)
         return {key: future.result() for key, future in found.items()}
 
     def _detect(self, key: UnitKey, evidence: Evidence) -> BoolArray:

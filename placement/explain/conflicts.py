@@ -18,7 +18,6 @@ from geometry.scene import Scene
 
 from ..candidates import CandidatePose
 from ..optimiser import PlacementProblem
-from ..optimiser.milp import DEFAULT_SOLVER
 from ..wishes import Wishes, build_limits
 from .demands import Demand, Relaxation, Separation, Wish, find_relaxation
 from .feasible_sets import Answer, Oracle
@@ -54,7 +53,6 @@ def find_conflicts(
     separation: Separation | None = None,
     keeps_forced: bool = False,
     time_limit_s: float = 30.0,
-    milp_solver: str = DEFAULT_SOLVER,
     max_sets: int = _MAX_SETS,
 ) -> tuple[Conflict, ...]:
     """Why no set of poses meets limits and floors.
@@ -69,8 +67,6 @@ def find_conflicts(
         Forced poses are no demand but a fact, such as units that hang there already.
     time_limit_s : float
         For all questions together; presolve is finished in any case. [s]
-    milp_solver : str
-        Name in cvxpy.
     max_sets : int
         Sets are gone through one by one if there are no more, else by models.
 
@@ -84,9 +80,7 @@ def find_conflicts(
     if problem.table.n_poses == 0:
         return ()
     wish = Wish(problem, separation, keeps_forced=keeps_forced)
-    oracle = Oracle(
-        problem, end_s=time.monotonic() + time_limit_s, milp_solver=milp_solver, max_sets=max_sets
-    )
+    oracle = Oracle(problem, end_s=time.monotonic() + time_limit_s, max_sets=max_sets)
     asked: dict[frozenset[int], Answer] = {}
 
     def ask(active: frozenset[int]) -> Answer:
@@ -183,7 +177,6 @@ def find_refusal(
     candidates: Sequence[CandidatePose],
     *,
     time_limit_s: float = 30.0,
-    milp_solver: str = DEFAULT_SOLVER,
 ) -> InputError | None:
     """Why wishes cannot be met, in one line.
 
@@ -197,7 +190,7 @@ def find_refusal(
         Its sites.
     candidates : sequence of CandidatePose
         Rows of the table.
-    time_limit_s, milp_solver
+    time_limit_s
         As for :func:`placement.explain.find_conflicts`.
 
     Returns
@@ -211,7 +204,6 @@ def find_refusal(
         separation=separation,
         keeps_forced=True,
         time_limit_s=time_limit_s,
-        milp_solver=milp_solver,
     )
     if not conflicts:
         return None

@@ -16,7 +16,7 @@ from ..optimiser import (
     floor_value,
     is_allowed,
 )
-from ..optimiser.problem import TOLERANCE
+from ..optimiser.objectives import TOLERANCE
 from .feasible_sets import Answer, Oracle
 
 # ---------- what a placement problem demands
@@ -115,7 +115,6 @@ class Wish:
             floors=floors,
             goal="best",
             survive=0,
-            stage_weights=None,
         )
 
     def met_by(self, poses: Sequence[int], active: Set[int]) -> frozenset[int]:

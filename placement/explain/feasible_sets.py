@@ -21,10 +21,11 @@ from ..optimiser.bitsets import left_after_failures, set_values, union_margins_s
 from ..optimiser.enumeration import best_of_few
 from ..optimiser.feasibility import check_limits
 from ..optimiser.greedy import forced_units, improve, to_full
-from ..optimiser.limits import COST_TOLERANCE_EUR, fitting
-from ..optimiser.problem import TOLERANCE, Measure, Requirement
+from ..optimiser.limits import fitting
+from ..optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
+from ..optimiser.problem import Measure, Requirement
 from ..optimiser.search import Search
-from .set_values import LACKING, QuickRows, descending
+from .set_values import QuickRows
 
 # ---------- A set of poses that meets a wish, if quick choice one by one finds one
 
@@ -56,7 +57,7 @@ def choose_greedily(reduced: ReducedProblem) -> IntArray:
         free = np.flatnonzero(fits)
         if not len(free):
             break
-        units = np.append(units, free[descending(quick.with_each(units)[free])[0]])
+        units = np.append(units, free[quick.with_each(units)[free].descending()[0]])
     return units
 
 
@@ -68,7 +69,7 @@ def meets(reduced: ReducedProblem, units: IntArray) -> bool:
 
 
 def _lacks_floors(reduced: ReducedProblem, units: IntArray) -> bool:
-    return bool(set_values(reduced, units[None, :])[0, LACKING] < 0.0)
+    return bool(set_values(reduced, units[None, :]).lacking[0] > 0.0)
 
 
 def _at_missing_site(reduced: ReducedProblem, units: IntArray) -> BoolArray:
@@ -107,10 +108,7 @@ def presolve_undominated(problem: PlacementProblem) -> ReducedProblem:
 # ---------- whether any set of poses meets a wish, and how far one of its numbers has to give way
 
 
-_APR_ALONE = (1.0, 0.0, 0.0, 0.0, 0.0)
-_NOTHING_ELSE = (0.0, 0.0, 0.0, 0.0, 0.0)
-"""Stage weights: what comes after limits and floors is worth no exchange."""
-_NO_OBJECTIVE: dict[str, Any] = {"floors": (), "goal": "best", "survive": 0, "stage_weights": None}
+_NO_OBJECTIVE: dict[str, Any] = {"floors": (), "goal": "best", "survive": 0}
 _FEW_UNITS = 6
 _SHARE_OF_TIME = 0.4  # that one question may take of what is left
 
@@ -143,16 +141,12 @@ class Oracle:
         All questions are about it with other limits and floors.
     end_s : float
         When time is up, on the monotonic clock. [s]
-    milp_solver : str
-        Name in cvxpy.
     max_sets : int
         Sets are gone through one by one if there are no more.
     """
 
-    def __init__(
-        self, problem: PlacementProblem, *, end_s: float, milp_solver: str, max_sets: int
-    ) -> None:
-        self.end_s, self.milp_solver, self.max_sets = end_s, milp_solver, max_sets
+    def __init__(self, problem: PlacementProblem, *, end_s: float, max_sets: int) -> None:
+        self.end_s, self.max_sets = end_s, max_sets
         limits = problem.limits
         # Every pose has its place in it: one presolve for whatever limits come up.
         self._shared = presolve_undominated(
@@ -183,9 +177,10 @@ class Oracle:
         reduced = self._ask_of(self._presolve(problem), problem)
         units, is_complete = best_of_few(reduced, max_sets=self.max_sets)
         if not is_complete:
-            search = self._search(replace(reduced, stage_weights=_NOTHING_ELSE))
+            # What comes after limits and floors is worth no exchange.
+            search = self._search(replace(reduced, objectives=(Objective.UNITS,)))
             if not _has_set(search):
-                bound = search.look_for("nothing", ())
+                bound = search.look_for(None, ())
                 if not _has_set(search):
                     return Answer(pose_index=None, is_proven=bound == -np.inf)
             units = search.units
@@ -245,16 +240,15 @@ class Oracle:
         measure = measure.of_runs(reduced.run_index)
         if not measure.weight.any():  # nothing that counts can be avoided: any set is as good
             return replace(self.find(problem), value=0.0)
-        reduced = replace(
-            reduced, goal="best", measure=measure, survive=n_failures, stage_weights=_APR_ALONE
-        )
+        objectives = (Objective.APR_SURVIVED, Objective.APR) if n_failures else (Objective.APR,)
+        reduced = replace(reduced, objectives=objectives, measure=measure, survive=n_failures)
         units, is_complete = best_of_few(reduced, max_sets=self.max_sets)
         is_proven = True
         if not is_complete:
             everything = Requirement(measure=measure, least=measure.limit, n_failures=n_failures)
             search = self._search(reduced, everything)
             if not _has_set(search):
-                bound = search.look_for("nothing", ())
+                bound = search.look_for(None, ())
                 if not _has_set(search):
                     return Answer(pose_index=None, is_proven=bound == -np.inf)
             is_proven = _raise_ratio(search, n_failures)
@@ -303,13 +297,12 @@ class Oracle:
             reduced,
             limits=problem.limits.of_poses(reduced.pose_index),
             floors=floors,
-            goal="fewest",
-        )
+        ).with_goal("fewest")
 
     def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search:
         """A search that begins with a set found quickly, of the time left a part."""
         end_s = time.monotonic() + _SHARE_OF_TIME * max(self.left_s(), 0.0)
-        search = Search(reduced, end_s=end_s, milp_solver=self.milp_solver)
+        search = Search(reduced, end_s=end_s)
         floors = reduced.floors if aim is None else (*reduced.floors, aim)
         units = choose_greedily(replace(reduced, floors=floors))
         if len(units) and is_allowed(reduced.limits, units):
@@ -357,12 +350,12 @@ def _raise_ratio(search: Search, n_failures: int) -> bool:
         if before >= reduced.measure.limit - TOLERANCE:
             return True
         if n_failures == 0:
-            bound = search.look_for("apr", ())
+            bound = search.look_for(Objective.APR, ())
             return bound <= _left(reduced, search.units, 0) + 1.0e-6
         more = Requirement(
             measure=reduced.measure, least=before + 2.0 * TOLERANCE, n_failures=n_failures
         )
-        if search.look_for("nothing", [more]) == -np.inf:
+        if search.look_for(None, [more]) == -np.inf:
             return True
         if _left(reduced, search.units, n_failures) <= before + TOLERANCE:
             return False  # time is up

@@ -18,8 +18,9 @@ from scenarios.runs import FrameAxis, confirmation_times_s, onset_times_s
 from ..candidates import CandidatePose
 from ..evaluation import leave_each_out
 from ..optimiser import PlacementProblem, run_margins_s
-from ..optimiser.bitsets import best_row
-from ..optimiser.problem import TOLERANCE, Fusion
+from ..optimiser.bitsets import SetValues
+from ..optimiser.objectives import TOLERANCE, VALUE_OBJECTIVES
+from ..optimiser.problem import Fusion
 
 # ---------- what a layout's detected frames come to
 
@@ -251,7 +252,8 @@ def best_joining(
     values[some, 3] = (np.where(is_avoided, margin, 0.0) @ weight)[some] / share[some]
     if price_eur is not None:
         values[:, 4] = -price_eur[rows]
-    return int(rows[best_row(values)])
+    gains = np.column_stack([np.zeros(len(rows)), values])
+    return int(rows[SetValues(VALUE_OBJECTIVES, gains).best_row()])
 
 
 def margins_joined_s(problem: PlacementProblem, kept: Sequence[int], each: IntArray) -> FloatArray:

@@ -18,21 +18,12 @@ from ..optimiser import (
     is_feasible,
     placement_value,
 )
-from ..optimiser.bitsets import set_values, values_with_each
+from ..optimiser.bitsets import SetValues, concatenate_values, set_values, values_with_each
 from ..optimiser.greedy import extend_greedily, forced_units
-from ..optimiser.limits import COST_TOLERANCE_EUR, are_allowed, is_allowed
+from ..optimiser.limits import are_allowed, is_allowed
+from ..optimiser.objectives import COST_TOLERANCE_EUR, Objective
 from .feasible_sets import presolve_undominated
-from .set_values import (
-    LACKING,
-    QuickRows,
-    descending,
-    exceeds_clearly,
-    first_column,
-    is_within,
-    site_counts,
-    threshold_of,
-    ties_or_beats,
-)
+from .set_values import QuickRows, exceeds_clearly, is_within, site_counts
 
 # ---------- all sets of poses gone through, K - 1 units at a time together with every pose
 
@@ -49,8 +40,8 @@ class Listed:
     ----------
     sets : tuple of (n_units,) int
         Poses of the reduced problem.
-    rows : (n_sets, N_COLUMNS) float
-        What they are worth, see :func:`placement.optimiser.bitsets.set_values`.
+    values : SetValues
+        What they are worth.
     n_within : int
         Sets that were counted.
     pose_count : (n_poses,) int
@@ -62,7 +53,7 @@ class Listed:
     """
 
     sets: tuple[IntArray, ...]
-    rows: FloatArray
+    values: SetValues
     n_within: int
     pose_count: IntArray
     site_count: IntArray
@@ -119,8 +110,8 @@ class _Walk:
         self.site_count = np.zeros(limits.n_sites, dtype=np.int64)
         self.n_within = 0
         self.best = -np.inf
-        self.contenders: list[tuple[IntArray, FloatArray]] = []  # by size: sets, quick rows
-        self.worst: FloatArray | None = None  # quick row of the last set that could be listed
+        self.contenders: list[tuple[IntArray, SetValues]] = []  # by size: sets, quick values
+        self.worst: SetValues | None = None  # of the last set that could be listed
 
     @property
     def n_contenders(self) -> int:
@@ -134,9 +125,7 @@ class _Walk:
             return
         last = int(prefix[-1]) + 1 if len(prefix) else 0
         rows = self.quick.with_each(prefix)[last:]
-        reaches = (rows[:, LACKING] == 0.0) & is_within(
-            rows[:, first_column(reduced)], self.threshold
-        )
+        reaches = (rows.lacking == 0.0) & is_within(rows.first, self.threshold)
         joined = np.flatnonzero(reaches) + last
         sets = np.column_stack([np.tile(prefix, (len(joined), 1)), joined])
         is_allowed = are_allowed(reduced.limits, sets)
@@ -144,11 +133,11 @@ class _Walk:
         if not len(sets):
             return
         self.n_within += len(sets)
-        self.best = max(self.best, float(rows[:, first_column(reduced)].max()))
+        self.best = max(self.best, float(rows.first.max()))
         np.add.at(self.pose_count, sets.ravel(), 1)
         self.site_count += site_counts(reduced, sets)
         if self.worst is not None:
-            may_be_listed = ties_or_beats(rows, self.worst)
+            may_be_listed = rows.ties_or_beats(self.worst)
             sets, rows = sets[may_be_listed], rows[may_be_listed]
         if len(sets):
             self.contenders.append((sets, rows))
@@ -157,18 +146,18 @@ class _Walk:
 
     def _drop_the_worst(self) -> None:
         """Keep what may be among the best: ties with the last one that would be listed stay."""
-        rows = np.concatenate([rows for _, rows in self.contenders])
-        if len(rows) <= self.n_sets:
+        if self.n_contenders <= self.n_sets:
             return
-        self.worst = rows[descending(rows)[self.n_sets - 1]]
-        kept: dict[int, tuple[IntArray, FloatArray]] = {}
+        rows = concatenate_values([rows for _, rows in self.contenders])
+        self.worst = rows[int(rows.descending()[self.n_sets - 1])]
+        kept: dict[int, tuple[IntArray, SetValues]] = {}
         for sets, own in self.contenders:
-            stays = ties_or_beats(own, self.worst)
+            stays = own.ties_or_beats(self.worst)
             sets, own = sets[stays], own[stays]
             size = sets.shape[1]
             if size in kept:
                 sets = np.concatenate([kept[size][0], sets])
-                own = np.concatenate([kept[size][1], own])
+                own = concatenate_values([kept[size][1], own])
             kept[size] = sets, own
         self.contenders = list(kept.values())
 
@@ -181,11 +170,11 @@ class _Walk:
             for part in np.array_split(of_size, -(-len(of_size) // _PART_SETS) or 1):
                 rows.append(set_values(self.reduced, part))
             sets += list(of_size)
-        values = np.concatenate(rows)
-        order = descending(values)[: self.n_sets]
+        values = concatenate_values(rows)
+        order = values.descending()[: self.n_sets]
         return Listed(
             sets=tuple(sets[index] for index in order),
-            rows=values[order],
+            values=values[order],
             n_within=self.n_within,
             pose_count=self.pose_count,
             site_count=self.site_count,
@@ -203,7 +192,6 @@ def list_by_exchange(
     reduced: ReducedProblem,
     start: IntArray,
     *,
-    tolerance: float,
     n_sets: int,
     max_looks: int,
 ) -> Listed:
@@ -215,9 +203,6 @@ def list_by_exchange(
         What to choose from.
     start : (n_units,) int
         A set that meets limits and floors.
-    tolerance : float
-        By how much a set may be worse than the best in the first stage; relative where few units
-        or little money come first.
     n_sets : int
         How many to list.
     max_looks : int
@@ -229,7 +214,7 @@ def list_by_exchange(
         Every set listed has been exchanged itself, unless the looks were used up. Beside `start`,
         the best pose of each site, with what greedy choice adds to it, is a beginning.
     """
-    search = _Exchange(reduced, tolerance=tolerance, n_sets=n_sets, max_looks=max_looks)
+    search = _Exchange(reduced, n_sets=n_sets, max_looks=max_looks)
     search.offer(start[None, :])
     search.exchange_all()
     for pose in _best_of_each_site(reduced):
@@ -248,7 +233,7 @@ def _best_of_each_site(reduced: ReducedProblem) -> IntArray:
     """The best single pose of every site, the best site first."""
     usable = np.flatnonzero(~reduced.limits.is_forbidden)
     rows = QuickRows(reduced).with_each(np.empty(0, dtype=np.int64))[usable]
-    ordered = usable[descending(rows)]
+    ordered = usable[rows.descending()]
     _, first = np.unique(reduced.limits.site_index[ordered], return_index=True)
     return ordered[np.sort(first)]
 
@@ -256,22 +241,14 @@ def _best_of_each_site(reduced: ReducedProblem) -> IntArray:
 class _Exchange:
     """The best sets so far."""
 
-    def __init__(
-        self, reduced: ReducedProblem, *, tolerance: float, n_sets: int, max_looks: int
-    ) -> None:
-        self.reduced, self.tolerance = reduced, tolerance
+    def __init__(self, reduced: ReducedProblem, *, n_sets: int, max_looks: int) -> None:
+        self.reduced = reduced
         self.n_sets, self.max_looks = n_sets, max_looks
-        self.column = first_column(reduced)
         self.quick = QuickRows(reduced)
-        self.rows: dict[tuple[int, ...], FloatArray] = {}
+        self.values: dict[tuple[int, ...], SetValues] = {}  # one row each
         self.exchanged: set[tuple[int, ...]] = set()
         self.best = -np.inf
         self.n_looks = 0
-
-    @property
-    def threshold(self) -> float:
-        """What a set must reach in the first stage."""
-        return threshold_of(self.reduced, self.best, self.tolerance)
 
     def offer(self, sets: IntArray) -> None:
         """Take sets, (n, n_units), if they are among the best."""
@@ -281,7 +258,7 @@ class _Exchange:
     def exchange_all(self) -> None:
         """Exchange units of the sets listed until nothing new is listed, or looks are used up."""
         while self.n_looks < self.max_looks:
-            key = next((key for key in self.rows if key not in self.exchanged), None)
+            key = next((key for key in self.values if key not in self.exchanged), None)
             if key is None:
                 return
             self.exchanged.add(key)
@@ -299,9 +276,9 @@ class _Exchange:
         reduced = self.reduced
         self.n_looks += 1
         rows = self.quick.with_each(left)
-        comes_close = (rows[:, LACKING] == 0.0) & is_within(rows[:, self.column], self.threshold)
-        comes_close[left] = False
-        joined = np.flatnonzero(comes_close)
+        is_as_good = (rows.lacking == 0.0) & is_within(rows.first, self.best)
+        is_as_good[left] = False
+        joined = np.flatnonzero(is_as_good)
         sets = np.sort(np.column_stack([np.tile(left, (len(joined), 1)), joined]), axis=1)
         allowed = are_allowed(reduced.limits, sets)
         joined, sets = joined[allowed], sets[allowed]
@@ -310,26 +287,24 @@ class _Exchange:
         else:
             self.offer(sets)
 
-    def _take(self, sets: IntArray, rows: FloatArray) -> None:
-        meets = rows[:, LACKING] == 0.0
-        sets, rows = sets[meets], rows[meets]
+    def _take(self, sets: IntArray, values: SetValues) -> None:
+        meets = values.lacking == 0.0
+        sets, values = sets[meets], values[meets]
         if not len(sets):
             return
-        self.best = max(self.best, float(rows[:, self.column].max()))
-        for index in descending(rows)[: self.n_sets]:
-            self.rows[tuple(sets[index].tolist())] = rows[index]
+        self.best = max(self.best, float(values.first.max()))
+        for index in values.descending()[: self.n_sets]:
+            self.values[tuple(sets[index].tolist())] = values[index : index + 1]
         within = {
-            key: row
-            for key, row in self.rows.items()
-            if bool(is_within(float(row[self.column]), self.threshold))
+            key: row for key, row in self.values.items() if is_within(row.first, self.best)[0]
         }
         keys = list(within)
-        order = descending(np.array(list(within.values())))[: self.n_sets]
-        self.rows = {keys[index]: within[keys[index]] for index in order}
+        order = concatenate_values(list(within.values())).descending()[: self.n_sets]
+        self.values = {keys[index]: within[keys[index]] for index in order}
 
     def listed(self) -> Listed:
         """The best sets."""
-        sets = tuple(np.array(key, dtype=np.int64) for key in self.rows)
+        sets = tuple(np.array(key, dtype=np.int64) for key in self.values)
         pose_count = np.zeros(self.reduced.n_poses, dtype=np.int64)
         site_count = np.zeros(self.reduced.limits.n_sites, dtype=np.int64)
         for units in sets:
@@ -337,7 +312,7 @@ class _Exchange:
             site_count += site_counts(self.reduced, units[None, :])
         return Listed(
             sets=sets,
-            rows=np.array(list(self.rows.values())),
+            values=concatenate_values(list(self.values.values())),
             n_within=len(sets),
             pose_count=pose_count,
             site_count=site_count,
@@ -372,22 +347,19 @@ class PooledSet:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pool:
-    """Sets of poses that are the best one's equals in the first stage, or nearly.
+    """Sets of poses that are the best one's equals in the first stage.
 
     Attributes
     ----------
     stage : str
         Name of the first stage, as in the certificate.
-    tolerance : float
-        How much worse a set may be in it: a share of the runs; of the number of units or the cost
-        where these come first.
     scope : {"all", "found"}
         "all": every set was gone through, and no set of the table that is better than the last one
         listed is missing. "found": what exchanging units one for one has led to; there may be more.
     sets : tuple of PooledSet
         The best first, by all stages in order.
     n_within : int
-        Sets within the tolerance: all that there are, or those listed if scope is "found".
+        Sets that are as good: all that there are, or those listed if scope is "found".
     pose_share : (n_poses,) float
         Share of the `n_within` sets that have each pose.
     site_share : (n_sites,) float
@@ -395,7 +367,6 @@ class Pool:
     """
 
     stage: str
-    tolerance: float
     scope: Scope
     sets: tuple[PooledSet, ...]
     n_within: int
@@ -415,11 +386,10 @@ def find_pool(
     pose_index: Sequence[int],
     *,
     n_sets: int = 20,
-    tolerance: float = 0.0,
     max_prefixes: int = 5000,
     max_looks: int = 120,
 ) -> Pool:
-    """The best sets of poses, of those within a tolerance of the first stage.
+    """The best sets of poses, of those that are as good as the solution in the first stage.
 
     Parameters
     ----------
@@ -429,8 +399,6 @@ def find_pool(
         Its solution: within the limits, and reaching the floors.
     n_sets : int
         How many to list.
-    tolerance : float
-        See :class:`Pool`.
     max_prefixes : int
         All sets of K units are gone through if there are no more sets of K - 1 units than this:
         each of them is looked at together with every pose at once.
@@ -452,44 +420,29 @@ def find_pool(
     """
     if n_sets < 1:
         raise InputError("--pool", n_sets, "a number of layouts, at least 1")
-    if not 0.0 <= tolerance <= 1.0:
-        raise InputError("--pool-tolerance", tolerance, "a share, 0 to 1")
     if not is_feasible(problem, pose_index):
         raise InputError("pose_index", list(pose_index), "a set that meets limits and floors")
     reduced = presolve_undominated(problem)
     start = np.flatnonzero(np.isin(reduced.pose_index, list(pose_index)))
-    column = first_column(reduced)
-    best = float(set_values(reduced, start[None, :])[0, column])
-    reduced = _bounded(reduced, best, tolerance)
-    listed = list_every_set(
-        reduced,
-        threshold_of(reduced, best, tolerance),
-        n_sets=n_sets,
-        max_prefixes=max_prefixes,
-    )
+    best = float(set_values(reduced, start[None, :]).first[0])
+    reduced = _bounded(reduced, -best)
+    listed = list_every_set(reduced, best, n_sets=n_sets, max_prefixes=max_prefixes)
     if listed is not None and exceeds_clearly(listed.best, best):  # not quite a solution: again
-        listed = list_every_set(
-            reduced,
-            threshold_of(reduced, listed.best, tolerance),
-            n_sets=n_sets,
-            max_prefixes=max_prefixes,
-        )
+        listed = list_every_set(reduced, listed.best, n_sets=n_sets, max_prefixes=max_prefixes)
     scope: Scope = "found" if listed is None else "all"
     if listed is None:
-        listed = list_by_exchange(
-            reduced, start, tolerance=tolerance, n_sets=n_sets, max_looks=max_looks
-        )
-    return _build_pool(problem, reduced, listed, scope=scope, tolerance=tolerance)
+        listed = list_by_exchange(reduced, start, n_sets=n_sets, max_looks=max_looks)
+    return _build_pool(problem, reduced, listed, scope=scope)
 
 
-def _bounded(reduced: ReducedProblem, best: float, tolerance: float) -> ReducedProblem:
-    """Where few units or little money come first: no set has more than is within the tolerance."""
-    limits, most = reduced.limits, -best * (1.0 + tolerance)
-    if reduced.goal == "fewest":
+def _bounded(reduced: ReducedProblem, most: float) -> ReducedProblem:
+    """Where few units or little money come first: no set has more than the solution."""
+    limits = reduced.limits
+    if reduced.objectives[0] is Objective.UNITS:
         n_units = int(np.floor(most + 1.0e-6))
         n_units = min(n_units, limits.max_units)
         limits = replace(limits, budget_units=max(n_units, 1))
-    elif reduced.goal == "cheapest":
+    elif reduced.objectives[0] is Objective.COST:
         allowed = most if limits.budget_eur is None else min(most, limits.budget_eur)
         limits = replace(limits, budget_eur=allowed + COST_TOLERANCE_EUR)
     return replace(reduced, limits=limits)
@@ -501,39 +454,28 @@ def _build_pool(
     listed: Listed,
     *,
     scope: Scope,
-    tolerance: float,
 ) -> Pool:
-    limits = problem.limits
+    limits, first = problem.limits, problem.objectives[0]
     sets = []
-    for units, row in zip(listed.sets, listed.rows, strict=True):
+    for units, objective in zip(listed.sets, listed.values.of(first), strict=True):
         poses = tuple(sorted(reduced.pose_index[units].tolist()))
-        sign = 1.0 if problem.goal == "best" else -1.0
         sets.append(
             PooledSet(
                 pose_index=poses,
                 value=placement_value(problem, poses),
-                objective=sign * float(row[first_column(reduced)]),
+                objective=float(objective),
             )
         )
     pose_share = np.zeros(limits.n_poses)
     pose_share[reduced.pose_index] = listed.pose_count / listed.n_within
     return Pool(
-        stage=_stage_name(problem),
-        tolerance=tolerance,
+        stage=first.value,
         scope=scope,
         sets=tuple(sets),
         n_within=listed.n_within,
         pose_share=pose_share,
         site_share=listed.site_count / listed.n_within,
     )
-
-
-def _stage_name(problem: PlacementProblem) -> str:
-    if problem.goal != "best":
-        return "units" if problem.goal == "fewest" else "cost_eur"
-    if problem.survive:
-        return "apr_survived"
-    return "apr" if problem.stage_weights is None else "weighted"
 
 
 def sites_in_order(pool: Pool) -> IntArray:

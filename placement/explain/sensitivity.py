@@ -26,11 +26,12 @@ from geometry.scene import Scene, containing_instance
 from scenarios.aeb import AebRule, last_brake_time_s
 
 from ..candidates import CandidatePose
+from ..compute import DEFAULT_COMPUTE, Compute
 from ..detectors import GeometricDetector, PlanningDetector, ResponseDetector
 from ..layout import Layout
 from ..optimiser.problem import Fusion
 from ..setting import Setting
-from ..visibility.build import Look, Progress, detected_frames
+from ..visibility.build import Look, detected_frames
 from .outcomes import (
     Outcome,
     Watched,
@@ -42,6 +43,7 @@ from .outcomes import (
 # ---------- what a layout's numbers rest on, and what else each of it might be: from a TOML file
 
 
+STAGE = "what if"
 _FILE = "sensitivity.toml"
 _REASONS = ("source", "assumption")
 
@@ -205,9 +207,7 @@ def find_sensitivity(
     *,
     fusion: Fusion = "any",
     assumptions: Sequence[Assumption] | None = None,
-    seed: int = 0,
-    workers: int = 1,
-    on_progress: Progress | None = None,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Sensitivity, ...]:
     """How much of a layout's worth hangs on each assumption.
 
@@ -221,12 +221,8 @@ def find_sensitivity(
         See :class:`placement.explain.outcomes.Watched`.
     assumptions : sequence of Assumption, optional
         What to vary; by default ``data/sensitivity.toml``.
-    seed : int
-        Of the points on the VRUs.
-    workers : int
-        Threads.
-    on_progress : callable, optional
-        Called with the number of looks at the scene that are done, and of all.
+    compute : Compute
+        Progress is told how many poses the scene was looked at from.
 
     Returns
     -------
@@ -248,7 +244,8 @@ def find_sensitivity(
     values = {one.name: _new_values(one, setting) for one in assumptions}
     asked = [(name, value) for name in (*_MOUNTING, *_DETECTOR) for value in values.get(name, ())]
     looks = {} if is_large else {key: _looks_at(units, *key, setting) for key in asked}
-    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
+    compute.progress(STAGE, 0, 0)
+    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         try:
             last_brake_s = {
                 value: pool.submit(
@@ -259,9 +256,8 @@ def find_sensitivity(
             frames = detected_frames(
                 setting,
                 [*((unit, setting.planner) for unit in units), *chain(*looks.values())],
-                seed=seed,
                 pool=pool,
-                on_progress=on_progress,
+                compute=compute.within(STAGE),
             )
             axes = {
                 value: replace(setting.axis, last_brake_time_s=found.result())

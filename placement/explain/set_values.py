@@ -1,23 +1,21 @@
-"""What sets of poses are worth, as rows of numbers: those that are quick to tell, and all of them.
+"""Values of sets of poses that are quick to compute, for going through many sets.
 
-Rows are those of :func:`placement.optimiser.bitsets.set_values`, each column the larger the better.
-Ratios of avoided runs take a hundredth of the time that margins take: columns up to the APR that
-is left when a unit fails are told for all sets, the others only for those that come into question.
+Ratios of avoided runs take a hundredth of the time that margins take: values up to the APR that is
+left when a unit fails are computed for all sets, the others only for those that may be listed.
 """
 
+from collections.abc import Callable
 from itertools import combinations
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from ..optimiser import ReducedProblem, cost_eur
-from ..optimiser.bitsets import avoided_with_each, values_with_each
-from ..optimiser.problem import TOLERANCE, Measure
+from ..optimiser import ReducedProblem
+from ..optimiser.bitsets import SetValues, avoided_with_each, build_values, costs_with_each_eur
+from ..optimiser.objectives import TOLERANCE, Objective
+from ..optimiser.problem import Measure
 
-LACKING, FEW, SURVIVED, APR, ONE_FAILED = range(5)
-"""Columns that are quick to tell."""
-_DECIMALS = 8  # differences below are rounding noise
 _MAX_REMEMBERED = 4_000_000  # numbers: 32 MB
 _BLOCK_RUNS = 32
 
@@ -37,28 +35,25 @@ class QuickRows:
             reduced.measure,
             *(floor.measure for floor in reduced.floors),
         ]
-        self._ratios: dict[tuple[int, ...], FloatArray] = {}
+        self._ratios: dict[tuple[int, ...], dict[int, FloatArray]] = {}
 
-    def with_each(self, units: IntArray) -> FloatArray:
-        """Rows of a set together with each pose, (n_poses, 5); all columns of a weighted sum."""
+    def with_each(self, units: IntArray) -> SetValues:
+        """Quick values of a set together with each pose, up to the APR if a unit fails."""
         reduced = self.reduced
-        if reduced.stage_weights is not None:  # it has the margins in it
-            return values_with_each(reduced, units)
-        rows = np.zeros((reduced.n_poses, ONE_FAILED + 1))
-        for number, floor in enumerate(reduced.floors, start=1):
-            lacking = floor.least - TOLERANCE - self._left(number, floor.n_failures, units)
-            rows[:, LACKING] -= np.maximum(lacking, 0.0)
-        if reduced.goal == "fewest":
-            rows[:, FEW] = -(len(units) + 1)
-        elif reduced.goal == "cheapest":
-            rows[:, FEW] = -costs_with_each_eur(reduced, units)
-        if reduced.survive:
-            rows[:, SURVIVED] = self._left(0, reduced.survive, units)
-        rows[:, APR] = self._ratio(0, units)
-        rows[:, ONE_FAILED] = self._left(0, 1, units)
-        return rows
+        n_poses = reduced.n_poses
+        values: dict[Objective, Callable[[], FloatArray]] = {
+            Objective.UNITS: lambda: np.full(n_poses, len(units) + 1.0),
+            Objective.APR_SURVIVED: lambda: self._left(reduced.measure, reduced.survive, units),
+            Objective.APR: lambda: self._ratio(reduced.measure, units),
+            Objective.APR_ONE_FAILED: lambda: self._left(reduced.measure, 1, units),
+        }
+        if reduced.objectives[0] is Objective.COST:  # else it comes after the margins
+            values[Objective.COST] = lambda: costs_with_each_eur(reduced, units)
+        return build_values(
+            reduced, lambda measure, n_failures: self._left(measure, n_failures, units), values
+        )
 
-    def _left(self, measure: int, n_failures: int, units: IntArray) -> FloatArray:
+    def _left(self, measure: Measure, n_failures: int, units: IntArray) -> FloatArray:
         """What is left of each set when its worst units fail, (n_poses,)."""
         if n_failures > len(units):
             return np.zeros(self.reduced.n_poses)
@@ -73,16 +68,15 @@ class QuickRows:
                 smallest = np.minimum(smallest, alone)
         return smallest
 
-    def _ratio(self, measure: int, units: IntArray) -> FloatArray:
+    def _ratio(self, measure: Measure, units: IntArray) -> FloatArray:
         """Ratio of avoided runs of a set together with each pose, (n_poses,)."""
         key = tuple(units.tolist())
         if key not in self._ratios:
             if len(self._ratios) * self.reduced.n_poses > _MAX_REMEMBERED:
                 self._ratios.clear()
             is_avoided = avoided_with_each(self.reduced, units)
-            self._ratios[key] = np.stack([_ratios(m, is_avoided) for m in self.measures])
-        ratio: FloatArray = self._ratios[key][measure]
-        return ratio
+            self._ratios[key] = {id(each): _ratios(each, is_avoided) for each in self.measures}
+        return self._ratios[key][id(measure)]
 
 
 def _ratios(measure: Measure, is_avoided: BoolArray) -> FloatArray:
@@ -97,53 +91,15 @@ def _ratios(measure: Measure, is_avoided: BoolArray) -> FloatArray:
     return total
 
 
-def costs_with_each_eur(reduced: ReducedProblem, units: IntArray) -> FloatArray:
-    """What a set costs together with each pose in turn, (n_poses,), in euros."""
-    limits = reduced.limits
-    is_new = ~np.isin(limits.site_index, limits.site_index[units])
-    opened = np.where(is_new, limits.site_cost_eur[limits.site_index], 0.0)
-    cost: FloatArray = cost_eur(limits, units) + limits.unit_cost_eur + opened
-    return cost
-
-
-def first_column(reduced: ReducedProblem) -> int:
-    """Column of the first stage."""
-    if reduced.goal != "best":
-        return FEW
-    return SURVIVED if reduced.survive else APR
-
-
 def is_within(value: float | FloatArray, threshold: float) -> BoolArray:
     """Whether values reach a threshold, rounding noise aside."""
     within: BoolArray = np.asarray(value) >= threshold - TOLERANCE * max(1.0, abs(threshold))
     return within
 
 
-def threshold_of(reduced: ReducedProblem, best: float, tolerance: float) -> float:
-    """What a set must reach in the first stage: a share of units or cost, else of the runs."""
-    return best - tolerance if reduced.goal == "best" else best * (1.0 + tolerance)
-
-
 def exceeds_clearly(value: float, other: float) -> bool:
     """Whether a value is higher than another one by more than any rounding noise."""
     return value > other + 1.0e-6 * max(1.0, abs(other))
-
-
-def descending(rows: FloatArray) -> IntArray:
-    """Order of rows, the best first, compared from left to right."""
-    rounded = -rows.round(_DECIMALS)
-    order: IntArray = np.lexsort(rounded.T[::-1])
-    return order
-
-
-def ties_or_beats(rows: FloatArray, other: FloatArray) -> BoolArray:
-    """Rows that are at least as good as another one, compared from left to right."""
-    difference = rows.round(_DECIMALS) - other.round(_DECIMALS)
-    is_different = difference != 0.0
-    first = is_different.argmax(axis=1)
-    decisive = difference[np.arange(len(rows)), first]
-    reaches: BoolArray = decisive >= 0.0
-    return reaches
 
 
 def site_counts(reduced: ReducedProblem, sets: IntArray) -> IntArray:

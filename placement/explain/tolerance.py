@@ -9,6 +9,7 @@ from geometry.arrays import BoolArray, FloatArray
 from geometry.poses import Pose, wrap_deg
 
 from ..candidates import CandidatePose
+from ..compute import DEFAULT_COMPUTE, Compute
 from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.problem import Fusion
 from ..setting import Setting
@@ -46,8 +47,7 @@ def find_tolerances(
     units: Sequence[CandidatePose],
     *,
     fusion: Fusion = "any",
-    seed: int = 0,
-    workers: int = 1,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Tolerance, ...]:
     """How far each unit of a layout may be off.
 
@@ -59,10 +59,8 @@ def find_tolerances(
         The layout's.
     fusion : str
         See :class:`placement.optimiser.PlacementProblem`.
-    seed : int
-        Of the points on the VRUs.
-    workers : int
-        Threads.
+    compute : Compute
+        With the seed of the layout's own table.
 
     Returns
     -------
@@ -78,8 +76,7 @@ def find_tolerances(
         setting.runs,
         setting.axis,
         detector=setting.planner,
-        seed=seed,
-        workers=workers,
+        compute=compute.within("tolerances"),
     )
     wishes = Wishes(budget_units=1, kept=tuple(unit.id for unit in units))
     problem = build_problem(setting, everyone, table, wishes=wishes, fusion=fusion)

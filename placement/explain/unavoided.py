@@ -19,6 +19,7 @@ from scenarios.aeb import confirmation_time_s, is_in_time
 from scenarios.runs import Run
 
 from ..candidates import CandidatePose
+from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.limits import fitting
@@ -84,7 +85,7 @@ class Reason:
 
 
 def find_reasons(
-    setting: Setting, looks: Sequence[Look], *, seed: int = 0
+    setting: Setting, looks: Sequence[Look], *, compute: Compute = DEFAULT_COMPUTE
 ) -> list[tuple[Reason, ...]]:
     """Why units do not detect road users.
 
@@ -94,8 +95,8 @@ def find_reasons(
         Scene, runs, planning detector.
     looks : sequence of Look
         Who should have detected whom.
-    seed : int
-        Of the points on the VRUs: that of the detection table.
+    compute : Compute
+        With the seed of the detection table.
 
     Returns
     -------
@@ -107,7 +108,7 @@ def find_reasons(
     run_index = list(dict.fromkeys(look.run_index for look in looks))
     runs = [setting.runs[index] for index in run_index]
     ends = np.cumsum([0, *(len(run.time_s) for run in runs)])
-    world = build_world(setting.scene, runs, n_points=N_POINTS, seed=seed)
+    world = build_world(setting.scene, runs, n_points=N_POINTS, seed=compute.seed)
     names = _triangle_names(setting.scene, runs)
     reasons: list[tuple[Reason, ...]] = [()] * len(looks)
     units = {id(look.unit): look.unit for look in looks}
@@ -337,7 +338,7 @@ def find_unavoided(
     candidates: Sequence[CandidatePose],
     pose_index: Sequence[int],
     *,
-    seed: int = 0,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Unavoided, ...]:
     """Runs that a set of poses does not avoid on the detection table, and why.
 
@@ -351,8 +352,8 @@ def find_unavoided(
         The rows of the table.
     pose_index : sequence of int
         What is mounted: at least one.
-    seed : int
-        Of the points on the VRUs: that of the table.
+    compute : Compute
+        With the seed of the table.
 
     Returns
     -------
@@ -378,9 +379,8 @@ def find_unavoided(
     runs = [_Missed(setting, problem, candidates, chosen, run) for run in missed.tolist()]
     hopeful = [run for run in runs if run.outcome != "hopeless"]
     looks = [run.look() for run in hopeful]
-    reasons = dict(
-        zip((run.run for run in hopeful), find_reasons(setting, looks, seed=seed), strict=True)
-    )
+    found = find_reasons(setting, looks, compute=compute)
+    reasons = dict(zip((run.run for run in hopeful), found, strict=True))
     helpers = _Helpers(problem, candidates, chosen)
     return tuple(
         Unavoided(

@@ -19,6 +19,7 @@ from geometry.sensors import CameraModel
 from geometry.weather import Weather
 from scenarios.runs import Run
 
+from ..compute import DEFAULT_COMPUTE, Compute
 from .camera import develop, load_imager, white_luminance
 from .ground import GroundMap, build_ground_map
 from .light import (
@@ -384,8 +385,7 @@ def render_picture(
     *,
     weather: Weather,
     with_vut: bool = True,
-    seed: int = 0,
-    workers: int = 1,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> Picture:
     """Render one frame of a run; for many frames see :func:`draw_picture`.
 
@@ -393,7 +393,7 @@ def render_picture(
     ----------
     scene : Scene
         The junction.
-    run, frame_index, pose, camera, weather, with_vut, seed, workers
+    run, frame_index, pose, camera, weather, with_vut, compute
         As for :func:`draw_picture`.
 
     Returns
@@ -409,8 +409,7 @@ def render_picture(
         camera,
         weather=weather,
         with_vut=with_vut,
-        seed=seed,
-        workers=workers,
+        compute=compute,
     )
 
 
@@ -423,8 +422,7 @@ def draw_picture(
     *,
     weather: Weather,
     with_vut: bool = True,
-    seed: int = 0,
-    workers: int = 1,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> Picture:
     """Render one frame of a run.
 
@@ -444,10 +442,8 @@ def draw_picture(
         Light and air.
     with_vut : bool
         Whether the VUT is drawn; its own camera does not see it. Its headlights shine in any case.
-    seed : int
-        Of sensor noise and drops.
-    workers : int
-        Threads; the picture does not depend on them.
+    compute : Compute
+        Its seed is that of sensor noise and drops.
 
     Returns
     -------
@@ -496,16 +492,16 @@ def draw_picture(
         flat[part] = smooth_pixels(shot, part, flat[part])
 
     def expose(white_cdpm2: float, tile: tuple[slice, slice]) -> None:
-        rng = np.random.default_rng([seed, frame_index, tile[0].start, tile[1].start])
+        rng = np.random.default_rng([compute.seed, frame_index, tile[0].start, tile[1].start])
         rgb[tile] = develop(radiance[tile].copy(), white_cdpm2, load_imager(), rng)
 
     # One BLAS thread each: the matrices are small.
-    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
+    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         list(pool.map(shade, tiles))
         edges = find_edges(radiance, _TILE_PX)
         list(pool.map(smooth, np.array_split(edges, 1 + len(edges) // _EDGES)))
         add_glare(radiance, pose, camera, lamps, mesh.caster)
-        rng = np.random.default_rng([seed, frame_index, height, width])
+        rng = np.random.default_rng([compute.seed, frame_index, height, width])
         add_rain(radiance, camera, weather, shot.sky, pose.pitch_deg, rng)
         white_cdpm2 = white_luminance(radiance, load_imager())
         list(pool.map(partial(expose, white_cdpm2), tiles))

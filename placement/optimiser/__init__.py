@@ -13,11 +13,11 @@ from .feasibility import UnmetError
 from .greedy import solve_greedy
 from .limits import Limits, cost_eur, is_allowed
 from .milp import Effort
+from .objectives import Goal, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
     Floor,
     Fusion,
-    Goal,
     PlacementProblem,
     PlacementValue,
     apr,
@@ -37,6 +37,7 @@ __all__ = [
     "Fusion",
     "Goal",
     "Limits",
+    "Objective",
     "PlacementProblem",
     "PlacementValue",
     "PresolveStatistics",

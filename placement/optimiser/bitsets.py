@@ -1,6 +1,7 @@
 """Values of many sets of poses at once, on the bits of the reduced problem."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
 
@@ -9,33 +10,114 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .limits import cost_eur, costs_eur
-from .presolve import (
-    ReducedProblem,
-    WordArray,
-    pack_words,
-    unpack_words,
-)
-from .problem import TOLERANCE, Measure
+from .objectives import TOLERANCE, Objective
+from .presolve import ReducedProblem, WordArray, pack_words, unpack_words
+from .problem import Measure
 
-N_COLUMNS = 8
-"""Columns of the values by which sets of poses are compared, from left to right."""
 _BLOCK_BYTES = 1 << 25
+_DECIMALS = 8  # differences below are rounding noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetValues:
+    """What sets of poses are worth: what they lack to the floors, then objective by objective.
+
+    Attributes
+    ----------
+    objectives : tuple of Objective
+        In the order in which sets are compared.
+    gains : (n_sets, 1 + n_objectives) or (1 + n_objectives,) float
+        The larger the better: minus what is lacking, then each objective, the minimised ones
+        negative. One row for a single set.
+    """
+
+    objectives: tuple[Objective, ...]
+    gains: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.gains)
+
+    def __getitem__(self, rows: int | slice | IntArray | BoolArray) -> "SetValues":
+        """Values of some of the sets, or of a single one."""
+        return SetValues(self.objectives, self.gains[rows])
+
+    @property
+    def lacking(self) -> FloatArray:
+        """What is lacking to the floors, summed; 0 where all are reached."""
+        return -self.gains[..., 0]
+
+    @property
+    def first(self) -> FloatArray:
+        """The first objective, the larger the better."""
+        gains: FloatArray = self.gains[..., 1]
+        return gains
+
+    def of(self, objective: Objective) -> FloatArray:
+        """Values of one objective, in its own unit."""
+        gains: FloatArray = self.gains[..., 1 + self.objectives.index(objective)]
+        return -gains if objective.is_minimised else gains
+
+    def best_row(self) -> int:
+        """First set that no other one exceeds."""
+        rows = np.arange(len(self.gains))
+        for column, tolerance in zip(self.gains.T, _tolerances(self.objectives), strict=True):
+            rows = rows[column[rows] >= column[rows].max() - tolerance]
+        return int(rows[0])
+
+    def exceeds(self, other: "SetValues") -> bool:
+        """Whether the first difference that exceeds rounding noise favours this single set."""
+        difference = self.gains - other.gains
+        differs = np.flatnonzero(np.abs(difference) > _tolerances(self.objectives))
+        return bool(len(differs)) and bool(difference[differs[0]] > 0.0)
+
+    def descending(self) -> IntArray:
+        """Order of the sets, the best first."""
+        order: IntArray = np.lexsort(-self.gains.round(_DECIMALS).T[::-1])
+        return order
+
+    def ties_or_beats(self, other: "SetValues") -> BoolArray:
+        """Which sets are at least as good as a single other one."""
+        difference = self.gains.round(_DECIMALS) - other.gains.round(_DECIMALS)
+        first = (difference != 0.0).argmax(axis=1)
+        reaches: BoolArray = difference[np.arange(len(difference)), first] >= 0.0
+        return reaches
+
+
+@lru_cache(maxsize=32)
+def _tolerances(objectives: tuple[Objective, ...]) -> FloatArray:
+    return np.array([TOLERANCE, *(objective.tolerance for objective in objectives)])
+
+
+def concatenate_values(parts: list[SetValues]) -> SetValues:
+    """Values of all sets of some groups, at least one group."""
+    return SetValues(parts[0].objectives, np.concatenate([part.gains for part in parts]))
+
+
+def no_values(reduced: ReducedProblem, gain: float = -np.inf) -> SetValues:
+    """Values of a single set that is worse, or with a gain of infinity better, than any."""
+    return SetValues(reduced.objectives, np.full(1 + len(reduced.objectives), gain))
+
+
+class BestSet:
+    """The best of the sets of poses that were offered; of equal ones the first."""
+
+    def __init__(self) -> None:
+        self.units: IntArray | None = None
+        self.values: SetValues | None = None
+
+    def offer(self, sets: IntArray, values: SetValues) -> None:
+        """Take the best of some sets, if it is better than the best so far."""
+        if not len(sets):
+            return
+        row = values.best_row()
+        if self.values is None or values[row].exceeds(self.values):
+            self.units, self.values = sets[row], values[row]
 
 
 def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
-    """Margins of all runs, given which frames are seen.
+    """Margins of all runs given which frames are seen: (n_sets, n_words) -> (n_sets, n_runs).
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        Windows and runs.
-    unions : (n_sets, n_words) uint64
-        Frames seen, as bits.
-
-    Returns
-    -------
-    margin_s : (n_sets, n_runs) float
-        Minus infinity where a run is not avoided. [s]
+    Minus infinity where a run is not avoided.
     """
     margin = np.empty((len(unions), len(reduced.weight)))
     size = max(reduced.n_frames, len(reduced.window_frames), 1)
@@ -60,39 +142,149 @@ def _first_margins_s(reduced: ReducedProblem, is_whole: BoolArray) -> FloatArray
     return margin
 
 
-def values_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
-    """Values of a set of poses together with each pose in turn.
+def union_apr(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
+    """Accident prevention ratio given which frames are seen, (n_sets,)."""
+    return reduced.measure.of(union_margins_s(reduced, unions) > -np.inf)
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        Windows and runs.
-    units : (n_units,) int
-        Poses of the reduced problem.
 
-    Returns
-    -------
-    values : (n_poses, N_COLUMNS) float
-        As :func:`set_values`; row c is that of `units` and c.
+def unions_of(reduced: ReducedProblem, sets: IntArray) -> WordArray:
+    """Frames that sets of poses see: (n_sets, n_units) -> (n_sets, n_words) bits."""
+    unions = np.zeros((len(sets), reduced.words.shape[1]), dtype=np.uint64)
+    for units in sets.T:
+        unions |= reduced.words[units]
+    return unions
 
-    Notes
-    -----
+
+def left_after_failures(
+    reduced: ReducedProblem, measure: Measure, n_failures: int, sets: IntArray
+) -> FloatArray:
+    """What sets of poses still reach when the worst of their units fail, (n_sets,)."""
+    n_units = sets.shape[1]
+    if n_failures > n_units:
+        return np.zeros(len(sets))
+    smallest = np.full(len(sets), np.inf)
+    for failed in combinations(range(n_units), n_failures):
+        unions = unions_of(reduced, np.delete(sets, failed, axis=1))
+        left = measure.of(union_margins_s(reduced, unions) > -np.inf)
+        smallest = np.minimum(smallest, left)
+    return smallest
+
+
+def set_values(
+    reduced: ReducedProblem, sets: IntArray, one_failed: FloatArray | None = None
+) -> SetValues:
+    """Values of sets of poses, (n_sets, n_units) rows of the reduced problem.
+
+    `one_failed` is their APR when one unit fails, (n_sets,), where that is known.
+    """
+    margin = union_margins_s(reduced, unions_of(reduced, sets))
+
+    def left(measure: Measure, n_failures: int) -> FloatArray:
+        if n_failures == 1 and measure is reduced.measure and one_failed is not None:
+            return one_failed
+        return left_after_failures(reduced, measure, n_failures, sets)
+
+    cost = costs_eur(reduced.limits, sets)
+    return _values(reduced, margin, n_units=sets.shape[1], cost=cost, left=left)
+
+
+def values_with_each(reduced: ReducedProblem, units: IntArray) -> SetValues:
+    """Values of a set of poses together with each pose in turn: row c is that of `units` and c.
+
     Bits run along the poses here, 64 sets to a word: an order of magnitude faster than
     :func:`set_values` of the same sets, one by one.
     """
-    limits = reduced.limits
-    margin = _margins_with_each(reduced, units)
-    is_new_site = ~np.isin(limits.site_index, limits.site_index[units])
-    cost = cost_eur(limits, units) + limits.unit_cost_eur
-    cost = cost + np.where(is_new_site, limits.site_cost_eur[limits.site_index], 0.0)
-
     return _values(
         reduced,
-        margin,
+        _margins_with_each(reduced, units),
         n_units=len(units) + 1,
-        cost=cost,
+        cost=costs_with_each_eur(reduced, units),
         left=lambda measure, n_failures: _left_with_each(reduced, measure, n_failures, units),
     )
+
+
+def costs_with_each_eur(reduced: ReducedProblem, units: IntArray) -> FloatArray:
+    """What a set costs together with each pose in turn, (n_poses,), in euros."""
+    limits = reduced.limits
+    is_new = ~np.isin(limits.site_index, limits.site_index[units])
+    cost = cost_eur(limits, units) + limits.unit_cost_eur
+    total: FloatArray = cost + np.where(is_new, limits.site_cost_eur[limits.site_index], 0.0)
+    return total
+
+
+def _values(
+    reduced: ReducedProblem,
+    margin: FloatArray,
+    *,
+    n_units: int,
+    cost: FloatArray,
+    left: Callable[[Measure, int], FloatArray],
+) -> SetValues:
+    """Values from the margins of all runs and what is left after failures."""
+    is_avoided = margin > -np.inf
+
+    def mean_margin() -> FloatArray:
+        share = is_avoided @ reduced.weight
+        total = np.where(is_avoided, margin, 0.0) @ reduced.weight
+        mean: FloatArray = np.divide(total, share, out=np.zeros(len(margin)), where=share > 0.0)
+        return mean
+
+    def smallest_margin() -> FloatArray:
+        smallest = np.where(is_avoided, margin, np.inf).min(axis=1, initial=np.inf)
+        return np.where(is_avoided @ reduced.weight > 0.0, smallest, 0.0)
+
+    values: dict[Objective, Callable[[], FloatArray]] = {
+        Objective.UNITS: lambda: np.full(len(margin), float(n_units)),
+        Objective.COST: lambda: cost,
+        Objective.APR_SURVIVED: lambda: left(reduced.measure, reduced.survive),
+        Objective.APR: lambda: reduced.measure.of(is_avoided),
+        Objective.APR_ONE_FAILED: lambda: left(reduced.measure, 1),
+        Objective.SMALLEST_MARGIN: smallest_margin,
+        Objective.MEAN_MARGIN: mean_margin,
+    }
+    return build_values(reduced, left, values)
+
+
+def build_values(
+    reduced: ReducedProblem,
+    left: Callable[[Measure, int], FloatArray],
+    values: dict[Objective, Callable[[], FloatArray]],
+) -> SetValues:
+    """Values in the order of a problem's objectives, as far as there is a function for them."""
+    lacking: FloatArray | float = 0.0
+    for floor in reduced.floors:
+        short = floor.least - TOLERANCE - left(floor.measure, floor.n_failures)
+        lacking = lacking + np.maximum(short, 0.0)
+    objectives = tuple(objective for objective in reduced.objectives if objective in values)
+    columns = [
+        -values[objective]() if objective.is_minimised else values[objective]()
+        for objective in objectives
+    ]
+    gains = np.empty((len(columns[0]), 1 + len(columns)))
+    gains[:, 0] = -np.asarray(lacking)
+    gains[:, 1:] = np.column_stack(columns)
+    return SetValues(objectives, gains)
+
+
+def best_set(reduced: ReducedProblem, sets: IntArray) -> IntArray:
+    """First set of poses whose value no other one exceeds: (n_sets, n_units) -> (n_units,)."""
+    if not reduced.floors and reduced.objectives[0] is Objective.APR:
+        share = union_apr(reduced, unions_of(reduced, sets))
+        # Failures are costly to go through: only sets with the best APR need it.
+        sets = sets[share >= share.max() - TOLERANCE]
+    best: IntArray = sets[set_values(reduced, sets).best_row()]
+    return best
+
+
+def avoided_with_each(reduced: ReducedProblem, units: IntArray) -> BoolArray:
+    """Runs that a set of poses together with each pose in turn avoids, (n_poses, n_runs)."""
+    seen = _windows_with_each(reduced, units)
+    avoided = np.zeros((len(reduced.weight), seen.shape[1]), dtype=np.uint64)
+    in_time = (reduced.margin_s > -np.inf).sum(axis=1)
+    for run, (chain, n_links) in enumerate(zip(reduced.run_chain, in_time, strict=True)):
+        start = reduced.chain_start[chain]
+        avoided[run] = np.bitwise_or.reduce(seen[start : start + n_links], axis=0)
+    return unpack_words(avoided, reduced.n_poses).T
 
 
 def _left_with_each(
@@ -111,17 +303,6 @@ def _left_with_each(
             is_avoided = union_margins_s(reduced, union)[0] > -np.inf
             smallest = np.minimum(smallest, measure.of(is_avoided))
     return smallest
-
-
-def avoided_with_each(reduced: ReducedProblem, units: IntArray) -> BoolArray:
-    """Runs that a set of poses together with each pose in turn avoids, (n_poses, n_runs)."""
-    seen = _windows_with_each(reduced, units)
-    avoided = np.zeros((len(reduced.weight), seen.shape[1]), dtype=np.uint64)
-    in_time = (reduced.margin_s > -np.inf).sum(axis=1)
-    for run, (chain, n_links) in enumerate(zip(reduced.run_chain, in_time, strict=True)):
-        start = reduced.chain_start[chain]
-        avoided[run] = np.bitwise_or.reduce(seen[start : start + n_links], axis=0)
-    return unpack_words(avoided, reduced.n_poses).T
 
 
 def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
@@ -154,154 +335,3 @@ def _windows_with_each(reduced: ReducedProblem, units: IntArray) -> WordArray:
 def _columns(reduced: ReducedProblem) -> WordArray:
     """V[c, f] with bits along the poses, (n_frames, n_words)."""
     return pack_words(np.ascontiguousarray(reduced.detected().T))
-
-
-def union_apr(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
-    """Accident prevention ratio given which frames are seen, (n_sets,)."""
-    return reduced.measure.of(union_margins_s(reduced, unions) > -np.inf)
-
-
-def unions_of(reduced: ReducedProblem, sets: IntArray) -> WordArray:
-    """Frames that sets of poses see.
-
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        Its poses.
-    sets : (n_sets, n_units) int
-        Poses of the reduced problem.
-
-    Returns
-    -------
-    unions : (n_sets, n_words) uint64
-        Bits; none for a set without units.
-    """
-    unions = np.zeros((len(sets), reduced.words.shape[1]), dtype=np.uint64)
-    for units in sets.T:
-        unions |= reduced.words[units]
-    return unions
-
-
-def set_values(
-    reduced: ReducedProblem, sets: IntArray, one_failed: FloatArray | None = None
-) -> FloatArray:
-    """Values of sets of poses, each column the larger the better.
-
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        Windows and runs.
-    sets : (n_sets, n_units) int
-        Poses of the reduced problem.
-    one_failed : (n_sets,) float, optional
-        Their APR when one unit fails, where that is known.
-
-    Returns
-    -------
-    values : (n_sets, N_COLUMNS) float
-        What is lacking to the floors, negative; units or cost, negative, where the goal is few or
-        cheap ones; the APR that survives failures where that is asked for; then the fields of
-        :class:`placement.optimiser.problem.PlacementValue`, the cost negative, or their weighted
-        sum.
-    """
-    margin = union_margins_s(reduced, unions_of(reduced, sets))
-
-    def left(measure: Measure, n_failures: int) -> FloatArray:
-        if n_failures == 1 and measure is reduced.measure and one_failed is not None:
-            return one_failed
-        return left_after_failures(reduced, measure, n_failures, sets)
-
-    return _values(
-        reduced,
-        margin,
-        n_units=sets.shape[1],
-        cost=costs_eur(reduced.limits, sets),
-        left=left,
-    )
-
-
-def _values(
-    reduced: ReducedProblem,
-    margin: FloatArray,
-    *,
-    n_units: int,
-    cost: FloatArray,
-    left: Callable[[Measure, int], FloatArray],
-) -> FloatArray:
-    """Values from the margins of all runs and what is left after failures."""
-    is_avoided = margin > -np.inf
-    share = is_avoided @ reduced.weight
-    total = np.where(is_avoided, margin, 0.0) @ reduced.weight
-    some = share > 0.0
-    values = np.zeros((len(margin), N_COLUMNS))
-    for floor in reduced.floors:
-        lacking = floor.least - TOLERANCE - left(floor.measure, floor.n_failures)
-        values[:, 0] -= np.maximum(lacking, 0.0)
-    if reduced.goal == "fewest":
-        values[:, 1] = -n_units
-    elif reduced.goal == "cheapest":
-        values[:, 1] = -cost
-    if reduced.survive:
-        values[:, 2] = left(reduced.measure, reduced.survive)
-    values[:, 3] = reduced.measure.of(is_avoided)
-    values[:, 4] = left(reduced.measure, 1)
-    values[:, 5] = np.where(is_avoided, margin, np.inf).min(axis=1, initial=np.inf)
-    values[~some, 5] = 0.0
-    values[some, 6] = total[some] / share[some]
-    values[:, 7] = -cost
-    if reduced.stage_weights is not None:
-        values[:, 3] = values[:, 3:] @ np.array(reduced.stage_weights)
-        values[:, 4:] = 0.0
-    return values
-
-
-def left_after_failures(
-    reduced: ReducedProblem, measure: Measure, n_failures: int, sets: IntArray
-) -> FloatArray:
-    """What sets of poses still reach when the worst of their units fail, (n_sets,)."""
-    n_units = sets.shape[1]
-    if n_failures > n_units:
-        return np.zeros(len(sets))
-    smallest = np.full(len(sets), np.inf)
-    for failed in combinations(range(n_units), n_failures):
-        unions = unions_of(reduced, np.delete(sets, failed, axis=1))
-        left = measure.of(union_margins_s(reduced, unions) > -np.inf)
-        smallest = np.minimum(smallest, left)
-    return smallest
-
-
-def best_set(reduced: ReducedProblem, sets: IntArray) -> IntArray:
-    """First set of poses whose value no other one exceeds.
-
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        Windows and runs.
-    sets : (n_sets, n_units) int
-        At least one. Poses of the reduced problem.
-
-    Returns
-    -------
-    units : (n_units,) int
-        A row of `sets`.
-    """
-    if not (reduced.floors or reduced.survive or reduced.goal != "best" or reduced.stage_weights):
-        share = union_apr(reduced, unions_of(reduced, sets))
-        # Failures are costly to go through: only sets with the best APR need it.
-        sets = sets[share >= share.max() - TOLERANCE]
-    best: IntArray = sets[best_row(set_values(reduced, sets))]
-    return best
-
-
-def best_row(values: FloatArray) -> int:
-    """First row that no other one exceeds, compared from left to right."""
-    rows = np.arange(len(values))
-    for column in values.T:
-        rows = rows[column[rows] >= column[rows].max() - TOLERANCE]
-    return int(rows[0])
-
-
-def exceeds(value: FloatArray, other: FloatArray) -> bool:
-    """Whether the first difference that exceeds rounding noise favours `value`."""
-    differs = np.flatnonzero(np.abs(value - other) > TOLERANCE)
-    return bool(len(differs)) and bool(value[differs[0]] > other[differs[0]])

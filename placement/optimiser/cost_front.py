@@ -22,11 +22,12 @@ from .front import (
     reaches,
 )
 from .greedy import to_full
-from .limits import COST_TOLERANCE_EUR, Limits
+from .limits import Limits
 from .milp import Effort
+from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import ReducedProblem, presolve
-from .problem import TOLERANCE, Floor, PlacementProblem, Requirement
-from .solve import _stage as build_stage
+from .problem import Floor, PlacementProblem, Requirement
+from .solve import build_stage
 from .stages import Stages
 
 # ---------- sums that layouts can cost: where prices are few, most amounts buy nothing
@@ -238,7 +239,7 @@ class _Climb:
     effort: Effort
     end_s: float
     step: float
-    largest: dict[str, float]
+    largest: dict[Objective, float]
     levels_eur: FloatArray | None
 
     def first(self) -> FrontPoint:
@@ -249,14 +250,14 @@ class _Climb:
 
     def higher(self, last: FrontPoint) -> _Step:
         """The cheapest layout with a higher APR."""
-        if last.value.apr + self.step > self.largest["apr"] + TOLERANCE:
+        if last.value.apr + self.step > self.largest[Objective.APR] + TOLERANCE:
             return replace(_UNKNOWN, least_eur=np.inf)
         return self._cheapest([(last.value.apr + self.step, 0)], last)
 
     def safer(self, last: FrontPoint) -> _Step:
         """The cheapest layout with the same APR that keeps more of it when one unit fails."""
         least = last.value.apr_one_failed + self.step
-        if least > self.largest["apr_one_failed"] + TOLERANCE:
+        if least > self.largest[Objective.APR_ONE_FAILED] + TOLERANCE:
             return replace(_UNKNOWN, least_eur=np.inf)
         return self._cheapest([(last.value.apr, 0), (least, 1)], last)
 
@@ -264,7 +265,7 @@ class _Climb:
         """The cheapest layout that reaches APRs: pairs of a share and how many units may fail."""
         began_s = time.monotonic()
         problem = replace(self.problem, goal="cheapest", floors=self._floors(asked))
-        reduced = replace(self.reduced, goal="cheapest", floors=self._requirements(asked))
+        reduced = replace(self.reduced, floors=self._requirements(asked)).with_goal("cheapest")
         effort = self._effort()
         start = () if last is None else last.pose_index
         search = look_around(problem, reduced, effort=effort, stages="first", start=start)
@@ -328,7 +329,7 @@ class _Climb:
         point = prove_point(
             problem, reduced, search, effort=effort, stages=self.stages, is_cheapest=True
         )
-        cost = build_stage("cost_eur", point.value.cost_eur, least_eur, step.seconds)
+        cost = build_stage(Objective.COST, point.value.cost_eur, least_eur, step.seconds)
         return replace(
             point,
             certificate=replace(point.certificate, stages=(cost, *point.certificate.stages)),

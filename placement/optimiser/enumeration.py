@@ -18,22 +18,17 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .bitsets import (
-    best_row,
+    BestSet,
     best_set,
-    exceeds,
+    concatenate_values,
     set_values,
     union_apr,
     unions_of,
 )
 from .bounds import Coverage, ValueArray
-from .limits import (
-    COST_TOLERANCE_EUR,
-    Limits,
-    are_allowed,
-    costs_eur,
-)
+from .limits import Limits, are_allowed, costs_eur
+from .objectives import COST_TOLERANCE_EUR, TOLERANCE
 from .presolve import ReducedProblem
-from .problem import TOLERANCE
 
 # ---------- all layouts that could still be better, gone through one by one
 
@@ -69,8 +64,7 @@ def best_of_few(
         n_sets += comb(n_poses, n_units)
         if n_sets > max_sets:
             return None, False
-    best: IntArray | None = None
-    best_value = np.empty(0)
+    best = BestSet()
     for n_units in range(1, most + 1):
         count = comb(n_poses, n_units)
         numbers = chain.from_iterable(combinations(range(n_poses), n_units))
@@ -79,12 +73,9 @@ def best_of_few(
             if not len(part):
                 continue
             if time.monotonic() > end_s:
-                return best, False
-            values = set_values(reduced, part)
-            row = best_row(values)
-            if best is None or exceeds(values[row], best_value):
-                best, best_value = part[row], values[row]
-    return best, True
+                return best.units, False
+            best.offer(part, set_values(reduced, part))
+    return best.units, True
 
 
 def best_of_all(
@@ -133,10 +124,10 @@ def best_of_all(
             [table[tuple(np.delete(part, unit, axis=1).T)] for unit in range(n_units)], axis=0
         )
         part_values = set_values(reduced, part, one_failed)
-        row = best_row(part_values)
+        row = part_values.best_row()
         winners.append(part[row])
-        values.append(part_values[row])
-    best: IntArray = winners[best_row(np.array(values))]
+        values.append(part_values[row : row + 1])
+    best: IntArray = winners[concatenate_values(values).best_row()]
     return best
 
 
@@ -401,18 +392,13 @@ def best_affordable(
     sizes = affordable_sets(reduced.limits, max_sets=max_sets)
     if sizes is None:
         return None, False
-    best: IntArray | None = None
-    best_value = np.empty(0)
+    best = BestSet()
     for sets in sizes:
-        for part in np.array_split(sets, max(1, -(-len(sets) // _PART_SETS))):
+        for part in _parts(sets):
             part = part[union_apr(reduced, unions_of(reduced, part)) >= least_apr - TOLERANCE]
-            if not len(part):
-                continue
-            values = set_values(reduced, part)
-            row = best_row(values)
-            if best is None or exceeds(values[row], best_value):
-                best, best_value = part[row], values[row]
-    return best, True
+            if len(part):
+                best.offer(part, set_values(reduced, part))
+    return best.units, True
 
 
 def affordable_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:

@@ -7,9 +7,10 @@ import numpy as np
 from geometry.errors import InputError, Unquoted
 
 from .bitsets import left_after_failures, union_margins_s
-from .limits import COST_TOLERANCE_EUR, Limits, cost_eur
+from .limits import Limits, cost_eur
+from .objectives import COST_TOLERANCE_EUR, TOLERANCE
 from .presolve import ReducedProblem
-from .problem import TOLERANCE, Measure, PlacementProblem
+from .problem import Measure, PlacementProblem
 from .search import Search
 
 

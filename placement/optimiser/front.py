@@ -12,33 +12,27 @@ from typing import Literal
 
 import numpy as np
 
-from geometry.arrays import FloatArray, IntArray
+from geometry.arrays import IntArray
 from geometry.errors import InputError, Unquoted
 
-from ..layout import Certificate, Stage, relative_gap
-from .bitsets import exceeds, set_values, union_apr
+from ..layout import Certificate, Stage
+from .bitsets import set_values, union_apr
 from .enumeration import best_affordable
 from .feasibility import check_limits
 from .greedy import improve, to_full
-from .limits import COST_TOLERANCE_EUR
 from .milp import Effort
+from .objectives import COST_TOLERANCE_EUR, TOLERANCE, VALUE_OBJECTIVES, Objective
 from .presolve import PresolveStatistics, ReducedProblem
-from .problem import (
-    TOLERANCE,
-    PlacementProblem,
-    PlacementValue,
-    is_better,
-    placement_value,
-)
+from .problem import PlacementProblem, PlacementValue, is_better, placement_value
 from .search import Search
-from .solve import Solution, _objective, _stage
+from .solve import Solution, build_certificate, build_stage
 from .stages import Stages
 
 # ---------- what more units or more money buy: a front of layouts, each with its proof
 
 
 StageChoice = Literal["first", "all"]
-FIRST_STAGES = ("apr", "apr_one_failed")
+FIRST_STAGES = (Objective.APR, Objective.APR_ONE_FAILED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,14 +115,13 @@ def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
     Raises
     ------
     InputError
-        It has a target, failures to survive, or weights; or the stages are unknown.
+        It has a target or failures to survive; or the stages are unknown.
     """
     if stages not in ("first", "all"):
         raise InputError("stages", stages, "first or all")
     for option, is_asked in (
         ("--target", problem.goal != "best"),
         ("--survive", problem.survive != 0),
-        ("--stage-weights", problem.stage_weights is not None),
     ):
         if is_asked:
             raise InputError(option, Unquoted("it with a front"), "neither: a front has every APR")
@@ -155,7 +148,7 @@ def no_worse(point: FrontPoint, fewer: FrontPoint) -> FrontPoint:
     if not is_better(fewer.value, point.value):
         return point
     stages = [
-        tightened(replace(stage, objective=float(getattr(fewer.value, stage.name))), stage.bound)
+        tightened(replace(stage, objective=fewer.value.of(Objective(stage.name))), stage.bound)
         for stage in point.certificate.stages
     ]
     return replace(
@@ -166,39 +159,30 @@ def no_worse(point: FrontPoint, fewer: FrontPoint) -> FrontPoint:
     )
 
 
-def largest_values(reduced: ReducedProblem, stages: StageChoice) -> dict[str, float] | None:
-    """What no layout of any size exceeds, by the names of the stages but for the cost.
+def largest_values(reduced: ReducedProblem, stages: StageChoice) -> dict[Objective, float] | None:
+    """What no layout of any size exceeds in each stage but the cost: what all poses reach together.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        Presolved for all points of a front.
-    stages : {"first", "all"}
-        Which values.
-
-    Returns
-    -------
-    limits : dict of str to float
-        From what all poses together reach. None if no limits of margins are known: they hold where
-        all runs are avoided that some pose avoids, which a mean over all runs alone ensures.
+    None if no limits of margins are known: they hold where all runs are avoided that some pose
+    avoids, which only a mean over all runs ensures.
     """
     everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
     limits = {
-        "apr": float(union_apr(reduced, everything)[0]),
-        "apr_one_failed": one_failed_limit(reduced),
+        Objective.APR: float(union_apr(reduced, everything)[0]),
+        Objective.APR_ONE_FAILED: one_failed_limit(reduced),
     }
     if stages == "all":
         if not reduced.measure.is_mean:
             return None
         most = Search(reduced, end_s=0.0).limit
-        limits |= {"smallest_margin_s": float(most[5]), "mean_margin_s": float(most[6])}
+        for objective in (Objective.SMALLEST_MARGIN, Objective.MEAN_MARGIN):
+            limits[objective] = float(most.of(objective))
     return limits
 
 
-def reaches(value: PlacementValue, limits: dict[str, float] | None) -> bool:
+def reaches(value: PlacementValue, limits: dict[Objective, float] | None) -> bool:
     """Whether a value is as large as limits that none exceeds."""
     return limits is not None and all(
-        getattr(value, name) >= limit - TOLERANCE for name, limit in limits.items()
+        value.of(objective) >= limit - TOLERANCE for objective, limit in limits.items()
     )
 
 
@@ -223,11 +207,10 @@ def one_failed_limit(reduced: ReducedProblem) -> float:
 
 def tightened(stage: Stage, bound: float) -> Stage:
     """A stage with another bound that holds as well, where that is closer."""
-    is_minimised = stage.name in ("units", "cost_eur")
-    bound = max(bound, stage.bound) if is_minimised else min(bound, stage.bound)
-    bound = min(bound, stage.objective) if is_minimised else max(bound, stage.objective)
-    gap = relative_gap(stage.objective, bound)
-    return replace(stage, bound=stage.objective if gap == 0.0 else bound, gap=gap)
+    objective = Objective(stage.name)
+    return build_stage(
+        objective, stage.objective, objective.worse(bound, stage.bound), stage.seconds
+    )
 
 
 # ---------- one point of a front
@@ -274,12 +257,11 @@ def look_around(
     search = Search(
         reduced if stages == "all" else without_margins(reduced),
         end_s=time.monotonic() + effort.time_limit_s,
-        milp_solver=effort.milp_solver,
         uses_models=effort.solver in ("auto", "exact"),
     )
     if len(start):
         search.offer(_to_reduced(reduced, start))
-    if search.units is None or exceeds(search.limit, search.row):
+    if search.units is None or search.limit.exceeds(search.row):
         search.start()
     return search
 
@@ -314,39 +296,33 @@ def prove_point(
         Proven as far as the time goes.
     """
     solver = Stages(problem, search, effort)
-    if problem.limits.budget_eur is not None and exceeds(search.limit, search.row):
+    if problem.limits.budget_eur is not None and search.limit.exceeds(search.row):
         solver.is_complete = _look_through(search) or None
     records = []
-    for name, find_bound in solver.plan():
-        if name == "cost_eur" and is_cheapest:
+    for objective, find_bound in solver.plan():
+        is_cost = objective is Objective.COST
+        if is_cost and is_cheapest:
             break
         began_s = time.monotonic()
-        least_eur = _least_cost_eur(search, fewer) if name == "cost_eur" else -np.inf
+        least_eur = _least_cost_eur(search, fewer) if is_cost else -np.inf
         if search.value.cost_eur <= least_eur + COST_TOLERANCE_EUR:
             bound = search.value.cost_eur
         else:
             bound = find_bound()
-        records.append((name, bound, time.monotonic() - began_s))
-        if stages == "first" and name == FIRST_STAGES[-1]:
+        records.append((objective, bound, time.monotonic() - began_s))
+        if stages == "first" and objective is FIRST_STAGES[-1]:
             break
     units = search.units
     assert units is not None  # the caller has seen to it
     if stages == "first" and search.left_s() > 0.0:
-        full = replace(reduced, limits=search.reduced.limits, goal="best")
+        full = replace(reduced, limits=search.reduced.limits).with_goal("best")
         units = _polished(full, units, end_s=search.end_s)
     pose_index = to_full(reduced, units)
-    value = placement_value(problem, pose_index)
     return FrontPoint(
         units=len(pose_index),
         pose_index=pose_index,
-        value=value,
-        certificate=Certificate(
-            stages=tuple(
-                _stage(name, _objective(problem, pose_index, value, name), bound, seconds)
-                for name, bound, seconds in records
-            ),
-            solver=" and ".join(search.proofs) or "simple bounds, no solver",
-        ),
+        value=placement_value(problem, pose_index),
+        certificate=build_certificate(problem, pose_index, records, search),
     )
 
 
@@ -356,7 +332,7 @@ def without_margins(reduced: ReducedProblem) -> ReducedProblem:
     Prices go, too, unless money is limited or looked for.
     """
     limits = reduced.limits
-    if limits.budget_eur is None and reduced.goal != "cheapest":
+    if limits.budget_eur is None and reduced.objectives[0] is not Objective.COST:
         limits = replace(
             limits,
             unit_cost_eur=np.zeros_like(limits.unit_cost_eur),
@@ -393,17 +369,22 @@ def _least_cost_eur(search: Search, fewer: FrontPoint | None) -> float:
     one unit more at least.
     """
     limits = search.reduced.limits
-    if fewer is None or not fewer.is_proven or search.reduced.goal != "best":
+    if fewer is None or not fewer.is_proven or search.reduced.objectives[0].is_minimised:
         return -np.inf
     prices = np.sort(limits.unit_cost_eur[~limits.is_forbidden])
     more_eur = float(prices[: fewer.units + 1].sum())
-    differs = np.abs(np.subtract(search.value[:-1], fewer.value[:-1])) > TOLERANCE
-    return more_eur if differs.any() else min(more_eur, fewer.value.cost_eur)
+    value = search.value
+    differs = any(
+        abs(value.of(objective) - fewer.value.of(objective)) > objective.tolerance
+        for objective in VALUE_OBJECTIVES
+        if objective is not Objective.COST
+    )
+    return more_eur if differs else min(more_eur, fewer.value.cost_eur)
 
 
 def _polished(reduced: ReducedProblem, units: IntArray, *, end_s: float) -> IntArray:
     """A set after a local search for better margins and lower cost; no worse in any stage."""
-    limit: FloatArray = Search(reduced, end_s=0.0).limit
+    limit = Search(reduced, end_s=0.0).limit
     better = improve(reduced, units, limit, end_s=end_s)
-    rows = [set_values(reduced, sets[None, :])[0] for sets in (better, units)]
-    return better if exceeds(rows[0], rows[1]) else units
+    after, before = (set_values(reduced, sets[None, :])[0] for sets in (better, units))
+    return better if after.exceeds(before) else units

@@ -7,13 +7,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .bitsets import (
-    N_COLUMNS,
-    best_row,
-    exceeds,
-    set_values,
-    values_with_each,
-)
+from .bitsets import BestSet, SetValues, set_values, values_with_each
 from .bounds import Coverage, ValueArray, gains
 from .limits import are_allowed, fitting, is_allowed
 from .presolve import ReducedProblem, presolve
@@ -77,18 +71,19 @@ def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
     """
     max_units = reduced.limits.max_units
     while len(units) < max_units:
-        if reduced.goal != "best" and set_values(reduced, units[None, :])[0, 0] == 0.0:
+        is_enough = reduced.objectives[0].is_minimised
+        if is_enough and set_values(reduced, units[None, :]).lacking[0] == 0.0:
             break
         free = np.flatnonzero(fitting(reduced.limits, units))
         if len(free) == 0:
             break
         values = values_with_each(reduced, units)[free]
-        units = np.append(units, free[best_row(values)])
+        units = np.append(units, free[values.best_row()])
     return units
 
 
 def improve(
-    reduced: ReducedProblem, units: IntArray, limit: FloatArray, *, end_s: float = np.inf
+    reduced: ReducedProblem, units: IntArray, limit: SetValues, *, end_s: float = np.inf
 ) -> IntArray:
     """Exchange one unit for another, or leave one out, as long as that makes the set better.
 
@@ -98,9 +93,8 @@ def improve(
         What to choose from.
     units : (n,) int
         Poses of the reduced problem.
-    limit : (N_COLUMNS,) float
-        No set is better than this, see :func:`placement.optimiser.bitsets.set_values`: one that is
-        as good needs no exchange.
+    limit : SetValues
+        No set is better than this: one that is as good needs no exchange.
     end_s : float
         When to stop, on the monotonic clock. [s]
 
@@ -110,19 +104,19 @@ def improve(
         At least as good; no single exchange or removal improves it.
     """
     value = set_values(reduced, units[None, :])[0]
-    while exceeds(limit, value) and time.monotonic() < end_s:
+    while limit.exceeds(value) and time.monotonic() < end_s:
         best = units, value
         positions = np.flatnonzero(~reduced.limits.is_forced[units])
         for change in (_exchanged, _without):  # to leave one out is only cheaper: tried last
             for position in positions:
                 sets, values = change(reduced, np.delete(units, position), units[position])
                 if len(sets):
-                    row = best_row(values)
-                    if exceeds(values[row], best[1]):
+                    row = values.best_row()
+                    if values[row].exceeds(best[1]):
                         best = sets[row], values[row]
-            if exceeds(best[1], value):
+            if best[1].exceeds(value):
                 break
-        if not exceeds(best[1], value):
+        if not best[1].exceeds(value):
             break
         units, value = best
     return units
@@ -130,7 +124,7 @@ def improve(
 
 def solve_heuristically(
     reduced: ReducedProblem,
-    limit: FloatArray,
+    limit: SetValues,
     *,
     starts: Sequence[IntArray] = (),
     end_s: float = np.inf,
@@ -141,7 +135,7 @@ def solve_heuristically(
     ----------
     reduced : ReducedProblem
         What to choose from.
-    limit : (N_COLUMNS,) float
+    limit : SetValues
         No set is better than this: the search ends when one is as good.
     starts : sequence of (n,) int
         Sets to begin with, before any other.
@@ -160,24 +154,21 @@ def solve_heuristically(
     first = np.flatnonzero(fitting(reduced.limits, forced))
     if len(first):
         begin += [np.append(forced, pose) for pose in rng.choice(first, size=_N_RESTARTS)]
-    best: IntArray | None = None
-    best_value = np.full(N_COLUMNS, -np.inf)
+    best = BestSet()
     for start in begin:
-        if best is not None and time.monotonic() >= end_s:
+        if best.units is not None and time.monotonic() >= end_s:
             break
         units = extend_greedily(reduced, start)
         if not len(units) or not is_allowed(reduced.limits, units):
             continue
         units = improve(reduced, units, limit, end_s=end_s)
-        value = set_values(reduced, units[None, :])[0]
-        if best is None or exceeds(value, best_value):
-            best, best_value = units, value
-        if not exceeds(limit, best_value):
+        best.offer(units[None, :], set_values(reduced, units[None, :]))
+        if best.values is not None and not limit.exceeds(best.values):
             break
-    return best
+    return best.units
 
 
-def _without(reduced: ReducedProblem, left: IntArray, removed: int) -> tuple[IntArray, FloatArray]:
+def _without(reduced: ReducedProblem, left: IntArray, removed: int) -> tuple[IntArray, SetValues]:
     """The set itself, if it is allowed, and its value."""
     sets = left[None, :]
     if not len(left) or not are_allowed(reduced.limits, sets)[0]:
@@ -185,16 +176,13 @@ def _without(reduced: ReducedProblem, left: IntArray, removed: int) -> tuple[Int
     return sets, set_values(reduced, sets)
 
 
-def _exchanged(
-    reduced: ReducedProblem, left: IntArray, removed: int
-) -> tuple[IntArray, FloatArray]:
+def _exchanged(reduced: ReducedProblem, left: IntArray, removed: int) -> tuple[IntArray, SetValues]:
     """Allowed sets with another pose in place of the one removed, and their values."""
     free = np.flatnonzero(fitting(reduced.limits, left))
     free = free[free != removed]
     sets = np.column_stack([np.tile(left, (len(free), 1)), free])
     free, sets = free[are_allowed(reduced.limits, sets)], sets[are_allowed(reduced.limits, sets)]
-    values = values_with_each(reduced, left)[free] if len(free) else np.empty((0, N_COLUMNS))
-    return sets, values
+    return sets, values_with_each(reduced, left)[free] if len(free) else set_values(reduced, sets)
 
 
 # ---------- good sets quickly

@@ -14,8 +14,7 @@ from geometry.arrays import (
 )
 from geometry.errors import InputError, Unquoted
 
-COST_TOLERANCE_EUR = 1.0e-6
-"""Sums of prices that differ by no more are equal."""
+from .objectives import COST_TOLERANCE_EUR
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

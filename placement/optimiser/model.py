@@ -11,17 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .limits import COST_TOLERANCE_EUR, Limits
-from .milp import DEFAULT_SOLVER, run_solver
+from .limits import Limits
+from .milp import run_solver
+from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import ReducedProblem
-from .problem import TOLERANCE, Measure, Requirement
+from .problem import Measure, Requirement
 
 if TYPE_CHECKING:  # it takes a second to import: done where a model is stated
     import cvxpy as cp
@@ -226,41 +227,19 @@ def margin_weights(reduced: ReducedProblem, weight: FloatArray) -> FloatArray:
     return weights
 
 
-Objective = Literal["nothing", "apr", "margins", "units", "cost"]
-"""What is looked for: any set; the largest APR or sum of margins; the fewest units or euros."""
-
-
 def solve_window_model(
     reduced: ReducedProblem,
-    objective: Objective,
+    objective: Objective | None,
     *,
     requirements: Sequence[Requirement] = (),
     cuts: Sequence[Cut] = (),
     time_limit_s: float,
-    solver: str = DEFAULT_SOLVER,
 ) -> MilpResult:
-    """Best set of poses by one objective.
+    """Best set of poses by one objective: UNITS, COST, APR or MEAN_MARGIN; None: any set.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        Presolved problem.
-    objective : str
-        See ``Objective``.
-    requirements : sequence of Requirement
-        What must be reached, as far as it holds before units fail.
-    cuts : sequence of Cut
-        Further constraints.
-    time_limit_s : float
-        For the solver. [s]
-    solver : str
-        Its name in cvxpy.
-
-    Returns
-    -------
-    result : MilpResult
-        The bound in the objective's own unit: from above for what is maximised, from below for
-        what is minimised.
+    For ``Objective.MEAN_MARGIN`` the sum of weights times margins is maximised: at a given APR that
+    is the same. Requirements hold before units fail; what holds after failures is left to cuts.
+    The bound is in the objective's own unit: from above for what is maximised, else from below.
     """
     import cvxpy as cp
 
@@ -270,9 +249,9 @@ def solve_window_model(
     constraints = limit_constraints(x, o, limits)
     goal: cp.Expression = cp.Constant(0.0)
     unit = 1.0
-    if objective == "units":
+    if objective is Objective.UNITS:
         goal = -x.sum()
-    elif objective == "cost":
+    elif objective is Objective.COST:
         unit = max(float(limits.unit_cost_eur.mean() + limits.site_cost_eur.mean()), TOLERANCE)
         goal = -((limits.unit_cost_eur / unit) @ x + (limits.site_cost_eur / unit) @ o)
         constraints.append(x <= o[limits.site_index])
@@ -288,13 +267,13 @@ def solve_window_model(
         ]
         for requirement in requirements:
             constraints += requirement_constraints(a, reduced, requirement)
-        if objective == "apr" and not reduced.measure.is_mean:
+        if objective is Objective.APR and not reduced.measure.is_mean:
             goal, more = _tail_share(a, reduced.measure, last_links(reduced))
             constraints += more
-        elif objective in ("apr", "margins"):
+        elif objective in (Objective.APR, Objective.MEAN_MARGIN):
             weights = (
                 avoided_weights(reduced)
-                if objective == "apr"
+                if objective is Objective.APR
                 else margin_weights(reduced, reduced.weight)
             )
             unit = max(float(weights.sum()), TOLERANCE) / _OBJECTIVE_SUM
@@ -302,8 +281,8 @@ def solve_window_model(
     if cuts:
         constraints.append(cut_constraint(x, cuts))
     problem = cp.Problem(cp.Maximize(goal), constraints)
-    answer = run_solver(problem, solver=solver, time_limit_s=time_limit_s)
-    sign = -1.0 if objective in ("units", "cost") else 1.0
+    answer = run_solver(problem, time_limit_s=time_limit_s)
+    sign = -1.0 if objective is not None and objective.is_minimised else 1.0
     return MilpResult(
         units=np.flatnonzero(x.value > 0.5) if answer.is_found else None,
         bound=sign * answer.bound * unit,

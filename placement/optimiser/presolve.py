@@ -5,7 +5,7 @@ detects in it, and a window needs all its frames. With "single", the frames of t
 are the statements "this pose alone has confirmed by then", and each window needs one of them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from scenarios.aeb import is_in_time
 
-from .limits import COST_TOLERANCE_EUR, Limits
-from .problem import Goal, Measure, PlacementProblem, Requirement
+from .limits import Limits
+from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
+from .problem import Measure, PlacementProblem, Requirement
 
 WordArray = NDArray[np.uint64]
 
@@ -66,8 +67,10 @@ class ReducedProblem:
         Of these runs, as in the full problem.
     floors : tuple of Requirement
         What must be reached in any case.
-    goal, survive, stage_weights
-        As in the full problem.
+    objectives : tuple of Objective
+        In the order in which sets of poses are compared.
+    survive : int
+        Failed units that ``Objective.APR_SURVIVED`` is about.
     n_frames : int
         Merged frames.
     words : (n_poses, n_words) uint64
@@ -92,9 +95,8 @@ class ReducedProblem:
     run_index: IntArray
     measure: Measure
     floors: tuple[Requirement, ...]
-    goal: Goal
+    objectives: tuple[Objective, ...]
     survive: int
-    stage_weights: tuple[float, ...] | None
     n_frames: int
     words: WordArray
     window_frames: IntArray
@@ -113,6 +115,10 @@ class ReducedProblem:
     def weight(self) -> FloatArray:
         """Weights of the runs, (n_runs,)."""
         return self.measure.weight
+
+    def with_goal(self, goal: Goal) -> "ReducedProblem":
+        """The same problem for another goal."""
+        return replace(self, objectives=objectives_in_order(goal, survive=self.survive))
 
     @property
     def n_chains(self) -> int:
@@ -175,11 +181,9 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
         price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
         usable &= price <= limits.budget_eur + COST_TOLERANCE_EUR
     usable |= limits.is_forced
-    # A weighted sum with margins in it may fall when more is seen: no pose stands for another. So
-    # may the smallest margin where only the worst worlds count: a run that is avoided in another
-    # world, too, adds nothing to their APR, but its margin counts.
-    is_monotone = problem.stage_weights is None or not any(problem.stage_weights[2:4])
-    is_monotone &= windows.measure.is_mean
+    # Where only the worst worlds count, the smallest margin may fall when more is seen: a run that
+    # is avoided in another world, too, adds nothing to their APR, but its margin counts.
+    is_monotone = windows.measure.is_mean
     while True:
         poses = np.flatnonzero(usable)
         reduced = windows.reduce(poses)
@@ -340,9 +344,8 @@ class _Windows:
                 )
                 for floor, measure in zip(problem.floors, self.floor_measures, strict=True)
             ),
-            goal=problem.goal,
+            objectives=problem.objectives,
             survive=problem.survive,
-            stage_weights=problem.stage_weights,
             n_frames=len(kept),
             words=words,
             window_frames=window_frames,

@@ -19,12 +19,8 @@ from scenarios.aeb import AebRule, is_in_time
 from scenarios.runs import confirmation_times_s
 
 from ..detection_table import DetectionTable
-from .limits import (
-    COST_TOLERANCE_EUR,
-    Limits,
-    cost_eur,
-    is_allowed,
-)
+from .limits import Limits, cost_eur, is_allowed
+from .objectives import TOLERANCE, VALUE_OBJECTIVES, Goal, Objective, objectives_in_order
 
 # ---------- how much is avoided
 
@@ -134,10 +130,7 @@ def build_measure(
 
 
 Fusion = Literal["any", "single"]
-Goal = Literal["best", "fewest", "cheapest"]
 
-TOLERANCE = 1.0e-9
-"""Values that differ by no more count as equal: shares and times carry rounding noise."""
 MAX_FAILURES = 2
 """Failed units that can be asked to be survived."""
 
@@ -164,6 +157,10 @@ class PlacementValue(NamedTuple):
     smallest_margin_s: float
     mean_margin_s: float
     cost_eur: float
+
+    def of(self, objective: Objective) -> float:
+        """Value of one of :data:`placement.optimiser.objectives.VALUE_OBJECTIVES`."""
+        return float(getattr(self, objective.value))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -218,10 +215,6 @@ class PlacementProblem:
         or of the least cost, are looked at; then the best of them.
     survive : int
         If not 0, the APR when so many units fail is the first objective.
-    stage_weights : (5,) float, optional
-        One objective instead of five in order: the sum of the fields of
-        :class:`PlacementValue` times these weights; that of the cost counts against. Margins in
-        it leave presolve little to drop: more seen may mean less to spare.
     sample_index : (n_runs,) int, optional
         Sampled world of each run.
     tail : float
@@ -235,7 +228,6 @@ class PlacementProblem:
     floors: tuple[Floor, ...] = ()
     goal: Goal = "best"
     survive: int = 0
-    stage_weights: tuple[float, ...] | None = None
     sample_index: IntArray | None = None
     tail: float = 1.0
 
@@ -253,17 +245,6 @@ class PlacementProblem:
             raise InputError("goal", self.goal, "one of " + ", ".join(get_args(Goal)))
         if self.survive not in range(MAX_FAILURES + 1):
             raise InputError("--survive", self.survive, f"0 to {MAX_FAILURES} units")
-        weights = self.stage_weights
-        if weights is not None and not (
-            len(weights) == len(PlacementValue._fields)
-            and all(0.0 <= weight < np.inf for weight in weights)
-            and any(weights)
-        ):
-            raise InputError(
-                "--stage-weights",
-                list(weights),
-                "weights of " + ", ".join(PlacementValue._fields) + ", at least 0 and not all 0",
-            )
         for floor in self.floors:
             counted = floor.is_counted
             if counted is not None and counted.shape != (self.table.axis.n_runs,):
@@ -271,6 +252,11 @@ class PlacementProblem:
                     floor.name, Unquoted(f"shape {counted.shape}"), "a flag for each run"
                 )
         self.measure()  # checks samples and tail
+
+    @property
+    def objectives(self) -> tuple[Objective, ...]:
+        """Stages in the order in which they are optimised."""
+        return objectives_in_order(self.goal, survive=self.survive)
 
     def measure(self) -> Measure:
         """The accident prevention ratio, as a function of the runs that are avoided."""
@@ -386,6 +372,18 @@ def placement_value(problem: PlacementProblem, pose_index: Sequence[int]) -> Pla
     )
 
 
+def objective_values(
+    problem: PlacementProblem, pose_index: Sequence[int]
+) -> dict[Objective, float]:
+    """What a set of poses is worth in all objectives of a problem, in their order."""
+    value = placement_value(problem, pose_index)
+    values = {objective: value.of(objective) for objective in VALUE_OBJECTIVES}
+    values[Objective.UNITS] = float(len(pose_index))
+    if problem.survive:
+        values[Objective.APR_SURVIVED] = apr_failed(problem, pose_index, problem.survive)
+    return {objective: values[objective] for objective in problem.objectives}
+
+
 def is_better(value: PlacementValue, other: PlacementValue) -> bool:
     """Whether the first difference that exceeds rounding noise favours `value`.
 
@@ -394,10 +392,11 @@ def is_better(value: PlacementValue, other: PlacementValue) -> bool:
     >>> is_better(PlacementValue(1.0, 0.5, 0.2, 0.3, 9.0), PlacementValue(1.0, 0.5, 0.1, 0.9, 0.0))
     True
     """
-    for mine, theirs in zip(value[:-1], other[:-1], strict=True):
-        if abs(mine - theirs) > TOLERANCE:
-            return mine > theirs
-    return value.cost_eur < other.cost_eur - COST_TOLERANCE_EUR
+    for objective in VALUE_OBJECTIVES:
+        excess = objective.excess(value.of(objective), other.of(objective))
+        if abs(excess) > objective.tolerance:
+            return excess > 0.0
+    return False
 
 
 # ---------- what a set of poses must reach: floors, and the stages that are settled already

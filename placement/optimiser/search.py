@@ -9,19 +9,14 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .bitsets import (
-    N_COLUMNS,
-    exceeds,
-    set_values,
-    union_margins_s,
-    unions_of,
-)
+from .bitsets import SetValues, no_values, set_values, union_margins_s, unions_of
 from .greedy import extend_greedily, improve, solve_heuristically
 from .limits import Limits, is_allowed
-from .milp import DEFAULT_SOLVER, solver_text
-from .model import Cut, Objective, entering_poses, last_links, solve_window_model
+from .milp import solver_text
+from .model import Cut, entering_poses, last_links, solve_window_model
+from .objectives import TOLERANCE, VALUE_OBJECTIVES, Objective
 from .presolve import ReducedProblem, WordArray
-from .problem import TOLERANCE, PlacementValue, Requirement
+from .problem import PlacementValue, Requirement
 
 # ---------- cuts: inequalities in x alone that every acceptable set of poses meets
 
@@ -141,8 +136,6 @@ class Search:
         What to choose from.
     end_s : float
         When to stop, on the monotonic clock. [s]
-    milp_solver : str
-        Name in cvxpy.
     uses_models : bool
         Whether mixed-integer models may be solved.
     """
@@ -152,48 +145,47 @@ class Search:
         reduced: ReducedProblem,
         *,
         end_s: float,
-        milp_solver: str = DEFAULT_SOLVER,
         uses_models: bool = True,
     ) -> None:
         self.reduced = reduced
         self.end_s = end_s
-        self.milp_solver = milp_solver
         self.uses_models = uses_models
         self.proofs: dict[str, None] = {}
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
         self.margin_limit_s: FloatArray = union_margins_s(reduced, everything)[0]
         self.units: IntArray | None = None
         self.nothing_meets_all = False  # proven that no set meets limits and floors
-        self.row = np.full(N_COLUMNS, -np.inf)
+        self.row = no_values(reduced)
         self._cuts: dict[tuple[float, ...], list[Cut]] = {}
 
     @property
     def value(self) -> PlacementValue:
         """Value of the best set."""
-        apr, one_failed, smallest_s, mean_s, cost = map(float, self.row[3:])
-        return PlacementValue(apr, one_failed, smallest_s, mean_s, -cost)
+        return PlacementValue(*(float(self.row.of(objective)) for objective in VALUE_OBJECTIVES))
 
     @property
     def shortfall(self) -> float:
         """What the best set lacks to the floors, summed."""
-        return float(-self.row[0])  # infinite where there is no set
+        return float(self.row.lacking)  # infinite where there is no set
 
     @property
-    def limit(self) -> FloatArray:
+    def limit(self) -> SetValues:
         """What all poses together reach where everything is avoided: no set is better."""
         reduced = self.reduced
-        limit = np.zeros(N_COLUMNS)
+        largest: dict[Objective, float] = {}
         if len(reduced.weight):
             all_runs, most = reduced.measure.limit, reduced.limits.max_units
-            limit[2] = all_runs if most > reduced.survive > 0 else 0.0
-            limit[3] = all_runs
-            limit[4] = all_runs if most > 1 else 0.0
-            limit[5] = self.margin_limit_s.min()
-            limit[6] = np.average(self.margin_limit_s, weights=reduced.weight)
-        if reduced.stage_weights is not None:
-            limit[3] = limit[3:] @ np.array(reduced.stage_weights)
-            limit[4:] = 0.0
-        return limit
+            largest = {
+                Objective.APR_SURVIVED: all_runs if most > reduced.survive else 0.0,
+                Objective.APR: all_runs,
+                Objective.APR_ONE_FAILED: all_runs if most > 1 else 0.0,
+                Objective.SMALLEST_MARGIN: float(self.margin_limit_s.min()),
+                Objective.MEAN_MARGIN: float(
+                    np.average(self.margin_limit_s, weights=reduced.weight)
+                ),
+            }
+        gains = [largest.get(objective, 0.0) for objective in reduced.objectives]
+        return SetValues(reduced.objectives, np.array([0.0, *gains]))
 
     def left_s(self) -> float:
         """Time left, in seconds."""
@@ -205,11 +197,11 @@ class Search:
         if units is not None:
             self.keep(units)
         if self.shortfall > 0.0:
-            self.nothing_meets_all = self.look_for("nothing", ()) == -np.inf
+            self.nothing_meets_all = self.look_for(None, ()) == -np.inf
 
     def restrict(self, limits: Limits) -> None:
         """Look for the best set within tighter limits, which the best so far meets."""
-        self.reduced = replace(self.reduced, limits=limits, goal="best")
+        self.reduced = replace(self.reduced, limits=limits).with_goal("best")
         units = self.units
         self.units = None
         again = solve_heuristically(self.reduced, self.limit, end_s=self.end_s)
@@ -227,7 +219,7 @@ class Search:
     def keep(self, units: IntArray) -> bool:
         """Take a set if it is better than the best so far; whether it was."""
         row = set_values(self.reduced, units[None, :])[0]
-        if self.units is not None and not exceeds(row, self.row):
+        if self.units is not None and not row.exceeds(self.row):
             return False
         self.units, self.row = units, row
         return True
@@ -244,41 +236,30 @@ class Search:
 
     def look_for(
         self,
-        objective: Objective,
+        objective: Objective | None,
         requirements: Sequence[Requirement],
         reduced: ReducedProblem | None = None,
     ) -> float:
         """Look for the best set that meets requirements; keep it if it is better than the best.
 
-        Parameters
-        ----------
-        objective : str
-            See :data:`placement.optimiser.model.Objective`.
-        requirements : sequence of Requirement
-            What must be reached, beside the floors.
-        reduced : ReducedProblem, optional
-            Another problem on the same poses: its sets are not kept.
-
-        Returns
-        -------
-        bound : float
-            No set that meets the requirements has a better objective; the worst infinity if there
-            is none, the best one if nothing is known.
+        The requirements hold beside the floors; None looks for any set that meets them. Sets of
+        another problem on the same poses, `reduced`, are not kept. Returns a bound: no set that
+        meets the requirements has a better objective; the worst infinity if there is none, the
+        best one if nothing is known. See :func:`placement.optimiser.model.solve_window_model`.
         """
         problem = self.reduced if reduced is None else reduced
         demands = (*problem.floors, *requirements)
-        is_minimised = objective in ("units", "cost")
+        is_minimised = objective is not None and objective.is_minimised
         bound = -np.inf if is_minimised else np.inf
         cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
         while self.uses_models and self.left_s() > 0.0:
-            self.proofs[solver_text(self.milp_solver)] = None
+            self.proofs[solver_text()] = None
             result = solve_window_model(
                 problem,
                 objective,
                 requirements=demands,
                 cuts=cuts,
                 time_limit_s=self.left_s(),
-                solver=self.milp_solver,
             )
             if result.units is None and result.is_finished:
                 return np.inf if is_minimised else -np.inf

@@ -18,14 +18,10 @@ from .large import (
     margin_limits_s,
     of_pool,
 )
-from .milp import DEFAULT_SOLVER, Effort, check_solver
+from .milp import Effort
+from .objectives import Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import (
-    PlacementProblem,
-    PlacementValue,
-    apr_failed,
-    placement_value,
-)
+from .problem import PlacementProblem, objective_values
 from .search import Search
 from .stages import Stages
 
@@ -89,8 +85,6 @@ def solve_placement(
     """
     effort = Effort() if effort is None else effort
     end_s = time.monotonic() + effort.time_limit_s
-    if effort.milp_solver != DEFAULT_SOLVER:
-        check_solver(effort.milp_solver)
     check_limits(problem.limits, problem.table.pose_ids)
     if reduced is None and effort.solver != "exact" and is_large(problem):
         return _solve_large(problem, effort, on_stage)
@@ -99,32 +93,24 @@ def solve_placement(
     search = Search(
         reduced,
         end_s=end_s,
-        milp_solver=effort.milp_solver,
         uses_models=effort.solver in ("auto", "exact"),
     )
     search.start([_units_of(reduced, poses) for poses in starts])
     check_floors(problem, search)
     stages = Stages(problem, search, effort)
     records = []
-    for name, find_bound in stages.plan():
+    for objective, find_bound in stages.plan():
         if on_stage is not None:
-            on_stage(name)
+            on_stage(objective.value)
         began_s = time.monotonic()
         bound = find_bound()
-        records.append((name, bound, time.monotonic() - began_s))
-        _log.info("%s: bound %.6g after %.2f s", name, bound, records[-1][-1])
+        records.append((objective, bound, time.monotonic() - began_s))
+        _log.info("%s: bound %.6g after %.2f s", objective, bound, records[-1][-1])
     assert search.units is not None
     pose_index = to_full(reduced, search.units)
-    value = placement_value(problem, pose_index)
     return Solution(
         pose_index=pose_index,
-        certificate=Certificate(
-            stages=tuple(
-                _stage(name, _objective(problem, pose_index, value, name), bound, seconds)
-                for name, bound, seconds in records
-            ),
-            solver=" and ".join(search.proofs) or "simple bounds, no solver",
-        ),
+        certificate=build_certificate(problem, pose_index, records, search),
         presolve=reduced.statistics,
     )
 
@@ -140,7 +126,7 @@ def _solve_large(
 ) -> Solution:
     """The best among promising poses, bounded by what all poses promise."""
     end_s = time.monotonic() + effort.time_limit_s
-    bounds_margins = problem.stage_weights is None and problem.tail == 1.0
+    bounds_margins = problem.tail == 1.0
     outlook = look_out(problem, has_margins=bounds_margins, on_step=on_stage)
     pool = outlook.pool
     places = [np.searchsorted(pool, poses) for poses in outlook.sets]
@@ -156,22 +142,27 @@ def _solve_large(
         starts=places,
         on_stage=on_stage,
     )
-    limits = {"apr": outlook.apr} if problem.tail == 1.0 else {}
-    value = {stage.name: stage.objective for stage in found.certificate.stages}
-    if bounds_margins and value.get("apr", 0.0) > 0.0:
-        limits["mean_margin_s"] = outlook.margins_s / value["apr"]
     all_margins = margin_limits_s(problem)
-    limit = problem.measure().of(all_margins > -np.inf)
-    limits["apr"] = min(limits.get("apr", 1.0), float(limit))
+    apr = float(problem.measure().of(all_margins > -np.inf))
+    largest_s = mean_s = float(all_margins.max())
+    if bounds_margins:
+        apr = min(apr, outlook.apr)
+        value = {stage.name: stage.objective for stage in found.certificate.stages}
+        if value[Objective.APR] > 0.0:
+            mean_s = min(mean_s, outlook.margins_s / value[Objective.APR])
+    bounds = {
+        Objective.UNITS: 1.0,
+        Objective.COST: 0.0,
+        Objective.APR_SURVIVED: apr,
+        Objective.APR: apr,
+        Objective.APR_ONE_FAILED: apr,
+        Objective.SMALLEST_MARGIN: largest_s,
+        Objective.MEAN_MARGIN: mean_s,
+    }
     stages = []
     for stage in found.certificate.stages:
-        if stage.name in ("units", "cost_eur"):
-            bound = 1.0 if stage.name == "units" else 0.0
-        elif stage.name in ("apr", "apr_one_failed", "apr_survived"):
-            bound = limits["apr"]
-        else:
-            bound = min(limits.get(stage.name, np.inf), float(all_margins.max()))
-        stages.append(_stage(stage.name, stage.objective, bound, stage.seconds))
+        objective = Objective(stage.name)
+        stages.append(build_stage(objective, stage.objective, bounds[objective], stage.seconds))
     n_poses = problem.table.n_poses
     return Solution(
         pose_index=tuple(int(pool[pose]) for pose in found.pose_index),
@@ -183,29 +174,31 @@ def _solve_large(
     )
 
 
-def _objective(
-    problem: PlacementProblem, pose_index: tuple[int, ...], value: PlacementValue, name: str
-) -> float:
-    if name == "units":
-        return float(len(pose_index))
-    if name == "weighted":
-        assert problem.stage_weights is not None
-        *weights, cost_weight = problem.stage_weights
-        gains = sum(w * v for w, v in zip(weights, value[:-1], strict=True))
-        return float(gains - cost_weight * value.cost_eur)
-    if name == "apr_survived":
-        return apr_failed(problem, pose_index, problem.survive)
-    return float(getattr(value, name))
+def build_certificate(
+    problem: PlacementProblem,
+    pose_index: tuple[int, ...],
+    records: Sequence[tuple[Objective, float, float]],
+    search: Search,
+) -> Certificate:
+    """A certificate from the bound and the seconds of each stage."""
+    values = objective_values(problem, pose_index)
+    return Certificate(
+        stages=tuple(
+            build_stage(objective, values[objective], bound, seconds)
+            for objective, bound, seconds in records
+        ),
+        solver=" and ".join(search.proofs) or "simple bounds, no solver",
+    )
 
 
-def _stage(name: str, objective: float, bound: float, seconds: float) -> Stage:
-    is_minimised = name in ("units", "cost_eur")
-    bound = min(bound, objective) if is_minimised else max(bound, objective)
-    gap = relative_gap(objective, bound)
+def build_stage(objective: Objective, value: float, bound: float, seconds: float) -> Stage:
+    """A stage of a certificate; a bound that is worse than the value itself is not believed."""
+    bound = objective.better(bound, value)
+    gap = relative_gap(value, bound)
     return Stage(
-        name=name,
-        objective=objective,
-        bound=objective if gap == 0.0 else bound,
+        name=objective.value,
+        objective=value,
+        bound=value if gap == 0.0 else bound,
         gap=gap,
         seconds=seconds,
     )

@@ -2,34 +2,22 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 
-from .bitsets import (
-    best_row,
-    exceeds,
-    left_after_failures,
-    set_values,
-    union_margins_s,
-    unions_of,
-)
+from .bitsets import BestSet, left_after_failures, set_values, union_margins_s, unions_of
 from .bounds import Coverage, Supply
 from .enumeration import MAX_POSES, MAX_UNITS, best_of_all, best_of_few, best_sets
 from .greedy import lazy_greedy, swap
-from .limits import COST_TOLERANCE_EUR, are_allowed
+from .limits import are_allowed
 from .milp import Effort
 from .multipliers import first_multipliers, tighten
+from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import ReducedProblem
-from .problem import TOLERANCE, PlacementProblem, Requirement
+from .problem import PlacementProblem, Requirement
 from .search import Search, settle
-
-# ---------- what each pose alone promises in every run
-
-
-Worth = Literal["apr", "margins"]
 
 _MAX_TRIPLES = 3e8
 _MAX_SETS_BEST_OF = 2_000_000  # that are evaluated one by one
@@ -37,22 +25,12 @@ _BLOCK_SETS = 1 << 14
 _STEPS = 400
 
 
-def build_coverage(reduced: ReducedProblem, worth: Worth) -> Coverage:
-    """Promises of the poses of a reduced problem.
+def build_coverage(reduced: ReducedProblem, worth: Objective) -> Coverage:
+    """What each pose alone promises in every run, as a best-of coverage.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        Its runs are the rows, weights multiplied in. Forced units stand already: the supply is
-        what may join them.
-    worth : {"apr", "margins"}
-        A run that is avoided is worth its weight, or weight times margin.
-
-    Returns
-    -------
-    coverage : Coverage
-        Limits of units, sites and money hold; wishes and rivals are left out, which only makes a
-        bound higher.
+    A run that is avoided is worth its weight, for ``Objective.MEAN_MARGIN`` its weight times its
+    margin. Forced units stand already: the supply is what may join them. Limits of units, sites and
+    money hold; wishes and rivals are left out, which only makes a bound higher.
     """
     values = np.zeros((reduced.n_poses, len(reduced.weight)))
     detected = reduced.detected()
@@ -62,7 +40,9 @@ def build_coverage(reduced: ReducedProblem, worth: Worth) -> Coverage:
         first = np.where(seen.any(axis=1), seen.argmax(axis=1), seen.shape[1])
         margin = reduced.margin_s[runs][:, first].T
         is_avoided = margin > -np.inf
-        amount = np.ones(margin.shape) if worth == "apr" else np.maximum(margin, 0.0)
+        amount = np.maximum(margin, 0.0)
+        if worth is Objective.APR:
+            amount = np.ones(margin.shape)
         values[:, runs] = np.where(is_avoided, amount, 0.0) * reduced.weight[runs]
     limits = reduced.limits
     forced = np.flatnonzero(limits.is_forced)
@@ -86,7 +66,7 @@ def build_coverage(reduced: ReducedProblem, worth: Worth) -> Coverage:
     )
 
 
-def relaxed_limit(reduced: ReducedProblem, worth: Worth, *, n_steps: int = _STEPS) -> float:
+def relaxed_limit(reduced: ReducedProblem, worth: Objective, *, n_steps: int = _STEPS) -> float:
     """No set within the limits is worth more: from Lagrangian multipliers."""
     coverage = build_coverage(reduced, worth)
     if coverage.supply.max_units == 0 or not coverage.n_rows:
@@ -112,53 +92,33 @@ def can_enumerate(reduced: ReducedProblem, n_units: int) -> bool:
 
 
 def best_beyond(
-    reduced: ReducedProblem, worth: Worth, need: float, *, n_units: int
+    reduced: ReducedProblem, worth: Objective, need: float, *, n_units: int
 ) -> tuple[IntArray | None, bool]:
-    """Best set of so many units, beside the forced ones, among all that may be worth more.
+    """Best set of so many units beside the forced ones, among all that promise more than `need`.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        What to choose from, see :func:`can_enumerate`.
-    worth : str
-        See :func:`build_coverage`.
-    need : float
-        Sets that promise no more are not looked at.
-    n_units : int
-        Units beside the forced ones.
-
-    Returns
-    -------
-    units : (n,) int or None
-        The best, forced ones included; None if no set promises more.
-    is_complete : bool
-        Whether all were looked at; if not, there were too many.
+    Only where :func:`can_enumerate` allows it. Returns the best set, forced units included, or None
+    if no set promises more; and whether all were looked at: if not, there were too many.
     """
     coverage = build_coverage(reduced, worth).with_units(n_units)
     found = best_sets(coverage, need, max_triples=_MAX_TRIPLES, workers=2)
     if found is None or len(found.sets) > _MAX_SETS_BEST_OF:
         return None, False
     forced = np.flatnonzero(reduced.limits.is_forced)
-    best: IntArray | None = None
-    best_value: FloatArray = np.empty(0)
+    best = BestSet()
     for start in range(0, len(found.sets), _BLOCK_SETS):
         part = found.sets[start : start + _BLOCK_SETS]
         sets = np.column_stack([np.tile(forced, (len(part), 1)), part])
         sets = sets[_worth(reduced, worth, sets) > need]  # cheaper to see than the other values
-        if not len(sets):
-            continue
-        values = set_values(reduced, sets)
-        row = best_row(values)
-        if best is None or exceeds(values[row], best_value):
-            best, best_value = sets[row], values[row]
-    return best, True
+        if len(sets):
+            best.offer(sets, set_values(reduced, sets))
+    return best.units, True
 
 
-def _worth(reduced: ReducedProblem, worth: Worth, sets: IntArray) -> FloatArray:
+def _worth(reduced: ReducedProblem, worth: Objective, sets: IntArray) -> FloatArray:
     """What sets are really worth, (n_sets,)."""
     margin = union_margins_s(reduced, unions_of(reduced, sets))
     is_avoided = margin > -np.inf
-    amount = is_avoided if worth == "apr" else np.where(is_avoided, margin, 0.0)
+    amount = is_avoided if worth is Objective.APR else np.where(is_avoided, margin, 0.0)
     total: FloatArray = amount @ reduced.weight
     return total
 
@@ -183,25 +143,19 @@ class Stages:
         self.is_complete: bool | None = None  # not tried yet
         self.has_enumerated: bool | None = None
 
-    def plan(self) -> list[tuple[str, Callable[[], float]]]:
-        """Names of the stages in order, and what finds their bounds."""
-        first: list[tuple[str, Callable[[], float]]] = []
-        if self.problem.goal == "fewest":
-            first.append(("units", self.bound_units))
-        if self.problem.goal == "cheapest":
-            first.append(("cost_eur", self.bound_first_cost_eur))
-        if self.problem.survive:
-            first.append(("apr_survived", self.bound_apr_survived))
-        if self.problem.stage_weights is not None:
-            return [*first, ("weighted", self.bound_weighted)]
-        return [
-            *first,
-            ("apr", self.bound_apr),
-            ("apr_one_failed", self.bound_apr_one_failed),
-            ("smallest_margin_s", self.bound_smallest_margin_s),
-            ("mean_margin_s", self.bound_mean_margin_s),
-            *([] if self.problem.goal == "cheapest" else [("cost_eur", self.bound_cost_eur)]),
-        ]
+    def plan(self) -> list[tuple[Objective, Callable[[], float]]]:
+        """The stages in order, and what finds their bounds."""
+        is_cheapest = self.problem.goal == "cheapest"
+        find_bound = {
+            Objective.UNITS: self.bound_units,
+            Objective.COST: self.bound_first_cost_eur if is_cheapest else self.bound_cost_eur,
+            Objective.APR_SURVIVED: self.bound_apr_survived,
+            Objective.APR: self.bound_apr,
+            Objective.APR_ONE_FAILED: self.bound_apr_one_failed,
+            Objective.SMALLEST_MARGIN: self.bound_smallest_margin_s,
+            Objective.MEAN_MARGIN: self.bound_mean_margin_s,
+        }
+        return [(objective, find_bound[objective]) for objective in self.problem.objectives]
 
     def bound_units(self) -> float:
         """No layout that reaches the floors has fewer units; from here on none has more."""
@@ -212,7 +166,7 @@ class Stages:
             if n_units > 1 and not self._one_unit_does():
                 bound = 2.0
             if n_units > bound:
-                bound = max(bound, np.ceil(search.look_for("units", ()) - 1.0e-6))
+                bound = max(bound, np.ceil(search.look_for(Objective.UNITS, ()) - 1.0e-6))
         n_units = len(self._units())
         search.restrict(replace(search.reduced.limits, budget_units=n_units))
         if self.is_complete:
@@ -225,7 +179,7 @@ class Stages:
         search = self.search
         bound = self._cheapest_unit_eur()
         if not self._is_complete() and search.value.cost_eur > bound + COST_TOLERANCE_EUR:
-            bound = max(bound, search.look_for("cost", ()))
+            bound = max(bound, search.look_for(Objective.COST, ()))
         cost = search.value.cost_eur
         search.restrict(replace(search.reduced.limits, budget_eur=cost))
         if self.is_complete:
@@ -241,12 +195,12 @@ class Stages:
         """No layout has a higher APR."""
         search = self.search
         if not self._is_settled(search.value.apr, self.apr_limit):
-            if self._is_complete() or self._beats_all_promises("apr", search.value.apr):
+            if self._is_complete() or self._beats_all_promises(Objective.APR, search.value.apr):
                 self.apr_limit = search.value.apr
             else:
-                self.apr_limit = min(self.apr_limit, self._promised("apr"))
+                self.apr_limit = min(self.apr_limit, self._promised(Objective.APR))
                 if not self._is_settled(search.value.apr, self.apr_limit):
-                    bound = search.look_for("apr", self.held)
+                    bound = search.look_for(Objective.APR, self.held)
                     self.apr_limit = settle(search.value.apr, bound, self.apr_limit)
         self._hold(Requirement(measure=search.reduced.measure, least=search.value.apr))
         return self.apr_limit
@@ -278,7 +232,7 @@ class Stages:
                 least=search.value.apr,
                 min_margin_s=float(candidates[probe]),
             )
-            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
+            if search.look_for(None, [*self.held, demand]) == -np.inf:
                 high = probe
             elif search.value.smallest_margin_s >= candidates[probe] - TOLERANCE:
                 low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
@@ -301,12 +255,12 @@ class Stages:
         if self._is_complete() or self._enumerate():
             return search.value.mean_margin_s
         value = search.value.mean_margin_s * self._avoided_weight()
-        if self._beats_all_promises("margins", value):
+        if self._beats_all_promises(Objective.MEAN_MARGIN, value):
             return search.value.mean_margin_s
-        limit = min(limit, self._promised("margins") / search.value.apr)
+        limit = min(limit, self._promised(Objective.MEAN_MARGIN) / search.value.apr)
         if self._is_settled(search.value.mean_margin_s, limit):
             return limit
-        bound = search.look_for("margins", self.held)
+        bound = search.look_for(Objective.MEAN_MARGIN, self.held)
         return settle(search.value.mean_margin_s, bound / search.value.apr, limit)
 
     def bound_cost_eur(self) -> float:
@@ -319,27 +273,24 @@ class Stages:
         if self._no_smaller_set_does(total_s):
             return search.value.cost_eur
         mean = Requirement(measure=search.reduced.measure, least=total_s, sums_margins=True)
-        bound = search.look_for("cost", [*self.held, mean])
+        bound = search.look_for(Objective.COST, [*self.held, mean])
         return max(least, self._settled_from_below(search.value.cost_eur, bound))
-
-    def bound_weighted(self) -> float:
-        """No layout has a larger weighted sum: no larger than that of each value's own limit."""
-        limit = float(self.search.limit[3])
-        return float(self.search.row[3]) if self._is_complete() else limit
 
     def _avoided_weight(self) -> float:
         return float(self.search.reduced.weight @ self.search.avoided())
 
-    def _promised(self, worth: Worth) -> float:
+    def _promised(self, worth: Objective) -> float:
         """What no set can be worth more than, by relaxation; infinite where that is not asked."""
         reduced = self.search.reduced
-        if self.effort.solver == "greedy" or not (worth == "margins" or reduced.measure.is_mean):
+        if self.effort.solver == "greedy" or (
+            worth is Objective.APR and not reduced.measure.is_mean
+        ):
             return np.inf
         limit = relaxed_limit(reduced, worth)
         self.search.proofs["Lagrangian relaxation"] = None
         return limit
 
-    def _beats_all_promises(self, worth: Worth, value: float) -> bool:
+    def _beats_all_promises(self, worth: Objective, value: float) -> bool:
         """Look through all sets that may be worth more than the best; whether that was possible."""
         search = self.search
         reduced = search.reduced
@@ -347,7 +298,7 @@ class Stages:
         is_possible = search.uses_models and search.left_s() > 0.0 and reduced.measure.is_mean
         if not (is_possible and can_enumerate(reduced, n_units)):
             return False
-        need = value + (1.0 if worth == "apr" else -1.0) * TOLERANCE
+        need = value + (1.0 if worth is Objective.APR else -1.0) * TOLERANCE
         units, is_complete = best_beyond(reduced, worth, need, n_units=n_units)
         if units is not None:
             search.keep(units)
@@ -368,7 +319,7 @@ class Stages:
         if search.left_s() <= 0.0:
             return False
         units, is_complete = best_beyond(
-            reduced, "margins", total_margin_s - TOLERANCE, n_units=n_units
+            reduced, Objective.MEAN_MARGIN, total_margin_s - TOLERANCE, n_units=n_units
         )
         if not is_complete:
             return False
@@ -411,19 +362,19 @@ class Stages:
                 is_forced_site=np.zeros_like(reduced.limits.is_forced_site),
             ),
         )
-        limit = settle(self._left(n_failures), search.look_for("apr", (), fewer), limit)
+        limit = settle(self._left(n_failures), search.look_for(Objective.APR, (), fewer), limit)
         step = 2.0 * TOLERANCE
         all_runs = reduced.measure.limit
         if limit >= all_runs - TOLERANCE > self._left(n_failures) and reduced.measure.is_mean:
             demand = Requirement(measure=reduced.measure, least=all_runs, n_failures=n_failures)
-            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
+            if search.look_for(None, [*self.held, demand]) == -np.inf:
                 limit = all_runs - float(reduced.weight.min())
         while self._left(n_failures) < limit - TOLERANCE:
             before = self._left(n_failures)
             demand = Requirement(
                 measure=reduced.measure, least=before + step, n_failures=n_failures
             )
-            if search.look_for("nothing", [*self.held, demand]) == -np.inf:
+            if search.look_for(None, [*self.held, demand]) == -np.inf:
                 return before
             if self._left(n_failures) <= before + TOLERANCE:
                 return limit  # time is up
@@ -482,7 +433,7 @@ class Stages:
         reduced = self.search.reduced
         sets = np.arange(reduced.n_poses)[:, None]
         sets = sets[are_allowed(reduced.limits, sets)]
-        return bool(len(sets)) and bool((set_values(reduced, sets)[:, 0] == 0.0).any())
+        return bool(len(sets)) and bool((set_values(reduced, sets).lacking == 0.0).any())
 
     def _is_complete(self) -> bool:
         """Go through all sets, if they are few; whether that was done."""

@@ -31,10 +31,10 @@ from .front import (
     tightened,
 )
 from .large import is_large
-from .limits import COST_TOLERANCE_EUR
 from .milp import Effort
+from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import ReducedProblem, presolve
-from .problem import TOLERANCE, PlacementProblem, placement_value
+from .problem import PlacementProblem, placement_value
 from .solve import solve_placement
 
 DEFAULT_MAX_UNITS = 8
@@ -226,7 +226,7 @@ def _solve_point(
 
 def _is_cheap(problem: PlacementProblem, point: FrontPoint) -> bool:
     """Whether it is proven that no layout with more units costs less than a point's."""
-    stage = point.stage("cost_eur")
+    stage = point.stage(Objective.COST)
     prices = np.sort(problem.limits.unit_cost_eur[~problem.limits.is_forbidden])
     more_eur = float(prices[: point.units + 1].sum())
     return (
@@ -249,7 +249,7 @@ def _exchange_bounds(points: Sequence[FrontPoint], *, is_free: bool) -> list[Fro
         for index, (fewer, point) in enumerate(pairwise(tight), start=1):
             bound = fewer.certificate.stages[0].bound
             if point.units == fewer.units + 1:
-                tight[index] = _with_bounds(point, {"apr_one_failed": bound})
+                tight[index] = _with_bounds(point, {Objective.APR_ONE_FAILED: bound})
     return tight
 
 

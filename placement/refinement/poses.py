@@ -168,7 +168,7 @@ def promising_rows(
         others = np.delete(chosen, position)
         fits = np.flatnonzero(fitting(reduced.limits, others))
         values = values_with_each(reduced, others)[fits]
-        best_first = fits[np.lexsort(-values.T[::-1])]
+        best_first = fits[np.lexsort(-values.gains.T[::-1])]
         site = reduced.limits.site_index[best_first]
         first_of_sites = [best_first[site == one][:n_per_site] for one in np.unique(site)]
         found += [reduced.pose_index[rows] for rows in (best_first[:n_best], *first_of_sites)]

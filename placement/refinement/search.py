@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import product, starmap
 from typing import NamedTuple
 
 import numpy as np
@@ -12,74 +12,37 @@ from geometry.errors import InputError
 from geometry.sensors import CameraModel
 
 from ..candidates import CandidatePose, is_turn_useless
-from ..layout import Certificate, Stage, relative_gap
+from ..layout import Certificate
 from ..optimiser import (
     Effort,
     PlacementProblem,
-    PlacementValue,
     ReducedProblem,
     Solution,
-    apr_failed,
     is_feasible,
-    placement_value,
     presolve,
     solve_placement,
 )
-from ..optimiser.bitsets import N_COLUMNS
+from ..optimiser.bitsets import no_values
 from ..optimiser.greedy import improve, to_full
-from ..optimiser.limits import COST_TOLERANCE_EUR
-from ..optimiser.problem import TOLERANCE
+from ..optimiser.objectives import Objective
+from ..optimiser.problem import objective_values
+from ..optimiser.solve import build_stage
 from ..pipeline import Placement
 from ..setting import Setting
 from .poses import Bench, Move, RowBuilder, add_poses, grid_bench, promising_rows, rename
 from .proposals import Places, aimed, around, build_places, find_weak_spots, moved
 
-# ---------- what a set of poses is worth in each stage of a problem, in its order
-
-
-_MINIMISED = ("units", "cost_eur")
-
 
 class StageValue(NamedTuple):
-    """One objective of a set of poses.
+    """One objective of a set of poses, and its value in that objective's unit."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the stage, as in certificates.
-    value : float
-        In the stage's own unit; the larger the better, but for "units" and "cost_eur".
-    """
-
-    name: str
+    name: Objective
     value: float
 
 
 def stage_values(problem: PlacementProblem, pose_index: Sequence[int]) -> tuple[StageValue, ...]:
-    """Objectives of a set of poses in the order in which they are optimised.
-
-    Parameters
-    ----------
-    problem : PlacementProblem
-        Its goal, failures to survive and weights decide which stages there are.
-    pose_index : sequence of int
-        Rows of its table.
-    """
-    value = placement_value(problem, pose_index)
-    stages = []
-    if problem.goal == "fewest":
-        stages.append(StageValue("units", float(len(pose_index))))
-    elif problem.goal == "cheapest":
-        stages.append(StageValue("cost_eur", value.cost_eur))
-    if problem.survive:
-        left = apr_failed(problem, pose_index, problem.survive)
-        stages.append(StageValue("apr_survived", left))
-    if problem.stage_weights is not None:
-        gains = np.dot(problem.stage_weights[:-1], value[:-1])
-        weighted = float(gains - problem.stage_weights[-1] * value.cost_eur)
-        return (*stages, StageValue("weighted", weighted))
-    names = PlacementValue._fields[:-1] if problem.goal == "cheapest" else PlacementValue._fields
-    return (*stages, *(StageValue(name, getattr(value, name)) for name in names))
+    """Objectives of a set of poses, rows of the problem's table, in the problem's order."""
+    return tuple(starmap(StageValue, objective_values(problem, pose_index).items()))
 
 
 def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool:
@@ -87,13 +50,13 @@ def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool
 
     Examples
     --------
-    >>> improves([StageValue("units", 2.0)], [StageValue("units", 3.0)])
+    >>> improves([StageValue(Objective.UNITS, 2.0)], [StageValue(Objective.UNITS, 3.0)])
     True
     """
     for mine, theirs in zip(values, others, strict=True):
-        tolerance = COST_TOLERANCE_EUR if mine.name == "cost_eur" else TOLERANCE
-        if abs(mine.value - theirs.value) > tolerance:
-            return (mine.value > theirs.value) != (mine.name in _MINIMISED)
+        excess = mine.name.excess(mine.value, theirs.value)
+        if abs(excess) > mine.name.tolerance:
+            return excess > 0.0
     return False
 
 
@@ -110,21 +73,13 @@ def certify(values: Sequence[StageValue], certificate: Certificate, solver: str)
     solver : str
         What to say of the solver, in its place.
     """
-    stages = []
-    for own, proven in zip(values, certificate.stages, strict=True):
-        closest = min if own.name in _MINIMISED else max
-        bound = closest(own.value, proven.bound)
-        gap = relative_gap(own.value, bound)
-        stages.append(
-            Stage(
-                name=own.name,
-                objective=own.value,
-                bound=own.value if gap == 0.0 else bound,
-                gap=gap,
-                seconds=proven.seconds,
-            )
-        )
-    return Certificate(stages=tuple(stages), solver=solver)
+    return Certificate(
+        stages=tuple(
+            build_stage(own.name, own.value, proven.bound, proven.seconds)
+            for own, proven in zip(values, certificate.stages, strict=True)
+        ),
+        solver=solver,
+    )
 
 
 # ---------- chosen units turned and zoomed step by step, large and small, where they hang
@@ -468,7 +423,7 @@ class Search:
         if len(units) < len(self.rows):  # a unit sees no more than another pose of its site
             solution = self._solved(replace(self.solver, solver="greedy"), reduced)
             return solution is not None and self._take(solution.pose_index)
-        unlimited = np.full(N_COLUMNS, np.inf)
+        unlimited = no_values(reduced, np.inf)
         return self._take(to_full(reduced, improve(reduced, units, unlimited)))
 
     def _add_proposals(self, spread: float) -> None:

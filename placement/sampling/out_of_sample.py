@@ -15,11 +15,12 @@ from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis, onset_times_s
 
 from ..candidates import CandidatePose
+from ..compute import DEFAULT_COMPUTE, Compute, silent
 from ..evaluation import earliest_arrival_s
 from ..layout import Layout
 from ..setting import Setting
 from .random_streams import pose_key
-from .tables import StageProgress, build_sample_tables
+from .tables import build_sample_tables
 from .uncertainty import Uncertainty
 from .worlds import draw_samples
 
@@ -216,10 +217,8 @@ def out_of_sample(
     uncertainty: Uncertainty,
     *,
     n_samples: int,
-    seed: int = 0,
     fusion: str = "any",
-    workers: int = 1,
-    on_progress: StageProgress | None = None,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> SampledApr:
     """Judge one layout in fresh worlds; see :func:`out_of_sample_layouts`."""
     (judged,) = out_of_sample_layouts(
@@ -227,10 +226,8 @@ def out_of_sample(
         [layout],
         uncertainty,
         n_samples=n_samples,
-        seed=seed,
         fusion=fusion,
-        workers=workers,
-        on_progress=on_progress,
+        compute=compute,
     )
     return judged
 
@@ -241,10 +238,8 @@ def out_of_sample_layouts(
     uncertainty: Uncertainty,
     *,
     n_samples: int,
-    seed: int = 0,
     fusion: str = "any",
-    workers: int = 1,
-    on_progress: StageProgress | None = None,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> list[SampledApr]:
     """Judge layouts in fresh worlds, all in the same ones.
 
@@ -258,15 +253,11 @@ def out_of_sample_layouts(
         What is drawn.
     n_samples : int
         How many worlds.
-    seed : int
-        Of all draws. None is shared with the worlds that
-        :func:`placement.sampling.tables.sampled_table` chooses in, also not for the same seed.
     fusion : {"any", "single"}
         "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    workers : int
-        Threads.
-    on_progress : callable, optional
-        Called with the stage, and how many worlds are done of how many.
+    compute : Compute
+        No draw is shared with the worlds that :func:`placement.sampling.tables.sampled_table`
+        chooses in, also not for the same seed. Nothing is cached; progress is told the worlds.
 
     Returns
     -------
@@ -285,12 +276,12 @@ def out_of_sample_layouts(
     # Two layouts may call different units the same.
     poses = [replace(unit, id=f"#{index}") for index, unit in enumerate(units.values())]
     samples = draw_samples(
-        setting, poses, uncertainty, n_samples=n_samples, seed=seed, purpose="judge"
+        setting, poses, uncertainty, n_samples=n_samples, seed=compute.seed, purpose="judge"
     )
-    if on_progress is not None:
-        on_progress(STAGE, 0, n_samples)
+    compute.progress(STAGE, 0, n_samples)
     avoided = np.zeros((len(layouts), n_samples, setting.axis.n_runs), dtype=bool)
-    worlds = build_sample_tables(samples, seed=seed, workers=workers)
+    quiet = replace(compute, cache_folder=None, progress=silent)
+    worlds = build_sample_tables(samples, compute=quiet)
     for index, (_, table) in enumerate(worlds):
         detected = table.detected(slice(None))
         for which, layout in enumerate(layouts):
@@ -300,8 +291,7 @@ def out_of_sample_layouts(
                 setting.rule,
                 fusion,
             )
-        if on_progress is not None:
-            on_progress(STAGE, index + 1, n_samples)
+        compute.progress(STAGE, index + 1, n_samples)
     weight = setting.axis.weight
     return [
         SampledApr(

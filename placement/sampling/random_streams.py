@@ -2,13 +2,13 @@
 
 import zlib
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from geometry.errors import InputError
 
 from ..candidates import CandidatePose
+from ..compute import check_whole
 
 PURPOSES = ("choose", "judge")
 """Worlds to choose a layout in, and worlds to judge it in, share no random number."""
@@ -58,16 +58,3 @@ def pose_key(candidate: CandidatePose) -> tuple[object, ...]:
     zoom_deg = getattr(candidate.sensor, "horizontal_fov_deg", None)
     angles_deg = (pose.yaw_deg, pose.pitch_deg, zoom_deg)
     return (*pose.position_m.tolist(), *angles_deg, candidate.sensor.name)
-
-
-def check_whole(where: str, value: Any, *, least: int) -> None:
-    """Check that something is a whole number.
-
-    Raises
-    ------
-    InputError
-        It is none, or too small.
-    """
-    is_whole = isinstance(value, int) and not isinstance(value, bool)
-    if not (is_whole and value >= least):
-        raise InputError(where, value, f"a whole number, at least {least}")

@@ -1,10 +1,9 @@
 """Detection tables of sampled worlds, end to end in one: the optimiser sees a table like any."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -24,6 +23,7 @@ from geometry.lidar import LidarModel
 from scenarios.runs import FrameAxis
 
 from ..candidates import CandidatePose
+from ..compute import DEFAULT_COMPUTE, Compute, Progress
 from ..detection_table import DetectionTable
 from ..detectors import Evidence, PlanningDetector, ResponseDetector
 from ..evaluator.surroundings import draw_index
@@ -37,23 +37,18 @@ from ..visibility import (
 from ..visibility.build import N_POINTS
 from ..visibility.casting import World, build_world, cast_sight
 from ..visibility.sensing import build_sensing, reach_m
-from .random_streams import Luck, check_whole, pose_key
+from .random_streams import Luck, pose_key
 from .uncertainty import Uncertainty
 from .worlds import Sample, draw_samples
 
 # ---------- what a detector misses by chance, frame by frame, and which messages are lost
 
 
-Progress = Callable[[int, int], None]
-
-
 def build_drawn_table(
     sample: Sample,
     detector: ResponseDetector,
     *,
-    seed: int,
-    workers: int,
-    on_progress: Progress | None = None,
+    compute: Compute,
 ) -> DetectionTable:
     """Detection table of a sampled world in which chance decides every frame of a camera.
 
@@ -63,12 +58,8 @@ def build_drawn_table(
         The world.
     detector : ResponseDetector
         Gives the probabilities. Boxes are not drawn: they are near enough to match.
-    seed : int
-        Of the points on the VRUs.
-    workers : int
-        Threads.
-    on_progress : callable, optional
-        Called with mount positions done and their number.
+    compute : Compute
+        Progress is told the mount positions.
 
     Returns
     -------
@@ -78,7 +69,7 @@ def build_drawn_table(
         that it may expect.
     """
     setting = sample.setting
-    world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=seed)
+    world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed)
     groups: dict[tuple[float, ...], list[int]] = {}
     for row, candidate in enumerate(sample.candidates):
         key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
@@ -97,13 +88,12 @@ def build_drawn_table(
                 seen[seen] = ndtr(noise) < probability[seen]
             packed[row] = np.packbits(seen, bitorder="little")
 
-    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
+    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         pending = [pool.submit(fill, rows) for rows in groups.values()]
         try:
             for done, future in enumerate(as_completed(pending), start=1):
                 future.result()
-                if on_progress is not None:
-                    on_progress(done, len(pending))
+                compute.progress(STAGE, done, len(pending))
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
@@ -249,7 +239,6 @@ def drawing_key(luck: Luck, detector: ResponseDetector) -> str:
 # ---------- detection tables of sampled worlds
 
 
-StageProgress = Callable[[str, int, int], None]
 STAGE = "sampled detection tables"
 _ROWS = 256  # unpacked at a time
 
@@ -313,10 +302,7 @@ def sampled_table(
     uncertainty: Uncertainty,
     *,
     n_samples: int,
-    seed: int = 0,
-    workers: int = 1,
-    cache_folder: Path | None = None,
-    on_progress: StageProgress | None = None,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> SampledTable:
     """Detections of every candidate pose in many sampled worlds.
 
@@ -330,14 +316,8 @@ def sampled_table(
         What is drawn.
     n_samples : int
         How many worlds.
-    seed : int
-        Of all draws, and of the points on the VRUs.
-    workers : int
-        Threads.
-    cache_folder : Path, optional
-        Where the tables of single worlds are kept; by default nowhere.
-    on_progress : callable, optional
-        Called with the stage, and how many mount positions of all worlds are done of how many.
+    compute : Compute
+        Its cache keeps the tables of single worlds; progress is told the mount positions of all.
 
     Returns
     -------
@@ -355,21 +335,12 @@ def sampled_table(
     own table: rays are cast anew, for other things stand in their way. A packed table has
     n_poses x n_frames / 8 bytes per world, in memory and in the cache.
     """
-    samples = draw_samples(setting, candidates, uncertainty, n_samples=n_samples, seed=seed)
-    report = on_progress or _ignore
-    report(STAGE, 0, 0)
+    samples = draw_samples(setting, candidates, uncertainty, n_samples=n_samples, seed=compute.seed)
+    compute.progress(STAGE, 0, 0)
     n_frames = setting.axis.n_frames
     packed = np.zeros((len(candidates), -(-n_samples * n_frames // 8)), dtype=np.uint8)
     last_brake_s = []
-    worlds = build_sample_tables(
-        samples,
-        seed=seed,
-        workers=workers,
-        cache_folder=cache_folder,
-        on_progress=lambda index, done, total: report(
-            STAGE, index * total + done, n_samples * total
-        ),
-    )
+    worlds = build_sample_tables(samples, n_samples=n_samples, compute=compute)
     for index, (_, table) in enumerate(worlds):
         _append(packed, table.packed, first_bit=index * n_frames, n_bits=n_frames)
         last_brake_s.append(table.axis.last_brake_time_s)
@@ -385,12 +356,7 @@ def sampled_table(
 
 
 def build_sample_tables(
-    samples: Iterable[Sample],
-    *,
-    seed: int,
-    workers: int = 1,
-    cache_folder: Path | None = None,
-    on_progress: Callable[[int, int, int], None] | None = None,
+    samples: Iterable[Sample], *, n_samples: int = 1, compute: Compute = DEFAULT_COMPUTE
 ) -> Iterator[tuple[Sample, DetectionTable]]:
     """Detection table of one sampled world after the other, from the cache or built anew.
 
@@ -398,13 +364,10 @@ def build_sample_tables(
     ----------
     samples : iterable of Sample
         Worlds of one setting.
-    seed : int
-        Of the points on the VRUs.
-    workers, cache_folder
+    n_samples : int
+        How many worlds there are, for the progress.
+    compute : Compute
         As for :func:`sampled_table`.
-    on_progress : callable, optional
-        Called with the number of worlds done, and how many mount positions of the next one are
-        done of how many.
 
     Yields
     ------
@@ -412,60 +375,53 @@ def build_sample_tables(
         V[c, f], less what is lost on the way. Worlds in which all looks as planned, whatever
         messages do, share one build.
     """
-    check_whole("workers", workers, least=1)
     as_planned: DetectionTable | None = None
     for index, sample in enumerate(samples):
-        report = _part_of(on_progress, index)
+        part = replace(compute, progress=_progress_of(index, n_samples, compute.progress))
         if sample.looks_as_planned and as_planned is not None:
             table = replace(as_planned, axis=sample.setting.axis)
-            report(1, 1)
+            part.progress(STAGE, 1, 1)
         else:
-            table = _obtain(
-                sample, seed=seed, workers=workers, cache_folder=cache_folder, report=report
-            )
+            table = _obtain(sample, part)
             if sample.looks_as_planned:
                 as_planned = table
         yield sample, lose_messages(sample, table)
 
 
-def _obtain(
-    sample: Sample, *, seed: int, workers: int, cache_folder: Path | None, report: Progress
-) -> DetectionTable:
+def _obtain(sample: Sample, compute: Compute) -> DetectionTable:
     """Table of a world before messages are lost, from the cache or built anew."""
     setting, detector = sample.setting, sample.drawn_detector
-    if cache_folder is None:
-        return _build(sample, seed=seed, workers=workers, report=report)
+    if compute.cache_folder is None:
+        return _build(sample, compute)
     fingerprint = table_fingerprint(
-        setting.scene, sample.candidates, setting.runs, setting.planner, seed=seed
+        setting.scene, sample.candidates, setting.runs, setting.planner, seed=compute.seed
     )
     if detector is not None:
         drawn = f"{fingerprint} drawn {drawing_key(sample.luck, detector)}"
         fingerprint = hashlib.blake2b(drawn.encode(), digest_size=16).hexdigest()
-    path = cache_folder / f"table-{fingerprint}.npz"
+    path = compute.cache_folder / f"table-{fingerprint}.npz"
     table = load_table(
         path, fingerprint=fingerprint, candidates=sample.candidates, axis=setting.axis
     )
     if table is not None:
-        report(1, 1)
+        compute.progress(STAGE, 1, 1)
         return table
-    table = _build(sample, seed=seed, workers=workers, report=report)
+    table = _build(sample, compute)
     save_table(path, table, fingerprint=fingerprint)
     return table
 
 
-def _build(sample: Sample, *, seed: int, workers: int, report: Progress) -> DetectionTable:
+def _build(sample: Sample, compute: Compute) -> DetectionTable:
     setting, detector = sample.setting, sample.drawn_detector
     if detector is not None:
-        return build_drawn_table(sample, detector, seed=seed, workers=workers, on_progress=report)
+        return build_drawn_table(sample, detector, compute=compute)
     return build_detection_table(
         setting.scene,
         sample.candidates,
         setting.runs,
         setting.axis,
         detector=setting.planner,
-        seed=seed,
-        workers=workers,
-        on_progress=report,
+        compute=compute,
     )
 
 
@@ -498,12 +454,6 @@ def _append(
         packed[rows, byte : byte + shifted.shape[1]] |= shifted
 
 
-def _part_of(on_progress: Callable[[int, int, int], None] | None, index: int) -> Progress:
+def _progress_of(index: int, n_samples: int, progress: Progress) -> Progress:
     """Progress of one world, as part of that of all."""
-    if on_progress is None:
-        return lambda done, total: None
-    return lambda done, total: on_progress(index, done, total)
-
-
-def _ignore(stage: str, done: int, total: int) -> None:
-    """Take no notice of progress."""
+    return lambda stage, done, total: progress(STAGE, index * total + done, n_samples * total)

@@ -11,9 +11,10 @@ from geometry.poses import Pose
 from scenarios.runs import Run
 
 from ..candidates import CandidatePose
+from ..compute import check_whole
 from ..detectors import ResponseDetector
 from ..setting import Setting
-from .random_streams import Luck, check_whole, mount_key
+from .random_streams import Luck, mount_key
 from .traffic import (
     GroupKey,
     Street,

@@ -22,24 +22,23 @@ from geometry.files import (
 
 from ..layout import Certificate, Stage
 from ..optimiser import PlacementProblem, PresolveStatistics
+from ..optimiser.objectives import Objective
 from .instances import KIND, problem_hash, save_problem
 
 SCHEMA = "place-rsus/certificate/1"
 CERTIFICATE_FILE = "certificate.json"
 INSTANCE_FILE = "instance.npz"
 
-_FORMULAS: Mapping[str, str] = {
-    "units": "least sum_c x_c: the number of units",
-    "cost_eur": "least sum_c price_c x_c + sum_s price_s u_s, u_s = 1 if site s carries a unit",
-    "apr_survived": "most of what is left of the APR when any `survive` of the units fail",
-    "apr": "most A(avoided): sum_r w_r a_r over the runs; with a tail, its mean over the worst "
-    "share `tail` of the sampled worlds (conditional value at risk)",
-    "apr_one_failed": "most of min over the chosen c of the APR without c",
-    "smallest_margin_s": "largest min over the avoided runs with weight of last brake time - "
+_FORMULAS: Mapping[Objective, str] = {
+    Objective.UNITS: "least sum_c x_c: the number of units",
+    Objective.COST: "least sum_c price_c x_c + sum_s price_s u_s, u_s = 1 if site s carries a unit",
+    Objective.APR_SURVIVED: "most of what is left of the APR when any `survive` of the units fail",
+    Objective.APR: "most A(avoided): sum_r w_r a_r over the runs; with a tail, its mean over the "
+    "worst share `tail` of the sampled worlds (conditional value at risk)",
+    Objective.APR_ONE_FAILED: "most of min over the chosen c of the APR without c",
+    Objective.SMALLEST_MARGIN: "largest min over the avoided runs with weight of last brake time - "
     "(confirmation + latency)",
-    "mean_margin_s": "largest sum_r w_r a_r margin_r / sum_r w_r a_r",
-    "weighted": "largest sum of apr, apr_one_failed, smallest_margin_s and mean_margin_s times "
-    "their weights, less cost_eur times its own",
+    Objective.MEAN_MARGIN: "largest sum_r w_r a_r margin_r / sum_r w_r a_r",
 }
 _FUSIONS: Mapping[str, str] = {
     "any": "frame f is seen if a chosen pose detects in it: y_f <= sum_c V[c,f] x_c",
@@ -146,7 +145,7 @@ def build_certificate(
             "in_words": {
                 "fusion": _FUSIONS[problem.fusion],
                 "avoided": _AVOIDED,
-                **{stage.name: _FORMULAS[stage.name] for stage in certificate.stages},
+                **{stage.name: _FORMULAS[Objective(stage.name)] for stage in certificate.stages},
             },
         },
         "layout": [
@@ -251,12 +250,10 @@ def model_of(problem: PlacementProblem) -> dict[str, Any]:
         To describe; what is long (prices, sites, who is forced) is only counted.
     """
     axis, limits, samples = problem.table.axis, problem.limits, problem.sample_index
-    weights = problem.stage_weights
     return {
         "fusion": problem.fusion,
         "goal": problem.goal,
         "survive": problem.survive,
-        "stage_weights": None if weights is None else [float(weight) for weight in weights],
         "tail": problem.tail,
         "n_samples": 0 if samples is None else int(samples.max()) + 1,
         "limits": {

@@ -71,7 +71,6 @@ _FIELDS: Mapping[str, _Field] = {
     "fusion": _Field("str"),
     "goal": _Field("str"),
     "survive": _Field("int64"),
-    "stage_weights": _Field("float64", ("stages",), is_optional=True),
     "sample_index": _Field("int64", ("runs",), is_optional=True),
     "tail": _Field("float64"),
     "floor_names": _Field("str", ("floors",)),
@@ -236,7 +235,6 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
         raise InputError("pose_ids", Unquoted("an id twice"), "every id once")
     if not np.array_equal(_without_padding(table), table.packed):
         raise InputError("packed", Unquoted("bits behind the last frame"), "zeros there")
-    weights = arrays.get("stage_weights")
     return PlacementProblem(
         table=table,
         limits=Limits(
@@ -277,7 +275,6 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
         ),
         goal=cast(Goal, number("goal")),
         survive=number("survive"),
-        stage_weights=None if weights is None else tuple(weights.tolist()),
         sample_index=arrays.get("sample_index"),
         tail=number("tail"),
     )

@@ -1,9 +1,9 @@
 """What sets of poses are worth, recomputed from a saved problem without the optimiser's code.
 
-Nothing here is shared with :mod:`placement.optimiser` but the problem itself, as it lies in a file:
-the table's bits, the limits and the weights. Frames are gone through one after the other, counting
-detections in a row; there is no presolve, no window and no model. It checks the optimiser, so it
-is to be read against design.md and not against the optimiser.
+Nothing here is shared with :mod:`placement.optimiser` but the problem itself, as it lies in a file
+(the table's bits, the limits and the weights), and the names of the objectives. Frames are gone
+through one after the other, counting detections in a row; there is no presolve, no window and no
+model. It checks the optimiser, so it is to be read against design.md and not against the optimiser.
 """
 
 import math
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from ..layout import Stage
+from ..optimiser.objectives import Objective
 
 if TYPE_CHECKING:
     from ..optimiser import Floor, PlacementProblem
@@ -29,71 +30,45 @@ EPSILON = 1.0e-9
 """Shares and times that differ by no more are equal: they carry rounding noise."""
 EPSILON_EUR = 1.0e-6
 """So are sums of prices."""
-LEAST_IS_BEST = ("units", "cost_eur")
-"""Stages that are minimised; all others are maximised."""
-WEIGHTED = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eur")
-"""What a problem's stage weights belong to."""
 
 _BLOCK_BYTES = 1 << 22
 
 
-def stage_names(problem: "PlacementProblem") -> tuple[str, ...]:
+def stage_names(problem: "PlacementProblem") -> tuple[Objective, ...]:
     """Objectives of a problem in order: design.md's, behind what a goal or failures put first."""
-    first = {"best": [], "fewest": ["units"], "cheapest": ["cost_eur"]}[problem.goal]
+    order = [Objective.APR, Objective.APR_ONE_FAILED]
+    order += [Objective.SMALLEST_MARGIN, Objective.MEAN_MARGIN]
     if problem.survive:
-        first = [*first, "apr_survived"]
-    if problem.stage_weights is not None:
-        return (*first, "weighted")
-    last = [] if problem.goal == "cheapest" else ["cost_eur"]
-    return (*first, "apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", *last)
+        order.insert(0, Objective.APR_SURVIVED)
+    if problem.goal == "fewest":
+        order.insert(0, Objective.UNITS)
+    order.insert(0 if problem.goal == "cheapest" else len(order), Objective.COST)
+    return tuple(order)
 
 
-def stage_values(problem: "PlacementProblem", name: str, sets: IntArray) -> FloatArray:
-    """Value of sets of poses in a stage: (n_sets, n_units) -> (n_sets,).
-
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The table, the rule, the prices.
-    name : str
-        One of :func:`stage_names`.
-    sets : (n_sets, n_units) int
-        Rows of the table; distinct within a set.
-    """
-    if name == "units":
+def stage_values(problem: "PlacementProblem", objective: Objective, sets: IntArray) -> FloatArray:
+    """Values of sets of poses in a stage: (n_sets, n_units) distinct rows -> (n_sets,)."""
+    if objective is Objective.UNITS:
         return np.full(len(sets), float(sets.shape[1]))
-    if name == "cost_eur":
+    if objective is Objective.COST:
         return costs_eur(problem, sets)
-    if name == "apr_survived":
+    if objective is Objective.APR_SURVIVED:
         return _of_blocks(problem, sets, lambda block: _left(problem, block, problem.survive))
-    if name == "apr_one_failed":
+    if objective is Objective.APR_ONE_FAILED:
         return _of_blocks(problem, sets, lambda block: _left(problem, block, 1))
-    if name == "weighted":
-        assert problem.stage_weights is not None
-        total = np.zeros(len(sets))
-        for part, weight in zip(WEIGHTED, problem.stage_weights, strict=True):
-            sign = -1.0 if part in LEAST_IS_BEST else 1.0
-            total += sign * weight * stage_values(problem, part, sets)
-        return total
-    values = {"apr": _apr, "smallest_margin_s": _smallest_s, "mean_margin_s": _mean_s}[name]
+    values = {
+        Objective.APR: _apr,
+        Objective.SMALLEST_MARGIN: _smallest_s,
+        Objective.MEAN_MARGIN: _mean_s,
+    }[objective]
     return _of_blocks(problem, sets, lambda block: values(problem, margins_s(problem, block)))
 
 
 def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
-    """Time left until the last moment to brake, per set and run.
+    """Margins of all runs for sets of poses: (n_sets, n_units) -> (n_sets, n_runs).
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The table and the rule.
-    sets : (n_sets, n_units) int
-        Rows of the table.
-
-    Returns
-    -------
-    margin_s : (n_sets, n_runs) float
-        last brake time - (confirmation + latency); minus infinity where that is too late or there
-        is no confirmation. [s]
+    That is last brake time - (confirmation + latency); minus infinity where that is too late or
+    there is no confirmation.
     """
     packed, n_units = problem.table.packed, sets.shape[1]
     if n_units == 0:
@@ -312,26 +287,14 @@ def most_units(problem: "PlacementProblem") -> int:
     return most
 
 
-def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[str, float]:
-    """What no layout can be better than in each stage, by a look at all poses at once.
+def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[Objective, float]:
+    """What no layout can be better than in each objective, by a look at all poses at once.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        Table, rule, limits.
-    stages : sequence of Stage
-        What is claimed of a layout: limits of later stages are of those as good in earlier ones.
-
-    Returns
-    -------
-    limits : dict of str to float
-        By the name of the stage, also of those that the problem does not have.
-
-    Notes
-    -----
-    The more poses, the earlier each run is confirmed: all usable poses together avoid every run
-    that any layout avoids, with the largest margin. If the layout avoids as much as they do, every
-    layout as good as it avoids the very same runs, so that their margins bound it.
+    `stages` are what is claimed of a layout: limits of later stages hold for layouts that are as
+    good in earlier ones. The more poses, the earlier each run is confirmed: all usable poses
+    together avoid every run that any layout avoids, with the largest margin. If the layout avoids
+    as much as they do, every layout as good as it avoids the very same runs, so that their margins
+    bound it.
     """
     limits, weight = problem.limits, problem.table.axis.weight
     usable = usable_poses(problem)
@@ -340,7 +303,11 @@ def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[
     most_apr = float(apr_of_margins(problem, margin_s[None, :])[0])
     smallest_s = mean_s = float(margin_s[counts].max(initial=-np.inf)) if counts.any() else 0.0
     claimed = {stage.name: stage.objective for stage in stages}
-    if counts.any() and problem.tail == 1.0 and claimed.get("apr", 0.0) >= most_apr - EPSILON:
+    if (
+        counts.any()
+        and problem.tail == 1.0
+        and claimed.get(Objective.APR, 0.0) >= most_apr - EPSILON
+    ):
         smallest_s = float(margin_s[counts].min())
         mean_s = float(np.average(margin_s[counts], weights=weight[counts]))
     most = most_units(problem)
@@ -352,52 +319,26 @@ def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[
     n_open = int(limits.is_forced_site.sum()) - int(
         limits.is_forced_site[np.unique(limits.site_index[forced])].sum()
     )
-    found = {
-        "units": float(max(1, len(forced) + n_open)),
-        "cost_eur": least_eur,
-        "apr": most_apr,
-        "apr_survived": most_apr if most > problem.survive else 0.0,
-        "apr_one_failed": most_apr if most > 1 else 0.0,
-        "smallest_margin_s": smallest_s,
-        "mean_margin_s": mean_s,
+    return {
+        Objective.UNITS: float(max(1, len(forced) + n_open)),
+        Objective.COST: least_eur,
+        Objective.APR: most_apr,
+        Objective.APR_SURVIVED: most_apr if most > problem.survive else 0.0,
+        Objective.APR_ONE_FAILED: most_apr if most > 1 else 0.0,
+        Objective.SMALLEST_MARGIN: smallest_s,
+        Objective.MEAN_MARGIN: mean_s,
     }
-    if problem.stage_weights is not None:
-        found["weighted"] = sum(
-            weight * (-found[name] if name in LEAST_IS_BEST else found[name])
-            for name, weight in zip(WEIGHTED, problem.stage_weights, strict=True)
-        )
-    return found
 
 
 # ---------- sets of poses that would disprove a certificate
 
 
 class BestOther(NamedTuple):
-    """The best of the sets that were compared in a stage.
+    """The best of the sets that are as good as the layout in all stages before; NaN if none is."""
 
-    Attributes
-    ----------
-    name : str
-        The stage.
-    value : float
-        Of the best set that is as good as the layout in all stages before; NaN if none is.
-    poses : tuple of int
-        The set.
-    """
-
-    name: str
+    name: Objective
     value: float
     poses: tuple[int, ...]
-
-
-def noise(name: str) -> float:
-    """Difference up to which two values of a stage are equal."""
-    return EPSILON_EUR if name == "cost_eur" else EPSILON
-
-
-def excess(name: str, value: float, other: float) -> float:
-    """How much better a value of a stage is than another."""
-    return other - value if name in LEAST_IS_BEST else value - other
 
 
 def n_sets_of_all(problem: "PlacementProblem") -> int:
@@ -435,32 +376,22 @@ def n_neighbours(problem: "PlacementProblem", rows: Sequence[int]) -> int:
 def best_others(
     problem: "PlacementProblem", stages: Sequence[Stage], families: Iterator[IntArray]
 ) -> list[BestOther]:
-    """Best value of each stage among sets of poses.
+    """Best value of each claimed stage among families of sets, each (n_sets, n_units).
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        Table, rule, limits.
-    stages : sequence of Stage
-        As claimed; what a layout must be as good as.
-    families : iterator of (n_sets, n_units) int
-        Sets to compare; those that are not allowed, or miss a floor, are left out.
-
-    Returns
-    -------
-    best : list of BestOther
-        One per stage.
+    Sets that are not allowed, or miss a floor, are left out; so are, from each stage on, those that
+    are not as good in it as what is claimed.
     """
     alive = [kept for sets in families if len(kept := _allowed(problem, sets))]
     best = []
     for stage in stages:
-        found = BestOther(stage.name, math.nan, ())
+        objective = Objective(stage.name)
+        found = BestOther(objective, math.nan, ())
         still_alive = []
         for sets in alive:
-            value = stage_values(problem, stage.name, sets)
-            first = int(np.argmin(value) if stage.name in LEAST_IS_BEST else np.argmax(value))
-            if not found.poses or excess(stage.name, float(value[first]), found.value) > 0.0:
-                found = BestOther(stage.name, float(value[first]), tuple(sets[first].tolist()))
+            value = stage_values(problem, objective, sets)
+            first = int(np.argmin(value) if objective.is_minimised else np.argmax(value))
+            if not found.poses or objective.excess(float(value[first]), found.value) > 0.0:
+                found = BestOther(objective, float(value[first]), tuple(sets[first].tolist()))
             kept = sets[_as_good(stage, value)]
             if len(kept):
                 still_alive.append(kept)
@@ -478,9 +409,10 @@ def _allowed(problem: "PlacementProblem", sets: IntArray) -> IntArray:
 
 
 def _as_good(stage: Stage, value: FloatArray) -> BoolArray:
-    if stage.name in LEAST_IS_BEST:
-        return value <= stage.objective + noise(stage.name)
-    return value >= stage.objective - noise(stage.name)
+    objective = Objective(stage.name)
+    if objective.is_minimised:
+        return value <= stage.objective + objective.tolerance
+    return value >= stage.objective - objective.tolerance
 
 
 def _with_each(units: IntArray, others: IntArray) -> IntArray:

@@ -19,20 +19,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..layout import Stage
+from ..optimiser.objectives import Objective
 from .certificates import StoredCertificate, model_of
 from .instances import problem_hash
 from .recomputation import (
     EPSILON,
-    LEAST_IS_BEST,
     all_sets,
     best_others,
-    excess,
     floor_values,
     limit_checks,
     n_neighbours,
     n_sets_of_all,
     neighbours,
-    noise,
     simple_limits,
     stage_names,
     stage_values,
@@ -156,16 +154,16 @@ def verify_certificate(
     limits = simple_limits(problem, stored.stages)
     proofs = []
     for stage, is_proven in zip(stored.stages, stored.is_proven, strict=True):
-        value = float(stage_values(problem, stage.name, chosen)[0])
-        limit = limits[stage.name]
-        checks += _stage_checks(stage, is_proven, value, limit)
-        is_simple = excess(stage.name, limit, stage.objective) <= noise(stage.name)
+        objective = Objective(stage.name)
+        value, limit = float(stage_values(problem, objective, chosen)[0]), limits[objective]
+        checks += _stage_checks(stage, objective, is_proven, value, limit)
+        is_simple = objective.excess(limit, stage.objective) <= objective.tolerance
         proofs.append(
             StageProof(
                 stage.name,
                 is_proven,
                 is_proven and is_simple,
-                f"{_limit_words(stage.name)} {limit:.9g}" if is_simple else stored.solver,
+                f"{_limit_words(objective)} {limit:.9g}" if is_simple else stored.solver,
             )
         )
     checks, proofs = _compare(problem, stored, checks, proofs, max_sets, tell)
@@ -183,7 +181,7 @@ def _model_checks(problem: "PlacementProblem", stored: StoredCertificate) -> lis
     asked = model_of(problem)
     wrong = [name for name, value in asked.items() if stored.model.get(name) != value]
     names = [stage.name for stage in stored.stages]
-    expected = list(stage_names(problem))
+    expected = [objective.value for objective in stage_names(problem)]
     is_so = names == expected and stored.model.get("stages") == expected
     table, axis = problem.table, problem.table.axis
     n_windows = np.maximum(np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0).sum()
@@ -244,21 +242,23 @@ def _layout_check(
     return Check("layout file", True, f"it shows the same {len(shown)} units")
 
 
-def _stage_checks(stage: Stage, is_proven: bool, value: float, limit: float) -> list[Check]:
+def _stage_checks(
+    stage: Stage, objective: Objective, is_proven: bool, value: float, limit: float
+) -> list[Check]:
     """What a stage claims of the layout, and whether its numbers fit together."""
-    name, objective, bound = stage.name, stage.objective, stage.bound
-    distance = abs(bound - objective)
-    gap = 0.0 if distance <= EPSILON * max(1.0, abs(objective)) else math.inf
-    if gap and objective:
-        gap = distance / abs(objective)
+    name, claimed, bound = stage.name, stage.objective, stage.bound
+    distance = abs(bound - claimed)
+    gap = 0.0 if distance <= EPSILON * max(1.0, abs(claimed)) else math.inf
+    if gap and claimed:
+        gap = distance / abs(claimed)
     has_gap = gap == stage.gap or abs(gap - stage.gap) <= _ROUNDED_GAP * max(1.0, gap)
-    fits = excess(name, bound, objective) >= -noise(name)
-    side = "above" if name in LEAST_IS_BEST else "below"
+    fits = objective.excess(bound, claimed) >= -objective.tolerance
+    side = "above" if objective.is_minimised else "below"
     return [
         Check(
             name,
-            abs(value - objective) <= noise(name),
-            f"recomputed {value:.9g}, claimed {objective:.9g}",
+            abs(value - claimed) <= objective.tolerance,
+            f"recomputed {value:.9g}, claimed {claimed:.9g}",
         ),
         Check(
             f"{name}: bound",
@@ -272,14 +272,14 @@ def _stage_checks(stage: Stage, is_proven: bool, value: float, limit: float) -> 
         ),
         Check(
             f"{name}: reach",
-            excess(name, value, limit) <= noise(name),
-            f"{_limit_words(name)} {limit:.9g}",
+            objective.excess(value, limit) <= objective.tolerance,
+            f"{_limit_words(objective)} {limit:.9g}",
         ),
     ]
 
 
-def _limit_words(name: str) -> str:
-    return "no layout has less than" if name in LEAST_IS_BEST else "no poses reach more than"
+def _limit_words(objective: Objective) -> str:
+    return "no layout has less than" if objective.is_minimised else "no poses reach more than"
 
 
 def _compare(
@@ -309,7 +309,8 @@ def _compare(
     checks, proofs = checks.copy(), proofs.copy()
     for index, (stage, other) in enumerate(zip(stored.stages, best, strict=True)):
         slack = _SOLVER_TOLERANCE * max(1.0, abs(stage.bound))
-        holds = not other.poses or excess(stage.name, other.value, stage.bound) <= slack
+        excess = Objective(stage.name).excess(other.value, stage.bound)
+        holds = not other.poses or excess <= slack
         text = f"none of {words} is better"
         if not holds:
             text = f"rows {', '.join(map(str, other.poses))} reach {other.value:.9g}"

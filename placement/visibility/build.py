@@ -1,6 +1,6 @@
 """Candidate poses and runs to a detection table, one mount position at a time."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 
@@ -16,18 +16,16 @@ from geometry.scene import Scene
 from scenarios.runs import FrameAxis, Run
 
 from ..candidates import CandidatePose
+from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..detectors import PlanningDetector
 from ..setting import Setting
 from .casting import World, build_world, cast_sight
 from .sensing import Sensing, build_sensing, max_distance_m, reach_m
 
-# ---------- candidate poses and runs to a detection table, one mount position at a time
-
-
 N_POINTS = 160  # per VRU: neighbouring points are about 10 cm apart
 
-Progress = Callable[[int, int], None]
+STAGE = "detection table"
 
 
 def build_detection_table(
@@ -37,9 +35,7 @@ def build_detection_table(
     axis: FrameAxis,
     *,
     detector: PlanningDetector,
-    seed: int = 0,
-    workers: int = 1,
-    on_progress: Progress | None = None,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> DetectionTable:
     """Detections of every candidate pose in every frame.
 
@@ -55,19 +51,15 @@ def build_detection_table(
         Of `runs`: the columns of the table.
     detector : PlanningDetector
         What counts as a detection of a camera; a LiDAR counts points.
-    seed : int
-        Of the points on the VRUs.
-    workers : int
-        Threads.
-    on_progress : callable, optional
-        Called with mount positions done and their number.
+    compute : Compute
+        Progress is told the mount positions.
 
     Returns
     -------
     table : DetectionTable
         V[c, f].
     """
-    world = build_world(scene, runs, n_points=N_POINTS, seed=seed)
+    world = build_world(scene, runs, n_points=N_POINTS, seed=compute.seed)
     mounts = _group_by_mount(candidates)
     packed = np.zeros((len(candidates), -(-axis.n_frames // 8)), dtype=np.uint8)
 
@@ -75,13 +67,12 @@ def build_detection_table(
         packed[rows] = _mount_rows(world, [candidates[row] for row in rows], detector)
 
     # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
-    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
+    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         pending = [pool.submit(fill, rows) for rows in mounts]
         try:
             for done, future in enumerate(as_completed(pending), start=1):
                 future.result()
-                if on_progress is not None:
-                    on_progress(done, len(mounts))
+                compute.progress(STAGE, done, len(mounts))
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
@@ -137,9 +128,8 @@ def detected_frames(
     setting: Setting,
     looks: Sequence[Look],
     *,
-    seed: int,
     pool: ThreadPoolExecutor,
-    on_progress: Progress | None,
+    compute: Compute,
 ) -> BoolArray:
     """Frames in which units detect, each with a detector of its own.
 
@@ -149,19 +139,17 @@ def detected_frames(
         Scene and runs.
     looks : sequence of (CandidatePose, PlanningDetector)
         Rays are cast once for all from one place, and only to what any of them has in its view.
-    seed : int
-        Of the points on the VRUs.
     pool : ThreadPoolExecutor
         Works on the places.
-    on_progress : callable, optional
-        Called with the number of places done, and of all.
+    compute : Compute
+        Progress is told the places.
 
     Returns
     -------
     detected : (n_looks, n_frames) bool
         The rows that :func:`placement.visibility.build_detection_table` has for each.
     """
-    world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=seed)
+    world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed)
     places: dict[tuple[float, ...], list[int]] = {}
     for row, (unit, _) in enumerate(looks):
         key = (*unit.pose.position_m.tolist(), unit.sensor.near_m)
@@ -171,8 +159,7 @@ def detected_frames(
     pending = [pool.submit(_fill, frames, world, middle_m, looks, rows) for rows in places.values()]
     for done, future in enumerate(as_completed(pending), start=1):
         future.result()
-        if on_progress is not None:
-            on_progress(done, len(places))
+        compute.progress(STAGE, done, len(places))
     return frames
 
 

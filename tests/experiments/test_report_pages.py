@@ -14,6 +14,7 @@ from experiments.progress import StageProgress
 from experiments.report.page import write_report
 from experiments.study.layout import load_carlancap_layout
 from placement.candidates import load_candidate_grid
+from placement.compute import Compute
 from placement.layout import Layout, layout_records
 from placement.question import Question
 
@@ -40,7 +41,7 @@ def addresses(small_setting, tmp_path_factory):
         yaw_step_deg=90.0,
         pitches_deg=np.array([-20.0]),
     )
-    common = {"seed": 0, "workers": 2, "command": "place-rsus", "progress": StageProgress()}
+    common = {"compute": Compute(workers=2), "command": "place-rsus", "progress": StageProgress()}
     units = load_carlancap_layout().units
     few = Layout(name="few", units=units[1:4])
     turned = replace(units[0].pose, yaw_deg=units[0].pose.yaw_deg + 180.0)
@@ -52,7 +53,6 @@ def addresses(small_setting, tmp_path_factory):
         placement.run_placement(
             replace(question, budget=2, time_limit_s=60.0),
             out=folder / "placement",
-            cache_folder=None,
             **common,
         )
         placement.run_evaluation(question, layout=away, out=folder / "missed", **common)

@@ -150,7 +150,6 @@ def written(run, out, *arguments):
 PLACEMENTS = {
     "plain": (["--budget", "2"], {"front", "stages", "sensitivity", "explained"}),
     "refined": (["--budget", "1", "--refine"], {"refinement"}),
-    "weighted": (["--budget", "1", "--stage-weights", "apr=1,mean_margin_s=0.1"], {"stages"}),
     "cheapest": (["--target", "max", "--least", "cost", "--pool", "2"], {"goal"}),
     "single": (["--budget", "2", "--fusion", "single", "--survive", "1"], {"stages"}),
 }

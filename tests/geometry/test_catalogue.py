@@ -6,7 +6,6 @@ from geometry.catalogue import (
     load_catalogue,
     own_sensor_record,
     pick_camera,
-    read_camera,
     read_sensor,
 )
 from geometry.errors import InputError
@@ -45,8 +44,8 @@ ENTRY = {
 def test_only_a_varifocal_camera_has_a_range_of_fields_of_view():
     assert load_cameras()["carla-ncap-rgb"].fov_range_deg is None
     assert load_cameras()["varifocal-1080p"].fov_range_deg == (26.2, 89.6)
-    assert read_camera("a", ENTRY, "f.toml").fov_range_deg is None
-    zoom = read_camera("a", {**ENTRY, "fov_range_deg": [30, 60]}, "f.toml")
+    assert read_sensor("a", ENTRY, "camera", "f.toml").fov_range_deg is None
+    zoom = read_sensor("a", {**ENTRY, "fov_range_deg": [30, 60]}, "camera", "f.toml")
     assert zoom.fov_range_deg == (30.0, 60.0)
     assert isinstance(zoom.fov_range_deg[0], float)
 
@@ -54,15 +53,15 @@ def test_only_a_varifocal_camera_has_a_range_of_fields_of_view():
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (60, "f.toml: a.fov_range_deg: got 60; expected a list"),
+        (60, "f.toml: a.fov_range_deg: got 60; expected [low, high] in degrees"),
         ([30], "f.toml: a.fov_range_deg: got [30]; expected [low, high] in degrees"),
-        (["x", 60], "f.toml: a.fov_range_deg: got 'x'; expected a finite number"),
+        (["x", 60], "f.toml: a.fov_range_deg[0]: got 'x'; expected a finite number"),
         ([60, 30], "a.fov_range_deg: got [60.0, 30.0]; expected [low, high] in degrees, 0 < low <"),
     ],
 )
 def test_a_range_that_cannot_be_is_refused(value, message):
     with pytest.raises(InputError) as caught:
-        read_camera("a", {**ENTRY, "fov_range_deg": value}, "f.toml")
+        read_sensor("a", {**ENTRY, "fov_range_deg": value}, "camera", "f.toml")
     assert str(caught.value).startswith(message)
 
 

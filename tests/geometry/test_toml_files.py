@@ -1,9 +1,17 @@
-import pytest
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
+import numpy as np
+import pytest
+from msgspec import Meta, Struct
+
+from geometry.arrays import Point2, Points2
 from geometry.errors import InputError
 from geometry.files import (
     load_toml,
     pick,
+    read_table,
+    read_tables,
     take,
     take_list,
     take_number,
@@ -96,3 +104,114 @@ def test_pick_lists_the_known_names_in_order():
     known = {"b": 2, "a": 1}
     assert pick(known, "b", "f") == 2
     assert _message(pick, known, "c", "f.x") == "f.x: got 'c'; expected one of a, b"
+
+
+# Tables read into values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mount:
+    """A value with every kind of field that files have."""
+
+    name: str
+    position_m: Point2
+    height_m: Annotated[float, Meta(gt=0.0)]
+    share: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    limits_m: Annotated[tuple[float, float], Meta(description="[low, high] in metres")] | None = (
+        None
+    )
+    n_units: Annotated[int, Meta(ge=1)] = 1
+    kind: Literal["pole", "wall"] = "pole"
+    is_free: bool = True
+    costs_eur: list[float] = field(default_factory=list)
+    outline_m: Points2 = field(default_factory=lambda: np.empty((0, 2)))
+
+    def __post_init__(self) -> None:
+        if self.name == "nowhere":
+            raise InputError("mount nowhere", self.height_m, "another name")
+
+
+class Mounts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Several of them; nothing else is known."""
+
+    mounts: tuple[Mount, ...]
+    title: str = ""
+
+
+MOUNT = {"name": "a", "position_m": [1, 2.5], "height_m": 4, "source": "a field nobody reads"}
+
+
+def test_a_table_becomes_a_value_with_arrays_of_the_stated_shape():
+    mount = read_table({**MOUNT, "limits_m": [1, 2], "outline_m": [[0, 1]]}, Mount, "f.toml")
+    assert (mount.name, mount.height_m, mount.limits_m) == ("a", 4.0, (1.0, 2.0))
+    assert isinstance(mount.height_m, float)
+    assert mount.position_m.tolist() == [1.0, 2.5]
+    assert mount.outline_m.shape == (1, 2)
+    assert not mount.position_m.flags.writeable
+
+
+def test_named_tables_know_their_names():
+    assert read_tables({"b": MOUNT}, Mount, "f.toml")["b"].name == "b"
+    assert _message(read_tables, {"b": 3}, Mount, "f.toml") == (
+        "f.toml: b: got 3; expected a table of fields"
+    )
+    assert _message(read_tables, {"b": {**MOUNT, "share": 2}}, Mount, "f.toml: x") == (
+        "f.toml: x.b.share: got 2; expected a number, at least 0, at most 1"
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"name": 3}, "name: got 3; expected text"),
+        ({"height_m": "high"}, "height_m: got 'high'; expected a number > 0"),
+        ({"height_m": True}, "height_m: got True; expected a number > 0"),
+        ({"height_m": 0}, "height_m: got 0; expected a number > 0"),
+        ({"height_m": float("nan")}, "height_m: got nan; expected a finite number"),
+        ({"height_m": float("inf")}, "height_m: got inf; expected a finite number"),
+        ({"height_m": 10**400}, f"height_m: got 1{199 * '0'}..; expected a finite number"),
+        ({"n_units": 2.5}, "n_units: got 2.5; expected a whole number, at least 1"),
+        ({"n_units": 0}, "n_units: got 0; expected a whole number, at least 1"),
+        ({"limits_m": 3}, "limits_m: got 3; expected [low, high] in metres"),
+        ({"limits_m": [3]}, "limits_m: got [3]; expected [low, high] in metres"),
+        ({"limits_m": ["x", 1]}, "limits_m[0]: got 'x'; expected a finite number"),
+        ({"kind": "tree"}, "kind: got 'tree'; expected one of pole, wall"),
+        ({"kind": 3}, "kind: got 3; expected one of pole, wall"),
+        ({"is_free": "yes"}, "is_free: got 'yes'; expected true or false"),
+        ({"costs_eur": 3}, "costs_eur: got 3; expected a list"),
+        ({"costs_eur": [1, "x"]}, "costs_eur[1]: got 'x'; expected a finite number"),
+        ({"position_m": 3}, "position_m: got 3; expected a list"),
+        ({"position_m": [1]}, "position_m: got shape (1,); expected shape (2,)"),
+        ({"position_m": ["x", 1]}, "position_m: got ['x', 1]; expected numbers of shape (2,)"),
+        ({"position_m": [1, float("nan")]}, "position_m: got [1, nan]; expected finite numbers"),
+        ({"outline_m": [[1, 2, 3]]}, "outline_m: got shape (1, 3); expected shape (-1, 2)"),
+    ],
+)
+def test_a_table_says_which_field_is_wrong_and_how(change, message):
+    assert _message(read_table, {**MOUNT, **change}, Mount, "f.toml") == f"f.toml: {message}"
+    table = {"mounts": [MOUNT, {**MOUNT, **change}]}
+    assert _message(read_table, table, Mounts, "f.toml") == f"f.toml: mounts[1].{message}"
+    assert _message(read_table, table, Mounts, "f.toml: x") == f"f.toml: x.mounts[1].{message}"
+
+
+def test_a_table_names_missing_and_unknown_fields():
+    entry = {"name": "a", "height_m": 4}
+    assert _message(read_table, entry, Mount, "f.toml") == (
+        "f.toml: position_m: got nothing; expected a value"
+    )
+    assert _message(read_table, {"mounts": [entry]}, Mounts, "f.toml") == (
+        "f.toml: mounts[0].position_m: got nothing; expected a value"
+    )
+    assert _message(read_table, {"mounts": [], "titel": "x"}, Mounts, "f.toml") == (
+        "f.toml: got 'titel'; expected one of mounts, title"
+    )
+    assert _message(read_table, {"mounts": [3]}, Mounts, "f.toml") == (
+        "f.toml: mounts[0]: got 3; expected a table"
+    )
+    assert _message(read_table, 3, Mount, "f.toml") == "f.toml: got 3; expected a table"
+
+
+def test_what_a_value_checks_itself_is_said_in_its_own_words():
+    assert _message(read_table, {**MOUNT, "name": "nowhere"}, Mount, "f.toml") == (
+        "mount nowhere: got 4.0; expected another name"
+    )

@@ -9,6 +9,7 @@ from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
+from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
 from placement.layout import check_layout
 from placement.optimiser import (
@@ -127,7 +128,7 @@ def test_one_unit_must_confirm_alone_with_single_fusion(setting, candidates, pla
 
 
 def test_the_same_question_gets_the_same_answer(setting, candidates, placement):
-    again = place(setting, candidates, wishes=Wishes(budget_units=2), workers=2)
+    again = place(setting, candidates, wishes=Wishes(budget_units=2), compute=Compute(workers=2))
     assert again.pose_index == placement.pose_index
     assert np.array_equal(again.problem.table.packed, placement.problem.table.packed)
 
@@ -151,7 +152,9 @@ def test_a_budget_that_cannot_be_is_refused_before_anything_is_computed(
         raise AssertionError(stage)
 
     with pytest.raises(InputError) as caught:
-        place(setting, candidates, wishes=Wishes(budget_units=budget), on_progress=never)
+        place(
+            setting, candidates, wishes=Wishes(budget_units=budget), compute=Compute(progress=never)
+        )
     assert str(caught.value) == message
 
 
@@ -174,8 +177,10 @@ def test_a_second_call_takes_the_table_from_the_cache(setting, candidates, place
             setting,
             candidates,
             wishes=Wishes(budget_units=2),
-            cache_folder=tmp_path / "cache",
-            on_progress=lambda *call, calls=calls: calls.append(call),
+            compute=Compute(
+                cache_folder=tmp_path / "cache",
+                progress=lambda *call, calls=calls: calls.append(call),
+            ),
         )
         assert np.array_equal(found.problem.table.packed, placement.problem.table.packed)
         assert found.pose_index == placement.pose_index
@@ -196,10 +201,12 @@ def test_other_inputs_do_not_get_the_cached_table(setting, candidates, tmp_path)
         obtain_table(
             setting,
             candidates,
-            seed=seed,
-            workers=1,
-            cache_folder=tmp_path,
-            on_progress=lambda *call, calls=calls: calls.append(call),
+            compute=Compute(
+                seed=seed,
+                workers=1,
+                cache_folder=tmp_path,
+                progress=lambda *call, calls=calls: calls.append(call),
+            ),
         )
         stages.append(calls[0][0])
     assert stages == ["detection table", "detection table", "detection table (cached)"]
@@ -209,7 +216,12 @@ def test_a_damaged_cached_table_is_made_anew_and_replaced(
     setting, candidates, placement, tmp_path, caplog
 ):
     for _ in range(2):
-        found = place(setting, candidates, wishes=Wishes(budget_units=1), cache_folder=tmp_path)
+        found = place(
+            setting,
+            candidates,
+            wishes=Wishes(budget_units=1),
+            compute=Compute(cache_folder=tmp_path),
+        )
         (path,) = tmp_path.iterdir()
         path.write_bytes(path.read_bytes()[:100])
     assert np.array_equal(found.problem.table.packed, placement.problem.table.packed)
@@ -222,7 +234,9 @@ def test_a_cache_folder_that_cannot_be_is_no_error(
 ):
     in_the_way = tmp_path / "file"
     in_the_way.write_text("", encoding="utf-8")
-    found = place(setting, candidates, wishes=Wishes(budget_units=2), cache_folder=in_the_way)
+    found = place(
+        setting, candidates, wishes=Wishes(budget_units=2), compute=Compute(cache_folder=in_the_way)
+    )
     assert found.pose_index == placement.pose_index
     assert any("not cached" in message for message in caplog.messages)
 
@@ -249,10 +263,7 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(setting, candidates,
     table = obtain_table(
         setting,
         poses,
-        seed=0,
-        workers=1,
-        cache_folder=None,
-        on_progress=lambda stage, done, total: None,
+        compute=Compute(workers=1),
     )
     problem = build_problem(setting, poses, table, wishes=Wishes(budget_units=2), fusion="any")
     capacity = problem.limits.site_capacity[problem.limits.site_index]
@@ -299,7 +310,12 @@ def test_wishes_that_contradict_each_other_are_named_with_ways_out(setting, cand
     wishes = Wishes(budget_units=1, forced_sites=("corner-ne", "mast-w"))
     told: list[str] = []
     with pytest.raises(InputError) as caught:
-        place(setting, candidates, wishes=wishes, on_progress=lambda *stage: told.append(stage[0]))
+        place(
+            setting,
+            candidates,
+            wishes=wishes,
+            compute=Compute(progress=lambda *stage: told.append(stage[0])),
+        )
     assert str(caught.value) == (
         "--budget 1 and --force-site corner-ne,mast-w: got demands that no layout meets together; "
         "expected one of them to give way: --budget 2 or --force-site without corner-ne"

@@ -16,6 +16,7 @@ import numpy as np
 from geometry.arrays import IntArray
 
 from ...layout import relative_gap
+from ..milp import solver_text
 from .greedy import (
     cover_cheaply,
     cover_much,
@@ -34,12 +35,12 @@ from .instance import (
     simplify_budget,
 )
 from .milp import (
-    DEFAULT_SOLVER,
+    AUTO,
+    GREEDY,
     MilpAnswer,
     check_solver,
     cover_at_least_cost,
     cover_most_weight,
-    describe_solver,
 )
 from .presolve import (
     CoveringPresolve,
@@ -57,9 +58,6 @@ __all__ = [
     "solve_lscp",
     "solve_mclp",
 ]
-
-AUTO, GREEDY = "auto", "greedy"
-"""Solvers beside cvxpy's: what proves soonest; no proof."""
 
 # What the exact search may take of the time before it is the solver's turn.
 _SEARCH_SHARE = 0.5
@@ -131,8 +129,7 @@ def solve_lscp(
         Share of the weight of all rows to cover, 0 to 1. By default every row with weight that
         any column covers.
     solver : str
-        "auto"; "greedy": no proof; or a solver's name, see
-        :data:`placement.optimiser.covering.milp.SOLVERS`.
+        "auto": what proves soonest; "greedy": no proof; "HIGHS": the mixed-integer solver alone.
     time_limit_s : float
         When it is up, the best answer found is given with its bound. [s]
     gap : float
@@ -146,11 +143,11 @@ def solve_lscp(
     Raises
     ------
     InputError
-        The target is out of reach, or the solver not installed.
+        The target is out of reach, or there is no such solver.
     """
     began_s = time.perf_counter()
     check_effort(time_limit_s=time_limit_s, gap=gap)
-    solver = solver if solver in (AUTO, GREEDY) else check_solver(solver)
+    solver = check_solver(solver)
     needed = needed_weight(instance, target)
     reduced = (
         presolve_full_cover(instance)
@@ -211,11 +208,11 @@ def solve_mclp(
     Raises
     ------
     InputError
-        There is no budget, it buys nothing, or the solver is not installed.
+        There is no budget, it buys nothing, or there is no such solver.
     """
     began_s = time.perf_counter()
     check_effort(time_limit_s=time_limit_s, gap=gap)
-    solver = solver if solver in (AUTO, GREEDY) else check_solver(solver)
+    solver = check_solver(solver)
     budget = simplify_budget(instance, CoveringBudget(units=budget_units, cost=budget_cost))
     reduced = presolve_weighted_cover(
         instance, minds_cost=budget.cost is not None, money=budget.money
@@ -254,18 +251,16 @@ def solve_mclp(
             take(result.chosen, result.bound)
             names.append("exact search")
     if is_open() and solver != GREEDY and left_s() > 0.0:
-        name = DEFAULT_SOLVER if solver == AUTO else solver
         answer = cover_most_weight(
             left.covers,
             left.cost,
             left.weight,
             budget,
-            solver=name,
             time_limit_s=left_s(),
             gap=gap,
         )
         take(answer.chosen, answer.bound)
-        names.append(describe_solver(name))
+        names.append(solver_text())
     chosen = np.sort(reduced.column_index[found])
     covered = instance.covered_weight(chosen)
     if is_whole(instance.weight):
@@ -306,13 +301,11 @@ def _cover_part(
     left_s = time_limit_s - (time.perf_counter() - began_s)
     if solver == GREEDY or not is_open or left_s <= 0.0:
         return MilpAnswer(chosen=part[found], bound=min(bound, least)), GREEDY
-    name = DEFAULT_SOLVER if solver == AUTO else solver
     answer = cover_at_least_cost(
         covers,
         cost,
         weight,
         needed_weight=needed,
-        solver=name,
         time_limit_s=left_s,
         gap=gap,
     )
@@ -321,7 +314,7 @@ def _cover_part(
         if weight[covered].sum() >= enough - TOLERANCE * weight.sum():
             found, least = answer.chosen, float(cost[answer.chosen].sum())
     bound = min(max(bound, answer.bound), least)
-    return MilpAnswer(chosen=part[found], bound=bound), describe_solver(name)
+    return MilpAnswer(chosen=part[found], bound=bound), solver_text()
 
 
 def _parts(reduced: ReducedCovering) -> list[IntArray]:

@@ -12,6 +12,7 @@ import pytest
 
 from experiments.jobs import placement, writing
 from experiments.progress import StageProgress
+from placement.compute import Compute
 from placement.question import Question
 from placement.verification.instances import load_problem, save_problem
 
@@ -26,9 +27,7 @@ def written(small_setting, tmp_path_factory):
         placement.run_placement(
             Question(budget=2, within="carlancap-12", time_limit_s=60.0),
             out=folder,
-            seed=0,
-            workers=2,
-            cache_folder=None,
+            compute=Compute(workers=2),
             command="place-rsus",
             progress=StageProgress(),
         )

@@ -77,7 +77,7 @@ def test_stills_are_written_in_the_form_that_the_name_asks_for(child, tmp_path, 
 def test_an_animation_has_a_picture_per_frame_and_tells_its_progress(tmp_path):
     run = run_of("CPNCO-50", speeds="60")
     path, told = tmp_path / "film.gif", []
-    save_film(path, load_study_scene(), run, on_progress=lambda *done: told.append(done))
+    save_film(path, load_study_scene(), run, progress=lambda stage, *done: told.append(done))
     with Image.open(path) as film:
         n_frames, milliseconds = film.n_frames, film.info["duration"]
     shown = run.time_s >= max(run.encounter.vru_motion.start_time_s, run.last_brake_time_s - 4.0)

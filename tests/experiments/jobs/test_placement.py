@@ -10,18 +10,20 @@ from experiments.jobs import placement
 from experiments.progress import StageProgress
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
+from placement.compute import Compute
 from placement.layout import Layout, load_layout
 from placement.question import Question
 
 
 def place(out, **options):
+    progress = options.get("progress", StageProgress())
     given = {
         "out": out,
-        "seed": 0,
-        "workers": 2,
-        "cache_folder": None,
+        "compute": Compute(
+            workers=2, cache_folder=options.pop("cache_folder", None), progress=progress
+        ),
         "command": "place-rsus --budget 1 <&>",
-        "progress": StageProgress(),
+        "progress": progress,
     }
     asked = {"budget": 1, "time_limit_s": 60.0}
     names = {field.name for field in fields(Question)} & set(options)
@@ -32,14 +34,14 @@ def place(out, **options):
 
 
 def evaluate(layout, out=None):
+    progress = StageProgress()
     result = placement.run_evaluation(
         Question(),
         layout=layout,
         out=out,
-        seed=0,
-        workers=2,
+        compute=Compute(workers=2, progress=progress),
         command="place-rsus",
-        progress=StageProgress(),
+        progress=progress,
     )
     return json.loads(to_json_text(result))
 
@@ -49,8 +51,7 @@ def compare(layouts, out, **options):
         Question(),
         layouts=layouts,
         out=out,
-        seed=0,
-        workers=2,
+        compute=Compute(workers=2),
         command="place-rsus",
         progress=StageProgress(),
         **options,

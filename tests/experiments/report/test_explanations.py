@@ -36,7 +36,7 @@ def placement(small_setting, candidates):
 
 @pytest.fixture(scope="module")
 def summary(placement, small_setting, candidates):
-    found = explain(placement, small_setting, candidates, n_pool=4, tolerance=0.2)
+    found = explain(placement, small_setting, candidates, n_pool=4)
     return json.loads(json.dumps(found, allow_nan=False))
 
 
@@ -52,7 +52,7 @@ def test_the_summary_says_what_the_library_found(summary, placement, small_setti
         assert record["without"] == part.without._asdict()
     missed = find_unavoided(small_setting, problem, candidates, chosen)
     assert [record["run"] for record in summary["not_avoided"]] == [e.run_id for e in missed]
-    pool = find_pool(problem, chosen, n_sets=4, tolerance=0.2)
+    pool = find_pool(problem, chosen, n_sets=4)
     record = summary["pool"]
     assert record["is_complete"] == (pool.scope == "all")
     assert record["within"] == pool.n_within

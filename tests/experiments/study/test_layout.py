@@ -3,6 +3,7 @@ import pytest
 
 from experiments.study.layout import load_carlancap_layout
 from geometry.scene_files import load_study_scene
+from placement.compute import Compute
 from placement.evaluation import apr, apr_by_case, detected_share
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout, check_layout
@@ -83,7 +84,7 @@ def test_the_published_findings_come_out(setting, layout):
     seconds: all 104 runs, frame by frame, in full resolution.
     """
     corners = Layout(name="corners", units=(layout.units[2], layout.units[3]))
-    evaluation = evaluate_layout(corners, setting, workers=2)
+    evaluation = evaluate_layout(corners, setting, compute=Compute(workers=2))
     axis = evaluation.axis
     for name in ("RSU2", "RSU3"):
         assert apr(evaluation.units[name], axis) == 1.0

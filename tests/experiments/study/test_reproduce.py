@@ -13,6 +13,7 @@ from experiments.study.reproduction import (
     write_reproduction,
 )
 from geometry.errors import InputError
+from placement.compute import Compute
 from placement.evaluation import apr, detected_share
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout
@@ -62,7 +63,9 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
     monkeypatch.setattr(reproduction, "build_variants", lambda: small)
     monkeypatch.setattr(reproduction, "DETECTORS", ())
     stages = []
-    write_reproduction(tmp_path, workers=2, on_progress=lambda *step: stages.append(step))
+    write_reproduction(
+        tmp_path, compute=Compute(workers=2, progress=lambda *step: stages.append(step))
+    )
     text = (tmp_path / "reproduction.md").read_text(encoding="utf-8")
     for figure in load_published():
         assert f"| {figure.quantity} | {figure.case} | {100 * figure.value:.2f} % |" in text

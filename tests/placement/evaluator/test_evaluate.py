@@ -8,6 +8,7 @@ from geometry.catalogue import pick_sensor
 from geometry.errors import InputError
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
+from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.evaluator import watch
 from placement.evaluator.evaluate import evaluate_layout, evaluate_layouts
@@ -85,7 +86,9 @@ def pretend(monkeypatch, build_layout, setting, axis):
         monkeypatch.setattr(watch, "scan_from_vut", by_vut_lidar)
         names = [f"unit {index}" for index in range(len(rows))]
         return evaluate_layout(
-            build_layout(*names, latencies_s=latencies_s), replace(setting, **changes), seed=seed
+            build_layout(*names, latencies_s=latencies_s),
+            replace(setting, **changes),
+            compute=Compute(seed=seed),
         )
 
     return evaluate_rows
@@ -307,8 +310,9 @@ def test_threads_and_company_do_not_change_a_verdict(build_layout, real, study_r
     together = evaluate_layouts(
         [a, b],
         setting,
-        workers=2,
-        on_progress=lambda done, total: n_done.append((done, total)),
+        compute=Compute(
+            workers=2, progress=lambda stage, done, total: n_done.append((done, total))
+        ),
     )
     alone = evaluate_layout(b, setting)
     # Two different poses, and the VUT in four parts.
@@ -334,15 +338,15 @@ def test_luck_depends_on_the_seed_and_on_nothing_else(build_layout, real):
     cameras = build_layout("a", "b", x_m=x_m)
     lidars = build_layout("l", x_m=x_m, sensor=LIDAR)
     mixed = Layout(name="mixed", units=(*lidars.units, *cameras.units))
-    whole = evaluate_layout(mixed, setting, seed=7, workers=2)
-    parts = evaluate_layouts([cameras, lidars], setting, seed=7)
+    whole = evaluate_layout(mixed, setting, compute=Compute(seed=7, workers=2))
+    parts = evaluate_layouts([cameras, lidars], setting, compute=Compute(seed=7))
     for part in parts:
         for name, verdict in part.units.items():
             assert verdict.detected.any()
             assert _is_equal(verdict, whole.units[name])
         assert _is_equal(part.vut, whole.vut)
         assert _is_equal(part.others["vam"], whole.others["vam"])
-    other = evaluate_layout(mixed, setting, seed=8)
+    other = evaluate_layout(mixed, setting, compute=Compute(seed=8))
     for name in ("a", "b", "l"):
         assert (other.units[name].detected != whole.units[name].detected).any()
     assert (other.vut.detected != whole.vut.detected).any()
@@ -407,4 +411,4 @@ def test_wrong_axis_and_workers_are_named(build_layout, setting, study_runs):
     with pytest.raises(InputError, match="axis: got frames of other runs; expected the frame axis"):
         evaluate_layout(layout, replace(setting, runs=setting.runs[1:]))
     with pytest.raises(InputError, match="workers: got 0; expected a whole number, at least 1"):
-        evaluate_layout(layout, setting, workers=0)
+        evaluate_layout(layout, setting, compute=Compute(workers=0))

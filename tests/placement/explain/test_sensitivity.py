@@ -8,6 +8,7 @@ from geometry.catalogue import load_cameras
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose
+from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
 from placement.explain.sensitivity import (
     MAX_LOOKED_FROM,
@@ -177,9 +178,8 @@ def test_rays_to_what_is_in_view_give_the_rows_of_the_table(setting, layout):
         frames = detected_frames(
             setting,
             [(one, setting.planner) for one in units],
-            seed=0,
+            compute=Compute(),
             pool=pool,
-            on_progress=None,
         )
     assert frames[:2].any(axis=1).all()
     assert (frames == table.detected(slice(None))).all()
@@ -210,7 +210,7 @@ def test_of_large_layouts_only_what_needs_no_new_look_is_varied(setting):
     found = find_sensitivity(
         setting,
         Layout(name="many", units=units),
-        on_progress=lambda done, total: seen.append((done, total)),
+        compute=Compute(progress=lambda stage, done, total: seen.append((done, total))),
     )
     left_out = {one.assumption.name for one in found if one.left_out}
     assert left_out == {

@@ -230,7 +230,7 @@ def test_outcome_and_rescue_match_brute_force(given_):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "placement.explain.unavoided.find_reasons",
-            lambda setting, looks, seed: [()] * len(looks),
+            lambda setting, looks, compute: [()] * len(looks),
         )
         found = {
             entry.run_index: entry for entry in find_unavoided(setting, problem, candidates, chosen)

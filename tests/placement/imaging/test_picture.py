@@ -8,6 +8,7 @@ from geometry.poses import Pose
 from geometry.scene import Site
 from geometry.scene_files import load_study_scene
 from geometry.weather import load_weathers
+from placement.compute import Compute
 from placement.evaluator.surroundings import build_surroundings, render_frame
 from placement.imaging import build_backdrop, draw_picture, render_picture
 
@@ -36,9 +37,9 @@ def draw(backdrop, study_run, small):
 @pytest.mark.parametrize("weather", sorted(load_weathers()))
 def test_the_same_seed_gives_the_same_picture_whatever_the_threads(draw, weather):
     one, same, other = (
-        draw(weather, seed=3),
-        draw(weather, seed=3, workers=2),
-        draw(weather, seed=4),
+        draw(weather, compute=Compute(seed=3)),
+        draw(weather, compute=Compute(seed=3, workers=2)),
+        draw(weather, compute=Compute(seed=4)),
     )
     assert np.array_equal(one.rgb, same.rgb)
     assert not np.array_equal(one.rgb, other.rgb)

@@ -1,6 +1,5 @@
 """Every question on small tables against brute force: floors, wishes, money, failures, samples."""
 
-from dataclasses import replace
 from itertools import combinations
 
 import pytest
@@ -87,30 +86,3 @@ def test_no_bound_of_the_first_stage_is_beaten(problem: PlacementProblem, solver
     sign = -1.0 if first.name in ("units", "cost_eur") else 1.0
     assert is_feasible(problem, solution.pose_index)
     assert sign * first.bound >= best[0] - 1e-6
-
-
-@given(
-    problem=st.from_type(PlacementProblem),
-    weights=st.tuples(*[st.sampled_from([0.0, 1.0, 0.3])] * 4),
-)
-@settings(max_examples=50)
-def test_weights_make_one_objective_of_five(
-    problem: PlacementProblem, weights: tuple[float, ...]
-) -> None:
-    weights = (*weights, 1.0e-4)
-    problem = replace(problem, stage_weights=weights)
-    solution = solve_placement(problem)
-
-    def total(poses: tuple[int, ...]) -> float:
-        *gains, cost = placement_value(problem, poses)
-        return sum(w * g for w, g in zip(weights, gains, strict=False)) - weights[-1] * cost
-
-    (stage,) = solution.certificate.stages
-    best = max(
-        total(poses)
-        for n_units in range(1, problem.limits.max_units + 1)
-        for poses in combinations(range(problem.table.n_poses), n_units)
-        if is_feasible(problem, poses)
-    )
-    assert stage.objective == pytest.approx(best, abs=1e-9)
-    assert stage.bound >= best - 1e-9

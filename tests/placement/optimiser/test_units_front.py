@@ -212,7 +212,6 @@ def test_points_are_told_as_they_come(problem: PlacementProblem) -> None:
             "--target: got it with a front",
         ),
         ({"survive": 1}, 3, "--survive: got it with a front"),
-        ({"stage_weights": (1.0, 0.0, 0.0, 0.0, 0.0)}, 3, "--stage-weights: got it with a front"),
         ({}, 0, "--max: got 0; expected a number of units, at least 1"),
     ],
 )

@@ -6,6 +6,7 @@ import pytest
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError
 from placement.candidates import CandidateGrid, build_candidates
+from placement.compute import Compute
 from placement.layout import check_layout, layout_from_records, layout_records
 from placement.optimiser import is_feasible, placement_value
 from placement.pipeline import place
@@ -38,7 +39,6 @@ def placements(meadow, meadow_grid, tmp_path_factory):
         "money": Wishes(budget_eur=1500.0),
         "fewest": Wishes(target=np.inf),
         "cheapest": Wishes(target=0.6, saves="cost"),
-        "weighted": Wishes(budget_units=1, stage_weights=(1.0, 0.0, 0.1, 0.1, 0.0)),
         "kept": Wishes(budget_units=1, kept=("old",)),
         "apart": Wishes(budget_units=2, separation_m=10.0),
         "alone": Wishes(budget_units=2),
@@ -53,7 +53,7 @@ def placements(meadow, meadow_grid, tmp_path_factory):
                 candidates,
                 wishes=wishes,
                 fusion="single" if name == "alone" else "any",
-                cache_folder=cache,
+                compute=Compute(cache_folder=cache),
             ),
         )
         for name, wishes in questions.items()
@@ -75,7 +75,6 @@ NAMES = (
     "money",
     "fewest",
     "cheapest",
-    "weighted",
     "kept",
     "apart",
     "alone",
@@ -132,7 +131,7 @@ def test_what_was_refined_is_what_the_builder_of_tables_sees(name, meadow, refin
 
 def test_most_questions_have_a_better_answer_between_the_poses_of_this_grid(refinements):
     better = [name for name in NAMES if refinements[name].is_improved]
-    assert {"one unit", "two units", "survives", "money", "weighted", "kept"} <= set(better)
+    assert {"one unit", "two units", "survives", "money", "kept"} <= set(better)
     for name in better:
         certificate = refinements[name].placement.certificate
         for stage, value in zip(certificate.stages, refinements[name].after, strict=True):

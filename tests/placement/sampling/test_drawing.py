@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import kstest
 
 from geometry.catalogue import load_lidars
+from placement.compute import Compute
 from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_from_roadside
@@ -20,7 +21,7 @@ DRAWN = Uncertainty(draws_detections=True)
 
 
 def _table(sample, *, seed=0, **options):
-    ((_, table),) = build_sample_tables([sample], seed=seed, **options)
+    ((_, table),) = build_sample_tables([sample], compute=Compute(seed=seed, **options))
     return table
 
 
@@ -97,7 +98,7 @@ def watched(junction_scene, standing_still, build_setting, response, look):
 def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watched):
     setting, poses = watched
     drawn = build_drawn_table(
-        _first(setting, poses, DRAWN), setting.planner, seed=0, workers=1
+        _first(setting, poses, DRAWN), setting.planner, compute=Compute(workers=1)
     ).detected(slice(None))
     for row, pose in enumerate(poses[:2]):
         for index, run in enumerate(setting.runs):
@@ -175,9 +176,7 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
     tables = [
         _table(
             _first(chancy, candidates, DRAWN),
-            seed=0,
-            workers=workers,
-            on_progress=lambda *call: calls.append(call),
+            compute=Compute(workers=workers, progress=lambda *call: calls.append(call)),
         ).packed
         for workers in (1, 2)
     ]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from geometry.errors import InputError
+from placement.compute import Compute
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout
 from placement.sampling import (
@@ -35,11 +36,11 @@ def layouts(candidates, look):
 
 @pytest.fixture(scope="module")
 def judged(setting, layouts):
-    return out_of_sample_layouts(setting, layouts, LOSSY, n_samples=12, seed=0)
+    return out_of_sample_layouts(setting, layouts, LOSSY, n_samples=12)
 
 
 def _table(sample, *, seed=0, **options):
-    ((_, table),) = build_sample_tables([sample], seed=seed, **options)
+    ((_, table),) = build_sample_tables([sample], compute=Compute(seed=seed, **options))
     return table
 
 
@@ -91,7 +92,7 @@ def test_worlds_to_judge_in_are_not_those_to_choose_in(setting, layouts):
 
 def test_layouts_are_judged_in_the_same_worlds_alone_or_together(setting, layouts, judged):
     for layout, together in zip(layouts, judged, strict=True):
-        alone = out_of_sample(setting, layout, LOSSY, n_samples=12, seed=0, workers=2)
+        alone = out_of_sample(setting, layout, LOSSY, n_samples=12, compute=Compute(workers=2))
         assert alone.apr_by_sample.tolist() == together.apr_by_sample.tolist()
         assert alone.layout is layout
     both, one, other = judged
@@ -104,7 +105,7 @@ def test_a_name_is_not_luck(setting, layouts, judged):
     renamed = replace(
         layouts[0], units=tuple(replace(u, id=f"U{n}") for n, u in enumerate(layouts[0].units))
     )
-    again = out_of_sample(setting, renamed, LOSSY, n_samples=12, seed=0)
+    again = out_of_sample(setting, renamed, LOSSY, n_samples=12)
     assert again.apr_by_sample.tolist() == judged[0].apr_by_sample.tolist()
 
 
@@ -121,12 +122,12 @@ def test_numbers_of_a_judgement_belong_together(setting, judged):
 
 
 def test_another_seed_is_another_judgement(setting, layouts, judged):
-    other = out_of_sample(setting, layouts[0], LOSSY, n_samples=12, seed=1)
+    other = out_of_sample(setting, layouts[0], LOSSY, n_samples=12, compute=Compute(seed=1))
     assert not np.array_equal(other.apr_by_sample, judged[0].apr_by_sample)
 
 
 def test_alone_a_unit_confirms_no_more_than_all_together(setting, layouts, judged):
-    single = out_of_sample(setting, layouts[0], LOSSY, n_samples=12, seed=0, fusion="single")
+    single = out_of_sample(setting, layouts[0], LOSSY, n_samples=12, fusion="single")
     one, other = judged[1:]
     assert (single.apr_by_sample <= judged[0].apr_by_sample + 1e-12).all()
     assert (single.apr_by_sample >= np.maximum(one.apr_by_sample, other.apr_by_sample)).all()
@@ -146,7 +147,7 @@ def test_progress_counts_worlds(setting, layouts):
         layouts[1],
         Uncertainty(),
         n_samples=2,
-        on_progress=lambda *call: calls.append(call),
+        compute=Compute(progress=lambda *call: calls.append(call)),
     )
     assert calls == [("out of sample", done, 2) for done in (0, 1, 2)]
 

@@ -8,6 +8,7 @@ from strategies import detection_tables
 
 from geometry.actors import Actor
 from geometry.errors import InputError
+from placement.compute import Compute
 from placement.sampling import (
     LatencyJitter,
     MountingErrors,
@@ -25,14 +26,19 @@ from scenarios.runs import confirmation_times_s
 
 
 def _table(sample, *, seed=0, **options):
-    ((_, table),) = build_sample_tables([sample], seed=seed, **options)
+    ((_, table),) = build_sample_tables([sample], compute=Compute(seed=seed, **options))
     return table
 
 
 def _plan(setting, candidates, seed=0):
     """The table of a plan in which nothing is uncertain."""
     return build_detection_table(
-        setting.scene, candidates, setting.runs, setting.axis, detector=setting.planner, seed=seed
+        setting.scene,
+        candidates,
+        setting.runs,
+        setting.axis,
+        detector=setting.planner,
+        compute=Compute(seed=seed),
     )
 
 
@@ -43,7 +49,7 @@ def planned(setting, candidates):
 
 @pytest.fixture(scope="module")
 def stacked(setting, candidates, default):
-    return sampled_table(setting, candidates, default, n_samples=3, seed=1)
+    return sampled_table(setting, candidates, default, n_samples=3, compute=Compute(seed=1))
 
 
 def _detected(table):
@@ -99,10 +105,12 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(setting, candidates, defau
 def test_the_same_seed_gives_the_same_table_and_another_one_another(
     setting, candidates, default, stacked
 ):
-    again = sampled_table(setting, candidates, default, n_samples=3, seed=1, workers=2)
+    again = sampled_table(
+        setting, candidates, default, n_samples=3, compute=Compute(seed=1, workers=2)
+    )
     assert np.array_equal(again.table.packed, stacked.table.packed)
     assert np.array_equal(again.table.axis.last_brake_time_s, stacked.table.axis.last_brake_time_s)
-    other = sampled_table(setting, candidates, default, n_samples=1, seed=2)
+    other = sampled_table(setting, candidates, default, n_samples=1, compute=Compute(seed=2))
     n = setting.axis.n_frames
     assert not np.array_equal(_detected(other.table), _detected(stacked.table)[:, :n])
     parts = np.split(_detected(stacked.table), 3, axis=1)
@@ -124,7 +132,7 @@ def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planne
 
 def test_units_that_are_off_detect_otherwise(setting, candidates, planned):
     off = Uncertainty(mounting=MountingErrors(yaw_sd_deg=10.0))
-    sampled = sampled_table(setting, candidates, off, n_samples=1, seed=3)
+    sampled = sampled_table(setting, candidates, off, n_samples=1, compute=Compute(seed=3))
     (sample,) = draw_samples(setting, candidates, off, n_samples=1, seed=3)
     by_hand = _plan(setting, sample.candidates, seed=3)
     assert np.array_equal(sampled.table.packed, by_hand.packed)
@@ -178,7 +186,7 @@ def test_a_sample_index_must_fit(stacked):
 
 def test_workers_are_checked(setting, candidates):
     with pytest.raises(InputError) as caught:
-        sampled_table(setting, candidates, Uncertainty(), n_samples=1, workers=0)
+        sampled_table(setting, candidates, Uncertainty(), n_samples=1, compute=Compute(workers=0))
     assert str(caught.value) == "workers: got 0; expected a whole number, at least 1"
 
 
@@ -193,9 +201,9 @@ def test_each_world_has_a_cached_table_of_its_own(setting, candidates, default, 
             candidates,
             default,
             n_samples=n_samples,
-            seed=1,
-            cache_folder=tmp_path,
-            on_progress=lambda *call: calls.append(call),
+            compute=Compute(
+                seed=1, cache_folder=tmp_path, progress=lambda *call: calls.append(call)
+            ),
         )
         assert len(list(tmp_path.glob("table-*.npz"))) == n_samples
     assert np.array_equal(found.table.packed, stacked.table.packed)
@@ -211,7 +219,7 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
 
     chancy = replace(setting, planner=load_planning_detector("response"))
     drawn = Uncertainty(draws_detections=True)
-    options = {"n_samples": 2, "cache_folder": tmp_path}
+    options = {"n_samples": 2, "compute": Compute(cache_folder=tmp_path)}
     first = sampled_table(chancy, candidates, drawn, **options)
     assert len(list(tmp_path.iterdir())) == 2
     again = sampled_table(chancy, candidates, drawn, **options)

@@ -61,7 +61,6 @@ def problem(frame_axis) -> PlacementProblem:
         ),
         goal="fewest",
         survive=1,
-        stage_weights=(1.0, 0.0, 0.5, 0.0, 0.25),
         sample_index=np.array([0, 1, 0]),
         tail=0.5,
     )
@@ -146,8 +145,6 @@ def variations(problem: PlacementProblem) -> dict[str, PlacementProblem]:
         "fusion": replace(problem, fusion="single"),
         "goal": replace(problem, goal="cheapest"),
         "survive": replace(problem, survive=2),
-        "stage weights": replace(problem, stage_weights=(1.0, 0.0, 0.5, 0.0, 0.5)),
-        "stages in order": replace(problem, stage_weights=None),
         "samples": replace(problem, sample_index=np.array([0, 1, 1])),
         "one world": replace(problem, sample_index=None),
         "tail": replace(problem, tail=0.25),
@@ -208,7 +205,7 @@ def rewrite(path: Path, problem: PlacementProblem, **changes: Any) -> None:
     np.savez(path, **{name: array for name, array in arrays.items() if array is not ...})
 
 
-OPTIONAL = ("budget_units", "budget_eur", "stage_weights", "sample_index")
+OPTIONAL = ("budget_units", "budget_eur", "sample_index")
 
 
 def test_every_field_that_is_missing_is_named(problem, tmp_path):
@@ -226,7 +223,7 @@ def test_what_may_be_missing_is_none(problem, tmp_path):
     path = tmp_path / "a.npz"
     rewrite(path, problem, **dict.fromkeys(OPTIONAL, ...))
     limits = replace(problem.limits, budget_units=None, budget_eur=None)
-    bare = replace(problem, limits=limits, stage_weights=None, sample_index=None)
+    bare = replace(problem, limits=limits, sample_index=None)
     assert problem_hash(load_problem(path)) == problem_hash(bare)
 
 
@@ -266,7 +263,6 @@ def test_what_may_be_missing_is_none(problem, tmp_path):
         ({"fusion": np.array("both")}, "--fusion: got 'both'; expected one of any, single"),
         ({"goal": np.array("most")}, "goal: got 'most'"),
         ({"survive": np.array(7)}, "--survive: got 7"),
-        ({"stage_weights": np.ones(4)}, "--stage-weights: got"),
         ({"tail": np.array(0.0)}, "tail: got 0.0"),
         ({"tail": np.array(np.nan)}, "tail: got nan"),
         ({"sample_index": np.array([0, 5, 0])}, "sample_index: got a sample without weight"),

@@ -21,6 +21,7 @@ from placement.optimiser import (
     Solution,
     solve_placement,
 )
+from placement.optimiser.objectives import Objective
 from placement.verification import verify as verify_module
 from placement.verification.certificates import (
     CERTIFICATE_FILE,
@@ -234,7 +235,7 @@ def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(problem, tmp_path
         sets = np.array([rows])
         if rows[0] // 2 == rows[1] // 2:
             continue
-        values = {name: float(stage_values(problem, name, sets)[0]) for name in best}
+        values = {name: float(stage_values(problem, Objective(name), sets)[0]) for name in best}
         if values == pytest.approx(best):
             continue
         stages = tuple(

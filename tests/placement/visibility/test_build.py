@@ -11,6 +11,7 @@ from geometry.poses import Pose, camera_rotation, to_world
 from geometry.scene_files import load_study_scene
 from geometry.sensors import CameraModel, project_points
 from placement.candidates import CandidateGrid, build_candidates
+from placement.compute import Compute
 from placement.detectors import GeometricDetector, load_planning_detector
 from placement.evaluator.perceive import perceive_from_roadside
 from placement.evaluator.surroundings import build_surroundings
@@ -119,14 +120,18 @@ def test_columns_do_not_depend_on_other_runs(world, candidates, table, axis_of):
 
 def test_two_workers_build_the_same_table_as_one(world, candidates, table):
     scene, runs, axis = world
-    two = build_detection_table(scene, candidates, runs, axis, detector=DETECTOR, workers=2)
+    two = build_detection_table(
+        scene, candidates, runs, axis, detector=DETECTOR, compute=Compute(workers=2)
+    )
     assert np.array_equal(two.packed, table.packed)
 
 
 def test_the_table_is_the_same_every_time_for_a_seed(world, candidates, table):
     scene, runs, axis = world
     again, other = (
-        build_detection_table(scene, candidates, runs, axis, detector=DETECTOR, seed=seed)
+        build_detection_table(
+            scene, candidates, runs, axis, detector=DETECTOR, compute=Compute(seed=seed)
+        )
         for seed in (0, 1)
     )
     assert np.array_equal(again.packed, table.packed)
@@ -301,8 +306,7 @@ def test_progress_counts_mount_positions(world, candidates):
         runs,
         axis,
         detector=DETECTOR,
-        workers=2,
-        on_progress=lambda done, total: calls.append((done, total)),
+        compute=Compute(workers=2, progress=lambda stage, done, total: calls.append((done, total))),
     )
     # Two positions, one of them for the model with another near distance, each.
     assert calls == [(done, 4) for done in (1, 2, 3, 4)]
@@ -331,8 +335,7 @@ def test_an_interruption_stops_after_the_positions_at_work(world, mount, monkeyp
             runs,
             axis,
             detector=DETECTOR,
-            workers=workers,
-            on_progress=interrupt,
+            compute=Compute(workers=workers, progress=interrupt),
         )
     assert 1 <= len(begun) <= 20
     n_begun = len(begun)
@@ -349,5 +352,10 @@ def test_an_error_in_a_worker_is_not_lost(world, mount, monkeypatch):
     monkeypatch.setattr(build_module, "_mount_rows", fail)
     with pytest.raises(MemoryError, match="no room"):
         build_detection_table(
-            scene, [mount("one", [0.0, 0.0, 6.0])], runs, axis, detector=DETECTOR, workers=2
+            scene,
+            [mount("one", [0.0, 0.0, 6.0])],
+            runs,
+            axis,
+            detector=DETECTOR,
+            compute=Compute(workers=2),
         )

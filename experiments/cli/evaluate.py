@@ -1,0 +1,206 @@
+"""``place-rsus evaluate``: what a layout prevents."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
+from msgspec import UNSET
+
+from placement.compute import Compute
+from placement.question import Question
+
+from ..progress import StageProgress
+from ..results.numbers import percent, shortened
+from .options import (
+    JUDGED,
+    SectionedCommand,
+    compute_options,
+    json_option,
+    layout_option,
+    option,
+    question_options,
+    quiet_option,
+)
+from .recording import check_recording_options, recording_options, recording_table
+from .running import begin, command_line, load_one_layout, print_result
+from .terminal import sentences, table, wide_table
+
+if TYPE_CHECKING:
+    from ..results.result import EvaluationRecord, PartyAprRecord, Result, UnitRecord
+
+_MAX_ID_WIDTH, _MAX_SITE_WIDTH = 22, 11
+_MAX_UNITS = 24
+TOGETHER = "fused: in each frame, any of the units may detect"
+
+
+@click.command(
+    cls=SectionedCommand,
+    epilog="""\b
+Examples:
+  place-rsus evaluate --layout carlancap-12
+  place-rsus evaluate --layout results/latest/layout.json --out results/mine
+  place-rsus evaluate --recording ncap_data""",
+)
+@layout_option
+@recording_options
+@option("--out", type=click.Path(path_type=Path), help="Folder for a report; else none.")
+@question_options("no_look", *JUDGED)
+@json_option
+@quiet_option
+@compute_options()
+@click.pass_obj
+def evaluate(
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    recording: Path | None,
+    min_confidence: float,
+    out: Path | None,
+    question: Question,
+    as_json: bool,
+    quiet: bool,
+    compute: Compute,
+) -> None:
+    """Evaluate a layout by full perception and emergency braking, or recorded detections."""
+    check_recording_options(recording)
+    if recording is not None:
+        progress.start(quiet=quiet)
+        from ..jobs import recording as recording_job
+
+        summary = recording_job.run_recording(
+            question,
+            folder=recording,
+            min_confidence=min_confidence,
+            out=out,
+            progress=progress,
+        )
+        print_result(summary, progress, as_json, lambda: recording_table(summary, out))
+        return
+    layout = load_one_layout(layout_names)
+    begin(progress, quiet=quiet)
+    from ..jobs import placement
+
+    summary = placement.run_evaluation(
+        question,
+        layout=layout,
+        no_look=question.no_look,
+        out=out,
+        compute=compute,
+        command=command_line(),
+        progress=progress,
+    )
+    print_result(
+        summary,
+        progress,
+        as_json,
+        lambda: evaluation_text(as_result(summary), out),
+    )
+
+
+def as_result(summary: Any) -> "Result":
+    """The record of a summary."""  # border
+    from ..export.json import to_json_text
+    from ..results.result import Result
+
+    return msgspec.json.decode(to_json_text(summary), type=Result)
+
+
+def evaluation_text(result: "Result", out: Path | None) -> str:
+    """One layout's result: units and the APR of each; of many units, those of the highest APR."""
+    evaluation = result.evaluation
+    units = list(evaluation.units.items())
+    if len(units) > _MAX_UNITS:
+        units.sort(key=lambda item: item[1].all or 0.0, reverse=True)
+    shown = dict(units[:_MAX_UNITS])
+    n_left = len(units) - len(shown)
+    lines = [
+        *additions(result),
+        *sentences(f"{result.name} on {result.runs} runs:"),
+        *unit_lines([unit for unit in result.layout if unit.id in shown]),
+    ]
+    if n_left:
+        place = "apr.csv" if out is not None else "apr.csv with --out"
+        lines.append(f"  and {n_left} more units, none of a higher APR by itself: in {place}")
+    lines += [
+        cost_line(result),
+        "",
+        *apr_lines(
+            {
+                **shown,
+                "all, fused": evaluation.rsu_all,
+                "with the VUT": evaluation.vut_and_rsus,
+                "VUT alone": evaluation.vut,
+                **announced(evaluation),
+            }
+        ),
+        *sentences(f"each unit by itself; {TOGETHER}.", indent=2),
+        *written(out),
+    ]
+    return "\n".join(lines)
+
+
+def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
+    """A table of units, where they hang and look."""
+    rows = [
+        [
+            shortened(unit.id, _MAX_ID_WIDTH),  # heads of columns further down: cut if they must be
+            shortened(unit.site or "-", _MAX_SITE_WIDTH),
+            f"{unit.x_m:.2f}",
+            f"{unit.y_m:.2f}",
+            f"{unit.z_m:.2f}",
+            f"{unit.yaw_deg:.1f}",
+            f"{unit.pitch_deg:.1f}",
+        ]
+        for unit in units
+    ]
+    return table(["unit", "site", "x m", "y m", "z m", "yaw", "pitch"], rows, n_left=2)
+
+
+def apr_lines(parties: Mapping[str, "PartyAprRecord"]) -> list[str]:
+    """APR by case: a row per case, a column per party, as many columns as fit side by side."""
+    cases = list(next(iter(parties.values())).by_case)
+    columns = {
+        name: [percent(party.all), *(percent(party.by_case[case]) for case in cases)]
+        for name, party in parties.items()
+    }
+    return wide_table("APR", ["all runs", *cases], columns)
+
+
+def announced(evaluation: "EvaluationRecord") -> "dict[str, PartyAprRecord]":
+    """Columns for road users who announce themselves, where there are any."""
+    parties = {"VAM alone": evaluation.vam, "all and VAM": evaluation.all_sources}
+    return {name: party for name, party in parties.items() if party is not UNSET}
+
+
+def cost_line(result: "Result") -> str:
+    """What the sensors cost."""
+    return f"  sensors: {result.cost_eur:,.0f} EUR by the catalogue, without poles or mounting"
+
+
+def written(out: Path | None) -> list[str]:
+    """Where the report is; no line where there is none."""
+    return [] if out is None else ["", f"Written to {out}: report.html and more."]
+
+
+def additions(result: "Result") -> list[str]:
+    """What a result has beside layout, proof and evaluation, each part before an empty line."""
+    from ..report.explanation import explanation_text
+    from ..report.private_ground import result_private_sentences
+    from ..report.refinement import refinement_sentences
+    from ..report.sampled_worlds import uncertainty_text
+
+    parts: list[list[str]] = []
+    if result.front is not UNSET:
+        said = sentences(*result.front.sentences, indent=2, hanging=2)
+        parts.append(["What each unit buys:", *said])
+    if result.explained is not UNSET:
+        parts.append([explanation_text(result.explained)])
+    if result.private_ground is not UNSET:
+        parts.append(sentences(*result_private_sentences(result)))
+    if result.refinement is not UNSET:
+        parts.append(sentences(*refinement_sentences(result.refinement)))
+    if result.sampled is not UNSET:
+        parts.append([uncertainty_text(result.sampled)])
+    return [line for part in parts for line in (*part, "")]

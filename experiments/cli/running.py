@@ -1,0 +1,68 @@
+"""How a command begins and ends: what it needs to know, what it prints. Imports nothing heavy."""
+
+import logging
+import shlex
+import sys
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ..progress import StageProgress
+
+if TYPE_CHECKING:
+    from placement.layout import Layout
+
+_log = logging.getLogger(__name__)
+
+
+def begin(progress: StageProgress, *, quiet: bool) -> None:
+    """Show what happens from here on; say so where rays are cast by the slower library."""
+    progress.start(quiet=quiet)
+    from geometry.raycast import open3d_problem
+
+    problem = open3d_problem()
+    if problem is not None:
+        _log.warning("%s", problem)
+
+
+def load_one_layout(names: Sequence[str]) -> "Layout":
+    """The layout of a command that takes ``--layout`` once.
+
+    Raises
+    ------
+    click.UsageError
+        It is given several times, or not at all.
+    InputError
+        There is no such layout.
+    """
+    if len(names) != 1:
+        given = f"{len(names)} layouts" if names else "nothing"
+        raise click.UsageError(f"--layout: got {given}; expected it once")
+    from ..study.layout import find_layout
+
+    return find_layout(names[0], "--layout")
+
+
+def command_line() -> str:
+    """The command line of this call, as a shell would take it again."""
+    # What the system hands over need not be text.
+    arguments = [argument.encode(errors="replace").decode() for argument in sys.argv[1:]]
+    return shlex.join(["place-rsus", *arguments])
+
+
+def print_result(
+    result: Any, progress: StageProgress, as_json: bool, text: Callable[[], str]
+) -> None:
+    """End a command: take the bar away, print its result as JSON or as text for people."""
+    from ..export.json import to_json_text
+
+    progress.stop()
+    click.echo(to_json_text(result).rstrip() if as_json else text())
+
+
+def unwritable(path: object, error: OSError) -> click.UsageError:
+    """The error of an ``--out`` that cannot be written."""
+    return click.UsageError(
+        f"--out: got {path}: {error.strerror or error}; expected a file that can be written"
+    )

@@ -1,0 +1,121 @@
+"""Text for a terminal: tables and sentences, without colours. Rich is loaded when it is needed."""
+
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from io import StringIO
+
+WIDTH = 80
+"""Columns of a terminal; nothing is wider."""
+_GAP = 2
+_HEAD_WIDTHS, _WIDEST_WORD = (12, 10, 8), 20
+
+
+def sentences(*texts: str, indent: int = 0, hanging: int = 0, head: str = "") -> list[str]:
+    """Lines of paragraphs; an empty text gives none.
+
+    Parameters
+    ----------
+    indent, hanging : int
+        Spaces before every line, and so many more before all but the first.
+    head : str
+        Stands before each text, on its first line alone.
+    """
+    return [
+        line
+        for text in texts
+        for line in textwrap.wrap(
+            head + text,
+            WIDTH,
+            initial_indent=" " * indent,
+            subsequent_indent=" " * (indent + hanging),
+            break_on_hyphens=False,
+        )
+    ]
+
+
+def table(
+    heads: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    n_left: int = 1,
+    indent: int = 2,
+    widths: Sequence[int | None] | None = None,
+) -> list[str]:
+    """Lines of a table.
+
+    Parameters
+    ----------
+    heads : sequence of str
+        One per column.
+    rows : iterable of sequence of str
+        A cell per column.
+    n_left : int
+        Columns whose cells begin on the left; those of the others end on the right. A left one is
+        made narrower, and its cells are cut, where the table would be too wide.
+    indent : int
+        Spaces before every line.
+    widths : sequence of int or None, optional
+        Of the columns; None: what the cells need.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False)
+    for index, head in enumerate(heads):
+        is_left = index < n_left
+        shown.add_column(
+            Text(head, overflow="fold"),
+            justify="left" if is_left else "right",
+            width=None if widths is None else widths[index],
+            no_wrap=widths is None and not is_left,
+        )
+    for row in rows:
+        shown.add_row(*(Text(cell, overflow="ellipsis", no_wrap=True) for cell in row))
+    output = StringIO()
+    Console(file=output, width=WIDTH - indent, color_system=None).print(shown)
+    lines = (line.rstrip() for line in output.getvalue().splitlines())
+    return [(" " * indent + line).rstrip() for line in lines]
+
+
+def wide_table(head: str, rows: Sequence[str], columns: Mapping[str, Sequence[str]]) -> list[str]:
+    """Lines of a table with many columns: as many side by side as fit, the others below.
+
+    Parameters
+    ----------
+    head : str
+        Of the first column, which each block repeats.
+    rows : sequence of str
+        Cells of the first column.
+    columns : mapping of str to sequence of str
+        Cells by head; a head of several words stands on several lines.
+    """
+    first = max(map(len, (head, *rows)))
+    # The widest columns among those that need the fewest blocks.
+    blocks = min((_in_blocks(columns, first, widest) for widest in _HEAD_WIDTHS), key=len)
+    lines: list[str] = []
+    for widths in blocks:
+        cells = zip(rows, *(columns[name] for name in widths), strict=True)
+        lines += [""] if lines else []
+        lines += table([head, *widths], cells, widths=[first, *widths.values()])
+    return lines
+
+
+def _in_blocks(
+    columns: Mapping[str, Sequence[str]], first: int, widest: int
+) -> list[dict[str, int]]:
+    """Widths of the columns that fit side by side, block by block.
+
+    Heads may be as wide as `widest`, and any word as wide as 20.
+    """
+    blocks: list[dict[str, int]] = []
+    left = 0
+    for head, cells in columns.items():
+        longest_word = max(map(len, head.split()), default=0)
+        width = max(*map(len, cells), min(longest_word, _WIDEST_WORD), min(len(head), widest))
+        if width + _GAP > left:
+            blocks.append({})
+            left = WIDTH - 2 - first
+        blocks[-1][head] = width
+        left -= width + _GAP
+    return blocks

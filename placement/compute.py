@@ -1,0 +1,70 @@
+"""How to compute, as opposed to what: seed, threads, cache and progress in one value."""
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from geometry.errors import InputError
+
+
+class Progress(Protocol):
+    """Whoever is told how far a computation is."""
+
+    def __call__(self, stage: str, done: int, total: int, /) -> None:
+        """Take note of the stage that runs, and of its steps done and all; 0 of 0: not known."""
+
+
+def silent(stage: str, done: int, total: int, /) -> None:
+    """Progress that is shown nowhere."""
+
+
+def check_whole(where: str, value: Any, *, least: int) -> None:
+    """Raise InputError unless `value` is a whole number of at least `least`."""
+    is_whole = isinstance(value, int) and not isinstance(value, bool)
+    if not (is_whole and value >= least):
+        raise InputError(where, value, f"a whole number, at least {least}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compute:
+    """How a result is computed.
+
+    Only `seed` changes results; they do not depend on the number of workers or on the cache.
+
+    Attributes
+    ----------
+    seed : int
+        Of all that is left to chance: points on the road users, misses, lost messages. At least 0.
+    workers : int
+        Threads, at least 1; by default one per processor.
+    cache_folder : Path, optional
+        Where detection tables are kept for the next call; by default nowhere.
+    progress : Progress
+        Is told the stages; by default nobody is.
+
+    Raises
+    ------
+    InputError
+        The seed or the number of workers is not a whole number, or too small.
+    """
+
+    seed: int = 0
+    workers: int = os.cpu_count() or 1
+    cache_folder: Path | None = None
+    progress: Progress = silent
+
+    def __post_init__(self) -> None:
+        check_whole("--seed", self.seed, least=0)
+        check_whole("workers", self.workers, least=1)
+
+    def within(self, stage: str) -> "Compute":
+        """The same, for a part of a larger stage: all progress is reported under its name."""
+
+        def report(part: str, done: int, total: int, /) -> None:
+            self.progress(stage, done, total)
+
+        return replace(self, progress=report)
+
+
+DEFAULT_COMPUTE = Compute()
