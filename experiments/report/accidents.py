@@ -118,9 +118,9 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Evaluatio
     ]
     # Who announces themselves does not depend on the layout.
     if "vam" in subject.others:
-        parties.append(("road users' messages (VAM) alone", subject, subject.others.vam))
+        parties.append(("road users' messages (VAM) alone", subject, subject.others["vam"]))
     parties += [
-        (f"car (VUT), {name} and VAM", item, item.others.all_sources)
+        (f"car (VUT), {name} and VAM", item, item.others["all_sources"])
         for name, item in evaluations.items()
         if "all_sources" in item.others
     ]

@@ -89,16 +89,8 @@ def build_bill(
 ) -> BillOfMaterials:
     """What a layout takes.
 
-    Parameters
-    ----------
-    layout : Layout
-        What is mounted.
-    scene : Scene
-        Its sites and their costs. A cost or price of 0 has never been told: it is unknown.
-    site_cost_eur : float, optional
-        What was said instead for every site, 0 included. [EUR]
-    kept_ids : collection of str
-        Units that hang there already: neither they nor their sites are paid for.
+    A cost or price of 0 has never been told: it is unknown, unless `site_cost_eur` was said for
+    every site. Units of `kept_ids` hang there already: neither they nor their sites are paid for.
     """
     to_buy = Counter(unit.sensor.name for unit in layout.units if unit.id not in kept_ids)
     of_model = Counter(unit.sensor.name for unit in layout.units)

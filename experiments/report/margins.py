@@ -67,19 +67,7 @@ def plot_margins(
 ) -> tuple[Axes, ...]:
     """Margins of several parties side by side.
 
-    Parameters
-    ----------
-    parties : sequence of (str, Verdict)
-        Display name and verdict, on the same runs; at least one, at most ``MAX_COLUMNS``.
-    axis : FrameAxis
-        Runs.
-    axes : sequence of Axes, optional
-        One per party, to draw into; by default those of a new figure.
-
-    Returns
-    -------
-    axes : tuple of Axes
-        One per party; see :func:`plot_margin_strip`. All have the same scale.
+    One per party; see :func:`plot_margin_strip`. All have the same scale.
     """
     if axes is None:
         axes = _build_panels(len(parties), axis)
@@ -102,20 +90,8 @@ def plot_margins(
 def plot_margin_strip(verdict: Verdict, axis: FrameAxis, *, axes: Axes | None = None) -> Axes:
     """Margins of one party: a mark for each run that counts, in a row for each case.
 
-    Parameters
-    ----------
-    verdict : Verdict
-        Whose.
-    axis : FrameAxis
-        Runs.
-    axes : Axes, optional
-        To draw into; by default those of a new figure.
-
-    Returns
-    -------
-    axes : Axes
-        Right of zero: time to spare; left: too late, at the edge: never. A marker and a lane per
-        approach; filled where the run is avoided.
+    Right of zero: time to spare; left: too late, at the edge: never. A marker and a lane per
+    approach; filled where the run is avoided.
     """
     cases, approaches = _words(axis)
     if axes is None:
@@ -244,19 +220,9 @@ _COLUMNS = (
 def margin_m(verdict: Verdict, axis: FrameAxis) -> FloatArray:
     """How much farther from the collision the VUT still is than it may be when it begins to brake.
 
-    Parameters
-    ----------
-    verdict : Verdict
-        Whose.
-    axis : FrameAxis
-        Runs.
-
-    Returns
-    -------
-    margin_m : (n_runs,) float
-        Along the VUT's path, from where braking sets in to where it must set in at the latest.
-        Negative: it is past that place by so much. Minus infinity: never confirmed, or no braking
-        avoids. [m]
+    Shape (n_runs,), along the VUT's path, from where braking sets in to where it must set in at the
+    latest. Negative: it is past that place by so much. Minus infinity: never confirmed, or no
+    braking avoids. [m]
 
     Notes
     -----
@@ -310,14 +276,7 @@ def summarise_margins(
 ) -> MarginSummary:
     """Margins of some runs.
 
-    Parameters
-    ----------
-    verdict : Verdict
-        Whose.
-    axis : FrameAxis
-        Runs.
-    run_mask : (n_runs,) bool, optional
-        Look at these only. Runs of weight 0 are left out in any case.
+    `run_mask`, (n_runs,) bool, says which; runs of weight 0 are left out in any case.
     """
     mask = axis.weight > 0.0
     if run_mask is not None:

@@ -23,18 +23,9 @@ from .section import Section, Table
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     """Private ground from a file of polygons.
 
-    Parameters
-    ----------
-    path : Path
-        GeoJSON, GeoPackage or Shapefile; a column "name" or "id" names an area.
-    scene : Scene
-        Into whose world frame.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or has no polygon, or the scene does not say where on earth it lies
-        while the file does.
+    GeoJSON, GeoPackage or Shapefile; a column "name" or "id" names an area. Raises InputError if
+    the file cannot be read or has no polygon, or says where on earth it lies and the scene does
+    not.
     """
     import shapely
 
@@ -69,17 +60,8 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
 def is_decent(shares: FloatArray, *, most: float) -> BoolArray:
     """Which candidates see no more than a share of any private area.
 
-    Parameters
-    ----------
-    shares : (n_candidates, n_areas) float
-        See :func:`placement.private_ground.private_shares`.
-    most : float
-        How much they may see, 0 .. 1.
-
-    Raises
-    ------
-    InputError
-        None is.
+    `shares` is (n_candidates, n_areas), see :func:`placement.private_ground.private_shares`. Raises
+    InputError if all of them see more.
     """
     share = shares.max(axis=1)
     kept: BoolArray = share <= most

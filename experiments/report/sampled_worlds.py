@@ -29,13 +29,7 @@ _NAME_WIDTH = 20
 
 
 def uncertainty_sentences(found: SampledRecord) -> list[str]:
-    """What the sampled worlds say, in sentences.
-
-    Parameters
-    ----------
-    summary : mapping
-        By :func:`summarise_uncertainty`.
-    """
+    """What the sampled worlds say, in sentences."""
     subject = found.layouts[0]
     n_samples = found.samples
     planned = subject.planned
@@ -176,22 +170,11 @@ _LEAST_SPAN_POINTS = 1.0
 
 
 def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) -> Axes:
-    """What layouts avoid in sampled worlds, any number of them.
+    """What layouts avoid in sampled worlds, at least one of them.
 
-    Parameters
-    ----------
-    judged : sequence of SampledApr
-        At least one. Up to ``MAX_STAIRCASES`` have a staircase each: in what share of the worlds
-        the layout avoids at most how much; line styles and marks tell them apart without colour,
-        and below the staircases a mark stands at each mean, with its 95 % confidence interval. Of
-        more: see :func:`plot_intervals`.
-    axes : Axes, optional
-        Where to draw; by default in a figure of their own.
-
-    Raises
-    ------
-    InputError
-        There is none.
+    Up to ``MAX_STAIRCASES`` have a staircase each: in what share of the worlds the layout avoids at
+    most how much; line styles and marks tell them apart without colour, and below the staircases a
+    mark stands at each mean, with its 95 % confidence interval. Of more: :func:`plot_intervals`.
     """
     if not judged:
         raise InputError("layouts", Unquoted("none"), "at least one")
@@ -236,18 +219,8 @@ def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) 
 def plot_intervals(judged: Sequence[SampledApr], *, axes: Axes | None = None) -> Axes:
     """A row per layout: its mean, the interval of the mean, and its worst and best world.
 
-    Parameters
-    ----------
-    judged : sequence of SampledApr
-        The first one on top.
-    axes : Axes, optional
-        Where to draw; by default in a figure of their own.
-
-    Returns
-    -------
-    axes : Axes
-        Dot: mean; whisker with caps: its 95 % confidence interval; thin line: from the worst to
-        the best world.
+    Dot: mean; whisker with caps: its 95 % confidence interval; thin line: from the worst to the
+    best world.
     """
     if axes is None:
         axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(judged))
@@ -275,17 +248,7 @@ def plot_intervals(judged: Sequence[SampledApr], *, axes: Axes | None = None) ->
 def plot_differences(pairs: Sequence[SampledPairRecord], *, axes: Axes | None = None) -> Axes:
     """A row per pair of layouts: the mean difference in the same worlds, with its interval.
 
-    Parameters
-    ----------
-    pairs : sequence of mapping
-        Pairs of layouts.
-    axes : Axes, optional
-        Where to draw; by default in a figure of their own.
-
-    Returns
-    -------
-    axes : Axes
-        Filled dot: the interval leaves out zero; open: it does not, there is no sure difference.
+    Filled dot: the interval leaves out zero; open: it does not, there is no sure difference.
     """
     if axes is None:
         axes = new_axes(WIDTH_IN, 1.0 + _PAIR_ROW_IN * max(len(pairs), 1))

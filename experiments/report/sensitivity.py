@@ -50,13 +50,6 @@ _MINUS = "\N{MINUS SIGN}"
 def value_text(name: str, value: float) -> str:
     """A value of an assumption, with its unit.
 
-    Parameters
-    ----------
-    name : str
-        One of :data:`placement.explain.sensitivity.RANGES`.
-    value : float
-        In the unit that the name ends in.
-
     Examples
     --------
     >>> value_text("latency_s", 0.3), value_text("packet_loss", 0.05), value_text("height_m", 0.25)
