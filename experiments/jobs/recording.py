@@ -44,6 +44,9 @@ from ..results.reading import MARKER
 from .planning import effort_of
 from .writing import check_result_folder, new_result_folder
 
+ALL_UNITS = "RSU_all"
+"""All units of a recording together, in the study's words."""
+
 
 def run_recording(
     question: Question,
