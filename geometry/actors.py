@@ -10,6 +10,7 @@ from importlib.resources.abc import Traversable
 from typing import Any
 
 import numpy as np
+from msgspec import Struct, structs
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import (
@@ -19,17 +20,8 @@ from .arrays import (
     freeze,
 )
 from .errors import InputError, Unquoted
-from .files import (
-    Table,
-    load_toml,
-    pick,
-    take_number,
-    take_text,
-)
+from .files import Table, Text, load_toml, pick, read_tables
 from .poses import Pose
-
-# ---------- bodies that move or park
-
 
 _SHAPE_DECIMALS = 6  # of a shape: distances that differ in the last bits give the same one
 
@@ -38,12 +30,8 @@ _SHAPE_DECIMALS = 6  # of a shape: distances that differ in the last bits give t
 class Shape:
     """A body at one instant of its gait: one closed mesh.
 
-    Attributes
-    ----------
-    vertices_m : (n_vertices, 3) float
-        Body frame: origin on the road under the middle of the box, x ahead, y left. [m]
-    triangles : (n_triangles, 3) int32
-        Vertex indices; normals point outwards.
+    `vertices_m` (n_vertices, 3) are in the body frame: origin on the road under the middle of the
+    box, x ahead, y left. Normals of the `triangles` (n_triangles, 3) point outwards.
     """
 
     vertices_m: FloatArray
@@ -109,18 +97,7 @@ class Actor:
         return f"Actor({self.name!r}, {len(self.shapes)} shapes)"
 
     def shape_index(self, distance_m: ArrayLike) -> IntArray:
-        """Which shape the body has after some way.
-
-        Parameters
-        ----------
-        distance_m : (...,) float
-            Way covered since the body stood at rest. [m]
-
-        Returns
-        -------
-        index : (...,) int
-            Of the nearest instant in `shapes`.
-        """
+        """Index of the shape that the body has, a distance after it stood at rest."""
         distance = np.asarray(distance_m, dtype=np.float64)
         if self.cycle_m == 0.0:
             return np.zeros(distance.shape, dtype=np.int64)
@@ -132,15 +109,7 @@ class Actor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlacedActor:
-    """A body that stands somewhere, as at rest.
-
-    Attributes
-    ----------
-    actor : Actor
-        The body.
-    pose : Pose
-        Its body frame in the world; no pitch.
-    """
+    """A body that stands somewhere, as at rest; its pose has no pitch."""
 
     actor: Actor
     pose: Pose
@@ -159,19 +128,9 @@ def load_actors() -> dict[str, Actor]:
 
 
 def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
-    """Bodies of a catalogue.
+    """Bodies of a catalogue laid out as ``data/actors.toml``, by name.
 
-    Parameters
-    ----------
-    table : mapping
-        Laid out as ``geometry/data/actors.toml``.
-    source : Path or Traversable
-        The shapes that ``geometry.body_shapes`` has built from it.
-
-    Returns
-    -------
-    actors : dict
-        By name.
+    `source` has the shapes that ``geometry.body_shapes`` has built from it.
 
     Raises
     ------
@@ -185,7 +144,11 @@ def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
         raise InputError(str(source), Unquoted("no such file"), _REMEDY) from None
     if str(arrays.get("fingerprint")) != fingerprint(table):
         raise InputError(str(source), Unquoted("shapes of another actors.toml"), _REMEDY)
-    return {name: _build_actor(name, entry, arrays) for name, entry in table.items()}
+    entries = read_tables(table, _ActorEntry, "actors.toml")
+    return {
+        name: Actor(name=name, shapes=_stored_shapes(name, arrays), **structs.asdict(entry))
+        for name, entry in entries.items()
+    }
 
 
 _REMEDY = "shapes built from it: python -m geometry.body_shapes"
@@ -198,63 +161,41 @@ def fingerprint(table: Table) -> str:
 
 
 def pick_actor(name: str, where: str) -> Actor:
-    """Body by name.
-
-    Raises
-    ------
-    InputError
-        The name is unknown.
-    """
+    """Body by name; the error about an unknown one lists the known ones."""
     actor: Actor = pick(load_actors(), name, where)
     return actor
 
 
-def _build_actor(name: str, entry: Table, arrays: dict[str, NDArray[Any]]) -> Actor:
-    where = f"actors.toml: {name}"
-    n_shapes = int(arrays[f"{name}/n_shapes"])
-    numbers = {key: take_number(entry, key, where) for key in _SIZES}
-    numbers |= {key: take_number(entry, key, where) for key in _OPTIONAL if key in entry}
-    return Actor(
-        name=name,
-        class_name=take_text(entry, "class_name", where),
-        shapes=tuple(
-            Shape(
-                vertices_m=arrays[f"{name}/{index}/vertices_m"],
-                triangles=arrays[f"{name}/{index}/triangles"],
-            )
-            for index in range(n_shapes)
-        ),
-        **numbers,
+class _ActorEntry(Struct, frozen=True, kw_only=True):
+    """A body in ``data/actors.toml`` but for its parts, which ``geometry.body_shapes`` reads."""
+
+    class_name: Text
+    length_m: float
+    width_m: float
+    height_m: float
+    cycle_m: float = 0.0
+    reference_ahead_m: float = 0.0
+    wheelbase_m: float = 0.0
+    front_axle_ahead_m: float = 0.0
+
+
+def _stored_shapes(name: str, arrays: dict[str, NDArray[Any]]) -> tuple[Shape, ...]:
+    return tuple(
+        Shape(
+            vertices_m=arrays[f"{name}/{index}/vertices_m"],
+            triangles=arrays[f"{name}/{index}/triangles"],
+        )
+        for index in range(int(arrays[f"{name}/n_shapes"]))
     )
-
-
-_SIZES = ("length_m", "width_m", "height_m")
-_OPTIONAL = ("cycle_m", "reference_ahead_m", "wheelbase_m", "front_axle_ahead_m")
-
-
-# ---------- bodies parked one behind the other
 
 
 def park_row(
     actors: Sequence[Actor], *, first_bumper_m: FloatArray, yaw_deg: float, gap_m: float
 ) -> tuple[PlacedActor, ...]:
-    """Place bodies nose to tail, the first one in front.
+    """Place bodies nose to tail, from the first to the last, all looking the same way.
 
-    Parameters
-    ----------
-    actors : sequence of Actor
-        From the first to the last.
-    first_bumper_m : (2,) float
-        Middle of the first one's front bumper. World frame. [m]
-    yaw_deg : float
-        Where all of them look. [deg]
-    gap_m : float
-        From bumper to bumper. [m]
-
-    Returns
-    -------
-    row : tuple of PlacedActor
-        In the order given.
+    `first_bumper_m` (2,) is the middle of the first one's front bumper in the world frame; `gap_m`
+    leads from bumper to bumper.
     """
     yaw = np.radians(yaw_deg)
     backwards = -np.array([np.cos(yaw), np.sin(yaw)])

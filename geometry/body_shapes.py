@@ -41,24 +41,14 @@ _Frame = tuple[FloatArray, FloatArray]
 
 
 def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
-    """Shapes of a body over one cycle of its gait.
+    """Shapes of a body of ``data/actors.toml`` over one cycle of its gait.
 
-    Parameters
-    ----------
-    entry : mapping
-        A body of ``data/actors.toml``.
-    where : str
-        Its name, for error messages.
-
-    Returns
-    -------
-    shapes : tuple of Shape
-        Each stands on the road, and together they fill exactly the body's box.
+    Each stands on the road, and together they fill exactly the body's box.
 
     Raises
     ------
     InputError
-        The description is wrong.
+        The description is wrong; `where` names the body.
     MissingExtraError
         manifold3d is not installed.
     """
@@ -75,15 +65,7 @@ def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
 
 
 def save_shapes(path: Path, table: Table) -> None:
-    """Build the shapes of a whole catalogue and keep them.
-
-    Parameters
-    ----------
-    path : Path
-        The file, as :func:`geometry.actors.read_actors` reads it.
-    table : mapping
-        Laid out as ``data/actors.toml``.
-    """
+    """Build and save the shapes of a catalogue, for :func:`geometry.actors.read_actors`."""
     arrays: dict[str, Any] = {"fingerprint": np.array(fingerprint(table))}
     for name, entry in table.items():
         shapes = build_shapes(entry, f"actors.toml: {name}")
@@ -100,7 +82,7 @@ def main() -> None:
     save_shapes(DATA / "actors.npz", load_toml(DATA / "actors.toml"))
 
 
-# ---------------------------------------------------------------- gait
+# ---------- gait
 
 
 def _take_turns(entry: Table, where: str) -> dict[str, FloatArray]:
@@ -189,7 +171,7 @@ def _bone_frames(
 _SIDES = (-1.0, 1.0)
 
 
-# ---------------------------------------------------------------- solids
+# ---------- solids
 
 
 def _build_mesh(

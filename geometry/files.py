@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, BinaryIO, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 import numpy as np
@@ -17,6 +17,7 @@ from .arrays import float_array
 from .errors import InputError, Unquoted
 
 Table = Mapping[str, Any]
+Text = Annotated[str, msgspec.Meta(min_length=1)]  # of a field that must not be empty
 _T = TypeVar("_T")
 
 
@@ -62,7 +63,8 @@ def read_table(table: object, kind: type[_T], where: str) -> _T:
     Raises
     ------
     InputError
-        Names the file, the field, the value and what is expected.
+        Names the file, the field, the value and what is expected. One that a value raises itself
+        with an empty ``where`` is completed.
     """
     _check_finite(table, where)
     try:
@@ -134,35 +136,41 @@ def _input_error(
     path = place["path"] if place else ""
     value, node, shown = table, msgspec.inspect.type_info(kind), ""
     for step in _STEP.finditer(path):
-        node = _step_into(node, step)
+        node = _step_into(node, step, value)
         if step[2] == "...":  # a key of a mapping, which msgspec does not name
             break
         value = value[step[1] or int(step[2])]  # type: ignore[index]
         shown += step[0]
     here = _join(where, shown) if shown else where
-    if isinstance(cause, InputError):  # of an array
+    if isinstance(cause, InputError):  # of an array, or of a value that leaves the place to us
         return InputError(here, cause.got, cause.expected)
     if missing := re.match(r"Object missing required field `(.*?)`", message):
         return InputError(_join(where, f"{shown}.{missing[1]}"), Unquoted("nothing"), "a value")
     if unknown := re.match(r"Object contains unknown field `(.*?)`", message):
         known = ", ".join(field.encode_name for field in _plain(node).fields)
         return InputError(here, unknown[1], f"one of {known}")
-    return InputError(here, value, _expected(node))
+    return InputError(here, value, _expected(node, is_other_type=", got " in message))
 
 
 def _plain(node: Any) -> Any:
     """A type without its description; of an optional one, what it is when it is there."""
     while isinstance(node, msgspec.inspect.Metadata | msgspec.inspect.UnionType):
-        if isinstance(node, msgspec.inspect.Metadata):
-            node = node.type
-        else:
-            is_none = msgspec.inspect.NoneType
-            node = next(one for one in node.types if not isinstance(one, is_none))
+        node = node.type if isinstance(node, msgspec.inspect.Metadata) else _members(node)[0]
     return node
 
 
-def _step_into(node: Any, step: re.Match[str]) -> Any:
-    """Type of a field or of an item."""
+def _members(node: msgspec.inspect.UnionType) -> list[Any]:
+    return [one for one in node.types if not isinstance(one, msgspec.inspect.NoneType)]
+
+
+def _step_into(node: Any, step: re.Match[str], value: Any) -> Any:
+    """Type of a field or of an item of a value."""
+    if isinstance(node, msgspec.inspect.UnionType) and len(_members(node)) > 1:
+        by_tag = {one.tag: one for one in _members(node)}  # tables that one field tells apart
+        tag_field = _members(node)[0].tag_field
+        if step[1] == tag_field:
+            return msgspec.inspect.LiteralType(tuple(by_tag))
+        node = by_tag[value[tag_field]]
     node = _plain(node)
     if step[1] is not None:
         return next(field.type for field in node.fields if field.encode_name == step[1])
@@ -173,10 +181,10 @@ def _step_into(node: Any, step: re.Match[str]) -> Any:
     return node.item_type
 
 
-def _expected(node: Any) -> str:
-    """What a type accepts, in words."""
+def _expected(node: Any, *, is_other_type: bool) -> str:
+    """What a type accepts, in words; of a number of the wrong range, which range."""
     if isinstance(node, msgspec.inspect.UnionType):
-        node = next(one for one in node.types if not isinstance(one, msgspec.inspect.NoneType))
+        node = _members(node)[0]
     if isinstance(node, msgspec.inspect.Metadata):
         description = (node.extra_json_schema or {}).get("description")
         if description:
@@ -187,7 +195,11 @@ def _expected(node: Any) -> str:
         case msgspec.inspect.EnumType(cls=kind):
             return "one of " + ", ".join(str(member.value) for member in kind)
         case msgspec.inspect.FloatType() | msgspec.inspect.IntType() as number:
-            return _expected_number(number)
+            is_whole = isinstance(number, msgspec.inspect.IntType)
+            limits = "" if is_other_type else _limits(number)
+            if limits:
+                return ("a whole number" if is_whole else "a number") + limits
+            return "a whole number" if is_whole else "a finite number"
         case msgspec.inspect.StrType():
             return "text"
         case msgspec.inspect.BoolType():
@@ -200,21 +212,13 @@ def _expected(node: Any) -> str:
             return "a table"
 
 
-def _expected_number(node: msgspec.inspect.FloatType | msgspec.inspect.IntType) -> str:
-    is_whole = isinstance(node, msgspec.inspect.IntType)
-    what = "a whole number" if is_whole else "a number"
-    limits = []
-    if node.gt is not None:
-        limits.append(f"> {node.gt:g}")
-    if node.ge is not None:
-        limits.append(f"at least {node.ge:g}")
-    if node.lt is not None:
-        limits.append(f"< {node.lt:g}")
-    if node.le is not None:
-        limits.append(f"at most {node.le:g}")
-    if limits:
-        return f"{what}{' ' if limits[0][0] in '<>' else ', '}{', '.join(limits)}"
-    return what if is_whole else "a finite number"
+def _limits(node: msgspec.inspect.FloatType | msgspec.inspect.IntType) -> str:
+    """Range of a number: " > 0", or ", at least 0, at most 1"."""
+    more_than = "" if node.gt is None else f" > {node.gt:g}"
+    less_than = "" if node.lt is None else f" < {node.lt:g}"
+    at_least = "" if node.ge is None else f", at least {node.ge:g}"
+    at_most = "" if node.le is None else f", at most {node.le:g}"
+    return more_than + less_than + at_least + at_most
 
 
 def take(table: Table, key: str, where: str) -> Any:

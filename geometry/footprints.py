@@ -11,21 +11,9 @@ from .arrays import FloatArray
 def footprint_corners(
     centre_m: ArrayLike, yaw_deg: ArrayLike, *, length_m: float, width_m: float
 ) -> FloatArray:
-    """Corners of oriented rectangles, counter-clockwise from front left.
+    """Corners of oriented rectangles, (..., 4, 2), counter-clockwise from front left.
 
-    Parameters
-    ----------
-    centre_m : (..., 2) float
-        Centre. [m]
-    yaw_deg : (...,) float
-        Direction of the length, counter-clockwise from east. [deg]
-    length_m, width_m : float
-        Full size. [m]
-
-    Returns
-    -------
-    corners_m : (..., 4, 2) float
-        World frame. [m]
+    `centre_m` is (..., 2); the length points along `yaw_deg`, counter-clockwise from east.
     """
     centre = np.asarray(centre_m, dtype=np.float64)
     yaw = np.radians(np.asarray(yaw_deg, dtype=np.float64))[..., None]
@@ -38,20 +26,11 @@ def footprint_corners(
 
 
 def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> FloatArray:
-    """Largest gap between two rectangles along any of their sides' normals.
+    """Largest gap in metres between two rectangles along any of their sides' normals.
 
-    Zero or less means that they touch: the separating axis theorem. For rectangles that do not
-    touch it is a lower bound of their distance, and equal to it unless two corners face.
-
-    Parameters
-    ----------
-    corners_a_m, corners_b_m : (..., 4, 2) float
-        Corners in order around each rectangle; leading axes broadcast. [m]
-
-    Returns
-    -------
-    separation_m : (...,) float
-        Positive: apart; negative: minus the depth of the overlap. [m]
+    Corners are (..., 4, 2), in order around each rectangle. Zero or less means that they touch, by
+    the separating axis theorem; negative is minus the depth of the overlap. For rectangles that do
+    not touch it is a lower bound of their distance, and equal to it unless two corners face.
 
     Examples
     --------
@@ -85,13 +64,7 @@ def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> Floa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FootprintSizes:
-    """Full sizes of two rectangles.
-
-    Attributes
-    ----------
-    length_a_m, width_a_m, length_b_m, width_b_m : float
-        Of the one and of the other. [m]
-    """
+    """Full lengths and widths of two rectangles, a and b."""
 
     length_a_m: float
     width_a_m: float
@@ -102,21 +75,9 @@ class FootprintSizes:
 def separation_between(
     offset_m: ArrayLike, yaw_a_deg: ArrayLike, yaw_b_deg: ArrayLike, *, sizes: FootprintSizes
 ) -> FloatArray:
-    """Same as :func:`footprint_separation` from middles and headings: several times as fast.
+    """Same as :func:`footprint_separation` from middles and headings, several times as fast.
 
-    Parameters
-    ----------
-    offset_m : (..., 2) float
-        From the middle of a to the middle of b. [m]
-    yaw_a_deg, yaw_b_deg : (...,) float
-        Directions of the lengths; leading axes broadcast. [deg]
-    sizes : FootprintSizes
-        Of both.
-
-    Returns
-    -------
-    separation_m : (...,) float
-        Positive: apart; negative: minus the depth of the overlap. [m]
+    `offset_m` (..., 2) leads from the middle of a to the middle of b; leading axes broadcast.
 
     Examples
     --------
@@ -131,17 +92,10 @@ def separation_between(
 def gaps_between(
     offset_m: ArrayLike, yaw_a_deg: ArrayLike, yaw_b_deg: ArrayLike, *, sizes: FootprintSizes
 ) -> FloatArray:
-    """Gaps between two rectangles along each of their sides' normals.
+    """Gaps between two rectangles along each of their sides' normals, (4, ...), in metres.
 
-    Parameters
-    ----------
-    offset_m, yaw_a_deg, yaw_b_deg, sizes
-        As for :func:`separation_between`, which is the largest of the four.
-
-    Returns
-    -------
-    gaps_m : (4, ...) float
-        Along the length and the width of a, then of b; negative where they overlap. [m]
+    Along the length and the width of a, then of b; negative where they overlap. Arguments as for
+    :func:`separation_between`, which is the largest of the four.
     """
     offset = np.asarray(offset_m, dtype=np.float64)
     yaw_a = np.radians(np.asarray(yaw_a_deg, dtype=np.float64))

@@ -10,17 +10,7 @@ _FLIP_NORTH = np.array([1.0, -1.0, 1.0])
 
 
 def from_carla_points(points_carla_m: ArrayLike) -> FloatArray:
-    """Points from CARLA's left-handed frame (x east, y south) to the world (ENU).
-
-    Parameters
-    ----------
-    points_carla_m : (..., 2) or (..., 3) float
-        CARLA frame. [m]
-
-    Returns
-    -------
-    points_m : same shape, float
-        World frame. [m]
+    """Points (..., 2 or 3) from CARLA's left-handed frame (x east, y south) to the world (ENU).
 
     Examples
     --------
@@ -69,19 +59,10 @@ def from_gltf_points(points_m: ArrayLike) -> FloatArray:
 
 
 def to_geographic(points_m: ArrayLike, crs: str) -> FloatArray:
-    """Points of the world frame as longitude and latitude (WGS 84).
+    """Longitude and latitude (WGS 84, degrees), (n, 2), of points of the world frame.
 
-    Parameters
-    ----------
-    points_m : (n, 2) or (n, 3) float
-        East, north(, up) in the coordinate reference system `crs`. [m]
-    crs : str
-        Anything that pyproj accepts.
-
-    Returns
-    -------
-    lon_lat_deg : (n, 2) float
-        Longitude, latitude: GeoJSON's order. [deg]
+    `points_m` are east, north(, up) in the coordinate reference system `crs`: anything that pyproj
+    accepts.
     """
     from pyproj import Transformer
 

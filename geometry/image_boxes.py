@@ -14,37 +14,14 @@ def box_height_px(boxes_px: ArrayLike) -> FloatArray:
 
 
 def clip_boxes(boxes_px: ArrayLike, *, width_px: int, height_px: int) -> FloatArray:
-    """Clip boxes to the image.
-
-    Parameters
-    ----------
-    boxes_px : (..., 4) float
-        Boxes. [px]
-    width_px, height_px : int
-        Image size.
-
-    Returns
-    -------
-    clipped_px : (..., 4) float
-        The part inside the image; no area where nothing is inside.
-    """
+    """Parts of boxes (..., 4) inside the image; without area where nothing is inside."""
     boxes = np.asarray(boxes_px, dtype=np.float64)
     limit = np.array([width_px, height_px, width_px, height_px], dtype=np.float64)
     return np.clip(boxes, 0.0, limit)
 
 
 def iou(boxes_a_px: ArrayLike, boxes_b_px: ArrayLike) -> FloatArray:
-    """Intersection over union of boxes, pairwise along the leading axes.
-
-    Parameters
-    ----------
-    boxes_a_px, boxes_b_px : (..., 4) float
-        Boxes; shapes broadcast. [px]
-
-    Returns
-    -------
-    iou : (...,) float
-        In [0, 1]; 0 where either box is empty.
+    """Intersection over union of boxes (..., 4), pairwise; 0 where either is empty.
 
     Examples
     --------
@@ -66,19 +43,10 @@ def iou(boxes_a_px: ArrayLike, boxes_b_px: ArrayLike) -> FloatArray:
 
 
 def mask_box(mask: ArrayLike, *, x_min_px: int = 0, y_min_px: int = 0) -> FloatArray:
-    """Box around the set pixels of a mask.
+    """Box (4,) around the set pixels of a mask (h, w); zeros if there is none.
 
-    Parameters
-    ----------
-    mask : (h, w) bool
-        Pixels; pixel (row, column) covers the unit square from (column, row).
-    x_min_px, y_min_px : int
-        Where the mask's first pixel lies in the image.
-
-    Returns
-    -------
-    box_px : (4,) float
-        Zeros if no pixel is set.
+    Pixel (row, column) covers the unit square from (column, row); the mask's first pixel lies at
+    (`x_min_px`, `y_min_px`) in the image.
     """
     pixels = np.asarray(mask, dtype=bool)
     rows, columns = np.asarray(pixels.any(axis=1)), np.asarray(pixels.any(axis=0))

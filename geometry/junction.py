@@ -44,15 +44,7 @@ _CROSSWALK_INSIDE_MOUTH_M = 2.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Line:
-    """A straight line on the road, with a direction.
-
-    Attributes
-    ----------
-    point_m : (2,) float
-        A point of it: east, north. [m]
-    direction : (2,) float
-        Unit vector.
-    """
+    """A straight line on the road through a point (2,), with a direction: a unit vector (2,)."""
 
     point_m: FloatArray
     direction: FloatArray
@@ -158,23 +150,15 @@ class Junction:
 def build_junction(scene: Scene) -> Junction:
     """Find the arms of a scene's junction in its lanes.
 
-    Parameters
-    ----------
-    scene : Scene
-        Its lanes and the outline of the junction's road surface. Where an arm has no crosswalk of
-        its own, pedestrians cross 2 m inside the mouth, as at Euro NCAP's junction.
-
-    Returns
-    -------
-    junction : Junction
-        Lanes belong to one arm that lie side by side and lead the same way. It is named after one
-        of four points of the compass, or of eight or sixteen where two arms would share a name; if
-        even these do, numbers tell them apart.
+    Lanes belong to one arm that lie side by side and lead the same way. An arm is named after one
+    of four points of the compass, or of eight or sixteen where two arms would share a name; if even
+    these do, numbers tell them apart. Where it has no crosswalk of its own, pedestrians cross 2 m
+    inside the mouth, as at Euro NCAP's junction.
 
     Raises
     ------
     InputError
-        No lane begins or ends at the outline.
+        No lane begins or ends at the outline of the junction's road surface.
     """
     ends = [
         (is_in, lane)
@@ -224,23 +208,10 @@ def mirrored(junction: Junction) -> Junction:
 
 
 def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]:
-    """Straight line along the part of a lane that is next to the junction.
+    """Straight line along the part of a lane next to the junction, and how far the lane leaves it.
 
-    Parameters
-    ----------
-    lane : Lane
-        Into the junction or out of it.
-    is_in : bool
-        Which of the two.
-    length_m : float
-        How much of the lane counts; no more than it has. [m]
-
-    Returns
-    -------
-    line : Line
-        Through the lane's mouth, in driving direction.
-    off_line_m : float
-        How far the lane leaves that line, at most. [m]
+    The line runs through the lane's mouth in driving direction. At most `length_m` of the lane
+    count, and no more than it has; the largest distance from the line is in metres.
     """
     points = lane.centreline_m if is_in else lane.centreline_m[::-1]  # the mouth comes last
     steps = np.hypot(*np.diff(points, axis=0).T)

@@ -125,12 +125,8 @@ class LidarModel:
 class LidarDetection:
     """What it takes to find a road user in a point cloud, by class.
 
-    Attributes
-    ----------
-    min_points : mapping
-        From "pedestrian", "child", "cyclist" to points in one frame.
-    reflectivity : mapping
-        To the share of the light that comes back diffusely, 0 .. 1.
+    `min_points` has the points in one frame of a "pedestrian", "child" and "cyclist",
+    `reflectivity` the share of the light that comes back diffusely, 0 .. 1.
     """
 
     min_points: Mapping[str, int]
@@ -138,19 +134,11 @@ class LidarDetection:
 
 
 def beam_directions(lidar: LidarModel) -> FloatArray:
-    """Where the beams of one frame go.
+    """Unit vectors of one frame's beams, (n_lines, n_columns, 3), in the body frame.
 
-    Parameters
-    ----------
-    lidar : LidarModel
-        Scan pattern.
-
-    Returns
-    -------
-    directions : (n_lines, n_columns, 3) float
-        Unit vectors, body frame (x ahead, y left, z up); from the lowest line up, from right to
-        left. Each beam is in the middle of its cell of azimuth and elevation: at 360 degrees the
-        columns stand evenly on the circle, none twice, and the seam is straight behind.
+    From the lowest line up, from right to left; x ahead, y left, z up. Each beam is in the middle
+    of its cell of azimuth and elevation: at 360 degrees the columns stand evenly on the circle, and
+    the seam is straight behind.
     """
     elevation = np.radians(_cell_centres(lidar.vertical_fov_deg, lidar.n_lines))[:, None]
     azimuth = np.radians(_cell_centres(lidar.horizontal_fov_deg, lidar.n_columns))[None, :]
@@ -198,20 +186,7 @@ _INDEX_SLACK = 1.0e-9
 
 
 def beams_per_steradian(lidar: LidarModel, elevation_deg: ArrayLike) -> FloatArray:
-    """Density of beams in a direction.
-
-    Parameters
-    ----------
-    lidar : LidarModel
-        Scan pattern.
-    elevation_deg : (...,) float
-        Seen from the sensor, inside its field of view. [deg]
-
-    Returns
-    -------
-    density : (...,) float
-        One beam per cell of azimuth and elevation. [1/sr]
-    """
+    """Density of beams in a direction, in 1/sr: one per cell of azimuth and elevation."""
     azimuth_step = math.radians(lidar.horizontal_fov_deg / lidar.n_columns)
     elevation_step = math.radians(lidar.vertical_fov_deg / lidar.n_lines)
     level = np.cos(np.radians(np.asarray(elevation_deg, dtype=np.float64)))
@@ -229,24 +204,9 @@ def return_probability(
 ) -> FloatArray:
     """How likely a pulse that hits something comes back strong enough to be reported.
 
-    Parameters
-    ----------
-    lidar : LidarModel
-        Its range at a known reflectivity.
-    distance_m : (...,) float
-        To what is hit. [m]
-    reflectivity : (...,) float
-        Diffuse, 0 .. 1.
-    incidence_cos : (...,) float
-        Cosine between beam and surface normal, 0 .. 1.
-    extinction_per_m : (...,) float
-        Of the air, one way. [1/m]
-
-    Returns
-    -------
-    probability : (...,) float
-        `reference_probability` where the signal is that of the reference; 0 outside
-        `near_m` .. `range_m`.
+    It is `reference_probability` where the signal is that of the reference, and 0 outside
+    `near_m` .. `range_m`. `incidence_cos` is the cosine between beam and surface normal; the
+    extinction of the air counts one way. All arrays broadcast.
 
     References
     ----------
@@ -270,22 +230,7 @@ def return_probability(
 
 
 def noisy_ranges(lidar: LidarModel, distance_m: ArrayLike, rng: np.random.Generator) -> FloatArray:
-    """Distances as the LiDAR reports them.
-
-    Parameters
-    ----------
-    lidar : LidarModel
-        Its noise.
-    distance_m : (...,) float
-        True distances. [m]
-    rng : numpy.random.Generator
-        Of the noise.
-
-    Returns
-    -------
-    distance_m : (...,) float
-        With normal noise. [m]
-    """
+    """Distances as the LiDAR reports them: with normal noise of `range_noise_m`."""
     distance = np.asarray(distance_m, dtype=np.float64)
     noisy: FloatArray = distance + lidar.range_noise_m * rng.standard_normal(distance.shape)
     return noisy

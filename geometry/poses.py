@@ -38,19 +38,9 @@ class Pose:
 
 
 def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
-    """Rotation that takes body coordinates (x ahead, y left, z up) to the world.
+    """Rotation (..., 3, 3) that takes body coordinates (x ahead, y left, z up) to the world.
 
-    Parameters
-    ----------
-    yaw_deg : (...,) float
-        Counter-clockwise from east. [deg]
-    pitch_deg : (...,) float
-        Positive up. [deg]
-
-    Returns
-    -------
-    R_world_body : (..., 3, 3) float
-        Columns: ahead, left, up.
+    Yaw counts counter-clockwise from east, pitch positive up.
 
     Examples
     --------
@@ -74,37 +64,13 @@ def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
 
 
 def camera_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
-    """Rotation that takes camera coordinates (x right, y down, z ahead) to the world.
-
-    Parameters
-    ----------
-    yaw_deg, pitch_deg : (...,) float
-        Direction of the optical axis. [deg]
-
-    Returns
-    -------
-    R_world_camera : (..., 3, 3) float
-        Columns: right, down, ahead.
-    """
+    """Rotation (..., 3, 3) from camera coordinates (x right, y down, z ahead) to the world."""
     rotation: FloatArray = body_rotation(yaw_deg, pitch_deg) @ R_BODY_CAMERA
     return rotation
 
 
 def to_world(points_body_m: ArrayLike, pose: Pose) -> FloatArray:
-    """Points of a body in the world frame.
-
-    Parameters
-    ----------
-    points_body_m : (n, 3) float
-        Body frame. [m]
-    pose : Pose
-        Where the body is.
-
-    Returns
-    -------
-    points_m : (n, 3) float
-        World frame. [m]
-    """
+    """Points (n, 3) of a body in the world frame."""
     points: FloatArray = (
         np.asarray(points_body_m, dtype=np.float64) @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
         + pose.position_m

@@ -17,50 +17,18 @@ class RayCaster(Protocol):
     """Rays against one fixed set of triangles; safe to use from several threads."""
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
-        """Whether anything lies between each origin and origin + vector.
-
-        Parameters
-        ----------
-        origins_m, vectors_m : (n, 3) float32
-            Starts, and the way from there to the ends. [m]
-
-        Returns
-        -------
-        blocked : (n,) bool
-            True where a triangle is hit on the way.
-        """
+        """Whether a triangle lies between each origin and origin + vector; (n, 3) -> (n,)."""
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        """How far along each vector the first triangle is.
+        """How far along each vector, of any length, the first triangle is, (n, 3) -> (n,).
 
-        Parameters
-        ----------
-        origins_m, vectors_m : (n, 3) float32
-            Starts and directions, of any length. [m]
-
-        Returns
-        -------
-        share : (n,) float32
-            Hit at origin + share * vector; infinite where nothing is hit.
+        The hit is at origin + share * vector; infinite where nothing is hit.
         """
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
-        """How far along each vector the first triangle is, and which one.
-
-        Parameters
-        ----------
-        origins_m, vectors_m : (n, 3) float32
-            Starts and directions, of any length. [m]
-
-        Returns
-        -------
-        share : (n,) float32
-            As :meth:`first_hit`.
-        triangle_index : (n,) int64
-            Row of the triangles given; -1 where nothing is hit.
-        """
+        """As :meth:`first_hit`, and the row of the triangle that is hit; -1 where nothing is."""
 
 
 class Open3dCaster:
@@ -185,7 +153,7 @@ def open3d_problem() -> str | None:
 def build_caster(
     vertices_m: ArrayLike, triangles: ArrayLike, *, library: str | None = None
 ) -> RayCaster:
-    """Prepare triangles for rays.
+    """Prepare triangles for rays, which may be cast from any thread.
 
     Parameters
     ----------
@@ -195,11 +163,6 @@ def build_caster(
         Vertex indices; none at all is allowed.
     library : str, optional
         "open3d" or "embreex"; by default :func:`caster_name`.
-
-    Returns
-    -------
-    caster : RayCaster
-        Ready for rays from any thread.
 
     Raises
     ------

@@ -2,16 +2,14 @@
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
-from .arrays import FloatArray, float_array, freeze
+from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze
 from .errors import InputError, Unquoted
-
-# ---------- A junction as it stands: triangles that hide things, and sites that carry sensors
-
 
 CLASS_NAMES = (
     "ground",
@@ -47,9 +45,9 @@ class Site:
     """
 
     id: str
-    position_m: FloatArray
+    position_m: Point3
     kind: str
-    height_range_m: FloatArray
+    height_range_m: Point2
     capacity_units: int
     cost_eur: float = 0.0
     use: str = "free"
@@ -79,15 +77,7 @@ class Site:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Instance:
-    """One thing of a scene.
-
-    Attributes
-    ----------
-    id : str
-        Name, unique in the scene.
-    class_name : str
-        One of ``CLASS_NAMES``.
-    """
+    """One thing of a scene: its id, unique there, and its class, one of ``CLASS_NAMES``."""
 
     id: str
     class_name: str
@@ -211,9 +201,9 @@ class Lane:
     """
 
     id: str
-    kind: str
-    width_m: float
-    centreline_m: FloatArray
+    kind: Annotated[str, Meta(min_length=1)]
+    width_m: Annotated[float, Meta(gt=0.0)]
+    centreline_m: Points2
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -227,19 +217,9 @@ _SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")
 
 
 def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
-    """The building, wall, plant or parked vehicle that a point lies in.
+    """The building, wall, plant or parked vehicle that a point lies in; None in the open air.
 
-    Parameters
-    ----------
-    scene : Scene
-        Where to look. Posts and masts carry sensors and are not looked at.
-    position_m : (3,) float
-        World frame. [m]
-
-    Returns
-    -------
-    instance : Instance or None
-        None in the open air.
+    Posts and masts carry sensors and are not looked at.
 
     References
     ----------
@@ -268,9 +248,6 @@ def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
     return None
 
 
-# ---------- what things of a scene cover on the ground
-
-
 _MIN_AREA_M2 = 1.0e-6
 
 
@@ -288,20 +265,9 @@ def road_area(scene: Scene) -> Any:
 
 @lru_cache(maxsize=4096)
 def thing_footprint(scene: Scene, index: int) -> Any:
-    """A thing's triangles seen from above, put together.
+    """A thing's triangles seen from above, put together: a shapely polygon or several, with holes.
 
-    Parameters
-    ----------
-    scene : Scene
-        Where it is.
-    index : int
-        Of the thing in ``scene.instances``.
-
-    Returns
-    -------
-    footprint : shapely geometry
-        A polygon or several, with holes; empty where it is but a line from above. World frame,
-        metres.
+    It is empty where the thing is but a line from above. World frame, metres.
     """
     import shapely
 

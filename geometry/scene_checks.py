@@ -1,4 +1,4 @@
-"""What may be wrong with a scene: holes, things that float or overlap, sites inside walls."""
+"""Look for mistakes in a scene: holes, things that float or overlap, sites inside walls."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,16 +21,9 @@ _MAX_NAMES = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """Something that may be wrong.
+    """Something that may be wrong: which thing or things, and why.
 
-    Attributes
-    ----------
-    level : {"error", "warning"}
-        An error makes results wrong; a warning may be as it is.
-    what : str
-        Which thing or things.
-    why : str
-        What is the matter.
+    An error makes results wrong; a warning may be as it is.
     """
 
     level: Literal["error", "warning"]
@@ -39,19 +32,9 @@ class Finding:
 
 
 def check_scene(scene: Scene, *, assumed_heights: frozenset[str] = frozenset()) -> list[Finding]:
-    """Look for what may be wrong with a scene.
+    """What may be wrong with a scene, errors first.
 
-    Parameters
-    ----------
-    scene : Scene
-        To look at.
-    assumed_heights : frozenset of str
-        Ids of things whose heights nobody has said.
-
-    Returns
-    -------
-    findings : list of Finding
-        Errors first.
+    `assumed_heights` are the ids of things whose heights the sources do not say.
     """
     findings = [
         *_check_roads(scene),

@@ -1,54 +1,66 @@
-"""Scenes from disk: a TOML file with boxes, walls, poles and rows of parked cars."""
+"""Scenes from disk and to it: the study's junction, folders, archives, and maps on the way in.
 
-from collections.abc import Iterator, Mapping
+A scene's folder has ``scene.toml`` for people (name, coordinate reference systems, lanes,
+crosswalks, outline, sites, the list of things and what the import left out) and ``things.glb`` for
+every 3-D viewer: glTF 2.0 with one mesh per thing, under its id. The TOML is in the world frame,
+east, north, up in metres; the mesh file in glTF's own, y up. The study's junction is a TOML file
+of boxes, walls, poles and rows of parked cars in CARLA's frame.
+"""
+
+import tempfile
+import zipfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from .actors import park_row, pick_actor
-from .arrays import FloatArray, float_array
-from .errors import InputError
-from .files import (
-    Table,
-    load_toml,
-    take,
-    take_list,
-    take_number,
-    take_text,
-)
-from .frames import from_carla_points, from_carla_yaw
+from .arrays import FloatArray, Point2, Points2, Segment2
+from .errors import InputError, Unquoted
+from .files import Text, load_toml, read_table, write_atomically
+from .frames import from_carla_points, from_carla_yaw, from_gltf_points, to_gltf_points
 from .poses import Pose, to_world
-from .scene import (
-    Instance,
-    Lane,
-    Scene,
-    Site,
-)
+from .scene import Instance, Lane, Scene, Site
 
-_FRAMES = ("carla-left-handed",)
+STUDY = "town05"
+FORMAT, VERSION = "place-rsus scene", 1
+SCENE_FILE, THINGS_FILE = "scene.toml", "things.glb"
+_MAX_BYTES = {SCENE_FILE: 100_000_000, THINGS_FILE: 1_000_000_000}
+_MILLIMETRES = 3
 _POLE_SECTIONS = 10
+_HEAD = """\
+# A junction for place-rsus: place-rsus --scene THIS_FOLDER --budget 3
+# East, north and height above the road in metres. Things are meshes in things.glb, under their ids.
+# To change by hand: sites (where sensors may hang), crosswalks, lanes.
+"""
 
 # One thing of the scene: instance, vertices (world frame) and triangles.
 _Body = tuple[Instance, FloatArray, Any]
 
 
-@cache
-def load_study_scene() -> Scene:
-    """The junction of the CarlaNCAP study, from ``data/town05.toml``."""
-    return load_scene(files(__package__) / "data" / "town05.toml")
-
-
-def load_scene(source: Path | Traversable) -> Scene:
-    """Read a scene and build its mesh.
+def load_scene(
+    source: str | Path = "", *, junction: str = "", at: tuple[float, float] | None = None
+) -> Scene:
+    """Load the scene of a junction from wherever it is.
 
     Parameters
     ----------
-    source : Path or Traversable
-        A TOML file, laid out as ``geometry/data/town05.toml``.
+    source : str or Path
+        Nothing or "town05": the junction of the CarlaNCAP study. A folder or .zip file that
+        ``place-rsus scene import`` has written. Or a map with roads, such as "city.osm" or
+        "city.xodr", of which one junction is cut out.
+    junction : str
+        Id or name of the junction in a map; by default the one with the most arms and lanes.
+    at : (float, float), optional
+        Instead of a name, a point within 100 m of the junction in the map's own coordinates:
+        longitude and latitude, or metres.
 
     Returns
     -------
@@ -58,169 +70,258 @@ def load_scene(source: Path | Traversable) -> Scene:
     Raises
     ------
     InputError
-        The file cannot be read, or a field is missing or not of its kind.
+        There is no scene and no map, or it cannot be read.
+
+    Examples
+    --------
+    >>> load_scene()
+    Scene('town05', 1266 triangles, 41 instances, 28 sites)
     """
-    table = load_toml(source)
+    path = Path(source)
+    if not str(source) or (str(source) == STUDY and not path.exists()):
+        return load_study_scene()
+    if path.is_file() and not _has_scene(path):
+        from .maps.importing import SUFFIXES, ImportOptions, import_scene
+
+        if path.name.lower().endswith(SUFFIXES):
+            return import_scene([path], ImportOptions(junction=junction, at=at)).scene
+    return load_scene_folder(path)
+
+
+def _has_scene(path: Path) -> bool:
+    """Whether a file is a scene's archive, or a damaged one; a map may be a .zip file, too."""
+    if path.suffix.lower() != ".zip":
+        return False
+    try:
+        with zipfile.ZipFile(path) as packed:
+            return SCENE_FILE in packed.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return True
+
+
+# ---------- a scene of boxes, walls, poles and rows of parked cars, in CARLA's frame
+
+
+_Positive = Annotated[float, Meta(gt=0.0)]
+
+
+class _Building(Struct, frozen=True, kw_only=True):
+    id: Text
+    position_m: Point2
+    yaw_deg: float
+    length_m: _Positive
+    width_m: _Positive
+    height_m: _Positive
+
+
+class _Wall(Struct, frozen=True, kw_only=True):
+    id: Text
+    from_m: Point2
+    to_m: Point2
+    thickness_m: _Positive
+    height_m: _Positive
+
+
+class _ParkedRow(Struct, frozen=True, kw_only=True):
+    id: Text
+    first_m: Point2
+    yaw_deg: float
+    gap_m: Annotated[float, Meta(ge=0.0)]
+    actors: list[str]
+
+
+class _Mount(Struct, frozen=True, kw_only=True):
+    """What carries sensors."""
+
+    id: Text
+    radius_m: _Positive
+    height_m: _Positive
+    height_range_m: Point2
+    capacity_units: int
+    cost_eur: float = 0.0
+    use: str = "free"
+
+
+class _Pole(_Mount, frozen=True, kw_only=True):
+    kind: Text
+    position_m: Point2
+
+
+class _MastArm(_Mount, frozen=True, kw_only=True):
+    from_m: Point2
+    to_m: Point2
+
+
+class _Crosswalk(Struct, frozen=True, kw_only=True):
+    ends_m: Segment2
+
+
+class _Ground(Struct, frozen=True, kw_only=True):
+    position_m: Point2
+    half_size_m: _Positive
+
+
+class _BoxScene(Struct, frozen=True, kw_only=True):
+    """A file laid out as ``data/town05.toml``."""
+
+    frame: Literal["carla-left-handed"]
+    name: Text
+    crs: Text
+    road_network: str = ""
+    outline_m: Points2
+    ground: _Ground
+    buildings: tuple[_Building, ...] = ()
+    walls: tuple[_Wall, ...] = ()
+    parked_rows: tuple[_ParkedRow, ...] = ()
+    poles: tuple[_Pole, ...] = ()
+    mast_arms: tuple[_MastArm, ...] = ()
+    lanes: tuple[Lane, ...] = ()
+    crosswalks: tuple[_Crosswalk, ...] = ()
+
+
+@cache
+def load_study_scene() -> Scene:
+    """The junction of the CarlaNCAP study, from ``data/town05.toml``."""
+    return load_box_scene(files(__package__) / "data" / f"{STUDY}.toml")
+
+
+def load_box_scene(source: Path | Traversable) -> Scene:
+    """Read a TOML file laid out as ``geometry/data/town05.toml`` and build its mesh."""
     where = source.name
-    frame = take_text(table, "frame", where)
-    if frame not in _FRAMES:
-        raise InputError(f"{where}: frame", frame, "one of " + ", ".join(_FRAMES))
-    bodies = [
-        body
-        for key, build in _BUILDERS.items()
-        for entry, here in _entries(table, key, where)
-        for body in build(entry, here)
-    ]
-    n_vertices = np.cumsum([0, *(len(vertices) for _, vertices, _ in bodies)])
+    table = read_table(load_toml(source), _BoxScene, where)
+    for index, crosswalk in enumerate(table.crosswalks):
+        if (crosswalk.ends_m[0] == crosswalk.ends_m[1]).all():
+            raise InputError(
+                f"{where}: crosswalks[{index}].ends_m",
+                crosswalk.ends_m.tolist(),
+                "two different points",
+            )
     return Scene(
-        name=take_text(table, "name", where),
-        vertices_m=np.concatenate([vertices for _, vertices, _ in bodies]),
-        triangles=np.concatenate(
+        name=table.name,
+        **_join(
             [
-                triangles + first
-                for (_, _, triangles), first in zip(bodies, n_vertices[:-1], strict=True)
+                _ground_body(table.ground),
+                *(_building_body(building) for building in table.buildings),
+                *(_wall_body(wall) for wall in table.walls),
+                *(
+                    body
+                    for index, row in enumerate(table.parked_rows)
+                    for body in _row_bodies(row, f"{where}: parked_rows[{index}]")
+                ),
+                *(_pole_body(pole) for pole in table.poles),
+                *(_mast_arm_body(arm) for arm in table.mast_arms),
             ]
         ),
-        triangle_instance=np.repeat(
-            np.arange(len(bodies)), [len(triangles) for _, _, triangles in bodies]
+        sites=(
+            *(_site(pole, pole.position_m, pole.kind) for pole in table.poles),
+            *(_site(arm, arm.to_m, "mast arm") for arm in table.mast_arms),
         ),
-        instances=tuple(instance for instance, _, _ in bodies),
-        sites=tuple(
-            _build_site(entry, here, end)
-            for key, end in (("poles", "position_m"), ("mast_arms", "to_m"))
-            for entry, here in _entries(table, key, where)
+        outline_m=from_carla_points(table.outline_m),
+        lanes=tuple(
+            replace(lane, centreline_m=from_carla_points(lane.centreline_m)) for lane in table.lanes
         ),
-        outline_m=_points(table, "outline_m", where),
-        lanes=tuple(_build_lane(entry, here) for entry, here in _entries(table, "lanes", where)),
-        crs=take_text(table, "crs", where),
-        crosswalks_m=np.array(
-            [_ends(entry, here) for entry, here in _entries(table, "crosswalks", where)]
-        ).reshape(-1, 2, 2),
-        road_network=take_text(table, "road_network", where) if "road_network" in table else "",
+        crs=table.crs,
+        crosswalks_m=_crosswalks(from_carla_points(line.ends_m) for line in table.crosswalks),
+        road_network=table.road_network,
     )
 
 
-def _entries(table: Table, key: str, where: str) -> Iterator[tuple[Table, str]]:
-    if key == "ground":
-        entries = [(take(table, key, where), f"{where}: {key}")]
-    else:
-        listed = take_list(table, key, where) if key in table else []
-        entries = [(entry, f"{where}: {key}[{index}]") for index, entry in enumerate(listed)]
-    for entry, here in entries:
-        if not isinstance(entry, Mapping):
-            raise InputError(here, entry, "a table")
-        yield entry, here
+def _join(bodies: Sequence[_Body]) -> dict[str, Any]:
+    """One mesh of several bodies: the fields of a scene."""
+    first = np.cumsum([0, *(len(vertices) for _, vertices, _ in bodies)])
+    return {
+        "instances": tuple(instance for instance, _, _ in bodies),
+        "vertices_m": np.concatenate([vertices for _, vertices, _ in bodies]),
+        "triangles": np.concatenate(
+            [faces + start for (_, _, faces), start in zip(bodies, first[:-1], strict=True)]
+        ),
+        "triangle_instance": np.repeat(
+            np.arange(len(bodies)), [len(faces) for _, _, faces in bodies]
+        ),
+    }
 
 
-def _build_lane(entry: Table, where: str) -> Lane:
-    return Lane(
-        id=take_text(entry, "id", where),
-        kind=take_text(entry, "kind", where),
-        width_m=_positive(entry, "width_m", where),
-        centreline_m=_points(entry, "centreline_m", where),
-    )
+def _crosswalks(lines: Iterable[FloatArray]) -> FloatArray:
+    return np.array(list(lines)).reshape(-1, 2, 2)
 
 
-def _build_site(entry: Table, where: str, end: str) -> Site:
+def _site(mount: _Mount, below_m: FloatArray, kind: str) -> Site:
     return Site(
-        id=take_text(entry, "id", where),
-        position_m=np.append(_point(entry, end, where), 0.0),
-        kind=entry.get("kind", "mast arm"),
-        height_range_m=float_array(
-            take_list(entry, "height_range_m", where), (2,), f"{where}.height_range_m"
-        ),
-        capacity_units=take(entry, "capacity_units", where),
-        cost_eur=entry.get("cost_eur", 0.0),
-        use=entry.get("use", "free"),
+        id=mount.id,
+        position_m=_on_road(below_m),
+        kind=kind,
+        height_range_m=mount.height_range_m,
+        capacity_units=mount.capacity_units,
+        cost_eur=mount.cost_eur,
+        use=mount.use,
     )
 
 
-def _build_box(entry: Table, where: str) -> Iterator[_Body]:
-    yield _box(
-        Instance(id=take_text(entry, "id", where), class_name="building"),
-        middle_m=_point(entry, "position_m", where),
-        yaw_deg=float(from_carla_yaw(take_number(entry, "yaw_deg", where))),
-        size_m=[_positive(entry, f"{side}_m", where) for side in ("length", "width", "height")],
-    )
+def _on_road(point_carla_m: FloatArray, height_m: float = 0.0) -> FloatArray:
+    return np.append(from_carla_points(point_carla_m), height_m)
 
 
-def _build_wall(entry: Table, where: str) -> Iterator[_Body]:
-    start, end = _point(entry, "from_m", where), _point(entry, "to_m", where)
-    east, north = end - start
-    thickness_m = _positive(entry, "thickness_m", where)
-    yield _box(
-        Instance(id=take_text(entry, "id", where), class_name="wall"),
-        middle_m=0.5 * (start + end),
-        yaw_deg=float(np.degrees(np.arctan2(north, east))),
-        # Half a thickness longer at both ends: walls that meet at a corner close it.
-        size_m=[
-            float(np.hypot(east, north)) + thickness_m,
-            thickness_m,
-            _positive(entry, "height_m", where),
-        ],
-    )
-
-
-def _build_row(entry: Table, where: str) -> Iterator[_Body]:
-    name = take_text(entry, "id", where)
-    yaw_deg = float(from_carla_yaw(take_number(entry, "yaw_deg", where)))
-    gap_m = take_number(entry, "gap_m", where)
-    if gap_m < 0.0:
-        raise InputError(f"{where}.gap_m", gap_m, "a number, at least 0")
-    row = park_row(
-        [
-            pick_actor(actor_name, f"{where}.actors[{index}]")
-            for index, actor_name in enumerate(take_list(entry, "actors", where))
-        ],
-        first_bumper_m=_point(entry, "first_m", where),
-        yaw_deg=yaw_deg,
-        gap_m=gap_m,
-    )
-    for index, parked in enumerate(row):
-        instance = Instance(id=f"{name}-{index + 1}", class_name="parked vehicle")
-        shape = parked.actor.shapes[0]
-        yield instance, to_world(shape.vertices_m, parked.pose), shape.triangles
-
-
-def _build_pole(entry: Table, where: str) -> Iterator[_Body]:
-    foot = np.append(_point(entry, "position_m", where), 0.0)
-    yield _cylinder(
-        Instance(id=take_text(entry, "id", where), class_name=take_text(entry, "kind", where)),
-        start_m=foot,
-        end_m=foot + [0.0, 0.0, _positive(entry, "height_m", where)],
-        radius_m=_positive(entry, "radius_m", where),
-    )
-
-
-def _build_arm(entry: Table, where: str) -> Iterator[_Body]:
-    height_m = _positive(entry, "height_m", where)
-    yield _cylinder(
-        Instance(id=take_text(entry, "id", where), class_name="traffic light"),
-        start_m=np.append(_point(entry, "from_m", where), height_m),
-        end_m=np.append(_point(entry, "to_m", where), height_m),
-        radius_m=_positive(entry, "radius_m", where),
-    )
-
-
-def _build_ground(entry: Table, where: str) -> Iterator[_Body]:
-    half = _positive(entry, "half_size_m", where)
-    middle = _point(entry, "position_m", where)
-    corners = middle + half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    yield (
+def _ground_body(ground: _Ground) -> _Body:
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corners = from_carla_points(ground.position_m) + ground.half_size_m * square
+    return (
         Instance(id="ground", class_name="ground"),
         np.column_stack([corners, np.zeros(4)]),
         np.array([[0, 1, 2], [0, 2, 3]]),
     )
 
 
-_BUILDERS = {
-    "ground": _build_ground,
-    "buildings": _build_box,
-    "walls": _build_wall,
-    "parked_rows": _build_row,
-    "poles": _build_pole,
-    "mast_arms": _build_arm,
-}
+def _building_body(building: _Building) -> _Body:
+    return _box(
+        Instance(id=building.id, class_name="building"),
+        middle_m=from_carla_points(building.position_m),
+        yaw_deg=float(from_carla_yaw(building.yaw_deg)),
+        size_m=[building.length_m, building.width_m, building.height_m],
+    )
+
+
+def _wall_body(wall: _Wall) -> _Body:
+    start, end = from_carla_points(wall.from_m), from_carla_points(wall.to_m)
+    east, north = end - start
+    # Half a thickness longer at both ends: walls that meet at a corner close it.
+    length_m = float(np.hypot(east, north)) + wall.thickness_m
+    return _box(
+        Instance(id=wall.id, class_name="wall"),
+        middle_m=0.5 * (start + end),
+        yaw_deg=float(np.degrees(np.arctan2(north, east))),
+        size_m=[length_m, wall.thickness_m, wall.height_m],
+    )
+
+
+def _row_bodies(row: _ParkedRow, where: str) -> Iterator[_Body]:
+    placed = park_row(
+        [pick_actor(name, f"{where}.actors[{index}]") for index, name in enumerate(row.actors)],
+        first_bumper_m=from_carla_points(row.first_m),
+        yaw_deg=float(from_carla_yaw(row.yaw_deg)),
+        gap_m=row.gap_m,
+    )
+    for number, parked in enumerate(placed, start=1):
+        shape = parked.actor.shapes[0]
+        instance = Instance(id=f"{row.id}-{number}", class_name="parked vehicle")
+        yield instance, to_world(shape.vertices_m, parked.pose), shape.triangles
+
+
+def _pole_body(pole: _Pole) -> _Body:
+    return _cylinder(
+        Instance(id=pole.id, class_name=pole.kind),
+        start_m=_on_road(pole.position_m),
+        end_m=_on_road(pole.position_m, pole.height_m),
+        radius_m=pole.radius_m,
+    )
+
+
+def _mast_arm_body(arm: _MastArm) -> _Body:
+    return _cylinder(
+        Instance(id=arm.id, class_name="traffic light"),
+        start_m=_on_road(arm.from_m, arm.height_m),
+        end_m=_on_road(arm.to_m, arm.height_m),
+        radius_m=arm.radius_m,
+    )
 
 
 def _box(instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: list[float]) -> _Body:
@@ -242,23 +343,258 @@ def _cylinder(
     return instance, cylinder.vertices, cylinder.faces
 
 
-def _point(entry: Table, key: str, where: str) -> FloatArray:
-    return from_carla_points(float_array(take_list(entry, key, where), (2,), f"{where}.{key}"))
+# ---------- a scene's folder or archive, in the world frame
 
 
-def _points(entry: Table, key: str, where: str) -> FloatArray:
-    return from_carla_points(float_array(take_list(entry, key, where), (-1, 2), f"{where}.{key}"))
+class _Thing(Struct, frozen=True, kw_only=True, rename={"class_name": "class"}):
+    id: Text
+    class_name: Text
+    is_height_assumed: bool = False
 
 
-def _ends(entry: Table, where: str) -> FloatArray:
-    ends = float_array(take_list(entry, "ends_m", where), (2, 2), f"{where}.ends_m")
-    if (ends[0] == ends[1]).all():
-        raise InputError(f"{where}.ends_m", ends.tolist(), "two different points")
-    return from_carla_points(ends)
+class _Skipped(Struct, frozen=True, kw_only=True):
+    what: Text
+    why: Text
 
 
-def _positive(entry: Table, key: str, where: str) -> float:
-    value = take_number(entry, key, where)
-    if value <= 0.0:
-        raise InputError(f"{where}.{key}", value, "a number > 0")
-    return value
+class _FolderScene(Struct, frozen=True, kw_only=True):
+    """``scene.toml``."""
+
+    name: Text
+    crs: str
+    source_crs: str
+    source_origin_m: Point2
+    keeps_left: bool
+    road_network: str = ""
+    outline_m: Points2
+    lanes: tuple[Lane, ...]
+    crosswalks: tuple[_Crosswalk, ...]
+    sites: tuple[Site, ...]
+    things: tuple[_Thing, ...]
+    skipped: tuple[_Skipped, ...]
+
+
+_SITE_FIELDS = ["id", "kind", "position_m", "height_range_m", "capacity_units", "cost_eur", "use"]
+
+
+def save_scene(
+    folder: Path,
+    scene: Scene,
+    *,
+    sources: Sequence[str] = (),
+    skipped: Sequence[tuple[str, str]] = (),
+    assumed_heights: Sequence[str] = (),
+) -> None:
+    """Write a scene into a folder that exists.
+
+    Parameters
+    ----------
+    folder : Path
+        Its ``scene.toml`` and ``things.glb`` are replaced.
+    scene : Scene
+        What to write; coordinates are rounded to a millimetre, meshes to single precision.
+    sources : sequence of str
+        Names of the files that it was made from.
+    skipped : sequence of (str, str)
+        What of them was left out, and why.
+    assumed_heights : sequence of str
+        Ids of things whose heights the sources do not say.
+    """
+    import tomlkit
+
+    table = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": scene.name,
+        "crs": scene.crs,
+        "source_crs": scene.source_crs,
+        "source_origin_m": scene.source_origin_m.tolist(),
+        "keeps_left": scene.keeps_left,
+        "road_network": scene.road_network,
+        "sources": list(sources),
+        "outline_m": _rounded(scene.outline_m),
+        "lanes": [_entry(lane, "id", "kind", "width_m", "centreline_m") for lane in scene.lanes],
+        "crosswalks": [{"ends_m": _rounded(line)} for line in scene.crosswalks_m],
+        "sites": [_entry(site, *_SITE_FIELDS) for site in scene.sites],
+        "things": [
+            {"id": thing.id, "class": thing.class_name}
+            | ({"is_height_assumed": True} if thing.id in assumed_heights else {})
+            for thing in scene.instances
+        ],
+        "skipped": [{"what": what, "why": why} for what, why in skipped],
+    }
+    text = _HEAD + tomlkit.dumps(table)
+    glb = _to_glb(scene)
+    write_atomically(folder / THINGS_FILE, lambda file: file.write(glb))
+    write_atomically(folder / SCENE_FILE, lambda file: file.write(text.encode()))
+
+
+def load_scene_folder(path: Path) -> Scene:
+    """Read a scene that :func:`save_scene` has written, from its folder or the same as a .zip file.
+
+    Raises
+    ------
+    InputError
+        It is no such folder, a field is missing or not of its kind, or the meshes do not fit.
+    """
+    with _as_folder(path) as folder:
+        table, where = _read_scene_file(folder, shown=path), f"{path}/{SCENE_FILE}"
+        meshes = _read_glb(folder / THINGS_FILE, shown=f"{path}/{THINGS_FILE}")
+    bodies = []
+    for index, thing in enumerate(table.things):
+        instance = Instance(id=thing.id, class_name=thing.class_name)
+        if thing.id not in meshes:
+            raise InputError(
+                f"{where}: things[{index}]", thing.id, f"the name of a mesh in {THINGS_FILE}"
+            )
+        bodies.append((instance, *meshes[thing.id]))
+    if not bodies:
+        raise InputError(f"{where}: things", Unquoted("none"), "at least the ground")
+    for key, crs in (("crs", table.crs), ("source_crs", table.source_crs)):
+        _check_crs(crs, f"{where}: {key}")
+    return Scene(
+        name=table.name,
+        **_join(bodies),
+        sites=table.sites,
+        outline_m=table.outline_m,
+        lanes=table.lanes,
+        crs=table.crs,
+        crosswalks_m=_crosswalks(line.ends_m for line in table.crosswalks),
+        road_network=table.road_network,
+        keeps_left=table.keeps_left,
+        source_crs=table.source_crs,
+        source_origin_m=table.source_origin_m,
+    )
+
+
+def load_notes(path: Path) -> tuple[list[tuple[str, str]], set[str]]:
+    """What the import of a scene left out and why, and the ids of things of assumed height."""
+    with _as_folder(path) as folder:
+        table = _read_scene_file(folder, shown=path)
+    skipped = [(skip.what, skip.why) for skip in table.skipped]
+    return skipped, {thing.id for thing in table.things if thing.is_height_assumed}
+
+
+def _read_scene_file(folder: Path, *, shown: Path) -> _FolderScene:
+    """``scene.toml`` of a folder, with format and version checked first."""
+    path, where = folder / SCENE_FILE, f"{shown}/{SCENE_FILE}"
+    if not path.is_file():
+        raise InputError(str(shown), Unquoted(f"no {SCENE_FILE}"), "a folder of `scene import`")
+    _check_bytes(path, where)
+    table = load_toml(path)
+    if table.get("format") != FORMAT:
+        raise InputError(f"{where}: format", table.get("format"), repr(FORMAT))
+    if table.get("version") != VERSION:
+        raise InputError(
+            f"{where}: version", table.get("version"), f"{VERSION}; import the scene again"
+        )
+    return read_table(table, _FolderScene, where)
+
+
+def pack_scene(folder: Path, archive: Path) -> None:
+    """Write a scene's folder as one .zip file."""
+
+    def write(file: Any) -> None:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as packed:
+            for name in (SCENE_FILE, THINGS_FILE):
+                packed.write(folder / name, name)
+
+    write_atomically(archive, write)
+
+
+@contextmanager
+def _as_folder(path: Path) -> Iterator[Path]:
+    """The folder itself, or what a .zip file of it holds, for as long as it is needed."""
+    if not path.exists():
+        raise InputError(str(path), Unquoted("nothing there"), "a scene: a folder or .zip file")
+    if path.is_dir():
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as temporary:
+        try:
+            with zipfile.ZipFile(path) as packed:
+                for name, max_bytes in _MAX_BYTES.items():
+                    with packed.open(name) as member:  # of the archive only these two are read
+                        data = member.read(max_bytes + 1)
+                    if len(data) > max_bytes:
+                        raise InputError(
+                            f"{path}/{name}",
+                            Unquoted(f"more than {max_bytes:,} bytes"),
+                            "a scene of one junction",
+                        )
+                    (Path(temporary) / name).write_bytes(data)
+        except KeyError as error:
+            raise InputError(str(path), Unquoted(error.args[0]), "a scene as .zip") from None
+        except (OSError, zipfile.BadZipFile, NotImplementedError, EOFError, ValueError) as error:
+            raise InputError(str(path), Unquoted(error), "a scene: a folder or .zip file") from None
+        yield Path(temporary)
+
+
+def _entry(value: object, *names: str) -> dict[str, Any]:
+    """Fields of a value, lengths rounded to a millimetre."""
+    fields = {name: getattr(value, name) for name in names}
+    return {key: _rounded(one) if key.endswith("_m") else one for key, one in fields.items()}
+
+
+def _rounded(array: FloatArray) -> Any:
+    # Adding 0 turns minus zero into zero.
+    return (np.round(array, _MILLIMETRES) + 0.0).tolist()
+
+
+def _check_crs(crs: str, where: str) -> None:
+    """A coordinate reference system is one that pyproj takes, or none."""
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        if crs:
+            CRS.from_user_input(crs)
+    except CRSError:
+        raise InputError(where, crs, "one that pyproj knows, or none") from None
+
+
+def _check_bytes(path: Path, where: str) -> None:
+    n_bytes = path.stat().st_size
+    if n_bytes > _MAX_BYTES[path.name]:
+        raise InputError(
+            where, Unquoted(f"{n_bytes:,} bytes"), f"at most {_MAX_BYTES[path.name]:,}"
+        )
+
+
+def _to_glb(scene: Scene) -> bytes:
+    import trimesh
+
+    meshes = trimesh.Scene()
+    for index, instance in enumerate(scene.instances):
+        corners = scene.triangles[scene.triangle_instance == index]
+        used, faces = np.unique(corners, return_inverse=True)
+        mesh = trimesh.Trimesh(
+            vertices=to_gltf_points(scene.vertices_m[used]),
+            faces=faces.reshape(-1, 3),
+            process=False,
+        )
+        meshes.add_geometry(mesh, geom_name=instance.id, node_name=instance.id)
+    data: bytes = meshes.export(file_type="glb")
+    return data
+
+
+def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarray]]:
+    import trimesh
+
+    if not path.is_file():
+        raise InputError(shown, Unquoted("nothing there"), "the meshes of the scene")
+    _check_bytes(path, shown)
+    try:
+        loaded = trimesh.load_scene(path, file_type="glb", process=False)
+        meshes = {
+            str(name): (from_gltf_points(mesh.vertices), np.asarray(mesh.faces, dtype=np.int32))
+            for name, mesh in loaded.geometry.items()
+        }
+    except Exception as error:  # trimesh raises whatever its parts do
+        raise InputError(
+            shown, Unquoted(f"{type(error).__name__}: {error}"), "glTF 2.0 (.glb)"
+        ) from None
+    for name, (vertices, _) in meshes.items():
+        if not np.isfinite(vertices).all():
+            raise InputError(f"{shown}: {name}", Unquoted("vertices that are not finite"), "metres")
+    return meshes

@@ -96,26 +96,13 @@ class CameraModel:
 
 
 def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
-    """A camera with its varifocal lens set to another field of view.
-
-    Parameters
-    ----------
-    camera : CameraModel
-        The model.
-    fov_deg : float
-        Horizontal. [deg]
-    where : str
-        What asks for it, for the error message.
-
-    Returns
-    -------
-    camera : CameraModel
-        The model itself where it has this field of view already.
+    """A camera with its varifocal lens set to another horizontal field of view.
 
     Raises
     ------
     InputError
-        The lens is fixed at another field of view, or does not reach this one.
+        The lens is fixed at another field of view, or does not reach this one; `where` says what
+        asks for it.
     """
     if fov_deg == camera.horizontal_fov_deg:
         return camera
@@ -132,16 +119,7 @@ def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
 
 
 def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> FloatArray:
-    """Project points of the world frame into the image.
-
-    Parameters
-    ----------
-    points_m : (n, 3) float
-        World frame. [m]
-    pose : Pose
-        Where the camera is and looks.
-    camera : CameraModel
-        Intrinsics.
+    """Project points (n, 3) of the world frame into the image of a camera.
 
     Returns
     -------
@@ -170,21 +148,9 @@ def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> Floa
 def pixel_rays(
     columns_px: ArrayLike, rows_px: ArrayLike, pose: Pose, camera: CameraModel
 ) -> FloatArray:
-    """Directions through pixel centres, scaled so that one unit is one metre of depth.
+    """Directions (n, 3) through the centres of pixels in the world frame.
 
-    Parameters
-    ----------
-    columns_px, rows_px : (n,) int
-        Pixel indices.
-    pose : Pose
-        Where the camera is and looks.
-    camera : CameraModel
-        Intrinsics.
-
-    Returns
-    -------
-    directions : (n, 3) float
-        World frame; not normalised: the component along the optical axis is 1.
+    They are not normalised: the component along the optical axis is 1, one metre of depth.
     """
     columns = np.asarray(columns_px, dtype=np.float64) + 0.5
     rows = np.asarray(rows_px, dtype=np.float64) + 0.5

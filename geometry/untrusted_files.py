@@ -1,4 +1,4 @@
-"""Files from anywhere, opened without their traps: archives, XML, JSON, glTF, PBF."""
+"""Open untrusted files safely: archives, XML, JSON, glTF, PBF."""
 
 import json
 import os
@@ -15,9 +15,6 @@ from xml.etree.ElementTree import Element, ParseError
 
 from .errors import InputError, Unquoted
 
-# ---------- archives from anywhere, opened without the traps that archives have
-
-
 MAX_MEMBERS = 10_000
 MAX_UNPACKED_BYTES = 2_000_000_000
 MAX_RATIO = 200  # text of coordinates comes to 10; a bomb begins at 1000
@@ -27,28 +24,16 @@ _CHUNK_BYTES = 1 << 20
 
 @contextmanager
 def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
-    """The one file of a .zip that can be read, with what lies beside it, for as long as needed.
+    """Unpack a .zip, and yield the path of its one readable file, with everything beside it.
 
-    Parameters
-    ----------
-    path : Path
-        A .zip file.
-    suffixes : collection of str
-        Endings of the files that can be read, in lower case: ``{".geojson", ".shp"}``. What
-        belongs to such a file - ``.dbf``, ``.bin``, textures - has none of them.
+    `suffixes` are the endings of readable files in lower case: ``{".geojson", ".shp"}``; files that
+    belong to them (``.dbf``, ``.bin``, textures) have others. The temporary folder is removed at
+    the end. An :class:`InputError` about it that is raised within names the archive instead of the
+    folder.
 
-    Yields
-    ------
-    member : Path
-        In a temporary folder, which is removed at the end. An :class:`InputError` about it that is
-        raised within names the archive instead of the folder.
-
-    Raises
-    ------
-    InputError
-        It is no archive, is encrypted or damaged, is too large unpacked (2 GB, 10,000 files, 200
-        times its size), has names that lead out of the folder, links, or names twice; or none, or
-        several, of its files can be read.
+    Raises InputError if the archive is damaged or encrypted, is too large unpacked (2 GB, 10,000
+    files, 200 times its size), has names that lead out of the folder, links, or names twice; or if
+    none, or several, of its files are readable.
     """
     where = str(path)
     with TemporaryDirectory(prefix="place-rsus-") as folder:
@@ -60,12 +45,12 @@ def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
         except OSError as error:
             reason = error.strerror or str(error)
             raise InputError(where, Unquoted(reason), "a readable .zip") from None
+        except InputError:
+            raise
         except (
             *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError, RuntimeError),
-            *(NotImplementedError, ValueError),
+            ValueError,
         ) as error:
-            if isinstance(error, InputError):
-                raise
             raise InputError(where, Unquoted(error), "a .zip that can be unpacked") from None
         try:
             yield Path(folder) / found.filename
@@ -75,7 +60,7 @@ def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
 
 
 def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipInfo]:
-    """Files of an archive, none of which leads astray."""
+    """Files of an archive; raises InputError if one of them is dangerous."""
     entries = archive.infolist()
     if len(entries) > MAX_MEMBERS:
         raise InputError(where, Unquoted(f"{len(entries):,} members"), f"at most {MAX_MEMBERS:,}")
@@ -92,7 +77,7 @@ def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipIn
         if entry.flag_bits & 0x1:
             raise InputError(shown, Unquoted("an encrypted file"), "one without a password")
         if name.casefold() in seen:
-            raise InputError(shown, Unquoted("a name that it has twice"), "every name once")
+            raise InputError(shown, Unquoted("a name that occurs twice"), "every name once")
         seen.add(name.casefold())
         if not entry.is_dir():
             members.append(entry)
@@ -103,7 +88,7 @@ def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipIn
 def _recognised(
     members: list[zipfile.ZipInfo], suffixes: Collection[str], where: str
 ) -> zipfile.ZipInfo:
-    """The one file that can be read; what describes another (roofs.shp.xml) does not count."""
+    """The one readable file; a description of another file (roofs.shp.xml) does not count."""
     names = {entry.filename for entry in members}
     found = [
         entry
@@ -125,7 +110,7 @@ def _recognised(
 def _extract(
     archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], folder: Path, where: str
 ) -> None:
-    """Write files into a folder, counting bytes: what the archive says may be wrong."""
+    """Write files into a folder and count their bytes: the sizes in the archive may be wrong."""
     n_bytes = 0
     for entry in members:
         target = folder / entry.filename
@@ -153,60 +138,55 @@ def _refuse_bomb(n_bytes: int, where: str) -> None:
         )
 
 
-# ---------- XML from anywhere, read without the traps that XML has: entities, bombs, endless files
-
-
+# ---------- XML
 MAX_FILE_BYTES = 500_000_000
 
 
 def read_xml(path: Path, *, expected: str) -> Element:
-    """Read an XML document as a whole.
+    """Read a whole XML document and return its root; `expected` names the format: "OpenDRIVE".
 
-    Parameters
-    ----------
-    path : Path
-        A file.
-    expected : str
-        What it should be, for messages: "OpenDRIVE".
-
-    Returns
-    -------
-    root : Element
-        Of the document.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is larger than half a gigabyte, is not well-formed XML, or has
-        entities or other parts that this cannot be trusted with.
+    Raises InputError if the file cannot be read, is larger than half a gigabyte, is not
+    well-formed, or has entities or other dangerous parts.
     """
-    from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import parse
 
-    try:
+    with _xml_errors(path, expected, f"{expected}: well-formed XML"):
         check_size(path)
         root: Element = parse(path, forbid_dtd=False).getroot()
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except DefusedXmlException as error:
-        raise InputError(
-            str(path), Unquoted(f"{type(error).__name__}"), f"{expected} without entities"
-        ) from None
-    except (ParseError, ValueError, LookupError) as error:  # LookupError: unknown encoding
-        raise InputError(str(path), Unquoted(error), f"{expected}: well-formed XML") from None
     return root
 
 
-def check_size(path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:
-    """Refuse a file that is too large to be read as a whole.
+def read_xml_root(path: Path) -> Element:
+    """The first element of an XML document without its content; raises as :func:`read_xml` does."""
+    from defusedxml.ElementTree import iterparse
 
-    Raises
-    ------
-    InputError
-        It is.
-    OSError
-        There is no such file.
-    """
+    with _xml_errors(path, "XML", "well-formed XML"):
+        for _, element in iterparse(path, events=("start",), forbid_dtd=False):
+            first: Element = element
+            return first
+    raise InputError(str(path), Unquoted("no element"), "well-formed XML")
+
+
+@contextmanager
+def _xml_errors(path: Path, expected: str, well_formed: str) -> Iterator[None]:
+    """Raise InputError in place of the errors of XML parsers."""
+    from defusedxml import DefusedXmlException
+
+    try:
+        yield
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+    except DefusedXmlException as error:
+        reason = Unquoted(type(error).__name__)
+        raise InputError(str(path), reason, f"{expected} without entities") from None
+    except (ParseError, ValueError, LookupError) as error:  # LookupError: unknown encoding
+        raise InputError(str(path), Unquoted(error), well_formed) from None
+
+
+def check_size(path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:
+    """Raise InputError if a file is too large to be read as a whole."""
     n_bytes = path.stat().st_size
     if n_bytes > max_bytes:
         raise InputError(
@@ -219,48 +199,14 @@ def local_name(element: Element) -> str:
     return str(element.tag).rpartition("}")[2]
 
 
-def read_xml_root(path: Path) -> Element:
-    """The first element of an XML document, without what it holds.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_xml`, as far as the file is read.
-    """
-    from defusedxml import DefusedXmlException
-    from defusedxml.ElementTree import iterparse
-
-    try:
-        for _, element in iterparse(path, events=("start",), forbid_dtd=False):
-            first: Element = element
-            return first
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except DefusedXmlException as error:
-        raise InputError(
-            str(path), Unquoted(f"{type(error).__name__}"), "XML without entities"
-        ) from None
-    except (ParseError, ValueError, LookupError) as error:
-        raise InputError(str(path), Unquoted(error), "well-formed XML") from None
-    raise InputError(str(path), Unquoted("no element"), "well-formed XML")
-
-
-# ---------- JSON from anywhere, read without its traps: endless files, nesting without end
-
-
+# ---------- JSON
 _MAX_BYTES = 300_000_000
 
 _Table = Mapping[str, Any]
 
 
 def read_text(path: Path, expected: str) -> str:
-    """Text of a file in UTF-8.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, is too large, or is no UTF-8.
-    """
+    """Text of a UTF-8 file; raises InputError if it is unreadable, too large, or no UTF-8."""
     try:
         check_size(path, _MAX_BYTES)
         return path.read_text(encoding="utf-8-sig")
@@ -271,13 +217,7 @@ def read_text(path: Path, expected: str) -> str:
 
 
 def parse_json(text: str, where: str, expected: str) -> _Table:
-    """A JSON object.
-
-    Raises
-    ------
-    InputError
-        It is none, or is nested too deeply.
-    """
+    """Parse a JSON object; raises InputError if it is none, or is nested too deeply."""
     try:
         document = json.loads(text)
     except RecursionError:
@@ -289,24 +229,17 @@ def parse_json(text: str, where: str, expected: str) -> _Table:
     return document
 
 
-# ---------- what a glTF file claims, looked at before memory is given to it
-
-
+# ---------- glTF
 _MAX_COUNT = 20_000_000  # elements of one accessor: five million triangles have 15 million indices
 _MAX_NODES = 200_000
 _MAX_JSON_BYTES = 100_000_000
 
 
 def check_gltf(path: Path) -> None:
-    """Refuse claims that a file cannot keep.
+    """Check the claims of a glTF 2 file before memory is given to it.
 
-    Raises
-    ------
-    InputError
-        It is no glTF 2, or no JSON; it claims more elements than five million triangles have,
-        several parents for a node, or nodes that are their own ancestors.
-    OSError
-        It cannot be read.
+    Raises InputError if it is no glTF 2; claims more elements than five million triangles have; or
+    has nodes with several parents, or that are their own ancestors.
     """
     where = str(path)
     text = _binary_header(path) if path.suffix.lower() == ".glb" else path.read_bytes()
@@ -371,31 +304,17 @@ def _check_tree(nodes: list[Mapping[str, Any]], where: str) -> None:
         raise InputError(f"{where}: nodes", Unquoted("a node that is its own ancestor"), "a tree")
 
 
-# ---------- what a PBF file must not have before the library reads it
-
-
+# ---------- PBF of OpenStreetMap
 _MAX_HEADER_BYTES = 64 * 1024  # [1]
 _MAX_BLOB_BYTES = 32 * 1024 * 1024  # [1], packed or not
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
 
 
 def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:
-    """Refuse a PBF file that osmium cannot be trusted with.
+    """Raise InputError if a PBF file is one that osmium cannot be trusted with.
 
-    Parameters
-    ----------
-    path : Path
-        A file that begins as PBF does.
-    max_unpacked_bytes : int
-        How much it may hold in all.
-    expected : str
-        What it should be, for messages.
-
-    Raises
-    ------
-    InputError
-        It is damaged, holds more, is packed in another way than with zlib, or has a text with a
-        zero byte in it: osmium ends texts there and reads on behind its memory.
+    It is damaged, holds more than `max_unpacked_bytes`, is packed in another way than with zlib, or
+    has a zero byte in a text: osmium ends the text there and reads on beyond its memory.
     """
     n_left = max_unpacked_bytes
     try:
@@ -415,7 +334,7 @@ def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:
 
 
 class _DamagedError(Exception):
-    """Bytes are not what the format says."""
+    """Bytes do not follow the format."""
 
 
 def _blobs(path: Path) -> Iterator[tuple[bytes, bytes]]:
@@ -424,7 +343,7 @@ def _blobs(path: Path) -> Iterator[tuple[bytes, bytes]]:
         while prefix := file.read(4):
             n_bytes = int.from_bytes(prefix, "big")
             if len(prefix) < 4 or n_bytes > _MAX_HEADER_BYTES:
-                raise _DamagedError("a header that is none")
+                raise _DamagedError("an invalid header")
             header = _fields(_exactly(file.read(n_bytes), n_bytes))
             kind, n_bytes = b"", -1
             for number, value in header:
@@ -450,7 +369,7 @@ def _unpacked(blob: bytes) -> bytes:
         if number == 3 and isinstance(value, bytes):
             unpacked = zlib.decompressobj().decompress(value, _MAX_BLOB_BYTES + 1)
             if len(unpacked) > _MAX_BLOB_BYTES:
-                raise _DamagedError("a blob that grows too large")
+                raise _DamagedError("a blob that is too large when unpacked")
             return unpacked
     raise _DamagedError("a blob packed in another way than with zlib")
 
@@ -481,13 +400,13 @@ def _fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
         else:
             raise _DamagedError("a field of unknown type")
         if length > end - at:
-            raise _DamagedError("a field that is longer than what it is in")
+            raise _DamagedError("a field that is longer than its message")
         yield number, data[at : at + length]
         at += length
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """A number of variable length and where the next field begins."""
+    """A number of variable length, and the position of the next field."""
     value, shift = 0, 0
     while True:
         byte = data[at]
@@ -497,4 +416,4 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
             return value, at
         shift += 7
         if shift > 63:
-            raise _DamagedError("a number of too many bytes")
+            raise _DamagedError("a number with too many bytes")

@@ -13,7 +13,7 @@ from .errors import InputError
 from .files import load_toml, pick, read_tables
 
 CONTRAST_AT_VISIBILITY = 0.05
-"""Of the meteorological optical range: contrast that is left at the visibility (WMO-No. 8)."""
+"""Contrast that remains at the visibility (meteorological optical range, WMO-No. 8)."""
 
 _DB_PER_NEPER = 10.0 / math.log(10.0)
 
@@ -84,17 +84,7 @@ class Weather:
         return -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m + self._rain_per_m
 
     def transmission(self, distance_m: ArrayLike) -> FloatArray:
-        """Share of light, and of contrast, that is left after a way through the air.
-
-        Parameters
-        ----------
-        distance_m : (...,) float
-            Way. [m]
-
-        Returns
-        -------
-        transmission : (...,) float
-            0 .. 1.
+        """Share of light, and of contrast, that remains after a distance through the air.
 
         Examples
         --------
@@ -106,17 +96,7 @@ class Weather:
         return left
 
     def lidar_extinction_per_m(self, wavelength_nm: float) -> float:
-        """Share of a laser pulse lost per metre, one way.
-
-        Parameters
-        ----------
-        wavelength_nm : float
-            Of the laser. [nm]
-
-        Returns
-        -------
-        extinction_per_m : float
-            Of haze and fog by Kim's exponent, and of rain. [1/m]
+        """Share of a laser pulse that rain and haze (Kim's exponent) take per metre, one way.
 
         References
         ----------

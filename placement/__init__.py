@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from geometry.scene_folders import find_scene
+    from geometry.scene_files import load_scene
 
     from .candidates import (
         CandidateGrid,
@@ -61,10 +61,10 @@ __all__ = [
     "build_setting",
     "evaluate_layout",
     "evaluate_layouts",
-    "find_scene",
     "load_candidate_grid",
     "load_detector",
     "load_layout",
+    "load_scene",
     "place",
 ]
 
@@ -79,7 +79,7 @@ _HOMES = {
     "optimiser": ("Effort",),
     "pipeline": ("Placement", "place"),
     "question": ("Question",),
-    "setting": ("Links", "Setting", "build_setting", "find_scene"),
+    "setting": ("Links", "Setting", "build_setting", "load_scene"),
     "wishes": ("Wishes",),
 }
 

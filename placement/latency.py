@@ -30,7 +30,6 @@ from .evaluation import Evaluation, earliest_arrival_s
 # ---------- latency budgets: what passes between a frame and the onset of braking, part by part
 
 
-LATENCY_MODES = ("mean", "worst", "sampled")
 DEFAULT_LATENCY_BUDGET = "study"
 MAX_LATENCY_S = 10.0
 """More than any run lasts: who gives more has meant milliseconds."""
@@ -192,33 +191,6 @@ class LatencyBudget:
             for x in above
         ]
         return np.array([float(min(max(share, Fraction(0)), Fraction(1))) for share in shares])
-
-
-def pick_latency_s(budget: LatencyBudget, mode: str) -> float:
-    """One latency for a command that does not draw any.
-
-    Parameters
-    ----------
-    budget : LatencyBudget
-        Its total.
-    mode : str
-        One of ``LATENCY_MODES``.
-
-    Returns
-    -------
-    latency_s : float
-        The mean or the worst. [s]
-
-    Raises
-    ------
-    InputError
-        The mode is "sampled", or none.
-    """
-    if mode not in LATENCY_MODES:
-        raise InputError("--latency-mode", mode, "one of " + ", ".join(LATENCY_MODES))
-    if mode == "sampled":
-        raise InputError("--latency-mode", mode, "mean or worst: this command draws no latencies")
-    return budget.mean_s if mode == "mean" else budget.worst_s
 
 
 def fixed_latency(latency_s: float) -> LatencyBudget:

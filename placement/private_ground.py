@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from geometry.arrays import (
     freeze,
 )
 from geometry.errors import InputError, Unquoted
+from geometry.maps.georeferences import transform
+from geometry.maps.gis_files import read_features
 from geometry.raycast import build_caster
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, project_points
@@ -45,6 +48,52 @@ class PrivateGround:
     points_m: FloatArray
     area_index: IntArray
     area_m2: FloatArray
+
+
+def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
+    """Private ground from a file of polygons, in a scene's world frame.
+
+    Parameters
+    ----------
+    path : Path
+        GeoJSON, GeoPackage or Shapefile; a column "name" or "id" names an area.
+    scene : Scene
+        The junction.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or has no polygon, or the file has coordinates on earth and the
+        scene has none.
+    """
+    import shapely
+
+    found = read_features(path)
+    if found.crs and not scene.crs:
+        raise InputError(
+            str(path),
+            Unquoted(f"coordinates in {found.crs}"),
+            "a scene that says where on earth it lies, or coordinates of its map without a crs",
+        )
+
+    def to_world(points: Any) -> Any:
+        if not found.crs:
+            return points - scene.source_origin_m if not scene.crs else points
+        return transform(points, found.crs, scene.crs)
+
+    areas = []
+    for number, feature in enumerate(found.features, start=1):
+        shape = feature.geometry
+        if shape is None or shape.geom_type not in ("Polygon", "MultiPolygon"):
+            continue
+        name = str(feature.values.get("name") or feature.values.get("id") or f"area {number}")
+        world = shapely.make_valid(shapely.transform(shapely.force_2d(shape), to_world))
+        if not np.isfinite(world.bounds).all():
+            raise InputError(feature.where, Unquoted("coordinates that cannot be"), "a polygon")
+        areas.append((name, world))
+    if not areas:
+        raise InputError(str(path), Unquoted("no polygon"), "areas that cameras must not look into")
+    return build_private_ground(areas)
 
 
 def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
@@ -136,6 +185,33 @@ def private_shares(
             seen = is_open & _in_picture(ground.points_m, candidates[index])
             share[index] = np.bincount(ground.area_index[seen], minlength=n_areas) / counts
     return share
+
+
+def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArray:
+    """Which candidates see no more than a share of each private area, (n_candidates,).
+
+    Parameters
+    ----------
+    shares : (n_candidates, n_areas) float
+        See :func:`private_shares`.
+    max_share : float
+        How much of an area they may see, 0 .. 1.
+
+    Raises
+    ------
+    InputError
+        No candidate is left.
+    """
+    share: FloatArray = shares.max(axis=1)
+    kept: BoolArray = share <= max_share
+    if not kept.any():
+        least = np.ceil(1000.0 * share.min()) / 1000.0
+        raise InputError(
+            "--no-look-share",
+            Unquoted(f"{100.0 * max_share:.1f} %"),
+            f"at least {least:g}, the share that the pose with the least in its picture sees",
+        )
+    return kept
 
 
 def _in_picture(points_m: FloatArray, candidate: CandidatePose) -> BoolArray:

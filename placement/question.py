@@ -399,9 +399,6 @@ class Question:
         ),
     ] = None
 
-    phase: str = "aligned"
-    no_look_price: float = 0.0
-    study_poses: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

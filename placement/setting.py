@@ -8,7 +8,7 @@ from geometry.actors import pick_actor
 from geometry.errors import InputError, Unquoted
 from geometry.junction import build_junction
 from geometry.scene import Scene
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule
 from scenarios.cases import select_cases
@@ -191,7 +191,6 @@ def drive(question: Question, scene: Scene) -> Drives:
         rule=build_rule(question),
         approaches=approaches,
         weathers=weathers,
-        phase=question.phase,
     )
     left_out = tuple(
         Refusal(
@@ -250,7 +249,7 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
         do not fit the runs.
     """
     question = question or Question()
-    scene = scene or find_scene(question.scene)
+    scene = scene or load_scene(question.scene)
     drives = drive(question, scene)
     runs = drives.runs
     driven = {run.case.name for run in runs}

@@ -52,8 +52,6 @@ class Wishes:
         For a site that is used, in place of the scene's. [EUR]
     separation_m : float
         Least distance on the ground between two units; on one site there is one at most then. [m]
-    surcharges_eur : tuple of (str, float)
-        Ids of candidates, and what each costs beside its sensor. [EUR]
     tail : float
         Share of the sampled worlds that counts, the worst ones, see
         :class:`placement.optimiser.problem.Measure`.
@@ -71,7 +69,6 @@ class Wishes:
     site_capacity: int | None = None
     site_cost_eur: float | None = None
     separation_m: float = 0.0
-    surcharges_eur: tuple[tuple[str, float], ...] = ()
     tail: float = 1.0
 
     def __post_init__(self) -> None:
@@ -180,8 +177,7 @@ def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePos
         if n_free <= 0:
             expected = "candidates beside the units kept, at sites with room for them"
         raise InputError("--budget", wishes.budget_units, expected)
-    extra = dict(wishes.surcharges_eur)
-    price = np.array([c.sensor.price_eur + extra.get(c.id, 0.0) for c in candidates])
+    price = np.array([c.sensor.price_eur for c in candidates])
     return Limits(
         site_index=site_index,
         site_capacity=capacity,

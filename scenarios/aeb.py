@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
-from geometry.files import load_toml, take, take_number
+from geometry.files import load_toml, read_table
 
 from .encounters import (
     GRAZING_M,
@@ -20,7 +20,7 @@ from .encounters import (
 from .encounters import Encounter as Encounter
 from .encounters import first_contact_s as first_contact_s
 
-# ---------- how the VUT brakes: the rule from detected frames to standstill, and its motion
+# ---------- how the VUT brakes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,30 +62,14 @@ class AebRule:
 @cache
 def load_aeb_rule() -> AebRule:
     """The study's rule, from ``data/aeb.toml``."""
-    table = load_toml(files(__package__) / "data" / "aeb.toml")
-    return AebRule(
-        deceleration_mps2=take_number(table, "deceleration_mps2", "aeb.toml"),
-        latency_s=take_number(table, "latency_s", "aeb.toml"),
-        n_confirmations=take(table, "n_confirmations", "aeb.toml"),
-        frame_rate_hz=take_number(table, "frame_rate_hz", "aeb.toml"),
-        build_up_s=take_number(table, "build_up_s", "aeb.toml"),
-    )
+    return read_table(load_toml(files(__package__) / "data" / "aeb.toml"), AebRule, "aeb.toml")
 
 
 def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:
-    """Time from the onset of braking to standstill.
+    """Time in seconds from the onset of braking to standstill.
 
-    Parameters
-    ----------
-    speed_mps : (...,) float
-        At the onset. [m/s]
-    rule : AebRule
-        Deceleration a and build-up b.
-
-    Returns
-    -------
-    time_s : (...,) float
-        v / a + b / 2; sqrt(2 v b / a) where that comes within the build-up. [s]
+    With deceleration a and build-up b it is v / a + b / 2, or sqrt(2 v b / a) where that comes
+    within the build-up.
     """
     full_s = np.asarray(speed_mps, dtype=np.float64) / rule.deceleration_mps2
     time: FloatArray = np.where(
@@ -97,22 +81,7 @@ def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:
 
 
 def braking_speed_mps(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule) -> FloatArray:
-    """Speed left after a time since the onset of braking.
-
-    Parameters
-    ----------
-    time_s : (...,) float
-        Since the onset, at least 0. [s]
-    speed_mps : (...,) float
-        At the onset. [m/s]
-    rule : AebRule
-        Deceleration and build-up.
-
-    Returns
-    -------
-    speed_mps : (...,) float
-        0 from standstill on. [m/s]
-    """
+    """Speed left at a time since the onset of braking; 0 from standstill on."""
     rising, full = _phases(np.asarray(time_s, dtype=np.float64), rule)
     braked_s = full if rule.build_up_s == 0.0 else full + 0.5 * rising**2 / rule.build_up_s
     lost_mps = rule.deceleration_mps2 * braked_s
@@ -123,20 +92,8 @@ def braking_speed_mps(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule)
 def braking_distance_m(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule) -> FloatArray:
     """Distance covered in the time since the onset of braking, until standstill and after.
 
-    Parameters
-    ----------
-    time_s : (...,) float
-        Since the onset, at least 0. [s]
-    speed_mps : (...,) float
-        At the onset. [m/s]
-    rule : AebRule
-        Deceleration a and build-up b.
-
-    Returns
-    -------
-    distance_m : (...,) float
-        v t - a t^3 / (6 b) during the build-up; r after its end
-        v t - a (b^2 / 6 + b r / 2 + r^2 / 2), until standstill. [m]
+    With deceleration a and build-up b it is v t - a t^3 / (6 b) during the build-up and, r after
+    its end, v t - a (b^2 / 6 + b r / 2 + r^2 / 2), until standstill.
 
     Examples
     --------
@@ -161,7 +118,7 @@ def _phases(time_s: FloatArray, rule: AebRule) -> tuple[FloatArray, FloatArray]:
     return rising, time_s - rising
 
 
-# ---------- autonomous emergency braking: what optimiser and evaluator share
+# ---------- whether braking helps
 
 
 _ONSET_STEP_S = 0.25  # first cells of the search for the last brake time
@@ -179,23 +136,10 @@ def smallest_separation_m(
     rule: AebRule,
     time_step_s: float = _FINE_STEP_S,
 ) -> FloatArray:
-    """Smallest separation of the footprints from the onset of braking until the VUT stands.
+    """Smallest separation of the footprints from each onset of braking until the VUT stands, (n,).
 
-    Parameters
-    ----------
-    encounter : Encounter
-        Who meets whom.
-    onset_s : (n,) float
-        When braking sets in. Before, the VUT drives as in the encounter. [s]
-    rule : AebRule
-        How the VUT brakes, along its path.
-    time_step_s : float
-        Step at which the separation is looked at. [s]
-
-    Returns
-    -------
-    separation_m : (n,) float
-        Zero or less: they touch. [m]
+    The VUT drives as in the encounter before the onset, and brakes along its path. Zero or less
+    means that they touch. The separation is looked at every `time_step_s`.
     """
     onset = np.atleast_1d(np.asarray(onset_s, dtype=np.float64))[:, None]
     since_onset = _looks_s(encounter, rule, time_step_s)
@@ -206,17 +150,7 @@ def smallest_separation_m(
 def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
     """Latest onset of braking such that it and every earlier one avoids the contact.
 
-    Parameters
-    ----------
-    encounter : Encounter
-        Who meets whom.
-    rule : AebRule
-        How the VUT brakes.
-
-    Returns
-    -------
-    last_brake_time_s : float
-        At most 0; minus infinity if even braking at the VUT's start does not help. [s]
+    It is at most 0, and minus infinity if even braking at the VUT's start does not help.
 
     Notes
     -----
@@ -249,7 +183,7 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         )
         speed = encounter.vut_reach * fastest + closing
         mean = 0.5 * (separation[0] + separation[1])
-        # Between its ends a gap sags no deeper than a parabola, as long as nobody sets off.
+        # Between its ends a gap sags no deeper than a parabola, while neither body sets off.
         is_smooth = (separation[0] <= encounter.near_m) & (speed * half_time <= encounter.small_m)
         for set_off_s in (start, vru.start_time_s):
             is_smooth &= (times[0] >= set_off_s) | (times[1] <= set_off_s)
@@ -282,19 +216,7 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
 def has_contact(encounter: Encounter, onset_s: float, rule: AebRule) -> bool:
     """Whether the footprints touch although the VUT brakes from `onset_s` on.
 
-    Parameters
-    ----------
-    encounter : Encounter
-        Who meets whom.
-    onset_s : float
-        When braking sets in; infinite: never. At or after the impact it is too late. [s]
-    rule : AebRule
-        How the VUT brakes.
-
-    Returns
-    -------
-    has_contact : bool
-        True: not avoided.
+    At or after the impact it is too late; an infinite onset is never.
 
     Notes
     -----
@@ -324,19 +246,7 @@ def has_contact(encounter: Encounter, onset_s: float, rule: AebRule) -> bool:
 
 
 def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray:
-    """Frames at which the last `n_confirmations` frames of the run are all detected.
-
-    Parameters
-    ----------
-    detected : (..., n_frames) bool
-        One run.
-    n_confirmations : int
-        Consecutive frames needed.
-
-    Returns
-    -------
-    is_confirmed : (..., n_frames) bool
-        At the last frame of every complete window.
+    """Frames of one run, (..., n_frames), at which the last `n_confirmations` are all detected.
 
     Examples
     --------
@@ -357,21 +267,9 @@ def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray
 def confirmation_time_s(
     detected: ArrayLike, time_s: ArrayLike, *, n_confirmations: int
 ) -> FloatArray:
-    """When a VRU is first confirmed.
+    """When the VRU of one run is first confirmed: (..., n_frames) detections -> (...,) seconds.
 
-    Parameters
-    ----------
-    detected : (..., n_frames) bool
-        One run.
-    time_s : (n_frames,) float
-        Times of the frames. [s]
-    n_confirmations : int
-        Consecutive frames needed.
-
-    Returns
-    -------
-    confirmation_time_s : (...,) float
-        Time of the first window's last frame; infinite if there is none. [s]
+    It is the time of the last frame of the first complete window; infinite if there is none.
     """
     confirmed = confirmation_mask(detected, n_confirmations=n_confirmations)
     first = np.argmax(confirmed, axis=-1)
@@ -383,22 +281,7 @@ def confirmation_time_s(
 def is_in_time(
     confirmation_s: ArrayLike, last_brake_s: ArrayLike, *, latency_s: float
 ) -> BoolArray:
-    """Whether braking after a confirmation avoids the impact.
-
-    Parameters
-    ----------
-    confirmation_s : (...,) float
-        When the VRU is confirmed. [s]
-    last_brake_s : (...,) float
-        Latest onset that avoids. [s]
-    latency_s : float
-        From confirmation to onset. [s]
-
-    Returns
-    -------
-    in_time : (...,) bool
-        confirmation + latency <= last brake time.
-    """
+    """Whether braking after a confirmation avoids: confirmation + latency <= last brake time."""
     onset = np.asarray(confirmation_s, dtype=np.float64) + latency_s
     in_time: BoolArray = onset <= np.asarray(last_brake_s, dtype=np.float64) + _TIME_TOLERANCE_S
     return in_time

@@ -12,7 +12,7 @@ from geometry.footprints import FootprintSizes, gaps_between
 
 from .paths import Motion
 
-_LONGEST_S = 600.0  # nobody looks any further
+_LONGEST_S = 600.0  # contacts later than this are not looked for
 _FIRST_STEP_S = 0.25
 _STEP_GROWTH = 0.05
 _CONTACT_TOLERANCE_S = 1.0e-7
@@ -57,17 +57,9 @@ class Encounter:
         object.__setattr__(self, "_sizes", sizes)
 
     def separation_m(self, vut_distance_m: FloatArray, vru_distance_m: FloatArray) -> FloatArray:
-        """Separation of the footprints after distances along their paths.
+        """Separation of the footprints after distances along their paths, which broadcast.
 
-        Parameters
-        ----------
-        vut_distance_m, vru_distance_m : (...,) float
-            Leading axes broadcast. [m]
-
-        Returns
-        -------
-        separation_m : (...,) float
-            Zero or less: they touch; see :func:`geometry.footprints.footprint_separation`. [m]
+        Zero or less means that they touch; see :func:`geometry.footprints.footprint_separation`.
         """
         separation: FloatArray = self.gaps_m(vut_distance_m, vru_distance_m).max(axis=0)
         return separation
@@ -99,17 +91,9 @@ class Encounter:
         return 0.25 * sum(min(body.length_m, body.width_m) for body in (self.vut, self.vru))
 
     def max_gap_bend_mps2(self, deceleration_mps2: float) -> float:
-        """How much the change of a gap changes per second while the bodies are near.
+        """Bound of the second time derivative of :meth:`gaps_m` while the bodies are near.
 
-        Parameters
-        ----------
-        deceleration_mps2 : float
-            Of the VUT at most. [m/s^2]
-
-        Returns
-        -------
-        bend_mps2 : float
-            Bound of the second derivative of each of :meth:`gaps_m` by time. [m/s^2]
+        `deceleration_mps2` is the most that the VUT brakes with.
 
         Notes
         -----
@@ -133,18 +117,9 @@ class Encounter:
 
 
 def first_contact_s(encounter: Encounter) -> float:
-    """When the bodies first touch if nobody brakes.
+    """When the bodies first touch without braking, within a tenth of a microsecond.
 
-    Parameters
-    ----------
-    encounter : Encounter
-        Who meets whom.
-
-    Returns
-    -------
-    first_contact_s : float
-        From the earlier one's start on, within a tenth of a microsecond; infinite if they do not
-        touch within ten minutes of it. [s]
+    Infinite if they do not touch within ten minutes of the earlier one's start.
     """
     vut, vru = encounter.vut_motion, encounter.vru_motion
     speed = encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
@@ -177,15 +152,7 @@ def first_contact_s(encounter: Encounter) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cells:
-    """Rectangles in the plane of two times.
-
-    Attributes
-    ----------
-    first_s, second_s : (n,) float
-        Middle of each cell. [s]
-    half_first_s, half_second_s : (n,) float
-        Half its size along each time. [s]
-    """
+    """Rectangles in the plane of two times: the middle of each and half its size, (n,) each."""
 
     first_s: FloatArray
     second_s: FloatArray
@@ -195,7 +162,7 @@ class Cells:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measures:
-    """What is known of cells.
+    """What is known of cells, (n,) each.
 
     Attributes
     ----------
@@ -215,22 +182,12 @@ class Measures:
 def find_first_touch(
     cells: Cells, measure: Callable[[Cells], Measures], *, tolerance_s: float
 ) -> tuple[float, float]:
-    """Smallest first time at which there is a contact.
+    """Smallest first time at which there is a contact, found between two limits.
 
-    Parameters
-    ----------
-    cells : Cells
-        Cover everything that shall be looked at.
-    measure : callable
-        Looks at cells. It must say of all small ones, say by ``GRAZING_M``, that they do or do not
-        touch: else the search might not end.
-    tolerance_s : float
-        How near the two answers shall come. [s]
-
-    Returns
-    -------
-    safe_s, touch_s : float
-        No contact before the one, contact at the other; both infinite if there is none. [s]
+    There is no contact before the first limit and one at the second, which are at most
+    `tolerance_s` apart; both are infinite if there is none. `cells` cover everything to be looked
+    at, and `measure` must say of all small ones, by ``GRAZING_M``, that they do or do not touch:
+    else the search might not end.
 
     Notes
     -----

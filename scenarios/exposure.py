@@ -8,15 +8,16 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import load_toml, take_list, take_text
+from geometry.files import load_toml, read_table
 
 from .runs import Run
 
-# ---------- weights of runs from a CSV file: case, approach, weight, and weather if wanted
+# ---------- weights from a CSV file
 
 
 _COLUMNS = ("case", "approach", "weight")
@@ -27,19 +28,10 @@ _ANY = ("", "*")
 def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
     """Weights by a user's own exposure table.
 
-    Parameters
-    ----------
-    path : Path
-        UTF-8, separated by commas or semicolons. Columns case, approach, weight, and if wanted
-        weather; "*" or nothing in approach or weather stands for all.
-    runs : sequence of Run
-        At least one.
-
-    Returns
-    -------
-    weight : (n_runs,) float
-        The weight of a row is shared equally by the runs that it names; what no row names weighs
-        nothing. Sums to 1.
+    The file is UTF-8, separated by commas or semicolons, with columns case, approach, weight, and
+    if wanted weather; "*" or nothing in approach or weather stands for all. The weight of a row is
+    shared equally by the runs that it names; what no row names weighs nothing. The weights sum to
+    1.
 
     Raises
     ------
@@ -132,26 +124,32 @@ def _what_is_driven(runs: Sequence[Run], row: Mapping[str, str]) -> str:
     return f"an approach and weather in which {row['case']} is driven: {ways}"
 
 
-# ---------- euro NCAP's points of 2026 as weights of runs: needs the extra `rating`
+# ---------- weights by Euro NCAP's points of 2026; needs the extra `rating`
 
 
 RATING = "euroncap-rating-2026"
 
 
+class _Score(Struct, frozen=True, kw_only=True):
+    """A score of the rating, and the cases (what our names begin with) that it counts for."""
+
+    name: str
+    cases: tuple[str, ...]
+    weather: str
+
+
+class _Rating(Struct, frozen=True, kw_only=True):
+    """``data/rating_2026.toml``."""
+
+    scores: tuple[_Score, ...]
+
+
 def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     """Weights by the points that Euro NCAP gives the cases in 2026.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        At least one.
-
-    Returns
-    -------
-    weight : (n_runs,) float
-        The points that a score can earn at most (standard and extended range, robustness) are
-        shared equally by the runs that belong to it; those of scores without runs are nobody's.
-        Runs without a score, such as all in the rain, weigh nothing. Sums to 1.
+    The points that a score can earn at most (standard and extended range, robustness) are shared
+    equally by the runs that belong to it; those of scores without runs do not count. Runs without a
+    score, such as all in the rain, weigh nothing. The weights sum to 1.
 
     Raises
     ------
@@ -193,17 +191,19 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
         raise MissingExtraError(
             f"--weights {RATING} needs that package: pip install place-rsus[rating]"
         ) from None
-    table = load_toml(files(__package__) / "data" / "rating_2026.toml")
+    where = "rating_2026.toml"
+    table = read_table(load_toml(files(__package__) / "data" / where), _Rating, where)
     points = {}
-    for index, entry in enumerate(take_list(table, "scores", "rating_2026.toml")):
-        where = f"rating_2026.toml: scores[{index}]"
-        name = take_text(entry, "name", where)
-        if name not in TOTAL_SCORES:
+    for index, score in enumerate(table.scores):
+        if score.name not in TOTAL_SCORES:
             raise InputError(
-                where, Unquoted(f"{name!r}, unknown to the installed {RATING}"), "a score of it"
+                f"{where}: scores[{index}]",
+                Unquoted(f"{score.name!r}, unknown to the installed {RATING}"),
+                "a score of it",
             )
-        key = (tuple(take_list(entry, "cases", where)), take_text(entry, "weather", where))
-        points[key] = float(sum(part or 0.0 for part in TOTAL_SCORES[name].values()))
+        points[score.cases, score.weather] = float(
+            sum(part or 0.0 for part in TOTAL_SCORES[score.name].values())
+        )
     return points
 
 
@@ -211,7 +211,7 @@ def _family(case_name: str) -> str:
     return case_name.rpartition("-")[0] or case_name
 
 
-# ---------- how much each run counts
+# ---------- weights by a word
 
 
 _BY_WORD = ("run", "case", RATING)
@@ -255,52 +255,20 @@ def weigh(runs: Sequence[Run], how: str) -> FloatArray:
 
 
 def weight_per_run(runs: Sequence[Run]) -> FloatArray:
-    """Equal weight for every run, as in the study.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        At least one.
-
-    Returns
-    -------
-    weight : (n_runs,) float
-        Sums to 1.
-    """
+    """Equal weight for every run, as in the study."""
     return np.full(len(runs), 1.0 / len(runs))
 
 
 def weight_per_case(runs: Sequence[Run]) -> FloatArray:
-    """Equal weight for every case, and within a case for every run.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        At least one.
-
-    Returns
-    -------
-    weight : (n_runs,) float
-        Sums to 1.
-    """
+    """Equal weight for every case, and within a case for every run."""
     names = [run.case.name for run in runs]
     return np.array([1.0 / names.count(name) for name in names]) / len(set(names))
 
 
 def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:
-    """Weight of some runs / weight of all.
+    """Weight of the runs in a mask / weight of all; NaN if there is no weight at all.
 
-    Parameters
-    ----------
-    mask : (n_runs,) bool
-        The runs that count.
-    weight : (n_runs,) float
-        At least 0.
-
-    Returns
-    -------
-    share : float
-        0 .. 1, exactly 1 where all runs with weight count; NaN if there is no weight at all.
+    It is exactly 1 where all runs with weight count.
 
     Examples
     --------

@@ -25,30 +25,20 @@ class Path(Protocol):
     """
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position of the middle of the footprint and heading after a distance.
+        """Position (..., 2) of the middle of the footprint and heading after a distance.
 
-        Parameters
-        ----------
-        distance_m : (...,) float
-            Along the path; may be negative or beyond its end. [m]
-
-        Returns
-        -------
-        position_m : (..., 2) float
-            East, north. [m]
-        yaw_deg : (...,) float
-            Heading. [deg]
+        The distance may be negative or beyond the path's end.
         """
         ...
 
     @property
     def max_turn_rad_per_m(self) -> float:
-        """What the heading changes by at most in a metre, in rad/m."""
+        """How much the heading changes in a metre, at most, in rad/m."""
         ...
 
     @property
     def max_turn_change_rad_per_m2(self) -> float:
-        """What the heading's change per metre itself changes by at most in a metre, in rad/m^2."""
+        """How much the heading's change per metre itself changes in a metre, at most."""
         ...
 
 
@@ -96,7 +86,7 @@ class StraightPath:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TurnPath:
-    """A vehicle's way straight on, round a turn and straight on for ever.
+    """A vehicle's way: straight on, round a turn, and straight on without end.
 
     Distances are those of the front axle's centre, which follows the line: the protocol's control
     point. The rear axle is dragged behind it and never slips sideways.
@@ -178,19 +168,9 @@ class TurnPath:
         return self._to_world(ahead, left), self.yaw_deg + np.degrees(body)
 
     def front_axle_at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position of the front axle's centre and direction of its path after a distance.
+        """Position (..., 2) of the front axle's centre and direction of its path after a distance.
 
-        Parameters
-        ----------
-        distance_m : (...,) float
-            Along the path; may be negative or beyond its end. [m]
-
-        Returns
-        -------
-        position_m : (..., 2) float
-            East, north. [m]
-        yaw_deg : (...,) float
-            Direction of the path; the body's own heading lags behind. [deg]
+        The body's own heading lags behind.
         """
         point, angle_deg = self.turn.at(np.asarray(distance_m, dtype=np.float64) - self.straight_m)
         return self._to_world(point[..., 0], point[..., 1]), self.yaw_deg + angle_deg
@@ -259,19 +239,7 @@ def travel_time_s(
 ) -> float:
     """Time from rest to a distance; the inverse of :meth:`Motion.distance_m`.
 
-    Parameters
-    ----------
-    distance_m : float
-        At least 0. [m]
-    speed_mps : float
-        Once it is reached. [m/s]
-    acceleration_distance_m : float
-        From rest to that speed, at constant acceleration. [m]
-
-    Returns
-    -------
-    travel_time_s : float
-        2 a / v for the acceleration distance a, then 1 / v per metre. [s]
+    With the speed v it is 2 a / v for the acceleration distance a, then 1 / v per metre.
 
     Raises
     ------
@@ -293,20 +261,11 @@ def travel_time_s(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _TurnTable:
-    """A vehicle on a turn, from the turn's start to its end. Ahead and left of the start.
+    """A vehicle on a turn, from the turn's start to its end; ahead and left of the start.
 
-    Attributes
-    ----------
-    distance_m, ahead_m, left_m : (n,) float
-        Of the front axle. [m]
-    body_rad : (n,) float
-        Heading of the body. [rad]
-    exit_rad : float
-        Direction of the path after the turn. [rad]
-    exit_direction : tuple of float
-        The same as a unit vector.
-    exit_half_lag_tan : float
-        Tangent of half the angle by which the body lags behind there.
+    Distance, ahead and left are those of the front axle, (n,); `body_rad` (n,) is the heading of
+    the body, `exit_rad` and the unit vector `exit_direction` that of the path after the turn, and
+    `exit_half_lag_tan` the tangent of half the angle by which the body lags behind there.
     """
 
     distance_m: FloatArray

@@ -11,7 +11,7 @@ from scipy.constants import kmh
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.files import load_toml, take, take_number
+from geometry.files import load_toml, read_table
 from geometry.footprints import footprint_corners
 from geometry.junction import (
     Arm,
@@ -37,8 +37,6 @@ from .staging import (
 )
 from .turns import pick_turn
 
-# ---------- cases laid on the approaches of any junction, by the rules of the protocol
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Rules:
@@ -51,33 +49,19 @@ class _Rules:
 
 @cache
 def _load_rules() -> _Rules:
-    table = take(load_toml(files(__package__) / "data" / "laying.toml"), "vut", "laying.toml")
-    return _Rules(**{key: take_number(table, key, "laying.toml: vut") for key in _Rules.__slots__})
+    table = load_toml(files(__package__) / "data" / "laying.toml")
+    return read_table(table["vut"], _Rules, "laying.toml: vut")
 
 
 def stage_by_protocol(
     case: Case, junction: Junction, approach: str, *, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
-    """Lay a case on an approach.
+    """Lay a case on an approach of a junction, or raise why its lanes do not allow it.
 
-    Parameters
-    ----------
-    case : Case
-        What is driven.
-    junction : Junction
-        Its arms.
-    approach : str
-        Name of the arm from which the VUT comes.
-    vut_speed_kmh : float
-        Constant. [km/h]
-    vut : Actor
-        The vehicle under test.
-
-    Returns
-    -------
-    staging : Staging
-        The run begins when the VRU sets off; turning: also 1 s before the VUT enters the curve.
-        The VUT comes along its lane, and straight on backwards where the map ends.
+    The run begins when the VRU sets off; turning: also 1 s before the VUT enters the curve. The VUT
+    comes along its lane, and straight on backwards where the map ends. It drives in the lane at the
+    kerb; before a left turn, in the one at the road's axis. Pedestrians cross on the arm's
+    crosswalk; a VRU that moves ahead of the VUT is reached there.
 
     Raises
     ------
@@ -85,11 +69,6 @@ def stage_by_protocol(
         The lanes do not allow it; the text says why.
     InputError
         There is no such arm.
-
-    Notes
-    -----
-    The VUT drives in the lane at the kerb; before a left turn, in the one at the road's axis.
-    Pedestrians cross on the arm's crosswalk; whoever moves ahead of the VUT is reached there.
     """
     if approach not in junction.arms:
         raise InputError("approach", approach, "one of " + ", ".join(junction.arms))
@@ -329,7 +308,7 @@ def _travel_s(case: Case, travel_m: float) -> float:
     )
 
 
-# ---------- whether there is room in a scene for what a case lays into it
+# ---------- room for what a case lays into a scene
 
 
 _HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls
@@ -339,13 +318,6 @@ _POLES = ("lamp post", "traffic light")
 
 def check_clearance(staging: Staging, scene: Scene) -> None:
     """Check that nothing of the scene stands in the way of a staging's bodies.
-
-    Parameters
-    ----------
-    staging : Staging
-        Ways to the impact, and parked bodies.
-    scene : Scene
-        What stands still.
 
     Raises
     ------

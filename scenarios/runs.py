@@ -26,8 +26,6 @@ from .published import find_placement, stage_published
 from .staging import CannotCarryError, Staging, mirror_staging
 
 WEATHERS = tuple(load_weathers())
-PHASES = ("aligned", "worst")
-_N_PHASES = 10  # "worst" looks at so many, evenly spaced over one frame
 _GRID_TOLERANCE = 1.0e-6  # of a frame
 
 
@@ -152,12 +150,7 @@ class FrameAxis:
 def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
     """Lay the frames of runs end to end.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        At least one.
-    weight : (n_runs,) float
-        Shares that sum to 1.
+    The weights (n_runs,) are shares that sum to 1.
 
     Raises
     ------
@@ -182,21 +175,9 @@ def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
 def confirmation_times_s(
     detected: BoolArray, axis: FrameAxis, *, n_confirmations: int
 ) -> FloatArray:
-    """When the VRU of each run is first confirmed; no window reaches from one run into the next.
+    """When the VRU of each run is first confirmed: (..., n_frames) detections -> (..., n_runs).
 
-    Parameters
-    ----------
-    detected : (..., n_frames) bool
-        Frames of all runs.
-    axis : FrameAxis
-        Runs and frames.
-    n_confirmations : int
-        Consecutive frames needed.
-
-    Returns
-    -------
-    confirmation_s : (..., n_runs) float
-        See :func:`scenarios.aeb.confirmation_time_s`; infinite if there is none. [s]
+    No window reaches from one run into the next; see :func:`scenarios.aeb.confirmation_time_s`.
     """
     return np.stack(
         [
@@ -227,10 +208,9 @@ def onset_times_s(
 
     Returns
     -------
-    confirmation_s : (n_runs,) float
-        Time of the last frame of the window that is known first; infinite if there is none. [s]
-    onset_s : (n_runs,) float
-        When it is known: braking sets in. [s]
+    confirmation_s, onset_s : (n_runs,) float
+        Time of the last frame of the window that is known first, and when it is known, so that
+        braking sets in; infinite if there is none. [s]
     """
     known = np.full(axis.n_frames, np.inf)
     if axis.n_frames >= n_confirmations:
@@ -246,19 +226,7 @@ def onset_times_s(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refusal:
-    """A case that an approach does not carry.
-
-    Attributes
-    ----------
-    case : Case
-        What should be driven.
-    approach : str
-        The arm from which the VUT would come.
-    speeds_kmh : tuple of float
-        At which speeds. [km/h]
-    reason : str
-        Why not.
-    """
+    """A case that an approach does not carry at some speeds, and the reason."""
 
     case: Case
     approach: str
@@ -274,7 +242,6 @@ def build_runs(
     rule: AebRule,
     approaches: Sequence[str] | None = None,
     weathers: Sequence[str] = ("day",),
-    phase: str = "aligned",
 ) -> tuple[tuple[Run, ...], tuple[Refusal, ...]]:
     """Lay cases on every approach of a scene's junction.
 
@@ -293,10 +260,6 @@ def build_runs(
         Arms from which the VUT comes; by default all.
     weathers : sequence of str
         Every run is driven once in each. See ``WEATHERS``.
-    phase : str
-        "aligned": a frame at the impact. "worst": of ten phases between two frames, the one whose
-        last frame that still allows to brake in time is the earliest. Of a VRU that stays in sight
-        it leaves the fewest frames, whatever the layout.
 
     Returns
     -------
@@ -308,13 +271,12 @@ def build_runs(
     Raises
     ------
     InputError
-        The junction has no such approach, or there is no such weather or phase.
+        The junction has no such approach, or there is no such weather.
     """
     junction = build_junction(scene)
     for words, known, where in (
         (approaches or (), tuple(junction.arms), "approach"),
         (weathers, WEATHERS, "weather"),
-        ((phase,), PHASES, "phase"),
     ):
         for word in words:
             if word not in known:
@@ -330,7 +292,7 @@ def build_runs(
                 except CannotCarryError as error:
                     reasons.setdefault(str(error), []).append(speed_kmh)
                     continue
-                run = _build_run(case, approach, speed_kmh, staging, rule=rule, phase=phase)
+                run = _build_run(case, approach, speed_kmh, staging, rule=rule)
                 runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
             refusals += [
                 Refusal(case=case, approach=approach, speeds_kmh=tuple(speeds), reason=reason)
@@ -356,15 +318,13 @@ def _stage(
 
 
 def _build_run(
-    case: Case, approach: str, speed_kmh: float, staging: Staging, *, rule: AebRule, phase: str
+    case: Case, approach: str, speed_kmh: float, staging: Staging, *, rule: AebRule
 ) -> Run:
     encounter = staging.encounter
     vut, vru = encounter.vut_motion, encounter.vru_motion
-    last_brake_s = last_brake_time_s(encounter, rule)
-    shift_s = _worst_phase_s(last_brake_s, rule) if phase == "worst" else 0.0
     first_s = min(vut.start_time_s, vru.start_time_s)
-    n_steps = int((-first_s - shift_s) * rule.frame_rate_hz + _GRID_TOLERANCE)
-    time_s = np.arange(-n_steps, 1) / rule.frame_rate_hz - shift_s
+    n_steps = int(-first_s * rule.frame_rate_hz + _GRID_TOLERANCE)
+    time_s = np.arange(-n_steps, 1) / rule.frame_rate_hz
     vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))
     vru_distance = vru.distance_m(time_s)
     vru_position, vru_yaw = vru.path.at(vru_distance)
@@ -382,7 +342,7 @@ def _build_run(
         vru_yaw_deg=freeze(vru_yaw),
         vru_shape=freeze(encounter.vru.shape_index(vru_distance)),
         obstruction=staging.obstruction,
-        last_brake_time_s=last_brake_s,
+        last_brake_time_s=last_brake_time_s(encounter, rule),
     )
 
 
@@ -390,13 +350,3 @@ def _in_weather(run: Run, weather: str) -> Run:
     if weather == run.weather:
         return run
     return replace(run, id=f"{run.id}/{weather}", weather=weather)
-
-
-def _worst_phase_s(last_brake_s: float, rule: AebRule) -> float:
-    """By how much frames come before the aligned ones, so that the most is lost to waiting."""
-    if not np.isfinite(last_brake_s):
-        return 0.0
-    deadline = (last_brake_s - rule.latency_s) * rule.frame_rate_hz  # in frames
-    shifts = np.arange(_N_PHASES) / _N_PHASES
-    last_frame = np.floor(deadline + shifts + _GRID_TOLERANCE) - shifts
-    return float(shifts[np.argmin(last_frame)] / rule.frame_rate_hz)

@@ -23,9 +23,6 @@ from .paths import (
     travel_time_s,
 )
 
-# ---------- how a run is set up: who moves how, past what, before anybody brakes
-
-
 _SCAN_STEP_M = 0.1
 _NEVER_PARALLEL = 1.0e-6
 _MAX_EARLY_S = 0.3  # a corner that touches before the impact position is a tenth of a second early
@@ -39,12 +36,7 @@ class CannotCarryError(Exception):
 class Staging:
     """A run without its frames.
 
-    Attributes
-    ----------
-    encounter : Encounter
-        Bodies and motions; the impact is at time 0.
-    obstruction : tuple of PlacedActor
-        Parked bodies that belong to this run only.
+    The impact of the encounter is at time 0; the obstruction are parked bodies of this run only.
     """
 
     encounter: Encounter
@@ -55,12 +47,7 @@ class Staging:
 class Meeting:
     """Where the bodies are at the impact.
 
-    Attributes
-    ----------
-    vut_distance_m : float
-        Along the VUT's path. [m]
-    vru_distance_m : float
-        Of the middle of the VRU along its line, from the line's point. [m]
+    The VUT's distance is along its path, the VRU's that of its middle from its line's point.
     """
 
     vut_distance_m: float
@@ -72,24 +59,9 @@ def find_meeting(
 ) -> Meeting:
     """Where the VRU meets the VUT at the case's impact position.
 
-    Parameters
-    ----------
-    case : Case
-        Impact position and the VRU's point that meets it.
-    vut : Actor
-        The vehicle under test.
-    vut_path : Path
-        Of the VUT.
-    vru_line : Line
-        On which the middle of the VRU moves.
-    search_m : tuple of float
-        First and last distance along the VUT's path to look at. [m]
-
-    Returns
-    -------
-    meeting : Meeting
-        Front: the VRU's point is `impact_percent` across the VUT's width, and the VUT's front has
-        just reached the VRU's box. Side: the point is on the VUT's side.
+    Front: the VRU's point is `impact_percent` across the VUT's width, and the VUT's front has just
+    reached the VRU's box. Side: the point is on the VUT's side. `search_m` are the first and the
+    last distance along the VUT's path to look at.
 
     Raises
     ------
@@ -130,28 +102,9 @@ def set_off(
 ) -> Encounter:
     """Encounter whose bodies first touch at time 0.
 
-    Parameters
-    ----------
-    case : Case
-        Who moves.
-    vut : Actor
-        The vehicle under test.
-    vut_path : Path
-        From where the VUT is at `vut_start_s`.
-    vut_start_s : float
-        When it sets off. [s]
-    vut_speed_kmh : float
-        Constant. [km/h]
-    vru_line, vru_distance_m : Line, float
-        Where the middle of the VRU is at the impact: so far along the line. [m]
-    vru_travel_m : float
-        From rest to there. [m]
-
-    Returns
-    -------
-    encounter : Encounter
-        Where the corner of a turning VUT would touch a moment before the impact position is
-        reached, both set off that moment later.
+    The VUT's path begins where it is at `vut_start_s`. At the impact the middle of the VRU is
+    `vru_distance_m` along its line, after `vru_travel_m` from rest. Where the corner of a turning
+    VUT would touch a moment before the impact position is reached, both set off that moment later.
 
     Raises
     ------
@@ -232,7 +185,7 @@ def _gap_to_side(
     return gap, coordinates[:, 0] - case.vru_reference_m
 
 
-# ---------- parked cars and walls that hide the VRU of a case, laid beside the ways of VUT and VRU
+# ---------- parked cars and walls that hide the VRU
 
 
 # Two triangles on each of a box's six sides, outward, for corners numbered as in `_build_wall`.
@@ -249,19 +202,8 @@ def place_beside_vut(
 ) -> tuple[PlacedActor, ...]:
     """Cars parked along the VUT's way, on the side from which the VRU comes.
 
-    Parameters
-    ----------
-    obstruction : Obstruction
-        Bodies and gaps. Their common centreline is such that the widest keeps the side gap.
-    vut, vut_line : Actor, Line
-        The vehicle under test and its way.
-    vru, vru_line : Actor, Line
-        The VRU and its way; the line's point is where the two ways cross.
-
-    Returns
-    -------
-    bodies : tuple of PlacedActor
-        Noses as the VUT's, the first one nearest to the VRU's line.
+    Their common centreline is such that the widest keeps the side gap; noses as the VUT's, the
+    first one nearest to the VRU's line, whose point is where the two ways cross.
     """
     side = -float(np.sign(vut_line.left @ vru_line.direction))
     widest_m = max(actor.width_m for actor in obstruction.bodies)
@@ -281,7 +223,7 @@ def place_beside_vru(
 ) -> tuple[PlacedActor, ...]:
     """Cars parked beside the VRU's way, between it and the coming VUT; noses away from the VUT's.
 
-    Parameters and result as for :func:`place_beside_vut`; the sides towards the VRU are flush.
+    The sides towards the VRU are flush.
     """
     bodies = []
     rear_m = obstruction.first_gap_m
@@ -299,10 +241,7 @@ def place_beside_vru(
 def place_wall(
     obstruction: Obstruction, *, vut: Actor, vut_line: Line, vru: Actor, vru_line: Line
 ) -> tuple[PlacedActor, ...]:
-    """A wall beside the VRU's way, between it and the coming VUT.
-
-    Parameters and result as for :func:`place_beside_vut`; one body.
-    """
+    """A wall beside the VRU's way, between it and the coming VUT."""
     wall = _build_wall(*obstruction.wall_size_m)
     beside_m = 0.5 * vru.width_m + obstruction.side_gap_m + 0.5 * wall.width_m
     middle = vru_line.at(
@@ -341,7 +280,7 @@ def _build_wall(length_m: float, thickness_m: float, height_m: float) -> Actor:
     )
 
 
-# ---------- stagings seen in a mirror
+# ---------- stagings in a mirror, for traffic that keeps left
 
 
 _NORTH_TO_SOUTH = np.array([1.0, -1.0])
@@ -349,13 +288,7 @@ _NORTH_TO_SOUTH = np.array([1.0, -1.0])
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MirroredPath:
-    """A path in a mirror that swaps north and south.
-
-    Attributes
-    ----------
-    path : Path
-        What stands before the mirror.
-    """
+    """A path in a mirror that swaps north and south."""
 
     path: Path
 

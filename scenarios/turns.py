@@ -3,19 +3,16 @@
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
+from typing import Literal
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import fresnel
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.files import (
-    load_toml,
-    pick,
-    take_number,
-    take_text,
-)
+from geometry.files import load_toml, pick, read_tables
 
 LEFT, RIGHT = 1, -1
 _SIDES = {"far": LEFT, "near": RIGHT}  # right-hand traffic
@@ -88,19 +85,10 @@ class Turn:
         return float((self._half_way() * np.exp(-1j * half)).real / np.cos(half))
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position and direction after a distance.
+        """Position (..., 2), ahead and left of the start, and angle turned after a distance.
 
-        Parameters
-        ----------
-        distance_m : (...,) float
-            From the start of the curve; before it and behind its end the path is straight. [m]
-
-        Returns
-        -------
-        position_m : (..., 2) float
-            Ahead of the start and to the left of it. [m]
-        angle_deg : (...,) float
-            Turned so far, counter-clockwise. [deg]
+        Before the curve and behind its end the path is straight. The angle counts in degrees,
+        counter-clockwise.
 
         Notes
         -----
@@ -124,17 +112,7 @@ class Turn:
         return position, self.side * np.degrees(angle)
 
     def turned_by(self, angle_deg: float) -> "Turn":
-        """Return the same turn with another arc, between lanes that meet at another angle.
-
-        Parameters
-        ----------
-        angle_deg : float
-            By how much the whole curve shall turn. [deg]
-
-        Returns
-        -------
-        turn : Turn
-            Same clothoids, same radius.
+        """The same turn with another arc, for lanes that meet at another angle.
 
         Raises
         ------
@@ -176,18 +154,21 @@ class Turn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurnAtSpeed:
-    """A turn and how fast it is driven.
-
-    Attributes
-    ----------
-    turn : Turn
-        The curve.
-    speed_kmh : float
-        Of the VUT. [km/h]
-    """
+    """A turn and how fast the VUT drives it, in km/h."""
 
     turn: Turn
     speed_kmh: float
+
+
+class _TurnEntry(Struct, frozen=True, kw_only=True):
+    """A turn in ``data/turning_paths.toml``."""
+
+    turn: Literal["far", "near"]
+    speed_kmh: float
+    first_radius_m: float
+    radius_m: float
+    clothoid_deg: float
+    arc_deg: float
 
 
 @cache
@@ -195,34 +176,23 @@ def load_turns() -> dict[str, TurnAtSpeed]:
     """The protocol's turns by name, such as "far_10", from ``data/turning_paths.toml``."""
     table = load_toml(files(__package__) / "data" / "turning_paths.toml")
     turns = {}
-    for name, entry in table.items():
-        where = f"turning_paths.toml: {name}"
+    for name, entry in read_tables(table, _TurnEntry, "turning_paths.toml").items():
         turn = Turn(
-            side=pick(_SIDES, take_text(entry, "turn", where), f"{where}.turn"),
-            **{
-                key: take_number(entry, key, where)
-                for key in ("first_radius_m", "radius_m", "clothoid_deg", "arc_deg")
-            },
+            first_radius_m=entry.first_radius_m,
+            radius_m=entry.radius_m,
+            clothoid_deg=entry.clothoid_deg,
+            arc_deg=entry.arc_deg,
+            side=_SIDES[entry.turn],
         )
-        turns[name] = TurnAtSpeed(turn=turn, speed_kmh=take_number(entry, "speed_kmh", where))
+        turns[name] = TurnAtSpeed(turn=turn, speed_kmh=entry.speed_kmh)
     return turns
 
 
 def pick_turn(side: str, speed_kmh: float) -> Turn:
-    """Turn on which the VUT drives at a speed.
+    """Turn to a side, "far" (left) or "near" (right), on which the VUT drives at a speed.
 
-    Parameters
-    ----------
-    side : str
-        "far" (left) or "near" (right).
-    speed_kmh : float
-        Of the VUT. [km/h]
-
-    Returns
-    -------
-    turn : Turn
-        Of the tabulated speed. Faster than all: that of the fastest, as the protocol rules for
-        25 km/h; slower than all: that of the slowest.
+    Faster than all tabulated speeds: that of the fastest, as the protocol rules for 25 km/h; slower
+    than all: that of the slowest.
 
     Raises
     ------

@@ -29,12 +29,13 @@ from placement.compute import Compute
 from placement.evaluation import apr
 from placement.evaluator import evaluate_layout
 from placement.pipeline import place
+from placement.planning import build_plan
 from placement.question import Question
 from placement.setting import build_setting
 
 from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan
-from ..jobs.planning import build_plan
+from ..study.layout import load_carlancap_layout
 
 _WORKERS = 2
 _NO_MAPS = ("_16mm.json", "_8mm.json", ".boundary.geojson")  # calibrations, outlines
@@ -125,7 +126,7 @@ def _run(task: _Task, budget: int, pictures: Path) -> list[str]:
     (pictures / f"{stem}.png").write_bytes(to_png(plot_scene_plan(scene)))
     began_s = time.perf_counter()
     setting = build_setting(Question(), scene)
-    plan = build_plan(Question(budget=budget), scene)
+    plan = build_plan(Question(budget=budget), scene, study=load_carlancap_layout())
     compute = Compute(workers=_WORKERS)
     placement = place(
         setting, plan.candidates, wishes=plan.wishes, effort=plan.effort, compute=compute

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 from msgspec import UNSET
@@ -178,7 +178,7 @@ def written(out: Path | None) -> list[str]:
 def additions(result: "Result") -> list[str]:
     """What a result has beside layout, proof and evaluation, each part before an empty line."""
     from ..report.explanation import explanation_text
-    from ..report.private_ground import result_private_sentences
+    from ..report.private_ground import private_ground_sentences
     from ..report.refinement import refinement_sentences
     from ..report.sampled_worlds import uncertainty_text
 
@@ -189,7 +189,7 @@ def additions(result: "Result") -> list[str]:
     if result.explained is not UNSET:
         parts.append([explanation_text(result.explained)])
     if result.private_ground is not UNSET:
-        parts.append(sentences(*result_private_sentences(result)))
+        parts.append(sentences(*private_ground_sentences(result)))
     if result.refinement is not UNSET:
         parts.append(sentences(*refinement_sentences(result.refinement)))
     if result.sampled is not UNSET:

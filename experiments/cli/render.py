@@ -84,12 +84,12 @@ def render(
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
     progress("lay the run", 0, 0)
-    from geometry.scene_folders import find_scene
+    from geometry.scene_files import load_scene
     from placement.layout import check_layout
 
     from ..jobs import render
 
-    around = find_scene(scene)
+    around = load_scene(scene)
     check_layout(layout, around)
     run = render.find_run(run_id, around, weather=weather)
     frame_index = render.find_frame(run, frame)

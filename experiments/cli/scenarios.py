@@ -154,12 +154,12 @@ def list_scenarios(
     1.2 seconds before it. With --json a list, one entry per case and approach, with one last
     moment per speed; null where braking cannot help.
     """
-    from geometry.scene_folders import find_scene
+    from geometry.scene_files import load_scene
     from placement.setting import drive
 
     progress.start(quiet=quiet)
     progress("lay the cases", 0, 0)
-    rows = list_rows(drive(question, find_scene(question.scene)))
+    rows = list_rows(drive(question, load_scene(question.scene)))
     print_result(rows, progress, as_json, lambda: scenario_table(rows))
 
 
@@ -179,12 +179,12 @@ Examples:
 @click.pass_obj
 def show(progress: StageProgress, *, question: Question, out: Path | None, quiet: bool) -> None:
     """Draw a run from above: bodies, paths, obstruction, what the VUT has in sight."""
-    from geometry.scene_folders import find_scene
+    from geometry.scene_files import load_scene
     from placement.setting import drive_one
 
     from ..figures.film import save_film
 
-    scene = find_scene(question.scene)
+    scene = load_scene(question.scene)
     run = drive_one(question, scene)
     path = out or Path("results", "scenarios", run.id.replace("/", "_") + ".png")
     progress.start(quiet=quiet)
@@ -208,12 +208,12 @@ Examples:
 def export(*, question: Question, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""
     from geometry.files import write_atomically
-    from geometry.scene_folders import find_scene
+    from geometry.scene_files import load_scene
     from placement.setting import drive_one
 
     from ..export.openscenario import to_openscenario
 
-    scene = find_scene(question.scene)
+    scene = load_scene(question.scene)
     text = to_openscenario(drive_one(question, scene), road_network=scene.road_network)
     if out is None:
         click.echo(text, nl=False)

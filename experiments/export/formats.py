@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from importlib import import_module
 
 from geometry.scene import Scene
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from placement.layout import Layout, check_layout
 
 
@@ -62,6 +62,6 @@ def export_layout(layout: Layout, format_name: str, *, scene_path: str = "") -> 
     InputError
         The layout does not fit the scene, or the format needs a place on earth.
     """
-    scene = find_scene(scene_path)
+    scene = load_scene(scene_path)
     check_layout(layout, scene)
     return load_format(format_name).write(layout, scene)

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from geometry.errors import InputError, Unquoted
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from placement.compute import Compute
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout
@@ -83,19 +83,15 @@ def run_latency(
     Raises
     ------
     InputError
-        The budget is unknown or given twice, the phase of the frames depends on the latency, a
+        The budget is unknown or given twice, a
         unit hangs inside something, or `out` cannot be written.
     """
     chosen = pick_budget(question, budget)
-    if question.phase != "aligned":
-        raise InputError(
-            "--phase", question.phase, "aligned: every latency is looked at on the same frames"
-        )
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
     progress("setting", 0, 0)
-    setting = build_setting(question, find_scene(question.scene))
+    setting = build_setting(question, load_scene(question.scene))
     check_layout(layout, setting.scene)
     evaluation = evaluate_layout(layout, setting, compute=compute)
     curves = apr_by_latency(evaluation, setting.rule, vut_latency_s=vut_latency_s)

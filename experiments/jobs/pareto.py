@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import pandas as pd
 
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.optimiser import Fusion, PlacementProblem
@@ -15,6 +15,7 @@ from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import Front, StageChoice
 from placement.optimiser.units_front import pareto_front
 from placement.pipeline import obtain_table
+from placement.planning import Plan, build_plan
 from placement.question import Question
 from placement.setting import build_setting
 from placement.wishes import build_problem
@@ -27,7 +28,7 @@ from ..report.front import describe_money, describe_units
 from ..results.drives import build_drives_record, versions
 from ..results.fronts import FrontRecord, build_front_record
 from ..results.record import to_plain
-from .planning import Plan, build_plan
+from ..study.layout import load_carlancap_layout
 from .writing import check_folder, write_files
 
 # ---------- what ``place-rsus pareto`` does
@@ -83,11 +84,11 @@ def run_pareto(
     InputError
         A wish cannot be met, or `out` cannot be written.
     """
-    scene = find_scene(question.scene)
+    scene = load_scene(question.scene)
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
-    plan = build_plan(replace(question, budget=1), scene)
+    plan = build_plan(replace(question, budget=1), scene, study=load_carlancap_layout())
     wishes = replace(plan.wishes, budget_units=max_units)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)

@@ -9,7 +9,7 @@ from typing import cast
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace as replace_fields
 
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from placement.compute import Compute
 from placement.evaluation import apr
 from placement.evaluator import evaluate_layouts
@@ -19,6 +19,8 @@ from placement.optimiser import Fusion
 from placement.optimiser.front import Front
 from placement.optimiser.units_front import front_below
 from placement.pipeline import Placement, place
+from placement.planning import Plan, build_plan
+from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
 from placement.sampling import load_uncertainty, out_of_sample_layouts
@@ -27,7 +29,6 @@ from placement.setting import Setting, build_setting
 from ..progress import StageProgress
 from ..report.bill_of_materials import build_bill
 from ..report.page import GREEDY
-from ..report.private_ground import load_private_ground
 from ..report.sampled_worlds import plot_sampled_apr
 from ..results.explanations import (
     PrivateGroundRecord,
@@ -44,9 +45,8 @@ from ..results.result import (
     build_placement_result,
 )
 from ..results.sampled_worlds import build_sampled_record
-from ..study.layout import find_baseline
+from ..study.layout import find_baseline, load_carlancap_layout
 from .pareto import describe_front
-from .planning import Plan, build_plan
 from .writing import check_result_folder, left_as_it_was, write_results
 
 MIN_FRESH_WORLDS = 60
@@ -69,8 +69,8 @@ def run_placement(
         A wish cannot be met, or `out` cannot be written.
     """
     check_result_folder(out)
-    scene = find_scene(question.scene)
-    plan = build_plan(question, scene)
+    scene = load_scene(question.scene)
+    plan = build_plan(question, scene, study=load_carlancap_layout())
     progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
@@ -134,10 +134,8 @@ def run_placement(
         sensitivity=_what_if(setting, placement.layout, compute, fusion=question.fusion),
         private_ground=(
             UNSET
-            if plan.private is None
-            else build_private_ground_record(
-                placement.layout.units, scene, plan.private, eur_per_m2=question.no_look_price
-            )
+            if plan.private_ground is None
+            else build_private_ground_record(placement.layout.units, scene, plan.private_ground)
         ),
         refinement=UNSET if refinement is None else build_refinement_record(refinement),
     )
@@ -287,7 +285,7 @@ def _judge(
         check_result_folder(out)
         progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
-    setting = build_setting(question, find_scene(question.scene))
+    setting = build_setting(question, load_scene(question.scene))
     layouts = _with_distinct_names(layouts)
     for layout in layouts:
         check_layout(layout, setting.scene)

@@ -23,6 +23,7 @@ from placement.optimiser import (
     solve_greedy,
     solve_placement,
 )
+from placement.planning import build_effort
 from placement.question import Question
 from placement.recordings import (
     RecordedEvaluation,
@@ -41,7 +42,6 @@ from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.drives import versions
 from ..results.reading import MARKER
-from .planning import effort_of
 from .writing import check_result_folder, new_result_folder
 
 ALL_UNITS = "RSU_all"
@@ -129,7 +129,7 @@ def run_recorded_placement(
     solution = solve_placement(
         problem,
         reduced,
-        effort=effort_of(question),
+        effort=build_effort(question),
         on_stage=lambda stage: progress(f"optimise: {stage}", 0, 0),
     )
     greedy = _pick(recording, solve_greedy(problem, reduced))

@@ -7,12 +7,13 @@ from typing import Any, cast
 
 import pandas as pd
 
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.layout import Layout, check_layout, layout_records
 from placement.optimiser import Fusion, PlacementValue, is_better
 from placement.pipeline import obtain_table
+from placement.planning import build_grid, build_plan
 from placement.question import Question
 from placement.retrofit import (
     Change,
@@ -31,7 +32,6 @@ from ..progress import WRITING, StageProgress
 from ..results.drives import build_drives_record, versions
 from ..results.numbers import percent
 from ..results.record import to_plain
-from .planning import build_plan, grid_of
 from .writing import check_folder, write_files
 
 # ---------- what can be done about a layout that hangs, in sentences
@@ -192,13 +192,13 @@ def run_retrofit(
     InputError
         A unit hangs inside something, a word is unknown, or `out` cannot be written.
     """
-    scene = find_scene(question.scene)
+    scene = load_scene(question.scene)
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
     check_layout(layout, scene)
-    plan = build_plan(replace(question, budget=1, budget_cost=None, study_poses=False), scene)
-    poses = build_retrofit_poses(layout, grid_of(question.sensors), plan.candidates)
+    plan = build_plan(replace(question, budget=1, budget_cost=None), scene)
+    poses = build_retrofit_poses(layout, build_grid(question.sensors), plan.candidates)
     wishes = replace(plan.wishes, kept=tuple(unit.id for unit in layout.units))
     progress("setting", 0, 0)
     setting = build_setting(question, scene)

@@ -19,11 +19,11 @@ from geometry.maps.importing import (
 from geometry.maps.junctions import Surveyed
 from geometry.scene import Scene
 from geometry.scene_checks import check_scene
-from geometry.scene_files import load_study_scene
-from geometry.scene_folders import (
+from geometry.scene_files import (
     SCENE_FILE,
     load_notes,
     load_scene_folder,
+    load_study_scene,
     pack_scene,
     save_scene,
 )

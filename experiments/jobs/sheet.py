@@ -19,7 +19,7 @@ from geometry.files import write_atomically
 from geometry.frames import to_geographic
 from geometry.junction import COMPASS
 from geometry.scene import Scene, thing_footprint
-from geometry.scene_folders import find_scene
+from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, is_ring, is_turn_useless
@@ -336,7 +336,7 @@ def run_sheet(
     check_folder(out.parent)
     progress.kept = f"nothing was written to {out}"
     progress("setting", 0, 0)
-    setting = build_setting(question, find_scene(question.scene))
+    setting = build_setting(question, load_scene(question.scene))
     check_layout(layout, setting.scene)
     progress("tolerances", 0, 0)
     tolerances = find_tolerances(setting, layout.units, compute=compute)

@@ -16,7 +16,7 @@ from scenarios.runs import FrameAxis
 from ..results.numbers import NOTHING, number, or_nan, percent, several
 from ..results.record import StageRecord
 from ..results.result import Result
-from .private_ground import result_private_sentences
+from .private_ground import private_ground_sentences
 from .refinement import refinement_sentences
 from .sampled_worlds import uncertainty_sentences
 from .section import Block, Section, Table
@@ -61,7 +61,7 @@ def answer(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
         ]
     return [
         *(f"{sentence}." for sentence in sentences if sentence),
-        *result_private_sentences(result),
+        *private_ground_sentences(result),
         *(refinement_sentences(result.refinement) if result.refinement else []),
         *(uncertainty_sentences(result.sampled) if result.sampled else []),
     ]

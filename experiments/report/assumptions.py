@@ -11,8 +11,6 @@ from ..results.result import Result
 from .answer import is_weighted
 from .section import Block, Box, Code, Section, Table, Terms
 
-_SAME_TIME_S = 1.0e-9
-
 
 def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, Layout]) -> Section:
     """What the numbers rest on; layouts by display name."""
@@ -45,7 +43,7 @@ def assumptions(
         (
             "Runs",
             f"{axis.n_runs} runs, {axis.n_frames} frames at {rule.frame_rate_hz:g} Hz. Every run "
-            f"ends in an impact unless the car brakes. {_phase(setting)}",
+            "ends in an impact unless the car brakes. One frame falls on the moment of the impact.",
         ),
         ("Weights", _weights(setting)),
         (
@@ -99,18 +97,6 @@ def _onset(build_up_s: float) -> str:
     if build_up_s == 0.0:
         return "constant from the onset"
     return f"reached linearly {build_up_s:g} s after the onset"
-
-
-def _phase(setting: Setting) -> str:
-    shift_s = [float(-run.time_s[-1]) for run in setting.runs]
-    n_shifted = sum(value > _SAME_TIME_S for value in shift_s)
-    if not n_shifted:
-        return "One frame falls on the moment of the impact."
-    return (
-        "Frames fall as unfavourably as they can, run by run: the last one that still allows to "
-        f"brake in time comes as early as possible. In {count_runs(n_shifted)} the last frame lies "
-        f"before the impact, by up to {1000.0 * max(shift_s):.0f} ms."
-    )
 
 
 def _weights(setting: Setting) -> str:

@@ -1,18 +1,8 @@
-"""Private ground: read from a file, and what units see of it."""
+"""What units see of private ground: in a sentence, and as a section of the report."""
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
 
-import numpy as np
 from msgspec import UnsetType
-
-from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, Unquoted
-from geometry.maps.georeferences import transform
-from geometry.maps.gis_files import read_features
-from geometry.scene import Scene
-from placement.private_ground import PrivateGround, build_private_ground
 
 from ..results.explanations import PrivateGroundRecord
 from ..results.numbers import percent
@@ -20,62 +10,8 @@ from ..results.result import Result
 from .section import Section, Table
 
 
-def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
-    """Private ground from a file of polygons.
-
-    GeoJSON, GeoPackage or Shapefile; a column "name" or "id" names an area. Raises InputError if
-    the file cannot be read or has no polygon, or says where on earth it lies and the scene does
-    not.
-    """
-    import shapely
-
-    found = read_features(path)
-    if found.crs and not scene.crs:
-        raise InputError(
-            str(path),
-            Unquoted(f"coordinates in {found.crs}"),
-            "a scene that says where on earth it lies, or coordinates of its map without a crs",
-        )
-
-    def to_world(points: Any) -> Any:
-        if not found.crs:
-            return points - scene.source_origin_m if not scene.crs else points
-        return transform(points, found.crs, scene.crs)
-
-    areas = []
-    for number, feature in enumerate(found.features, start=1):
-        shape = feature.geometry
-        if shape is None or shape.geom_type not in ("Polygon", "MultiPolygon"):
-            continue
-        name = str(feature.values.get("name") or feature.values.get("id") or f"area {number}")
-        world = shapely.make_valid(shapely.transform(shapely.force_2d(shape), to_world))
-        if not np.isfinite(world.bounds).all():
-            raise InputError(feature.where, Unquoted("coordinates that cannot be"), "a polygon")
-        areas.append((name, world))
-    if not areas:
-        raise InputError(str(path), Unquoted("no polygon"), "areas that cameras must not look into")
-    return build_private_ground(areas)
-
-
-def is_decent(shares: FloatArray, *, most: float) -> BoolArray:
-    """Which candidates see no more than a share of any private area.
-
-    `shares` is (n_candidates, n_areas), see :func:`placement.private_ground.private_shares`. Raises
-    InputError if all of them see more.
-    """
-    share = shares.max(axis=1)
-    kept: BoolArray = share <= most
-    if not kept.any():
-        raise InputError(
-            "--no-look-share",
-            Unquoted(percent(most)),
-            f"at least {np.ceil(1000.0 * share.min()) / 1000.0:g}, what the most decent pose sees",
-        )
-    return kept
-
-
-def private_sentences(found: PrivateGroundRecord) -> list[str]:
-    """What each unit sees of private ground, in a sentence or two."""
+def private_ground_sentence(found: PrivateGroundRecord) -> str:
+    """Which unit sees how much of which area."""
     seen = [
         f"{unit} sees {percent(share)} of {name}"
         for unit, shares in found.units.items()
@@ -85,27 +21,21 @@ def private_sentences(found: PrivateGroundRecord) -> list[str]:
     n_areas = len(found.areas)
     what = "the private area" if n_areas == 1 else f"any of the {n_areas} private areas"
     if not seen:
-        return [f"No camera has {what} in its picture."]
-    return [f"Of private ground, {'; '.join(seen)}.", *_price_sentences(found)]
+        return f"No camera has {what} in its picture."
+    return f"Of private ground, {'; '.join(seen)}."
 
 
-def result_private_sentences(result: Result) -> list[str]:
+def private_ground_sentences(result: Result) -> list[str]:
     """The same of a result; of each layout where several are compared."""
     if not result.private_ground:
         return []
-    sentences = private_sentences(result.private_ground)
-    for other in result.compared or ():
-        if other.private_ground:
-            sentences += [f"{other.name}: {one}" for one in private_sentences(other.private_ground)]
-    return sentences
-
-
-def _price_sentences(found: PrivateGroundRecord) -> list[str]:
-    if not found.price_eur:
-        return []
     return [
-        f"That is in the cost with {found.price_eur:,.0f} EUR, "
-        f"{found.eur_per_m2:g} EUR a square metre: no money is paid for it."
+        private_ground_sentence(result.private_ground),
+        *(
+            f"{other.name}: {private_ground_sentence(other.private_ground)}"
+            for other in result.compared or ()
+            if other.private_ground
+        ),
     ]
 
 
@@ -164,19 +94,18 @@ def private_ground_section(
         "Seen is what lies in a camera's picture with nothing in between, at the height of "
         "people's eyes. LiDARs take no pictures."
     )
-    blocks = [" ".join(_short_sentences(found, most_seen)), table, note]
+    blocks = [_short_sentence(found, most_seen), table, note]
     return Section("private-ground", "Private ground", blocks)
 
 
-def _short_sentences(found: PrivateGroundRecord, most_seen: Mapping[str, float]) -> list[str]:
+def _short_sentence(found: PrivateGroundRecord, most_seen: Mapping[str, float]) -> str:
     """Who sees what, where few do; where many do, only how many."""
     n_seen = sum(share > 0.0 for share in most_seen.values())
     n_seeing = sum(max(shares.values()) > 0.0 for shares in found.units.values())
     if n_seen * n_seeing <= _MAX_NAMED:
-        return private_sentences(found)
+        return private_ground_sentence(found)
     worst = max(most_seen, key=lambda name: most_seen[name])
-    return [
+    return (
         f"{n_seeing} of {len(found.units)} units see something of {n_seen} of "
-        f"{len(most_seen)} private areas; the most is {percent(most_seen[worst])} of {worst}.",
-        *_price_sentences(found),
-    ]
+        f"{len(most_seen)} private areas; the most is {percent(most_seen[worst])} of {worst}."
+    )

@@ -233,10 +233,6 @@ class PrivateAreaRecord(Record, frozen=True, kw_only=True):
 class PrivateGroundRecord(Record, frozen=True, kw_only=True):
     """What cameras see of areas that they must not look into."""
 
-    eur_per_m2: Annotated[
-        float, says("Price of a square metre in a picture, in EUR; 0: none.", ge=0)
-    ]
-    price_eur: Annotated[float, says("That is in the cost, in EUR, though nobody pays it.", ge=0)]
     areas: Annotated[tuple[PrivateAreaRecord, ...], says("The areas.")]
     units: Annotated[dict[str, dict[str, Share]], says("Of each unit, by its id.")]
 
@@ -406,17 +402,11 @@ def _outcome(outcome: Outcome) -> dict[str, float | None]:
 
 
 def build_private_ground_record(
-    units: Sequence[CandidatePose],
-    scene: Scene,
-    ground: PrivateGround,
-    *,
-    eur_per_m2: float = 0.0,
+    units: Sequence[CandidatePose], scene: Scene, ground: PrivateGround
 ) -> PrivateGroundRecord:
     """What units see of private ground."""
     shares = private_shares(scene, units, ground)
     return PrivateGroundRecord(
-        eur_per_m2=eur_per_m2,
-        price_eur=float(eur_per_m2 * (shares @ ground.area_m2).sum()),
         areas=tuple(
             PrivateAreaRecord(name=name, area_m2=float(area))
             for name, area in zip(ground.names, ground.area_m2, strict=True)

@@ -1,13 +1,10 @@
 """The CarlaNCAP study: its setting and its layout of 12 cameras."""
 
-import os
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 
 from geometry.arrays import float_array
 from geometry.catalogue import pick_camera
-from geometry.errors import InputError
 from geometry.files import (
     load_toml,
     take_list,
@@ -17,9 +14,9 @@ from geometry.files import (
 from geometry.frames import from_carla_pose
 from geometry.scene import Scene
 from geometry.scene_files import load_study_scene
+from placement import planning
 from placement.candidates import CandidatePose
-from placement.layout import Layout, load_layout
-from placement.question import BASELINE_NAME
+from placement.layout import Layout
 
 
 @cache
@@ -59,12 +56,5 @@ def find_baseline(scene: Scene) -> Layout | None:
 
 
 def find_layout(name: str, option: str) -> Layout:
-    """A layout by its name, or from a file.
-
-    Raises InputError if there is no such file, or it is no layout.
-    """
-    if name == BASELINE_NAME:
-        return load_carlancap_layout()
-    if not os.path.lexists(name):
-        raise InputError(option, name, f"{BASELINE_NAME}, or a layout file that exists")
-    return load_layout(Path(name))
+    """A layout from a file, or the study's by its name; see :mod:`placement.planning`."""
+    return planning.find_layout(name, option, study=load_carlancap_layout())

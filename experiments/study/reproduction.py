@@ -69,7 +69,7 @@ class Variant:
 
 
 def build_variants() -> tuple[Variant, ...]:
-    """As it is first; then walls, parked cars, smallest box, field of view and phase, changed."""
+    """As it is first; then walls, parked cars, smallest box and field of view, changed."""
     layout = load_carlancap_layout()
     base = build_setting(Question(cases=OWN_CASES), load_study_scene())
     changes: Mapping[str, Callable[[], Setting]] = {
@@ -82,9 +82,6 @@ def build_variants() -> tuple[Variant, ...]:
         "parked row 1 m beside the VUT, not 0.5 m": lambda: _move_parked(base, 0.5),
         "smallest box 30 px": lambda: _detect_from(base, 30.0),
         "smallest box 50 px": lambda: _detect_from(base, 50.0),
-        "worst phase of the frames": lambda: build_setting(
-            Question(cases=OWN_CASES, phase="worst"), base.scene
-        ),
     }
     variants = [
         Variant(name=name, setting=build(), layout=layout) for name, build in changes.items()

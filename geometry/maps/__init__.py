@@ -1,8 +1,9 @@
-"""Maps that others made, and the junctions that are cut out of them.
+"""Maps made by others, and the junctions that are cut out of them.
 
-``map_files`` knows all readers; each turns one file into one ``model.SourceMap``: ``opendrive/``
-and ``openstreetmap/`` have roads, ``footprint_files``, ``city_json``, ``city_gml``, ``mesh_files``
-and ``point_clouds`` what stands beside them. ``survey`` lists junctions, ``cut`` takes what lies
-around one into its own ``local_frame``, ``site_choice`` decides where sensors may hang;
-``importing`` does all of it.
+``importing`` is the door: it reads map files, chooses a junction, cuts it out and decides where
+sensors can be mounted. Each format has a reader that returns a ``source_map.SourceMap``:
+``opendrive/`` and ``openstreetmap/`` read roads; ``gis_files``, ``city_json``, ``city_gml``,
+``mesh_files`` and ``point_clouds`` read what stands beside them. ``junctions`` lists the junctions
+of a map, ``cut`` takes the surroundings of one into a local frame (``georeferences``), ``sites``
+and ``site_files`` decide on the places for sensors.
 """

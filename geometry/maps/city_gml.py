@@ -12,15 +12,10 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..untrusted_files import local_name, read_xml
-from .city_objects import (
-    CLASS_OF_TYPE,
-    CityObject,
-    city_map,
-    counted,
-)
+from .city_json import CLASS_OF_TYPE, CityObject, city_map
 from .georeferences import crs_name, horizontal_crs
 from .solids import Polygon3D
-from .source_map import SourceMap
+from .source_map import SourceMap, counted
 
 _EXPECTED = "CityGML"
 _OTHER_TYPES = (
@@ -45,24 +40,10 @@ _HREF = "{http://www.w3.org/1999/xlink}href"
 def read_citygml(path: Path) -> SourceMap:
     """Read a CityGML file.
 
-    What is taken as what: see :func:`geometry.maps.city_json.read_cityjson`, which reads the same
-    model in its other encoding. A solid counts more than surfaces of the same level of detail;
-    references to polygons of the same file are followed, others are not.
-
-    Parameters
-    ----------
-    path : Path
-        ``.gml``, ``.citygml`` or ``.xml``.
-
-    Returns
-    -------
-    source : SourceMap
-        Only things; heights are absolute.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is no CityGML, or has nothing solid.
+    Types and levels of detail: see :func:`geometry.maps.city_json.read_cityjson`, which reads the
+    same model in its other encoding. Of one level of detail a solid counts more than surfaces;
+    references to polygons of the same file are followed, others are not. Heights are absolute.
+    Raises InputError if the file cannot be read, is no CityGML, or has nothing solid.
     """
     where = str(path)
     root = read_xml(path, expected=_EXPECTED)
@@ -100,7 +81,7 @@ class _Shape:
 
 
 class _Document:
-    """The elements of a file, and those that others refer to."""
+    """The elements of a file, and an index of those that others refer to."""
 
     def __init__(self, where: str, root: Element) -> None:
         self.where = where
@@ -114,7 +95,7 @@ class _Document:
                     self.by_id.setdefault(element.attrib[key], element)
 
     def features(self, left_out: Counter[str]) -> Iterator[Element]:
-        """Objects that are solid; what else there is gets counted."""
+        """Elements of a known type; those of other known types are counted."""
         stack = [self.root]
         while stack:
             for child in reversed(stack.pop()):
@@ -123,11 +104,11 @@ class _Document:
                     yield child
                 elif name in _OTHER_TYPES:
                     left_out[name] += 1
-                    continue  # and what lies in it: rooms, bridge parts
+                    continue  # with its content: rooms, bridge parts
                 stack.append(child)
 
     def city_object(self, feature: Element, empty: Counter[str]) -> CityObject | None:
-        """An object with its own surfaces; those of its parts are the parts' own."""
+        """An object with its own surfaces, without those of its parts."""
         type_name = local_name(feature)
         shapes = list(self._shapes(feature, 0))
         best = max(
@@ -177,7 +158,7 @@ class _Document:
                 yield from self._shapes(child, depth + 1)
 
     def _polygons(self, element: Element, depth: int, n_dimensions: int) -> Iterator[Polygon3D]:
-        """Polygons of a geometry, references followed; of solids those of the outer shell."""
+        """Polygons of a geometry, following references; of solids only those of the outer shell."""
         self.n_visits_left -= 1
         if depth > _MAX_DEPTH or self.n_visits_left < 0:
             raise InputError(
@@ -249,7 +230,7 @@ class _Document:
 
 
 def _n_dimensions(element: Element) -> int:
-    """How many numbers a point has, as an element says; 0: it does not."""
+    """Coordinates per point as an element declares them; 0: it does not."""
     text = element.attrib.get("srsDimension", "")
     return int(text) if text in ("2", "3") else 0
 
@@ -258,7 +239,7 @@ _UNITS_M = {"m": 1.0, "metre": 1.0, "meter": 1.0, "ft": 0.3048, "cm": 0.01, "km"
 
 
 def _measured_height_m(feature: Element) -> float | None:
-    """Height that an object declares; None where it declares none, or one in unknown units."""
+    """Height that an object declares; None if it declares none, or one in an unknown unit."""
     for child in feature:
         name = local_name(child)
         values = [child] if name == "measuredHeight" else []
@@ -274,12 +255,9 @@ def _measured_height_m(feature: Element) -> float | None:
 
 
 def _reference_system(root: Element, where: str) -> tuple[str, bool]:
-    """The reference system of a file, and whether its definition gives the order of coordinates.
+    """The declared reference system, and whether coordinates follow its order of axes.
 
-    Raises
-    ------
-    InputError
-        There are several.
+    Raises InputError if a file declares several.
     """
     from pyproj.exceptions import ProjError
 

@@ -2,7 +2,8 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -12,49 +13,55 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..untrusted_files import parse_json, read_text
-from .city_objects import (
-    CLASS_OF_TYPE,
-    CityObject,
-    city_map,
-    counted,
-)
-from .solids import Polygon3D
-from .source_map import SourceMap
+from .georeferences import georeference
+from .solids import Polygon3D, extrude, join, surface_mesh
+from .source_map import MAX_TRIANGLES, Skipped, SourceMap, Thing, counted, shortened, unique_id
+from .thing_kinds import kind_from_name, kind_of_class, thing_defaults
 
 _VERSIONS = ("1.0", "1.1", "2.0")
-_MAX_BYTES = 300_000_000
 _MAX_RING = 100_000
 _SURFACES_AT = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2}
 _SURFACES_AT |= {"CompositeSolid": 2}
 _HEIGHTS = ("measuredHeight", "height", "Height", "Hoehe")
 _WORDS = ("name", "class", "function", "usage", "type")
+_MAX_NAME = 80  # characters
+
+# Class of thing by the type of an object.
+CLASS_OF_TYPE = {
+    "Building": "building",
+    "BuildingPart": "building",
+    "BuildingInstallation": "building",  # balconies, outer stairs, chimneys
+    "BuildingConstructiveElement": "building",
+    "OtherConstruction": "wall",  # city walls, sheds, tanks
+    "CityFurniture": "wall",  # opaque like one, unless its name says lamp or tree
+    "SolitaryVegetationObject": "vegetation",
+    "PlantCover": "vegetation",
+}
 
 _Table = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CityObject:
+    """One object of a city model, in the file's coordinates."""
+
+    id: str
+    type_name: str  # one of CLASS_OF_TYPE
+    polygons: tuple[Polygon3D, ...]  # its surfaces, or its footprint
+    words: str = ""  # its name and function
+    is_footprint: bool = False  # level of detail 0: the polygons are to be raised by height_m
+    height_m: float | None = None  # of the top above the footprint, if the file gives it
 
 
 def read_cityjson(path: Path) -> SourceMap:
     """Read a CityJSON file, or a CityJSONSeq (a first line with the transform, then features).
 
-    Of every object the surfaces of its highest level of detail below 3 are taken, else those of
-    level 3; if there is only level 0, its footprint is raised by the measured height. Buildings and
-    their parts become buildings, plants vegetation, constructions that are no buildings walls, and
-    furniture too, unless its name says lamp or tree. Bridges are left out with tunnels and ground:
-    the scene's road is one plane, and a deck would lie on it.
-
-    Parameters
-    ----------
-    path : Path
-        ``.json``, ``.city.json``, ``.jsonl`` or ``.city.jsonl``.
-
-    Returns
-    -------
-    source : SourceMap
-        Only things; heights are absolute.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is no CityJSON, or has nothing solid.
+    Each object is read in its highest level of detail below 3, or else in level 3; if there is only
+    level 0, its footprint is raised by the measured height. Buildings and their parts become
+    buildings, plants become vegetation, other constructions walls; furniture becomes a wall too,
+    unless its name says lamp or tree. Bridges are left out with tunnels and ground: the scene's
+    road is one plane, and a bridge deck would lie on it. Heights are absolute. Raises InputError if
+    the file cannot be read, is no CityJSON, or has nothing solid.
     """
     where = str(path)
     text = read_text(path, "CityJSON")
@@ -87,7 +94,7 @@ def read_cityjson(path: Path) -> SourceMap:
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
-    """The whole file, or the lines of a sequence."""
+    """Parse the whole file, or each line of a sequence."""
     first = text.lstrip()[:_MAX_RING].split("\n", 1)[0]
     lines = text.splitlines() if _is_document(first) else [text]
     for number, line in enumerate(lines, start=1):
@@ -122,7 +129,9 @@ def _vectors(values: Any, where: str) -> FloatArray:
     try:
         array: FloatArray = np.array(values, dtype=np.float64).reshape(len(values), 3)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(where, Unquoted("what is no list of points"), "x, y, z each") from None
+        raise InputError(
+            where, Unquoted("something other than a list of points"), "x, y, z each"
+        ) from None
     if not np.isfinite(array).all():
         raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
     return array
@@ -136,7 +145,7 @@ def _vertices(values: Any, transform: tuple[FloatArray, FloatArray], where: str)
 
 
 class _Templates:
-    """Shapes that are used more than once: trees, lamps."""
+    """Shapes that are used more than once, such as trees and lamps."""
 
     def __init__(self, table: Any, where: str) -> None:
         self.where = f"{where}: geometry-templates"
@@ -145,7 +154,7 @@ class _Templates:
         self.vertices = _vectors(values, f"{self.where}.vertices-templates")
 
     def place(self, geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
-        """Polygons of a template, moved to where it stands."""
+        """Polygons of a template, moved to its place."""
         index, anchor = geometry.get("template"), geometry.get("boundaries")
         if not _is_index(index, len(self.templates)):
             raise InputError(f"{where}.template", index, f"0 to {len(self.templates) - 1}")
@@ -175,7 +184,7 @@ def _objects(
     left_out: Counter[str],
     empty: Counter[str],
 ) -> Iterator[CityObject]:
-    """Objects that are solid, as far as they have surfaces."""
+    """Objects of a known type that have surfaces; the others are counted."""
     table = document.get("CityObjects", {})
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: CityObjects", type(table).__name__, "a table of objects")
@@ -209,9 +218,6 @@ def _objects(
         )
 
 
-_MAX_NAME = 80
-
-
 def _have_geometry(children: Any, table: _Table) -> bool:
     if not isinstance(children, list):
         return False
@@ -230,7 +236,7 @@ def _number(value: Any) -> float | None:
 def _best(
     geometries: Any, vertices: FloatArray, templates: _Templates, where: str
 ) -> tuple[list[Polygon3D], float]:
-    """Surfaces of the level of detail that serves best, and that level."""
+    """Surfaces of the most useful level of detail, and that level."""
     if not isinstance(geometries, list):
         raise InputError(f"{where}.geometry", geometries, "a list")
     best: list[Polygon3D] = []
@@ -256,12 +262,12 @@ def _best(
 
 
 def _rank(level: float) -> float:
-    """How well a level of detail serves: below 3 the higher the better, then 3, last 0."""
+    """Usefulness of a level of detail: below 3 the higher the better, then 3, then 0."""
     return level if level < 3.0 else 0.99
 
 
 def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
-    """Polygons of a geometry: of solids those of the outer shells."""
+    """Polygons of a geometry; of solids only those of the outer shells."""
     depth = _SURFACES_AT.get(str(geometry.get("type")))
     if depth is None:
         return []
@@ -280,7 +286,7 @@ def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygo
 
 def _list(value: Any, where: str) -> list[Any]:
     if not isinstance(value, list):
-        raise InputError(f"{where}.boundaries", value, "lists as deep as its type asks for")
+        raise InputError(f"{where}.boundaries", value, "lists nested as its type demands")
     return value
 
 
@@ -295,3 +301,108 @@ def _ring(ring: Any, vertices: FloatArray, where: str) -> FloatArray:
 
 def _is_index(value: Any, n: int) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < n
+
+
+def city_map(
+    objects: Sequence[CityObject],
+    *,
+    name: str,
+    where: str,
+    declared_crs: str,
+    follows_authority: bool,
+    skipped: Sequence[Skipped],
+) -> SourceMap:
+    """Build a map from the objects of a city model; `skipped` is what the reader has left out.
+
+    Raises InputError if there is no surface, there are more than five million triangles, or
+    coordinates are impossible.
+    """
+    if not any(city_object.polygons for city_object in objects):
+        raise InputError(
+            where,
+            Unquoted("no building, plant or furniture with surfaces"),
+            "objects of level of detail 0 to 3" + _said(skipped),
+        )
+    rings = [ring for item in objects for polygon in item.polygons for ring in polygon]
+    points: FloatArray = np.concatenate(rings)
+    if not np.isfinite(points).all():
+        raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
+    place = georeference(
+        points[:, :2], declared_crs, where=where, follows_authority=follows_authority
+    )
+    points = place.to_metres(points, where)
+    starts = np.cumsum([len(ring) for ring in rings])[:-1]
+    in_metres = iter(np.split(points, starts))
+    things: list[Thing] = []
+    flat: list[Skipped] = []
+    ids: Counter[str] = Counter()
+    n_triangles = 0
+    for item in objects:
+        polygons = tuple(tuple(next(in_metres) for _ in polygon) for polygon in item.polygons)
+        if not polygons:
+            continue
+        try:
+            thing = _thing(replace(item, polygons=polygons), unique_id(item.id, ids))
+        except InputError as error:
+            flat.append(Skipped(what=f"{item.type_name} {item.id}", why=str(error)))
+            continue
+        things.append(thing)
+        n_triangles += len(thing.triangles)
+        if n_triangles > MAX_TRIANGLES:
+            raise InputError(
+                where, Unquoted(f"more than {MAX_TRIANGLES:,} triangles"), "a part of the city"
+            )
+    notes = [] if place.note is None else [place.note]
+    if not things:
+        raise InputError(where, Unquoted("no surface with an area"), "buildings" + _said(flat))
+    return SourceMap(
+        name=name,
+        crs=place.crs,
+        source_crs=place.source_crs,
+        heights="absolute",
+        things=tuple(things),
+        skipped=(*notes, *skipped, *shortened(flat)),
+    )
+
+
+def _thing(item: CityObject, thing_id: str) -> Thing:
+    """One object as triangles; raises InputError if it has no area."""
+    class_name = CLASS_OF_TYPE[item.type_name]
+    if item.type_name == "CityFurniture":
+        kind = kind_from_name(item.words)
+        class_name = kind.class_name if kind and kind.class_name != "ground" else class_name
+    if not item.is_footprint:
+        vertices, triangles = surface_mesh(item.polygons)
+        if not len(triangles):
+            raise InputError(item.id, Unquoted("surfaces without area"), "polygons")
+        return Thing(id=thing_id, class_name=class_name, vertices_m=vertices, triangles=triangles)
+    height = item.height_m
+    is_assumed = height is None or not 0.0 < height <= thing_defaults().max_height_m
+    raised_m = kind_of_class(class_name).height_m if height is None or is_assumed else height
+    pieces = []
+    for polygon in item.polygons:
+        bottom_m = float(polygon[0][:, 2].min())
+        pieces.append(
+            extrude(
+                polygon[0][:, :2],
+                bottom_m=bottom_m,
+                top_m=bottom_m + raised_m,
+                holes_m=[hole[:, :2] for hole in polygon[1:] if len(hole) >= 4],
+                where=item.id,
+            )
+        )
+    vertices, triangles = join(pieces)
+    return Thing(
+        id=thing_id,
+        class_name=class_name,
+        vertices_m=vertices,
+        triangles=triangles,
+        is_height_assumed=is_assumed,
+    )
+
+
+def _said(skipped: Sequence[Skipped]) -> str:
+    """What was left out, for the end of a message."""
+    if not skipped:
+        return ""
+    return "; skipped: " + ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])

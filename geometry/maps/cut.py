@@ -1,68 +1,38 @@
-"""One junction cut out of maps: lanes, crosswalks, things and poles around it, as a scene."""
+"""Cut the surroundings of one junction out of maps, and build a scene from them."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..junction import distance_to_outline_m
-from ..scene import (
-    Instance,
-    Lane,
-    Scene,
-    Site,
-)
+from ..scene import Instance, Lane, Scene, Site
 from .georeferences import LocalFrame, frame_at
-from .source_map import (
-    MapJunction,
-    Pole,
-    Skipped,
-    SourceMap,
-    Thing,
-)
+from .solids import join
+from .source_map import MapJunction, Pole, Skipped, SourceMap, Thing
 from .thing_kinds import build_pole_body
 
 _LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
 _SAME_LEVEL_M = 3.0
-_AT_OUTLINE_M = 2.0  # what ends here without belonging to the junction would look like an arm
+_AT_OUTLINE_M = 2.0  # other roads that end here would look like an arm
 _CROSSWALK_WITHIN_M = 25.0
-_LOWEST_M = 0.2  # what is lower hides nobody
+_LOWEST_M = 0.2  # lower things hide nobody
 _DRIVEN = ("driving", "parking")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
-    """What lies around a junction, in its own frame, before anybody says where sensors may hang.
+    """What lies around a junction, in the scene's own frame, before sites are chosen."""
 
-    Attributes
-    ----------
-    frame : LocalFrame
-        World frame: the middle of the junction is near its origin.
-    lanes : tuple of Lane
-        Driving and parking lanes.
-    outline_m : (n, 2) float
-        Of the junction's road surface. [m]
-    crosswalks_m : (n, 2, 2) float
-        Of its arms. [m]
-    things : tuple of Thing
-        Solid; z counts from the road. Ids are unique. [m]
-    poles : tuple of Pole
-        Their feet stand on the road plane, z = 0. Ids are unique. [m]
-    keeps_left : bool
-        Traffic keeps left.
-    skipped : tuple of Skipped
-        What of the maps is not there, and why.
-    """
-
-    frame: LocalFrame
-    lanes: tuple[Lane, ...]
-    outline_m: FloatArray
-    crosswalks_m: FloatArray
-    things: tuple[Thing, ...]
-    poles: tuple[Pole, ...]
+    frame: LocalFrame  # the middle of the junction is near its origin
+    lanes: tuple[Lane, ...]  # driving and parking lanes
+    outline_m: FloatArray  # (n, 2) of the junction's road surface
+    crosswalks_m: FloatArray  # (n, 2, 2), those of its arms
+    things: tuple[Thing, ...]  # z counts from the road; ids are unique
+    poles: tuple[Pole, ...]  # feet on the road plane, z = 0; ids are unique
     keeps_left: bool
     skipped: tuple[Skipped, ...]
 
@@ -74,29 +44,12 @@ def cut_out(
     radius_m: float,
     ground_m: float | None = None,
 ) -> Surroundings:
-    """What maps say about the surroundings of a junction.
+    """Surroundings of a junction of the first map, with buildings and more from the others.
 
-    Parameters
-    ----------
-    maps : sequence of SourceMap
-        The first one has the junction; the others have buildings and more.
-    junction : MapJunction
-        One of the first map's.
-    radius_m : float
-        How far around its middle; lanes are followed 70 m farther. [m]
-    ground_m : float, optional
-        Height of the road in the other maps; by default 0 where these count above the ground, else
-        that of each one's lowest thing within the radius. [m]
-
-    Returns
-    -------
-    surroundings : Surroundings
-        The road is a plane: what the map says about its heights only tells levels apart.
-
-    Raises
-    ------
-    InputError
-        Coordinates of the maps do not fit together.
+    Lanes are followed 70 m beyond `radius_m`. `ground_m` is the height of the road in the other
+    maps; by default 0 if a map counts heights above the ground, or else that of its lowest thing
+    within the radius. The road becomes a plane: heights in a map only tell levels apart. Raises
+    InputError if the coordinates of the maps do not fit together.
     """
     roads, frame = maps[0], frame_at(maps[0], junction.position_m)
     outline = frame.take(junction.outline_m, roads)
@@ -114,21 +67,16 @@ def cut_out(
         low: Counter[str] = Counter()
         for thing in near:
             if thing.class_name == "ground":
-                skipped.append(Skipped(what=f"ground {thing.id}", why="the road is a plane here"))
+                skipped.append(
+                    Skipped(what=f"ground {thing.id}", why="the road of a scene is a plane")
+                )
                 continue
             vertices = thing.vertices_m - [0.0, 0.0, ground]
             if vertices[:, 2].max() < _LOWEST_M:
                 low[thing.class_name] += 1
                 continue
-            things.append(
-                Thing(
-                    id=_unique(thing.id, source, taken),
-                    class_name=thing.class_name,
-                    vertices_m=vertices,
-                    triangles=thing.triangles,
-                    is_height_assumed=thing.is_height_assumed,
-                )
-            )
+            thing_id = _unique(thing.id, source, taken)
+            things.append(replace(thing, id=thing_id, vertices_m=vertices))
         skipped += [
             Skipped(what=f"{count} x {name} in {source.name}", why="not above the road")
             for name, count in low.items()
@@ -136,14 +84,8 @@ def cut_out(
         for pole in source.poles:
             foot = frame.take(pole.position_m, source)
             if np.hypot(*foot[:2]) <= radius_m:
-                poles.append(
-                    Pole(
-                        id=_unique(pole.id, source, taken),
-                        kind=pole.kind,
-                        position_m=np.append(foot[:2], 0.0),
-                        height_m=pole.height_m,
-                    )
-                )
+                pole_id = _unique(pole.id, source, taken)
+                poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
     return Surroundings(
         frame=frame,
         lanes=tuple(_lanes(roads, junction, frame, outline, radius_m + _LANES_BEYOND_M)),
@@ -164,46 +106,27 @@ def build_scene(
     sites: Sequence[Site],
     radius_m: float,
 ) -> Scene:
-    """A scene: what lies around a junction, with a ground, bodies of poles, and sites.
+    """A scene of the surroundings with a ground, bodies of poles, and sites.
 
-    Parameters
-    ----------
-    surroundings : Surroundings
-        By :func:`cut_out`.
-    name : str
-        Of the scene.
-    source_crs : str
-        In which results are wanted back; empty: unknown.
-    sites : sequence of Site
-        Where sensors can be mounted.
-    radius_m : float
-        Of the ground. [m]
+    `source_crs` is the reference system for results; empty: unknown.
     """
     half = radius_m + _LANES_BEYOND_M
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    bodies: list[tuple[Instance, FloatArray, np.ndarray]] = [
-        (
-            Instance(id="ground", class_name="ground"),
-            np.column_stack([corners, np.zeros(4)]),
-            np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
-        )
-    ]
+    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    bodies = [("ground", "ground", (np.column_stack([corners, np.zeros(4)]), faces))]
     bodies += [
-        (Instance(id=thing.id, class_name=thing.class_name), thing.vertices_m, thing.triangles)
+        (thing.id, thing.class_name, (thing.vertices_m, thing.triangles))
         for thing in surroundings.things
     ]
-    for pole in surroundings.poles:
-        class_name, vertices, triangles = build_pole_body(pole)
-        bodies.append((Instance(id=pole.id, class_name=class_name), vertices, triangles))
-    first = np.cumsum([0, *(len(vertices) for _, vertices, _ in bodies)])
+    bodies += [(pole.id, *build_pole_body(pole)) for pole in surroundings.poles]
+    vertices, triangles = join([mesh for _, _, mesh in bodies])
+    n_triangles = [len(faces) for _, _, (_, faces) in bodies]
     return Scene(
         name=name,
-        vertices_m=np.concatenate([vertices for _, vertices, _ in bodies]),
-        triangles=np.concatenate(
-            [faces + start for (_, _, faces), start in zip(bodies, first[:-1], strict=True)]
-        ),
-        triangle_instance=np.repeat(np.arange(len(bodies)), [len(faces) for _, _, faces in bodies]),
-        instances=tuple(instance for instance, _, _ in bodies),
+        vertices_m=vertices,
+        triangles=triangles,
+        triangle_instance=np.repeat(np.arange(len(bodies)), n_triangles),
+        instances=tuple(Instance(id=id_, class_name=kind) for id_, kind, _ in bodies),
         sites=tuple(sites),
         outline_m=surroundings.outline_m,
         lanes=surroundings.lanes,
@@ -213,9 +136,6 @@ def build_scene(
         source_crs=source_crs,
         source_origin_m=surroundings.frame.origin_m,
     )
-
-
-# ---------------------------------------------------------------- lanes and crosswalks
 
 
 def _lanes(
@@ -247,7 +167,7 @@ def _lanes(
 def _is_elsewhere(
     points_m: FloatArray, height_m: FloatArray, outline_m: FloatArray, reach_m: float
 ) -> bool:
-    """Whether a lane that does not belong to the junction is far, on a bridge, or at its mouths."""
+    """Whether a lane of other roads is far away, on another level, or ends at the outline."""
     distance = np.hypot(*points_m.T)
     if distance.min() > reach_m or abs(height_m[np.argmin(distance)]) > _SAME_LEVEL_M:
         return True
@@ -302,13 +222,10 @@ def _crosswalks(maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatAr
     return np.array(near).reshape(-1, 2, 2)
 
 
-# ---------------------------------------------------------------- things
-
-
 def _near_things(
     source: SourceMap, frame: LocalFrame, radius_m: float
 ) -> tuple[list[Thing], list[Skipped]]:
-    """Things within a radius, in the scene's frame but for their heights; and how many are not."""
+    """Things within a radius, in the scene's frame except for heights; and a note on the others."""
     near: list[Thing] = []
     n_far = 0
     if not source.things:
@@ -323,15 +240,7 @@ def _near_things(
         if np.hypot(*nearest) > radius_m:
             n_far += 1
             continue
-        near.append(
-            Thing(
-                id=thing.id,
-                class_name=thing.class_name,
-                vertices_m=vertices,
-                triangles=thing.triangles,
-                is_height_assumed=thing.is_height_assumed,
-            )
-        )
+        near.append(replace(thing, vertices_m=vertices))
     if not n_far:
         return near, []
     why = f"farther than {radius_m:g} m from the junction"
@@ -339,7 +248,7 @@ def _near_things(
 
 
 def _ground_m(source: SourceMap, things: Sequence[Thing], given_m: float | None) -> float:
-    """Height from which a scene's z counts, as a map counts."""
+    """The height in a map that becomes z = 0."""
     if given_m is not None:
         return given_m
     if source.heights == "above ground":
@@ -348,7 +257,7 @@ def _ground_m(source: SourceMap, things: Sequence[Thing], given_m: float | None)
 
 
 def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
-    """An id that no other thing has, without what separates ids on a command line."""
+    """An id that no other thing has, without characters that separate ids on a command line."""
     clean = "-".join(name.replace(",", " ").replace("/", " ").split()) or "thing"
     candidates = [clean, f"{source.name}-{clean}"]
     candidates += [f"{clean}-{number}" for number in range(2, len(taken) + 3)]
@@ -356,4 +265,4 @@ def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
         if candidate not in taken and candidate != "ground":
             taken.add(candidate)
             return candidate
-    raise InputError(source.name, Unquoted(f"{name} too often"), "ids that differ")
+    raise InputError(source.name, Unquoted(f"{name} too often"), "unique ids")

@@ -1,4 +1,4 @@
-"""Where the coordinates of a file lie on earth, and in the world frame of a scene."""
+"""Coordinate reference systems of map files, and the world frame of a scene around its junction."""
 
 import re
 from collections.abc import Callable
@@ -16,47 +16,39 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 
-# ---------- where a map's coordinates lie in the world frame of a scene: metres around its junction
-
-
+WGS84 = "EPSG:4326"
 _DIGITS = 7  # of a degree: a centimetre
+_SPELLINGS: tuple[tuple[str, Callable[[re.Match[str]], str]], ...] = (
+    (r"urn:adv:crs:ETRS89_UTM(\d\d)\b.*", lambda match: f"EPSG:258{match[1]}"),
+    (r"urn:adv:crs:DE_DHDN_3GK(\d)\b.*", lambda match: f"EPSG:{31464 + int(match[1])}"),
+    (r".*epsg\.xml#(\d+)", lambda match: f"EPSG:{match[1]}"),
+)
+_MAX_TEXT = 20_000
+_MAX_M = 1e8  # twice around the earth
+_MAX_STRETCH = 0.005
+_EDGE_SHARE = 0.5  # of the width of an area of use: Bavaria uses UTM 32 two degrees east of it
+_ORIGIN_M = 1000.0
+_MIN_EXTENT_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LocalFrame:
-    """East, north and up around a point.
+    """World frame of a scene: east, north and up around a point of the map with the junction.
 
-    Attributes
-    ----------
-    crs : str
-        Transverse Mercator around the point, for pyproj: within a kilometre its metres are those
-        of the tangent plane to a hundredth of a millimetre. Empty: nobody knows where on earth.
-    map_crs : str
-        The coordinate reference system of the map that has the junction; empty: unknown.
-    origin_m : (2,) float
-        The point, in the map's own coordinates. [m]
+    `crs` is a transverse Mercator around the point: within a kilometre its metres are those of the
+    tangent plane to a hundredth of a millimetre.
     """
 
-    crs: str
-    map_crs: str
-    origin_m: FloatArray
+    crs: str  # for pyproj; empty: the place on earth is unknown
+    map_crs: str  # of the map with the junction; empty: unknown
+    origin_m: FloatArray  # (2,), the point in the map's own coordinates
 
     def take(self, points_m: ArrayLike, source: SourceMap) -> FloatArray:
-        """Points of a map in this frame; what is not the first two coordinates stays.
+        """Points (..., 2) or (..., 3) of a map in this frame; heights stay.
 
-        Parameters
-        ----------
-        points_m : (..., 2) or (..., 3) float
-            In the map's coordinates. [m]
-        source : SourceMap
-            The map. One that does not say where it lies is taken to lie in the coordinates of the
-            map that has the junction.
-
-        Raises
-        ------
-        InputError
-            It says where it lies, but the map that has the junction does not; or it cannot be
-            projected.
+        A map without a reference system is taken to lie in the coordinates of the map with the
+        junction. Raises InputError if only `source` has a reference system, or points cannot be
+        projected.
         """
         points: FloatArray = np.array(points_m, dtype=np.float64)
         if source.crs and not self.map_crs:
@@ -80,20 +72,7 @@ class LocalFrame:
 
 
 def frame_at(source: SourceMap, point_m: ArrayLike) -> LocalFrame:
-    """Frame around a point of a map.
-
-    Parameters
-    ----------
-    source : SourceMap
-        The map that has the junction.
-    point_m : (2,) float
-        In its coordinates. [m]
-
-    Raises
-    ------
-    InputError
-        The point lies nowhere on earth, in the map's coordinate reference system.
-    """
+    """Frame around a point (2,) of a map; raises InputError if the point is nowhere on earth."""
     point: FloatArray = np.array(point_m, dtype=np.float64).round()
     crs = local_crs(point, source.crs, where=source.name) if source.crs else ""
     return LocalFrame(crs=crs, map_crs=source.crs, origin_m=point)
@@ -102,12 +81,9 @@ def frame_at(source: SourceMap, point_m: ArrayLike) -> LocalFrame:
 def local_crs(point_m: ArrayLike, crs: str, *, where: str) -> str:
     """Transverse Mercator around a point of another coordinate reference system.
 
-    Raises
-    ------
-    InputError
-        The point lies nowhere on earth.
+    Raises InputError if the point is nowhere on earth.
     """
-    lon_deg, lat_deg = np.round(transform(point_m, crs, "EPSG:4326"), _DIGITS)
+    lon_deg, lat_deg = np.round(transform(point_m, crs, WGS84), _DIGITS)
     if not (np.isfinite([lon_deg, lat_deg]).all() and abs(lat_deg) <= 89.0):
         raise InputError(
             where, Unquoted(f"a junction at {np.asarray(point_m).tolist()}"), f"a place in {crs}"
@@ -119,7 +95,7 @@ def local_crs(point_m: ArrayLike, crs: str, *, where: str) -> str:
 
 
 def transform(points: ArrayLike, from_crs: str, to_crs: str) -> FloatArray:
-    """Points of one coordinate reference system in another, (..., 2): east or longitude first."""
+    """Transform points (..., 2) between coordinate reference systems: east or longitude first."""
     from pyproj import Transformer
 
     array = np.asarray(points, dtype=np.float64)
@@ -128,58 +104,21 @@ def transform(points: ArrayLike, from_crs: str, to_crs: str) -> FloatArray:
     return np.stack([x, y], axis=-1)
 
 
-# ---------- where a file's coordinates lie on earth, in metres that are metres
-
-
-WGS84 = "EPSG:4326"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Georeference:
-    """How to bring a file's coordinates into a projected coordinate reference system.
+    """How to bring a file's coordinates into a projected coordinate reference system."""
 
-    Attributes
-    ----------
-    crs : str
-        Projected, in metres, for pyproj; empty: nobody knows where on earth.
-    source_crs : str
-        The one that the file declares, its horizontal part; empty: none, or none that is right.
-    is_northing_first : bool
-        The file's first coordinate is the northing or the latitude.
-    is_projected : bool
-        Coordinates are projected from `source_crs` to `crs`; otherwise they stay.
-    z_m : float
-        Length of the file's unit of height. [m]
-    note : Skipped, optional
-        What was not taken as the file declares it.
-    """
-
-    crs: str
-    source_crs: str
-    is_northing_first: bool = False
-    is_projected: bool = False
-    z_m: float = 1.0
-    note: Skipped | None = None
+    crs: str  # projected, in metres, for pyproj; empty: unknown
+    source_crs: str  # the horizontal part of the declared one; empty: none, or none that fits
+    is_northing_first: bool = False  # the file's first coordinate is the northing or the latitude
+    is_projected: bool = False  # to_metres projects from source_crs to crs
+    z_m: float = 1.0  # length of the file's unit of height
+    note: Skipped | None = None  # a declaration that was not followed
 
     def to_metres(self, points: ArrayLike, where: str) -> FloatArray:
-        """Points of the file in `crs`.
+        """Easting, northing and height in `crs` of points (n, 2) or (n, 3) of the file.
 
-        Parameters
-        ----------
-        points : (n, 2) or (n, 3) float
-            As the file has them.
-        where : str
-            For messages.
-
-        Returns
-        -------
-        points_m : (n, 2) or (n, 3) float
-            Easting, northing and height. [m]
-
-        Raises
-        ------
-        InputError
-            A point has no place in `crs`.
+        Raises InputError if a point has no place in `crs`.
         """
         array: FloatArray = np.array(points, dtype=np.float64)
         if self.is_northing_first:
@@ -188,10 +127,10 @@ class Georeference:
             array[:, :2] = transform(array[:, :2], self.source_crs, self.crs)
         if array.shape[1] > 2:
             array[:, 2] *= self.z_m
-        if not (np.abs(array) < _MAX_M).all():  # also of what is not finite
+        if not (np.abs(array) < _MAX_M).all():  # also if a coordinate is not finite
             raise InputError(
                 where,
-                Unquoted("coordinates that are no place on earth"),
+                Unquoted("coordinates that are not on earth"),
                 f"coordinates in {self.source_crs or 'metres'}",
             )
         return array
@@ -200,35 +139,15 @@ class Georeference:
 def georeference(
     points: ArrayLike, declared: "str | CRS | None", *, where: str, follows_authority: bool = False
 ) -> Georeference:
-    """Find out where a file's coordinates lie.
+    """Find out where a file's coordinates, (n, 2) or the corners of their box, lie on earth.
 
-    Geographic coordinates, feet, and projections that stretch (Web Mercator: by 1.6 in Germany)
-    go to a transverse Mercator around the middle of the data; projections in metres stay.
-
-    Parameters
-    ----------
-    points : (n, 2) float
-        All of the file's, or the corners of the box around them.
-    declared : str or CRS, optional
-        What the file says: a code, a URN, WKT; empty or None: nothing.
-    where : str
-        File, for messages.
-    follows_authority : bool
-        Coordinates come in the order of the reference system's definition (northing first in some:
-        GML); otherwise easting or longitude comes first. If only the other order lies where the
-        reference system is meant for, it is that.
-
-    Returns
-    -------
-    georeference : Georeference
-        A reference system that is not known, or that is not meant for where the coordinates lie,
-        is left out, with a note.
-
-    Raises
-    ------
-    InputError
-        Coordinates are not finite, or are degrees where metres are meant, or the other way round,
-        or latitude and longitude are swapped.
+    Geographic coordinates, feet, and projections that stretch (Web Mercator: by 1.6 in Germany) are
+    projected to a transverse Mercator around the middle of the data; projections in metres stay.
+    `declared` is a code, a URN or WKT. With `follows_authority` coordinates come in the order of
+    the reference system's definition, which may have the northing first (GML), unless only the
+    other order lies in its area of use. A reference system that is unknown, or whose area of use is
+    elsewhere, is left out with a note. Raises InputError if coordinates are not finite, are degrees
+    instead of metres or the reverse, or have latitude and longitude swapped.
     """
     from pyproj.exceptions import ProjError
 
@@ -253,35 +172,26 @@ def georeference(
     z_m = _vertical_unit_m(declared)
     is_swapped = follows_authority and crs.axis_info[0].direction in ("north", "south")
     if crs.is_geographic:
+        northing_first = is_swapped
         box = _swap(box) if is_swapped else box
         _refuse_no_degrees(box, where)
-        target = local_crs(box.mean(axis=0), WGS84, where=where)
-        return Georeference(
-            crs=target,
-            source_crs=name,
-            is_northing_first=is_swapped,
-            is_projected=True,
-            z_m=z_m,
-        )
-    _refuse_degrees(box, where)
-    for northing_first in (is_swapped, not is_swapped) if follows_authority else (False,):
-        middle = (_swap(box) if northing_first else box).mean(axis=0)
-        if _is_meant_for(crs, middle):
-            break
+        lonlat = box.mean(axis=0)
     else:
-        area = crs.area_of_use.name if crs.area_of_use else "its area"
-        return Georeference(
-            crs="",
-            source_crs="",
-            z_m=z_m,
-            note=Skipped(
-                what=f"coordinate reference system {name}",
-                why=f"the coordinates lie outside {area}: taken as metres from nowhere",
-            ),
-        )
-    if _is_in_metres(crs, middle):
-        return Georeference(crs=name, source_crs=name, is_northing_first=northing_first, z_m=z_m)
-    lonlat = transform(middle[None, :], name, WGS84)[0]
+        _refuse_degrees(box, where)
+        for northing_first in (is_swapped, not is_swapped) if follows_authority else (False,):
+            middle = (_swap(box) if northing_first else box).mean(axis=0)
+            if _is_meant_for(crs, middle):
+                break
+        else:
+            area = crs.area_of_use.name if crs.area_of_use else "its area"
+            why = f"the coordinates lie outside {area}: taken as metres without a place on earth"
+            note = Skipped(what=f"coordinate reference system {name}", why=why)
+            return Georeference(crs="", source_crs="", z_m=z_m, note=note)
+        if _is_in_metres(crs, middle):
+            return Georeference(
+                crs=name, source_crs=name, is_northing_first=northing_first, z_m=z_m
+            )
+        lonlat = transform(middle[None, :], name, WGS84)[0]
     return Georeference(
         crs=local_crs(lonlat, WGS84, where=where),
         source_crs=name,
@@ -292,22 +202,10 @@ def georeference(
 
 
 def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
-    """What counts on the plane of a declared coordinate reference system.
+    """Horizontal part of a declared coordinate reference system; None if it has none.
 
-    Parameters
-    ----------
-    declared : str or CRS, optional
-        Anything that pyproj takes, or one of the spellings of CityGML files.
-
-    Returns
-    -------
-    crs : CRS or None
-        Geographic or projected, two-dimensional; None if the declared one is neither, or none is.
-
-    Raises
-    ------
-    pyproj.exceptions.ProjError
-        pyproj does not know it.
+    `declared` is what pyproj takes, or one of the spellings of CityGML files. Raises pyproj's
+    ProjError if it is unknown.
     """
     from pyproj import CRS
 
@@ -330,19 +228,6 @@ def crs_name(crs: "CRS") -> str:
     return ":".join(authority) if authority else crs.to_wkt()
 
 
-_SPELLINGS: tuple[tuple[str, Callable[[re.Match[str]], str]], ...] = (
-    (r"urn:adv:crs:ETRS89_UTM(\d\d)\b.*", lambda match: f"EPSG:258{match[1]}"),
-    (r"urn:adv:crs:DE_DHDN_3GK(\d)\b.*", lambda match: f"EPSG:{31464 + int(match[1])}"),
-    (r".*epsg\.xml#(\d+)", lambda match: f"EPSG:{match[1]}"),
-)
-_MAX_TEXT = 20_000
-_MAX_M = 1e8  # twice around the earth
-_MAX_STRETCH = 0.005
-_EDGE_SHARE = 0.5  # of the width of an area of use: Bavaria uses UTM 32 two degrees east of it
-_ORIGIN_M = 1000.0
-_MIN_EXTENT_M = 1.0
-
-
 def _spelling(declared: str) -> str:
     """A code that pyproj knows, for spellings that it does not."""
     text = declared.strip()[:_MAX_TEXT]
@@ -358,12 +243,12 @@ def _unknown(declared: "str | CRS | None") -> Skipped | None:
         return None
     return Skipped(
         what=f"coordinate reference system {str(declared).strip()[:80]}",
-        why="not known as one of the plane: taken as metres from nowhere",
+        why="not a known horizontal one: taken as metres without a place on earth",
     )
 
 
 def _vertical_unit_m(declared: "str | CRS | None") -> float:
-    """Length in metres of the unit of heights: of the third axis, else that of the plane."""
+    """Unit of heights in metres: that of the third axis, or else that of the plane."""
     from pyproj import CRS
 
     crs = CRS.from_user_input(_spelling(declared) if isinstance(declared, str) else declared)
@@ -376,7 +261,7 @@ def _vertical_unit_m(declared: "str | CRS | None") -> float:
 
 
 def _refuse_degrees(box: FloatArray, where: str) -> None:
-    """Refuse what fits between -180 and 180 and is smaller than a metre: no map is."""
+    """Refuse coordinates within -180 to 180 that span less than a metre: no map is so small."""
     if (np.abs(box) <= [180.0, 90.0]).all() and (box[1] - box[0] < _MIN_EXTENT_M).all():
         size = " x ".join(f"{length:.6f}" for length in box[1] - box[0])
         raise InputError(
@@ -387,7 +272,7 @@ def _refuse_degrees(box: FloatArray, where: str) -> None:
 
 
 def _refuse_no_degrees(box: FloatArray, where: str) -> None:
-    """Refuse what is no longitude and latitude."""
+    """Refuse coordinates that cannot be longitude and latitude."""
     if (np.abs(box) <= [180.0, 90.0]).all():
         return
     if (np.abs(_swap(box)) <= [180.0, 90.0]).all():
@@ -428,7 +313,7 @@ def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
 
 
 def _is_in_metres(crs: "CRS", point: FloatArray) -> bool:
-    """A step of 1 in a projection is a metre on the ground, east and north of here."""
+    """One unit of a projection is a metre on the ground, east and north of this point."""
     from pyproj import Proj
     from pyproj.exceptions import ProjError
 

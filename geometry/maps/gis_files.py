@@ -13,23 +13,14 @@ import numpy as np
 from ..errors import InputError, Unquoted
 from ..scene import CLASS_NAMES
 from ..untrusted_files import check_size, parse_json, read_text, unpacked
-from .city_objects import counted, shortened, unique_id
 from .georeferences import WGS84, Georeference, georeference
-from .solids import extrude
-from .source_map import Skipped, SourceMap, Thing
-from .thing_kinds import (
-    ThingKind,
-    kind_from_name,
-    kind_of_class,
-    thing_defaults,
-)
+from .solids import extrude, join
+from .source_map import Skipped, SourceMap, Thing, counted, shortened, unique_id
+from .thing_kinds import ThingKind, kind_from_name, kind_of_class, thing_defaults
 
 if TYPE_CHECKING:
     from shapely import Polygon
     from shapely.geometry.base import BaseGeometry
-
-
-# ---------- features from GIS files: geometries and what their tables say of them
 
 
 MAX_FEATURES = 200_000
@@ -45,54 +36,26 @@ _MAX_GDAL_BYTES = 2_000_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Feature:
-    """One row of a layer.
+    """One row of a layer."""
 
-    Attributes
-    ----------
-    where : str
-        File and row, for messages.
-    geometry : shapely geometry, optional
-        In the file's coordinates; None if the row has none.
-    values : mapping
-        Name of a column to its value; missing ones are left out.
-    """
-
-    where: str
-    geometry: "BaseGeometry | None"
-    values: Mapping[str, Any]
+    where: str  # file and row, for messages
+    geometry: "BaseGeometry | None"  # in the file's coordinates
+    values: Mapping[str, Any]  # by name of the column; missing ones are left out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Features:
-    """One layer.
-
-    Attributes
-    ----------
-    features : tuple of Feature
-        Its rows.
-    crs : str
-        As the file declares it; empty: it does not.
-    """
+    """One layer."""
 
     features: tuple[Feature, ...]
-    crs: str
+    crs: str  # as the file declares it; empty: it does not
 
 
 def read_features(path: Path, layer: str | None = None) -> Features:
     """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip with one of them.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    layer : str, optional
-        Name of a layer of a GeoPackage that has several.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is not what its ending says, has several layers and none is
-        chosen, or has more than 200,000 features.
+    Raises InputError if the file cannot be read, does not have the format of its suffix, has
+    several layers and none is chosen, or has more than 200,000 features.
     """
     suffix = path.suffix.lower()
     if suffix == ".zip":
@@ -106,7 +69,7 @@ def read_features(path: Path, layer: str | None = None) -> Features:
 
 
 def _read_geojson(path: Path) -> Features:
-    """GeoJSON (RFC 7946), and the ``crs`` member that it had before: never through a network."""
+    """GeoJSON (RFC 7946), and the ``crs`` member of its predecessor; nothing is fetched."""
     from shapely.errors import ShapelyError
     from shapely.geometry import shape
 
@@ -148,7 +111,7 @@ def _read_geojson(path: Path) -> Features:
 
 
 def _geojson_crs(table: Any, where: str) -> str:
-    """Reference system of a GeoJSON file; without a word it is WGS 84."""
+    """Reference system of a GeoJSON file: WGS 84 unless it names another."""
     if table is None:
         return WGS84
     properties = table.get("properties") if isinstance(table, Mapping) else None
@@ -159,10 +122,8 @@ def _geojson_crs(table: Any, where: str) -> str:
 
 
 def _read_with_gdal(path: Path, layer: str | None) -> Features:
-    """GeoPackage and Shapefile."""
-    import pandas as pd
+    """Read a GeoPackage or Shapefile."""
     import pyogrio
-    from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError
     from shapely.errors import ShapelyError
 
     where = str(path)
@@ -182,61 +143,45 @@ def _read_with_gdal(path: Path, layer: str | None) -> Features:
             if pyogrio.read_info(path, layer=layer)["geometry_type"] is None:
                 raise InputError(where, Unquoted("a table without geometries"), name)
             table = pyogrio.read_dataframe(path, layer=layer, max_features=MAX_FEATURES + 1)
+    except InputError:
+        raise
     except OSError as error:
         raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
-    except (
-        *(DataLayerError, DataSourceError, FeatureError, FieldError, ShapelyError),
-        *(UnicodeError, TypeError, RuntimeError, OverflowError, pd.errors.OutOfBoundsDatetime),
-    ) as error:
-        raise InputError(where, Unquoted(_one_line(error)), name) from None
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(where, Unquoted(_one_line(error)), name) from None
+    except (ShapelyError, ValueError, TypeError, RuntimeError, OverflowError) as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(where, Unquoted(reason), name) from None
     _refuse_many(len(table), where)
-    geometries = table.geometry.to_numpy()
-    columns = {str(column): table[column] for column in table.columns if column != "geometry"}
-    has_value = {column: series.notna().to_numpy() for column, series in columns.items()}
-    values = {column: series.to_numpy() for column, series in columns.items()}
+    columns = {
+        str(column): (table[column].to_numpy(), table[column].notna().to_numpy())
+        for column in table.columns
+        if column != "geometry"
+    }
     features = [
         Feature(
             where=f"{where}: row {index + 1}",
             geometry=geometry,
             values={
-                column: _plain(values[column][index])
-                for column, known in has_value.items()
-                if known[index]
+                column: value.item() if isinstance(value := values[index], np.generic) else value
+                for column, (values, is_known) in columns.items()
+                if is_known[index]
             },
         )
-        for index, geometry in enumerate(geometries)
+        for index, geometry in enumerate(table.geometry.to_numpy())
     ]
     return Features(features=tuple(features), crs="" if table.crs is None else table.crs.to_wkt())
-
-
-def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def _one_of(layers: list[str]) -> str:
     return "one layer, by name: " + ", ".join(layers[:20]) if layers else "a layer"
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
-
-
 def _refuse_many(n_features: int, where: str) -> None:
     if n_features > MAX_FEATURES:
-        raise InputError(
-            where,
-            Unquoted(f"more than {MAX_FEATURES:,} features"),
-            "a part of it; cut it out first",
-        )
+        got = Unquoted(f"more than {MAX_FEATURES:,} features")
+        raise InputError(where, got, "a part of it; cut it out first")
 
 
-# ---------- buildings and walls from GIS files: footprints raised by the heights in their tables
-
-
+# ---------- footprints
 # Names of columns, without units, in lower case with _ for everything between words.
 _TOPS = (
     *("height", "building_height", "bldg_height", "bldgheight", "measuredheight"),
@@ -257,33 +202,14 @@ _UNITS_M |= {"mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "'": 0.3
 def read_footprints(
     path: Path, *, class_name: str = "building", layer: str | None = None
 ) -> SourceMap:
-    """Read footprints and raise them.
+    """Read footprints and raise them to solids.
 
     Heights come from columns such as ``height``, ``building:levels`` or ``min_height``, in metres
-    unless the column (``height_ft``) or the value ("40 ft") says otherwise. Where there is none, or
-    one that cannot be, the default of ``data/things.toml`` is assumed. Lines become walls if the
-    class is "wall", or if a column ``class``, ``kind``, ``type`` or ``barrier`` says wall, fence or
-    hedge. Third coordinates are not looked at.
-
-    Parameters
-    ----------
-    path : Path
-        ``.geojson``, ``.json``, ``.gpkg``, ``.shp``, or a ``.zip`` with one of them.
-    class_name : str
-        What areas are, unless a column says wall or hedge.
-    layer : str, optional
-        Name of a layer, where there are several.
-
-    Returns
-    -------
-    source : SourceMap
-        Only things; heights are above ground.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read; has no area at all, or coordinates that are not finite or not in
-        the reference system that it declares.
+    unless the column (``height_ft``) or the value ("40 ft") says otherwise; missing or impossible
+    ones are replaced by the defaults of ``data/things.toml``. Lines become walls if `class_name` is
+    "wall", or if a column ``class``, ``kind``, ``type`` or ``barrier`` says wall, fence or hedge.
+    Third coordinates are ignored; heights are above ground. Raises InputError if the file cannot be
+    read, has no area, or has coordinates that are not finite or do not fit its reference system.
     """
     import shapely
 
@@ -315,7 +241,7 @@ def read_footprints(
         wanted = next((str(values[key]) for key in _IDS if key in values), "")
         thing_id = unique_id(wanted or feature.where.rpartition(": ")[2], ids)
         try:
-            things.append(_raised(feature, kind, thing_id, place, _span(feature, kind)))
+            things.append(_raised(feature, kind, thing_id, place))
         except InputError as error:
             failed.append(Skipped(what=f"{kind.kind} {thing_id}", why=str(error)))
     if not things:
@@ -330,17 +256,8 @@ def read_footprints(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Span:
-    """From floor to roof, above ground."""
-
-    bottom_m: float
-    top_m: float
-    is_assumed: bool
-
-
 def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKind | None:
-    """What a feature is; None if it is nothing solid."""
+    """Kind of a feature; None if it is not solid."""
     geometry = feature.geometry
     if geometry is None or geometry.is_empty:
         left_out["rows without geometry"] += 1
@@ -374,16 +291,8 @@ def _parts(geometry: "BaseGeometry", depth: int = 0) -> "list[BaseGeometry]":
     return [part for piece in pieces for part in _parts(piece, depth + 1)]
 
 
-def _raised(
-    feature: Feature, kind: ThingKind, thing_id: str, place: Georeference, span: _Span
-) -> Thing:
-    """A feature as a solid.
-
-    Raises
-    ------
-    InputError
-        It has no area.
-    """
+def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
+    """A feature as a solid; raises InputError if it has no area."""
     import shapely
 
     def project(points: Any) -> Any:
@@ -400,11 +309,12 @@ def _raised(
             if part.geom_type in ("LineString", "LinearRing")
         ]
         polygons = [part for strip in strips for part in _parts(strip) if not part.is_empty]
+    bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
     pieces = [
         extrude(
             polygon.exterior.coords,
-            bottom_m=span.bottom_m,
-            top_m=span.top_m,
+            bottom_m=bottom_m,
+            top_m=top_m,
             holes_m=[hole.coords for hole in polygon.interiors],
             where=thing_id,
         )
@@ -413,22 +323,19 @@ def _raised(
     ]
     if not pieces:
         raise InputError(thing_id, Unquoted("no area"), "a footprint")
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
+    vertices, triangles = join(pieces)
     return Thing(
         id=thing_id,
         class_name=kind.class_name,
-        vertices_m=np.concatenate([vertices for vertices, _ in pieces]),
-        triangles=np.concatenate(
-            [triangles + offset for (_, triangles), offset in zip(pieces, first, strict=False)]
-        ),
-        is_height_assumed=span.is_assumed,
+        vertices_m=vertices,
+        triangles=triangles,
+        is_height_assumed=is_assumed,
     )
 
 
-def _span(feature: Feature, kind: ThingKind) -> _Span:
-    """From where to where a feature reaches, as far as its table says."""
+def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, bool]:
+    """Heights of floor and roof above ground, and whether that of the roof is assumed."""
     defaults = thing_defaults()
-    values = feature.values
     top = _length_m(values, _TOPS)
     storeys = _length_m(values, _STOREYS)
     if top is None and storeys is not None and 0.0 < storeys <= defaults.max_storeys:
@@ -441,15 +348,11 @@ def _span(feature: Feature, kind: ThingKind) -> _Span:
         bottom = lowest * defaults.storey_height_m
     top_m = kind.height_m if top is None else top
     is_possible = bottom is not None and 0.0 <= bottom < top_m
-    return _Span(
-        bottom_m=bottom if bottom is not None and is_possible else 0.0,
-        top_m=top_m,
-        is_assumed=top is None,
-    )
+    return bottom if bottom is not None and is_possible else 0.0, top_m, top is None
 
 
 def _length_m(values: Mapping[str, Any], names: tuple[str, ...]) -> float | None:
-    """First finite number, in metres, of the columns of some names; None if there is none."""
+    """First finite number, in metres, of the columns with one of the names, or None."""
     best: tuple[int, float] | None = None
     for key, value in values.items():
         column = _column(key)

@@ -1,4 +1,4 @@
-"""From map files to a scene: read them, choose the junction, cut it out, decide on sites."""
+"""Import map files as a scene: read them, choose the junction, cut it out, decide on sites."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -17,9 +17,6 @@ from .junctions import Surveyed, choose_junction, survey_junctions
 from .sites import choose_sites
 from .source_map import SourceMap
 
-# ---------- map files of any kind, by what they are: the one place that knows all readers
-
-
 _MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
 _CLOUDS = (".las", ".laz", ".pcd")
 _FOOTPRINTS = (".geojson", ".gpkg", ".shp")
@@ -32,23 +29,24 @@ SUFFIXES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions:
-    """What files do not say of themselves.
+    """Answers to questions that map files leave open.
 
     Attributes
     ----------
     unit, up : str, optional
-        Of meshes, see :func:`geometry.maps.mesh_files.read_mesh`.
+        Unit and up axis of meshes, see :func:`geometry.maps.mesh_files.read_mesh`.
     class_name : str
-        Of meshes, point clouds and footprints that do not say what they are.
+        Class of meshes, point clouds and footprints that do not state theirs.
     keeps_left : bool, optional
-        On which side traffic keeps; by default what the map says.
+        Whether traffic keeps left; by default what the map says.
     crs : str
-        Of files that do not say where they lie; empty: none.
+        Coordinate reference system of files that do not name one; empty: none.
     layer : str
-        Of a GeoPackage that has several; empty: the only one.
+        Layer of a GeoPackage that has several; empty: the only one.
     offset_m : (2,) float, optional
-        Moves what has no roads: buildings, meshes, point clouds. These then lie in the coordinates
-        of the map that has the junction, whatever they say. [m]
+        Shift of everything without roads: buildings, meshes, point clouds. These are then taken to
+        lie in the coordinates of the map with the junction, whatever reference system they name.
+        [m]
     """
 
     unit: str | None = None
@@ -61,24 +59,19 @@ class ReadingOptions:
 
 
 def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
-    """Read a map file.
+    """Read a map file of any known format.
 
     Parameters
     ----------
     path : Path
-        Its suffix says what it is; .json, .gml and .xml are looked into, .zip is opened.
+        The suffix gives the format; .json, .gml and .xml are told apart by content, .zip is opened.
     options : ReadingOptions, optional
-        What it does not say of itself.
-
-    Returns
-    -------
-    source : SourceMap
-        What it says.
+        Answers to what the file leaves open.
 
     Raises
     ------
     InputError
-        There is no such file, it is of no kind that is known, or it is damaged.
+        The file does not exist, is of no known format, or is damaged.
     """
     options = options or ReadingOptions()
     crs = _projected(options.crs) if options.crs else ""
@@ -99,7 +92,7 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
 
 
 def _reader(path: Path, options: ReadingOptions) -> Callable[[Path], SourceMap]:
-    """What reads a file; what is heavy is imported only where it is needed."""
+    """The function that reads a file; heavy modules are imported only when they are needed."""
     name = path.name.lower()
     kind = next((suffix for suffix in SUFFIXES if name.endswith(suffix)), "")
     if kind == ".json":
@@ -157,7 +150,7 @@ def _moved(source: SourceMap, offset_m: FloatArray) -> SourceMap:
 
 
 def _is_city_json(path: Path) -> bool:
-    """Whether a JSON file says that it is CityJSON, near its beginning or its end."""
+    """Whether a JSON file is CityJSON, by its first bytes or else by its member ``type``."""
     with path.open("rb") as file:
         head = file.read(4096)
         if b'"CityJSON"' in head:
@@ -180,7 +173,7 @@ def _kind_of_xml(path: Path) -> str:
 
 
 def _projected(crs: str) -> str:
-    """A coordinate reference system by a user's words, checked: projected, in metres."""
+    """Check that a user's coordinate reference system is projected and in metres."""
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 
@@ -193,34 +186,32 @@ def _projected(crs: str) -> str:
     return crs
 
 
-# ---------- from map files to a scene: read them, choose the junction, cut it out, decide on sites
-
-
+# ---------- scenes
 DEFAULT_RADIUS_M = 80.0
 _RADIUS_LIMITS_M = (20.0, 500.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
-    """What is to be cut out of the maps.
+    """Which part of the maps becomes the scene.
 
     Attributes
     ----------
     junction : str
-        See :func:`geometry.maps.junctions.choose_junction`.
+        Name or id, see :func:`geometry.maps.junctions.choose_junction`.
     at : (float, float), optional
-        The same.
+        A point near the junction instead of its name.
     radius_m : float
-        Of what is kept around the junction's middle. [m]
+        Radius around the middle of the junction within which things are kept. [m]
     sites : str
-        "auto": poles of the map, or where it has none within the radius every 15 m along the
-        kerbs; "map": poles of the map alone; "kerb:SPACING"; or a CSV or GeoJSON file.
+        "auto": poles of the map, or sites every 15 m along the kerbs if it has no pole within the
+        radius; "map": poles of the map alone; "kerb:SPACING"; or a CSV or GeoJSON file.
     ground_m : float, optional
-        See :func:`geometry.maps.cut.cut_out`. [m]
+        Height of the road, see :func:`geometry.maps.cut.cut_out`. [m]
     name : str
-        Of the scene; empty: after the file and the junction.
+        Name of the scene; empty: after the file and the junction.
     reading : ReadingOptions
-        What files do not say of themselves.
+        Answers to what the files leave open.
     """
 
     junction: str = ""
@@ -241,22 +232,22 @@ class ImportOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImportedScene:
-    """A scene, and how it came about.
+    """A scene and how it was made.
 
     Attributes
     ----------
     scene : Scene
-        What was cut out.
+        The part that was cut out.
     junctions : tuple of Surveyed
-        All of the map, the largest first.
+        All junctions of the map, the largest first.
     chosen : Surveyed
-        The one that was cut out.
+        The junction of the scene.
     sources : tuple of str
         Names of the files.
     skipped : tuple of (str, str)
         What was left out or assumed, and why.
     assumed_heights : frozenset of str
-        Ids of things whose heights the sources do not say.
+        Ids of the things whose heights the sources do not give.
     """
 
     scene: Scene
@@ -270,19 +261,19 @@ class ImportedScene:
 def read_maps(
     paths: Sequence[Path], reading: ReadingOptions
 ) -> tuple[list[SourceMap], tuple[Surveyed, ...]]:
-    """Read map files, the one with the roads first, and survey its junctions.
+    """Read map files and list the junctions of the one with roads.
 
     Parameters
     ----------
     paths : sequence of Path
-        One of them has roads; the others have buildings and more.
+        Exactly one has roads; the others have buildings and more.
     reading : ReadingOptions
-        What files do not say of themselves.
+        Answers to what the files leave open.
 
     Returns
     -------
     maps : list of SourceMap
-        The map with the roads, then the others as given.
+        The map with the roads first, then the others in the given order.
     junctions : tuple of Surveyed
         See :func:`geometry.maps.junctions.survey_junctions`.
 
@@ -304,25 +295,25 @@ def read_maps(
 
 
 def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene:
-    """Make a scene of map files.
+    """Make a scene from map files.
 
     Parameters
     ----------
     paths : sequence of Path
         See :func:`read_maps`.
     options : ImportOptions
-        What is to be cut out.
+        Which junction, how far around it, and which sites.
 
     Returns
     -------
     imported : ImportedScene
-        At least one arm leads into its junction, and it has a site at least.
+        At least one arm leads into its junction, and it has at least one site.
 
     Raises
     ------
     InputError
-        A file cannot be read, there is no such junction, no lane leads into it, or nothing there
-        can carry a sensor.
+        A file cannot be read, there is no such junction, no lane leads into it, or there is no
+        place for a sensor.
     """
     maps, junctions = read_maps(paths, options.reading)
     roads = maps[0]
@@ -363,5 +354,5 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
 
 
 def _crs_of_results(roads: SourceMap) -> str:
-    """In which results are wanted back: what the file itself uses."""
+    """The reference system for results: the one that the file itself uses."""
     return roads.source_crs or roads.crs if roads.crs else ""

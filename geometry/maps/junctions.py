@@ -1,4 +1,4 @@
-"""The junctions of a map: which there are, and the one that somebody means."""
+"""The junctions of a map: list them, and choose one by name or place."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,21 +18,20 @@ _NEAR_M = 100.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surveyed:
-    """A junction of a map, and what leads there.
+    """A junction of a map and the lanes that lead to it.
 
     Attributes
     ----------
     junction : MapJunction
-        Itself.
+        The junction itself.
     arms : tuple of str
-        Names of its arms; none where no lane ends at its outline.
+        Names of its arms; empty if no lane ends at its outline.
     n_lanes : int
         Driving lanes into it and out of it.
     n_driven : int
         Arms from which a driving lane leads into it.
     position : (2,) float
-        Its middle in the coordinate reference system of the file: longitude and latitude, or
-        metres.
+        Its middle in the file's coordinate reference system: longitude and latitude, or metres.
     """
 
     junction: MapJunction
@@ -45,15 +44,7 @@ class Surveyed:
 def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
     """All junctions of a map, the largest first: by arms, driven arms, then lanes.
 
-    Parameters
-    ----------
-    source : SourceMap
-        With lanes.
-
-    Returns
-    -------
-    surveyed : tuple of Surveyed
-        Of equally large ones that nearest to the middle of the map comes first.
+    Of equally large ones the one nearest to the middle of the map comes first.
     """
     by_junction: dict[str, list[MapLane]] = {junction.id: [] for junction in source.junctions}
     for lane in source.lanes:
@@ -78,29 +69,24 @@ def choose_junction(
     name: str = "",
     at: tuple[float, float] | None = None,
 ) -> Surveyed:
-    """The junction that is meant.
+    """Choose a junction by name or point; by default the first.
 
     Parameters
     ----------
     source : SourceMap
         The map.
     surveyed : sequence of Surveyed
-        Its junctions, as :func:`survey_junctions` gives them.
+        Its junctions, as :func:`survey_junctions` returns them.
     name : str
-        Its id, or its name, or a part of it that no other one has; empty: any.
+        Id or name, or a part of the name that no other junction has; empty: any.
     at : (float, float), optional
-        A point within 100 m, in the coordinate reference system of the file: longitude and
-        latitude, or metres.
-
-    Returns
-    -------
-    chosen : Surveyed
-        By name or point; if nothing is said, the first one.
+        A point within 100 m, in the file's coordinate reference system: longitude and latitude, or
+        metres.
 
     Raises
     ------
     InputError
-        The map has no junction, none is meant, or several are.
+        The map has no junction, or none or several match.
     """
     if not surveyed:
         raise InputError(source.name, Unquoted("no junction"), "a map in which roads meet")
@@ -108,11 +94,15 @@ def choose_junction(
         return _by_name(surveyed, name)
     if at is None:
         return surveyed[0]
-    point = _point_of_map(source, at)
+    point = _in_map(source, at)
+    if not np.isfinite(point).all():
+        raise InputError(
+            "--at", Unquoted(f"{at[0]:g},{at[1]:g}"), f"a point in {source.source_crs}"
+        )
     distance = [float(np.hypot(*(one.junction.position_m - point))) for one in surveyed]
     nearest = int(np.argmin(distance))
     if not distance[nearest] <= _NEAR_M:
-        exchanged = _point_or_far(source, (at[1], at[0]))
+        exchanged = _in_map(source, (at[1], at[0]))
         if min(np.hypot(*(one.junction.position_m - exchanged)) for one in surveyed) <= _NEAR_M:
             order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
             raise InputError(
@@ -151,24 +141,11 @@ def _listed(surveyed: Sequence[Surveyed]) -> str:
     return ", ".join(words) + (f" and {left} more: place-rsus scene show FILE" if left else "")
 
 
-def _point_or_far(source: SourceMap, at: tuple[float, float]) -> FloatArray:
-    """A point in the map's coordinates; infinitely far if it is nowhere on earth."""
-    try:
-        return _point_of_map(source, at)
-    except InputError:
-        return np.full(2, np.inf)
-
-
-def _point_of_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
-    """A point in the coordinates that the map has been read into."""
+def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
+    """A point in the map's coordinates; infinite if it is nowhere on earth."""
     if not source.crs or source.source_crs in ("", source.crs):
         return np.array(at)
-    point = transform(np.array(at), source.source_crs, source.crs)
-    if not np.isfinite(point).all():
-        raise InputError(
-            "--at", Unquoted(f"{at[0]:g},{at[1]:g}"), f"a point in {source.source_crs}"
-        )
-    return point
+    return transform(np.array(at), source.source_crs, source.crs)
 
 
 def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) -> Surveyed:

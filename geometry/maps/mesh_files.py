@@ -11,9 +11,8 @@ from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..scene import CLASS_NAMES
 from ..untrusted_files import check_gltf, check_size
-from .city_objects import MAX_TRIANGLES, counted, unique_id
 from .solids import is_closed, volume_m3
-from .source_map import SourceMap, Thing
+from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted, unique_id
 from .thing_kinds import kind_from_name
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
@@ -36,31 +35,15 @@ _SURE_SHARE = 0.9
 def read_mesh(
     path: Path, *, unit: str | None = None, up: str | None = None, class_name: str = "building"
 ) -> SourceMap:
-    """Read a mesh; every named part of it becomes a thing.
+    """Read a mesh; every named part of it becomes a thing, where the file has it.
 
-    Parameters
-    ----------
-    path : Path
-        ``.glb``, ``.gltf``, ``.obj``, ``.off``, ``.ply`` or ``.stl``.
-    unit : str, optional
-        Of coordinates: m, cm, mm, km, ft or in. Only glTF has one of its own, the metre.
-    up : str, optional
-        Axis that points up: x, y, z, -x, -y or -z. Only glTF has one of its own, y, with -z as
-        north.
-    class_name : str
-        Of parts whose names do not say wall, tree, lamp or the like.
+    `unit` (m, cm, mm, km, ft, in) and the axis `up` (x, y, z, -x, -y, -z) must be given for all
+    formats except glTF, which has metres, y up and -z as north. `class_name` is for parts whose
+    names do not say wall, tree, lamp or the like. Heights count from the mesh's own zero.
 
-    Returns
-    -------
-    source : SourceMap
-        Only things, where the file has them: z counts from the mesh's own zero.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read; unit or axis are needed; there are no triangles, more than five
-        million, vertices that are not finite, or a size that no junction has; or every roof looks
-        down.
+    Raises InputError if the file cannot be read; unit or axis are missing; there are no triangles,
+    more than five million, vertices that are not finite, or a size that no junction has; or if all
+    roofs face down.
     """
     where = str(path)
     suffix = path.suffix.lower()
@@ -82,18 +65,16 @@ def read_mesh(
         raise InputError("--up", up, "one of " + ", ".join(UP_AXES))
     parts, left_out = _parts(path, is_gltf)
     axes = UNITS_M[unit] * np.array(UP_AXES[up], dtype=np.float64)
-    things: list[Thing] = []
     ids: Counter[str] = Counter()
-    for name, vertices, triangles in parts:
-        kind = kind_from_name(name)
-        things.append(
-            Thing(
-                id=unique_id(name, ids),
-                class_name=kind.class_name if kind else class_name,
-                vertices_m=vertices @ axes.T,
-                triangles=_outwards(vertices, triangles),
-            )
+    things = [
+        Thing(
+            id=unique_id(name, ids),
+            class_name=kind.class_name if (kind := kind_from_name(name)) else class_name,
+            vertices_m=vertices @ axes.T,
+            triangles=_outwards(vertices, triangles),
         )
+        for name, vertices, triangles in parts
+    ]
     _check_size(things, where, unit)
     _check_roofs(things, where, up)
     return SourceMap(
@@ -105,7 +86,7 @@ _Part = tuple[str, FloatArray, NDArray[np.int32]]
 
 
 def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
-    """Name, vertices and triangles of every part, where it stands in the file's frame."""
+    """Name, vertices and triangles of each part in the file's frame, and counts of the rest."""
     import trimesh
 
     where = str(path)
@@ -154,7 +135,7 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
 
 
 def _folder_resolver(path: Path) -> Any:
-    """Opens files that a mesh refers to, in its own folder only, and never through a network."""
+    """A resolver that opens files in the mesh's own folder only, and never through a network."""
     from trimesh.resolvers import Resolver
 
     folder = path.resolve().parent
@@ -185,7 +166,7 @@ def _folder_resolver(path: Path) -> Any:
 
 
 def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Vertices that are used, and triangles, of a part."""
+    """Used vertices, and triangles, of a part."""
     vertices: FloatArray = np.asarray(geometry.vertices, dtype=np.float64)
     faces = np.asarray(geometry.faces, dtype=np.int64)
     outside = faces[(faces < 0) | (faces >= len(vertices))]
@@ -200,21 +181,25 @@ def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, 
         raise InputError(
             where, Unquoted("a vertex that is not finite (NaN or infinite)"), "finite numbers"
         )
-    if np.linalg.det(matrix[:3, :3]) < 0.0:
-        return placed, triangles.reshape(-1, 3)[:, ::-1].astype(np.int32)
-    return placed, triangles.reshape(-1, 3).astype(np.int32)
+    corners = triangles.reshape(-1, 3).astype(np.int32)
+    is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
+    return placed, corners[:, ::-1] if is_mirrored else corners
 
 
 def _outwards(vertices: FloatArray, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Triangles of a closed part turned to look outwards; others as they are."""
+    """Triangles of a closed part turned to face outwards; others as they are."""
+    is_inside_out = _is_solid(vertices, triangles) and volume_m3(vertices, triangles) < 0.0
+    return triangles[:, ::-1] if is_inside_out else triangles
+
+
+def _is_solid(vertices: FloatArray, triangles: NDArray[np.int32]) -> bool:
+    """A closed mesh, even if vertices at the same place are not shared."""
     _, same = np.unique(vertices, axis=0, return_inverse=True)
-    if is_closed(same.reshape(-1)[triangles].astype(np.int32)):
-        return triangles if volume_m3(vertices, triangles) >= 0.0 else triangles[:, ::-1]
-    return triangles
+    return is_closed(same.reshape(-1)[triangles].astype(np.int32))
 
 
 def _name(node: str, geometry: str, stem: str) -> str:
-    """What a part is called: its node, or its geometry where nodes only have numbers."""
+    """Name of a part: that of its node, or of its geometry where nodes only have numbers."""
     for name in (node, geometry):
         if any(letter.isalpha() for letter in name) and name not in ("world", "geometry_0"):
             return stem if name.lower().startswith(("geometry_", f"{stem.lower()}.")) else name
@@ -222,7 +207,7 @@ def _name(node: str, geometry: str, stem: str) -> str:
 
 
 def _check_size(things: list[Thing], where: str, unit: str) -> None:
-    """Refuse what only a wrong unit makes."""
+    """Refuse a size that only a wrong unit explains."""
     low = np.min([thing.vertices_m.min(axis=0) for thing in things], axis=0)
     high = np.max([thing.vertices_m.max(axis=0) for thing in things], axis=0)
     size_m = float((high - low).max())
@@ -236,16 +221,13 @@ def _check_size(things: list[Thing], where: str, unit: str) -> None:
 
 
 def _check_roofs(things: list[Thing], where: str, up: str) -> None:
-    """Refuse closed solids whose slanted faces look down: roofs that stand on their heads.
+    """Refuse closed buildings whose slanted faces look down: roofs that stand on their heads.
 
-    Boxes with flat roofs look the same both ways, and are not judged; nor are plants.
+    Boxes with flat roofs look the same both ways, and are not judged.
     """
     up_m2 = down_m2 = all_m2 = 0.0
     for thing in things:
-        if thing.class_name != "building":
-            continue
-        _, same = np.unique(thing.vertices_m, axis=0, return_inverse=True)
-        if not is_closed(same.reshape(-1)[thing.triangles].astype(np.int32)):
+        if thing.class_name != "building" or not _is_solid(thing.vertices_m, thing.triangles):
             continue
         a, b, c = np.swapaxes(thing.vertices_m[thing.triangles], 0, 1)
         normals = 0.5 * np.cross(b - a, c - a)

@@ -1,4 +1,4 @@
-"""Occluders from point clouds: closed solids of voxels, standing on the ground."""
+"""Things from point clouds: closed solids of voxels that stand on the ground."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -11,14 +11,11 @@ from ..arrays import FloatArray, IntArray
 from ..errors import InputError, Unquoted
 from ..scene import CLASS_NAMES
 from . import voxels
-from .city_objects import MAX_TRIANGLES, counted
 from .georeferences import Georeference, georeference
 from .point_files import open_points
-from .source_map import Skipped, SourceMap, Thing
+from .source_map import MAX_TRIANGLES, Skipped, SourceMap, Thing, counted
 
-# ---------- the ground under a point cloud
-
-
+# ---------- the ground
 CELL_M = 1.0
 _MAX_CELLS = 16_000_000  # 4 km x 4 km
 _WINDOWS = (3, 5, 9, 17, 33, 65, 129)  # cells; buildings wider than the last are taken for hills
@@ -26,14 +23,14 @@ _STEP_M, _SLOPE = 0.5, 0.1  # higher and steeper than this is not ground
 
 
 class LowestPoints:
-    """Lowest point of every square metre, collected a piece at a time."""
+    """Lowest point of every square metre, collected a chunk at a time."""
 
     def __init__(self) -> None:
         self._cells: IntArray = np.empty((0, 2), dtype=np.int64)
         self._z_m: FloatArray = np.empty(0)
 
     def add(self, points_m: FloatArray) -> None:
-        """Take more points, (n, 3)."""
+        """Add points, (n, 3)."""
         if not len(points_m):
             return
         cells = np.concatenate([self._cells, np.floor(points_m[:, :2] / CELL_M).astype(np.int64)])
@@ -50,10 +47,7 @@ class LowestPoints:
     def grid(self, where: str) -> tuple[IntArray, FloatArray]:
         """First cell (2,), and heights of all cells of the box, (n, m); NaN: no points. [m].
 
-        Raises
-        ------
-        InputError
-            The box is too large.
+        Raises InputError if the box is too large.
         """
         low = self._cells.min(axis=0)
         shape = self._cells.max(axis=0) - low + 1
@@ -68,7 +62,7 @@ class LowestPoints:
 
 
 def fill_gaps(heights_m: FloatArray) -> FloatArray:
-    """Heights with those of the nearest cell where there are none (NaN), (n, m). [m]."""
+    """Heights (n, m) with gaps (NaN) filled from the nearest cell. [m]."""
     from scipy.ndimage import distance_transform_edt
 
     if not np.isnan(heights_m).any():
@@ -79,21 +73,11 @@ def fill_gaps(heights_m: FloatArray) -> FloatArray:
 
 
 def filter_ground(heights_m: FloatArray) -> FloatArray:
-    """Ground under the lowest points of cells.
+    """Ground (n, m) under the lowest points of cells (NaN: none). [m].
 
-    A surface is opened with growing windows; what an opening takes off by more than the ground
-    could rise within half the window stands on it, and under it lies the height of the nearest
-    ground. Of a house that ground behind it overtops, a part is taken for ground.
-
-    Parameters
-    ----------
-    heights_m : (n, m) float
-        Lowest points; NaN: none. [m]
-
-    Returns
-    -------
-    ground_m : (n, m) float
-        [m]
+    A surface is opened with growing windows. A cell that an opening lowers by more than the ground
+    could rise within half the window carries something, and gets the height of the nearest ground.
+    Part of a house that is lower than the ground behind it is taken for ground.
 
     References
     ----------
@@ -119,21 +103,19 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
     return fill_gaps(np.where(is_ground, surface, np.nan))
 
 
-# ---------- occluders from point clouds: closed solids of voxels, standing on the ground
-
-
+# ---------- things
 VOXEL_M = 0.25
 _MAX_VOXEL_M = 2.0
 _MAX_VOXELS = 30_000_000
 _MAX_THINGS = 20_000
 _MIDDLE = 1 << 19  # cell of the origin, on every axis
-_GROUND_M = 0.3  # what is lower above the ground is ground: grass, kerbs, noise
-_MIN_HEIGHT_M = 0.5  # what ends lower hides nobody
+_GROUND_M = 0.3  # lower points are ground: grass, kerbs, noise
+_MIN_HEIGHT_M = 0.5  # lower things hide nobody
 _MIN_VOXELS = 4
 _MIN_NEIGHBOURS = 6.0  # of 8 in a surface: with fewer, one hole in a hundred is not bridged
 _MIN_ROOF_M2, _MIN_FLAT_SHARE = 10.0, 0.8
 
-# Classes of LAS 1.4: what a point lies on. What is not here is of the class that the caller names.
+# Classes of LAS 1.4: the surface of a point. Others are of the class that the caller names.
 _GROUND = (2,)
 _VEGETATION = (3, 4, 5)
 _BUILDING = (6,)
@@ -146,37 +128,23 @@ _LEFT_OUT = {
 def read_point_cloud(
     path: Path, *, class_name: str = "building", voxel_m: float = VOXEL_M
 ) -> SourceMap:
-    """Read a point cloud as things that hide what is behind them.
+    """Read a point cloud (``.las``, ``.laz``, ``.pcd``) as things that hide what is behind them.
 
-    Ground is removed: class 2 where a LAS file has it, else by a progressive morphological filter.
-    The rest becomes voxels, those that touch become one thing, and its outer faces are its surface.
+    Ground is removed: class 2 where a LAS file has it, or else by a progressive morphological
+    filter. The other points become voxels; voxels that touch become one thing with their outer
+    faces as its surface. Heights are above ground; PCD is taken as metres with z up.
 
-    Why voxels, and no Poisson, ball-pivoting or alpha surface: a surface fitted through points
-    closes gateways and passages where no point lies, or stays open where a scan is thin, and both
-    would be found by rays of a sensor. A voxel hides exactly where there is a point, to half its
-    edge; gaps of one voxel are bridged; voids that are closed all around are filled, so that
-    nothing is hollow. Roofs seen only from the air (class 6, or even patches of 10 m2 with nothing
-    under them) get the walls that must carry them: they are filled to the ground.
+    Why voxels, and not a Poisson, ball-pivoting or alpha surface: a surface fitted through points
+    closes gateways and passages where there is no point, or stays open where a scan is thin, and a
+    sensor's rays would find both. A voxel hides exactly where there is a point, to half its edge;
+    gaps of one voxel are bridged; enclosed voids are filled, so that nothing is hollow. Roofs seen
+    only from the air (class 6, or even patches of 10 m2 with nothing below) are filled to the
+    ground, for the walls that must carry them.
 
-    Parameters
-    ----------
-    path : Path
-        ``.las``, ``.laz`` or ``.pcd``. PCD counts as metres with z up.
-    class_name : str
-        Of points without a class of their own (LAS: 3 to 5 vegetation, 6 building).
-    voxel_m : float
-        Edge length. Thinner scans take it doubled until voxels touch, up to 2 m. [m]
-
-    Returns
-    -------
-    source : SourceMap
-        Only things; heights are above ground.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or claims too much; points are not finite, or spread over more than
-        16 km2; only ground is left; more than five million triangles.
+    `class_name` is for points without a class of their own (LAS: 3 to 5 vegetation, 6 building).
+    `voxel_m`, the edge length, is doubled until voxels of a thin scan touch, up to 2 m. Raises
+    InputError if the file cannot be read or claims too much; points are not finite, or spread over
+    more than 16 km2; only ground is left; or there are more than five million triangles.
     """
     where = str(path)
     if class_name not in CLASS_NAMES:
@@ -184,22 +152,22 @@ def read_point_cloud(
     if not (np.isfinite(voxel_m) and 0.01 <= voxel_m <= _MAX_VOXEL_M):
         raise InputError("voxel_m", voxel_m, f"0.01 to {_MAX_VOXEL_M} m")
     scan = _Scan(where=where, voxel_m=voxel_m)
-    with open_points(path) as cloud:
-        for points, classes in cloud.chunks:
+    with open_points(path) as (crs, chunks):
+        for points, classes in chunks:
             if not np.isfinite(points).all():
                 raise InputError(where, Unquoted("a coordinate that is not finite"), "numbers")
             if not len(points):
                 continue
             if scan.place is None:
                 corners = np.array([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
-                scan.place = georeference(corners, cloud.crs, where=where)
+                scan.place = georeference(corners, crs, where=where)
             scan.add(scan.place.to_metres(points, where), classes, class_name)
     if scan.place is None:
         raise InputError(where, Unquoted("no points"), "points")
     heights, voxel_m, notes = _above_ground(scan)
     things, small = _things(heights, voxel_m, scan, class_name)
     if not things:
-        raise InputError(where, Unquoted("only ground"), "points on something that stands on it")
+        raise InputError(where, Unquoted("only ground"), "points on something above the ground")
     if scan.place.note is not None:
         notes.insert(0, scan.place.note)
     notes += counted(scan.left_out, "points of a class that hides nothing here")
@@ -221,7 +189,7 @@ def read_point_cloud(
 
 @dataclass(slots=True, kw_only=True)
 class _Scan:
-    """What is kept of the points that have been read."""
+    """The part of a point cloud that is kept while it is read."""
 
     where: str
     voxel_m: float
@@ -233,7 +201,7 @@ class _Scan:
     left_out: Counter[str] = field(default_factory=Counter)
 
     def add(self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str) -> None:
-        """Take a piece of the points."""
+        """Add a chunk of points."""
         for number, name in _LEFT_OUT.items():
             n = int((classes == number).sum())
             if n:
@@ -271,7 +239,7 @@ class _Scan:
 
 
 def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Skipped]]:
-    """Voxels by kind, with z from the ground up, as coarse as the points are apart."""
+    """Voxels by kind with z counted from the ground, and as coarse as the points are apart."""
     low, lowest_m = scan.lowest.grid(scan.where)
     if len(scan.lowest_ground):
         ground_m = np.full(lowest_m.shape, np.nan)
@@ -320,7 +288,7 @@ def _coarser(keys: IntArray) -> IntArray:
 def _things(
     heights: dict[str, IntArray], voxel_m: float, scan: _Scan, class_name: str
 ) -> tuple[list[Thing], int]:
-    """One thing per cluster, and how many clusters were too small for one."""
+    """One thing per cluster, and the number of clusters that are too small."""
     found: list[tuple[str, IntArray]] = []
     small = 0
     for kind, keys in heights.items():
@@ -370,7 +338,7 @@ def _things(
 
 
 def _stood(keys: IntArray, voxel_m: float) -> IntArray:
-    """Voxels with what was taken for ground below them: columns that begin just above it."""
+    """Voxels with those below them that were taken for ground: columns that begin just above it."""
     cells = voxels.to_cells(keys)
     columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
     lowest = np.minimum.reduceat(cells[:, 2], start)
@@ -383,7 +351,7 @@ def _stood(keys: IntArray, voxel_m: float) -> IntArray:
 
 
 def _is_roof(keys: IntArray, voxel_m: float) -> bool:
-    """An even patch with nothing under it: a roof seen from the air."""
+    """An even patch with nothing below: a roof seen from the air."""
     cells = voxels.to_cells(keys)
     columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
     if len(columns) * voxel_m**2 < _MIN_ROOF_M2:

@@ -1,9 +1,8 @@
-"""Points from LAS, LAZ and PCD files, a piece at a time."""
+"""Points from LAS, LAZ and PCD files, a chunk at a time."""
 
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -17,9 +16,7 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 
-# ---------- points from LAS and LAZ files, a piece at a time, through laspy
-
-
+SUFFIXES = (".las", ".laz", ".pcd")
 MAX_POINTS = 50_000_000
 CHUNK_POINTS = 1_000_000
 _MAX_UNPACKED_BYTES = 4_000_000_000
@@ -28,32 +25,39 @@ _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14:
 # Of the types that are packed in layers: how many; 0: one for every byte.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
 
-Points = tuple[FloatArray, NDArray[np.uint8]]  # (n, 3) coordinates and (n,) classes of LAS
+Points = tuple[FloatArray, NDArray[np.uint8]]  # coordinates (n, 3) and LAS classes (n,), 0: none
 
 
 @contextmanager
-def open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
-    """Open a LAS or LAZ file.
+def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
+    """Open a ``.las``, ``.laz`` or ``.pcd`` file: yields its CRS, if any, and chunks of points.
 
-    Yields
-    ------
-    crs : CRS or None
-        That of its header; None: none, or none that can be read.
-    chunks : iterator of ((n, 3) float, (n,) uint8)
-        Coordinates as the file has them, and their classes.
-
-    Raises
-    ------
-    InputError
-        The file claims more than 50 million points or more than it has bytes for, or is damaged:
-        also while its points are taken.
-    OSError
-        It cannot be read.
+    Raises InputError if it cannot be read, claims more than 50 million points or more than it has
+    bytes for, or is damaged (also while its points are read).
     """
+    where = str(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(where, suffix, "one of " + ", ".join(SUFFIXES))
+    try:
+        if suffix == ".pcd":
+            with path.open("rb") as file:
+                yield None, _pcd_points(file, where)
+        else:
+            with _open_las(path) as (crs, chunks):
+                yield crs, chunks
+    except OSError as error:
+        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
+
+
+# ---------- LAS and LAZ files, through laspy
+@contextmanager
+def _open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
+    """Yield the CRS and chunks of points of a LAS or LAZ file."""
     import laspy
 
     where = str(path)
-    check_las(path)
+    _check_header(path)
     try:
         # One thread: the parallel one of lazrs aborts the process where a chunk table is damaged.
         reader = laspy.open(path, laz_backend=laspy.LazBackend.Lazrs)
@@ -69,16 +73,8 @@ def open_las(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
         yield _crs(header), _chunks(reader, where)
 
 
-def check_las(path: Path) -> None:
-    """Refuse a header that claims more than the file can have.
-
-    Raises
-    ------
-    InputError
-        It does.
-    OSError
-        The file cannot be read.
-    """
+def _check_header(path: Path) -> None:
+    """Raise InputError if a header claims more than the file can contain."""
     where = str(path)
     n_bytes = path.stat().st_size
     with path.open("rb") as file:
@@ -116,12 +112,9 @@ def check_las(path: Path) -> None:
 
 
 def _n_layers(path: Path, header_bytes: int, n_records: int, point_bytes: int) -> int:
-    """In how many layers every chunk of points is packed; 0: in none.
+    """Number of layers in which chunks of points are packed; 0: they are not layered.
 
-    Raises
-    ------
-    InputError
-        The parts of a packed point are not those of a point.
+    Raises InputError if the parts of a packed point do not make up a point.
     """
     where = str(path)
     with path.open("rb") as file:
@@ -193,7 +186,7 @@ def _chunks(reader: Any, where: str) -> Iterator[Points]:
             yield xyz, np.asarray(points.classification, dtype=np.uint8)
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
-    except BaseException as error:  # laspy raises anything, and lazrs what is no Exception
+    except BaseException as error:  # laspy raises anything, lazrs even others than Exception
         raise InputError(where, Unquoted(_one_line(error)), "undamaged points") from None
 
 
@@ -201,26 +194,20 @@ def _one_line(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())[:150]}"
 
 
-# ---------- points from PCD files, a piece at a time
-
-
+# ---------- PCD files
 _MAX_HEADER_BYTES = 65_536
+_MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
 
 _PCD_TYPES = {("F", 4): "<f4", ("F", 8): "<f8"}
 _PCD_TYPES |= {("I", n): f"<i{n}" for n in (1, 2, 4, 8)}
 _PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
 
 
-def pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
-    """Points of an open PCD file, version 0.7: ascii, binary or binary_compressed.
+def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
+    """Points of an open PCD file, version 0.7: ascii, binary or binary_compressed; all of class 0.
 
-    Those without coordinates, which it has as NaN, are left out; all are of class 0.
-
-    Raises
-    ------
-    InputError
-        While points are taken: the file claims more than 50 million or more than it has, or is
-        damaged.
+    Points without coordinates (NaN) are left out. Raises InputError, while points are read, if the
+    file claims more than 50 million or more than it contains, or is damaged.
     """
     header = _pcd_header(file, where)
     names = header.get("FIELDS", [])
@@ -339,7 +326,7 @@ def _pcd_compressed(
             Unquoted(f"{n_bytes:,} bytes of unpacked points"),
             f"{n_points * record.itemsize:,}, and at most {_MAX_LZF_BYTES:,}",
         )
-    data = unpack_lzf(file.read(n_packed), n_bytes)
+    data = _unpack_lzf(file.read(n_packed), n_bytes)
     if data is None:
         raise InputError(where, Unquoted("damaged compressed points"), f"{n_bytes:,} bytes")
     xyz = []
@@ -352,22 +339,12 @@ def _pcd_compressed(
     yield np.stack(xyz, axis=1)
 
 
-def unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
-    """Unpack LZF: runs of literal bytes, and copies of what came before.
+def _unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
+    """Unpack LZF: runs of literal bytes, and copies of earlier ones; None if the data is damaged.
 
-    Parameters
-    ----------
-    packed : bytes
-        A control byte below 32 is followed by one more literal byte than it says. Otherwise its
-        upper three bits are the length of a copy (7: the next byte adds to it), two too small, and
-        its lower five bits and the next byte its distance, one too small.
-    n_bytes : int
-        Length unpacked.
-
-    Returns
-    -------
-    data : bytes or None
-        None if `packed` is damaged.
+    A control byte below 32 is followed by one more literal byte than it says. Otherwise its upper
+    three bits are the length of a copy (7: the next byte adds to it), less two, and its lower five
+    bits and the next byte its distance, less one.
     """
     data = bytearray()
     place = 0
@@ -393,58 +370,3 @@ def unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
     except IndexError:
         return None
     return bytes(data) if len(data) == n_bytes else None
-
-
-_MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
-
-
-# ---------- points from files of any kind, a piece at a time
-
-
-SUFFIXES = (".las", ".laz", ".pcd")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PointFile:
-    """An open file with points.
-
-    Attributes
-    ----------
-    crs : CRS, optional
-        That of its header.
-    chunks : iterator of ((n, 3) float, (n,) uint8)
-        Coordinates, and classification as LAS has it (0: none).
-    """
-
-    crs: "CRS | None"
-    chunks: Iterator[Points]
-
-
-@contextmanager
-def open_points(path: Path) -> Iterator[PointFile]:
-    """Open a point cloud.
-
-    Parameters
-    ----------
-    path : Path
-        ``.las``, ``.laz`` or ``.pcd``.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, claims more than 50 million points or more than it has bytes for,
-        or is damaged: also while its points are taken.
-    """
-    where = str(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(where, suffix, "one of " + ", ".join(SUFFIXES))
-    try:
-        if suffix == ".pcd":
-            with path.open("rb") as file:
-                yield PointFile(crs=None, chunks=pcd_points(file, where))
-        else:
-            with open_las(path) as (crs, chunks):
-                yield PointFile(crs=crs, chunks=chunks)
-    except OSError as error:
-        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None

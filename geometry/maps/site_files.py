@@ -1,4 +1,4 @@
-"""Sites that a planner lists: CSV or GeoJSON, one per row."""
+"""Lists of sites by a planner: CSV or GeoJSON, one site per row."""
 
 import csv
 import io
@@ -22,38 +22,16 @@ _MAX_SITES = 50_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SiteWish:
-    """A place where somebody would mount sensors; what is not said is None.
+    """A place where somebody would mount sensors; None where nothing is stated."""
 
-    Attributes
-    ----------
-    id : str
-        Unique in its list.
-    kind : str
-        In the source's words, in lower case: "lamp post", "kerb"; empty: not said.
-    position_m : (2,) float
-        In the scene's coordinate reference system. [m]
-    z_m : float, optional
-        Of the foot, as the source counts heights. [m]
-    min_height_m, max_height_m : float, optional
-        Lowest and highest mount above the foot. [m]
-    cost_eur : float, optional
-        Of making it ready. [EUR]
-    capacity_units : int, optional
-        How many units it can carry.
-    has_power, has_fibre : bool, optional
-        Whether there is electricity, and a data line.
-    is_forbidden : bool
-        It may carry nothing.
-    """
-
-    id: str
-    position_m: FloatArray
-    kind: str = ""
-    z_m: float | None = None
-    min_height_m: float | None = None
+    id: str  # unique in its list
+    position_m: FloatArray  # (2,), in the scene's coordinate reference system
+    kind: str = ""  # in the source's words, in lower case: "lamp post", "kerb"
+    z_m: float | None = None  # of the foot, as the source counts heights
+    min_height_m: float | None = None  # lowest and highest mount above the foot
     max_height_m: float | None = None
-    cost_eur: float | None = None
-    capacity_units: int | None = None
+    cost_eur: float | None = None  # of making the site ready
+    capacity_units: int | None = None  # units that it can carry
     has_power: bool | None = None
     has_fibre: bool | None = None
     is_forbidden: bool = False
@@ -64,7 +42,7 @@ class SiteWish:
 
     @property
     def n_said(self) -> int:
-        """How many things are said of it."""
+        """How many details are given."""
         said = (
             *(self.z_m, self.min_height_m, self.max_height_m, self.cost_eur),
             *(self.capacity_units, self.has_power, self.has_fibre, self.kind or None),
@@ -98,27 +76,13 @@ _YES_NO |= {"no": False, "n": False, "false": False, "0": False, "nein": False}
 
 
 def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
-    """Read a list of sites.
+    """Read a list of sites: CSV with a header (comma, semicolon or tab), or GeoJSON with points.
 
-    Parameters
-    ----------
-    path : Path
-        ``.csv`` with a header (comma, semicolon or tab), or ``.geojson`` with points. Columns: id;
-        x and y in `crs`, or lat and lon (of GeoJSON: its points); z, min_height_m, max_height_m,
-        kind, cost_eur, power, fibre, capacity and forbidden (yes or no) as far as known. Case does
-        not matter, nor do units at the end of a name.
-    crs : str
-        Projected coordinate reference system of the scene, in metres; empty: it has none.
-
-    Returns
-    -------
-    sites : tuple of SiteWish
-        At least one, in the file's order.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or a field of a row is missing or not of its kind.
+    Columns: id; x and y in `crs`, or lat and lon (in GeoJSON: the points); and as far as known z,
+    min_height_m, max_height_m, kind, cost_eur, power, fibre, capacity and forbidden (yes or no).
+    Case and units at the end of a column's name do not matter. `crs` is the projected coordinate
+    reference system of the scene; empty: it has none. Raises InputError if the file cannot be read,
+    or a field is missing or not of its kind.
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":
@@ -222,7 +186,7 @@ def _projected(x: float, y: float, source: str, crs: str, where: str) -> dict[st
 
 
 def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
-    """One row, checked."""
+    """Check one row."""
     site_id = str(values.get("id", "")).strip()
     if not site_id:
         raise InputError(f"{where}: id", Unquoted("nothing"), "a name")
@@ -285,7 +249,7 @@ _NEAR_M = 200_000.0  # a transverse Mercator around a junction has its origin th
 
 
 def _is_here(position_m: FloatArray, crs: str, lonlat_deg: list[float]) -> bool:
-    """A position lies where a reference system is used, or near its origin if nobody says where."""
+    """A position lies in a reference system's area, or near its origin if no area is known."""
     from pyproj import CRS
 
     if not np.isfinite(position_m).all():
@@ -300,7 +264,7 @@ def _is_here(position_m: FloatArray, crs: str, lonlat_deg: list[float]) -> bool:
 def _number(
     values: Mapping[str, Any], field: str, where: str, *, least: float | None = None
 ) -> float | None:
-    """A finite number, or None where nothing is said."""
+    """A finite number, or None where nothing is stated."""
     value = values.get(field)
     if value is None or value == "":
         return None

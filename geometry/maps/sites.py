@@ -1,4 +1,4 @@
-"""The sites of a scene: the poles of the map, a planner's list, or points along the kerbs."""
+"""Sites of a scene: the poles of the map, a planner's list, or points along the kerbs."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from shapely import Polygon
 
 
-# ---------- sites along kerbs, and lists of sites made tidy
-
-
 SETBACK_M = (
     0.5  # of a pole's middle from the kerb; assumption: the usual clearance of a carriageway
 )
@@ -38,38 +35,15 @@ _KINDS = ("driving", "parking")
 
 
 def kerb_sites(
-    lanes: Sequence[MapLane],
-    outline_m: ArrayLike,
-    spacing_m: float,
-    *,
-    reach_m: float = REACH_M,
+    lanes: Sequence[MapLane], outline_m: ArrayLike, spacing_m: float, *, reach_m: float = REACH_M
 ) -> tuple[SiteWish, ...]:
     """Sites along both kerbs of a junction's arms, from its corners outwards.
 
-    A kerb is the outer edge of a lane for driving or parking that no other such lane borders on;
-    medians have none.
-
-    Parameters
-    ----------
-    lanes : sequence of MapLane
-        Those that begin or end at the outline are arms, with what they are continued by.
-    outline_m : (n, 2) float
-        Of the junction's road surface. [m]
-    spacing_m : float
-        Between sites along a kerb. [m]
-    reach_m : float
-        How far from the outline. [m]
-
-    Returns
-    -------
-    sites : tuple of SiteWish
-        Of kind "kerb"; their ids are those of the lane, the side and the distance: the first on a
-        kerb, at the outline, is a corner of the junction.
-
-    Raises
-    ------
-    InputError
-        The spacing is not positive, or the outline is none.
+    A kerb is the outer edge of a driving or parking lane that no other such lane borders on;
+    medians have none. Lanes that begin or end at the outline are arms, and are followed up to
+    `reach_m`. The ids name the lane, the side and the distance: the first site of a kerb, at the
+    outline, is a corner of the junction. Raises InputError if the spacing or the outline is not
+    valid.
     """
     import shapely
 
@@ -113,7 +87,7 @@ def kerb_sites(
 def _outward(
     lane: MapLane, lanes: Sequence[MapLane], outline: FloatArray, reach_m: float
 ) -> list[FloatArray]:
-    """Centrelines from the outline outwards, (n, 3): of a lane that touches it, continued."""
+    """Centrelines (n, 3) of a lane that touches the outline, with its continuations, outwards."""
     import shapely
 
     ring = shapely.LinearRing(outline)
@@ -148,7 +122,7 @@ def _outward(
 
 
 def _strip(lane: MapLane, line: FloatArray, *, beside_m: float) -> "Polygon":
-    """A lane's surface, with a strip on either side, and a metre longer at both ends."""
+    """A lane's surface with a strip on either side, extended by a metre at both ends."""
     import shapely
 
     ends = line[[0, -1], :2]
@@ -164,7 +138,7 @@ def _length_m(line: FloatArray) -> float:
 
 
 def _offset(line: FloatArray, offset_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points beside a line every quarter of a metre: distance along it, place, way outwards."""
+    """Distance along a line, position and outward direction of points beside it, every 0.25 m."""
     pieces = np.hypot(*np.diff(line[:, :2], axis=0).T)
     at = np.r_[0.0, np.cumsum(pieces)]
     along_m: FloatArray = np.arange(0.0, min(at[-1], 500.0), _STEP_M)
@@ -179,7 +153,7 @@ def _offset(line: FloatArray, offset_m: float) -> tuple[FloatArray, FloatArray, 
 def _is_median(
     points: FloatArray, outwards: FloatArray, arms: Sequence[tuple[MapLane, FloatArray]]
 ) -> BoolArray:
-    """Points from which another lane runs alongside, a few metres further outwards."""
+    """Points beyond which another lane runs parallel, a few metres further outwards."""
     import shapely
 
     is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
@@ -200,23 +174,10 @@ def _is_median(
 def tidy_sites(
     sites: Sequence[SiteWish], *, things: Sequence[Thing] = (), snap_m: float = 1.0
 ) -> tuple[tuple[SiteWish, ...], tuple[Skipped, ...]]:
-    """Sites without those that are there twice, or stand in a building.
+    """Drop sites inside a building, and all but one of those within `snap_m` of each other.
 
-    Parameters
-    ----------
-    sites : sequence of SiteWish
-        Those said more of win over others at the same place, then the earlier ones.
-    things : sequence of Thing
-        In the same coordinates; a site in the footprint of a building is dropped.
-    snap_m : float
-        Sites closer than this are one. [m]
-
-    Returns
-    -------
-    kept : tuple of SiteWish
-        In their order.
-    skipped : tuple of Skipped
-        Every other one, with the reason.
+    Of close ones the site with more details is kept, then the earlier one. `things` are in the same
+    coordinates. Returns the sites kept, in order, and the others with the reason.
     """
     from scipy.spatial import KDTree
 
@@ -254,7 +215,7 @@ def tidy_sites(
 
 
 def _is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
-    """Which points lie in the footprint of a thing: under or over one of its triangles."""
+    """Which points lie in the footprint of a thing: below or above one of its triangles."""
     corners = thing.vertices_m[thing.triangles][:, :, :2]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     is_under: BoolArray = np.zeros(len(positions_m), dtype=np.bool_)
@@ -276,9 +237,7 @@ def _turn(a: FloatArray, b: FloatArray) -> FloatArray:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-# ---------- which sites a scene gets
-
-
+# ---------- the sites of a scene
 AUTO, MAP, KERB = "auto", "map", "kerb:"
 _AUTO_SPACING_M = 15.0
 _SPACINGS_M = (2.0, 100.0)
@@ -288,31 +247,12 @@ _OCTANTS = ("e", "ne", "n", "nw", "w", "sw", "s", "se")
 def choose_sites(
     where: str, surroundings: Surroundings, roads: SourceMap, *, radius_m: float
 ) -> tuple[tuple[Site, ...], tuple[Skipped, ...]]:
-    """Sites of a scene.
+    """Sites of a scene, at least one, and notes on what was left out.
 
-    Parameters
-    ----------
-    where : str
-        "map", "kerb:SPACING", a CSV or GeoJSON file, or "auto": "map", and where the map has no
-        pole "kerb:15".
-    surroundings : Surroundings
-        What lies around the junction.
-    roads : SourceMap
-        The map that has the junction: a file's x and y are in its coordinates.
-    radius_m : float
-        Sites farther from the junction's middle are left out. [m]
-
-    Returns
-    -------
-    sites : tuple of Site
-        At least one.
-    skipped : tuple of Skipped
-        What was left out, and whether kerbs took the place of poles.
-
-    Raises
-    ------
-    InputError
-        The word or the file cannot be read, or no site is left.
+    `where` is "map", "kerb:SPACING", a CSV or GeoJSON file (x and y in the coordinates of `roads`),
+    or "auto": "map", or "kerb:15" if the map has no pole. Sites farther than `radius_m` from the
+    middle of the junction are left out. Raises InputError if `where` cannot be read, or no site is
+    left.
     """
     told: list[Skipped] = []
     if where in (AUTO, MAP):
@@ -354,8 +294,8 @@ def _poles(surroundings: Surroundings) -> tuple[SiteWish, ...]:
                 id=pole.id,
                 kind=pole.kind,
                 position_m=pole.position_m[:2],
-                min_height_m=float(low_m),
-                max_height_m=float(high_m),
+                min_height_m=low_m,
+                max_height_m=high_m,
             )
         )
     return tuple(wishes)
@@ -400,7 +340,7 @@ def _listed(
         told.append(Skipped(what=f"{n_far} sites in {path.name}", why=why))
     dark = sum(wish.has_power is False or wish.has_fibre is False for wish in wishes)
     if dark:
-        why = "it counts only as far as cost_eur says it"
+        why = "only what cost_eur states is counted"
         told.append(Skipped(what=f"power or fibre that {dark} sites lack", why=why))
     return tuple(wishes), told
 
@@ -417,7 +357,7 @@ def _spacing_m(where: str) -> float:
 
 
 def _with_plain_ids(wishes: Sequence[SiteWish]) -> list[SiteWish]:
-    """The same with ids that options with commas between them can name, each once."""
+    """The same sites with unique ids that a comma-separated option can name."""
     taken: set[str] = set()
     plain = []
     for wish in wishes:
@@ -434,7 +374,7 @@ def _with_plain_ids(wishes: Sequence[SiteWish]) -> list[SiteWish]:
 def _site(wish: SiteWish) -> Site:
     kinds = load_pole_kinds()
     kind = kinds.get(wish.kind, kinds["pole"])
-    low_m, high_m = kind.height_range_m.tolist()
+    low_m, high_m = kind.height_range_m
     low_m = low_m if wish.min_height_m is None else wish.min_height_m
     high_m = max(high_m, low_m) if wish.max_height_m is None else wish.max_height_m
     low_m = min(low_m, high_m)

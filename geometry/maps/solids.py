@@ -1,6 +1,7 @@
-"""Triangles from polygons in space, and solids raised from footprints."""
+"""Triangle meshes from polygons in space, and solids raised from footprints."""
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,33 +9,22 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import FloatArray, float_array
 from ..errors import InputError, Unquoted
 
-# ---------- triangles from polygons in space: the surfaces of city models
-
-
 Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
+Mesh = tuple[FloatArray, NDArray[np.int32]]  # vertices (n, 3) and triangles (m, 3)
 
 _SAME_M = 1e-3  # corners closer than this are one
-_MIN_AREA_M2 = 1e-6
+_MIN_AREA_M2 = 1e-6  # of a polygon in space
+_MIN_FOOTPRINT_M2 = 0.01
+_NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
 
 
-def triangulate(rings_m: Polygon3D) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Triangles of a flat polygon in space.
+def triangulate(rings_m: Polygon3D) -> Mesh:
+    """Triangles of a flat polygon in space: an outer ring and holes, (n, 3) each, open or closed.
 
-    The polygon is laid on the plane whose normal is that of Newell, cut by ear clipping there, and
-    its own corners are kept, so what is not quite flat still meets its neighbours.
-
-    Parameters
-    ----------
-    rings_m : sequence of (n, 3) float
-        Outer ring and holes, open or closed. The outer one runs counter-clockwise seen from where
-        the polygon looks to; holes in either direction. [m]
-
-    Returns
-    -------
-    vertices_m : (n_vertices, 3) float
-        [m]
-    triangles : (n_triangles, 3) int32
-        They look where the polygon looks. None if the polygon has no area.
+    The polygon is projected onto the plane across Newell's normal, cut by ear clipping there, and
+    keeps its own corners, so that a polygon that is not quite flat still meets its neighbours. The
+    outer ring runs counter-clockwise seen from the polygon's front; holes run in either direction.
+    Returns vertices and triangles that face as the polygon does, none if it has no area.
 
     References
     ----------
@@ -74,30 +64,17 @@ def triangulate(rings_m: Polygon3D) -> tuple[FloatArray, NDArray[np.int32]]:
     return vertices, triangles
 
 
-def surface_mesh(polygons: Sequence[Polygon3D]) -> tuple[FloatArray, NDArray[np.int32]]:
-    """One mesh of many polygons, with corners shared; a closed one looks outwards.
+def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
+    """One mesh of many polygons with shared corners; a closed mesh faces outwards.
 
-    Parameters
-    ----------
-    polygons : sequence of polygons
-        As :func:`triangulate` takes them.
-
-    Returns
-    -------
-    vertices_m : (n_vertices, 3) float
-        No two closer than a millimetre along every axis, as far as rounding tells. [m]
-    triangles : (n_triangles, 3) int32
-        Empty if no polygon has an area.
+    Vertices closer than about a millimetre along every axis are merged. The mesh is empty if no
+    polygon has an area.
     """
     pieces = [triangulate(rings) for rings in polygons]
     pieces = [piece for piece in pieces if len(piece[1])]
     if not pieces:
         return _NOTHING
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
-    corners: FloatArray = np.concatenate([vertices for vertices, _ in pieces])
-    triangles = np.concatenate(
-        [triangles + offset for (_, triangles), offset in zip(pieces, first[:-1], strict=True)]
-    )
+    corners, triangles = join(pieces)
     _, taken, merged = np.unique(
         np.round(corners / _SAME_M).astype(np.int64), axis=0, return_index=True, return_inverse=True
     )
@@ -114,7 +91,7 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> tuple[FloatArray, NDArray[np.
 
 
 def is_closed(triangles: NDArray[np.int32]) -> bool:
-    """Every edge is run through as often in one direction as in the other."""
+    """Every edge is used as often in one direction as in the other."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     n_vertices = int(triangles.max()) + 1 if len(triangles) else 0
     forth = np.sort(edges[:, 0].astype(np.int64) * n_vertices + edges[:, 1])
@@ -123,26 +100,20 @@ def is_closed(triangles: NDArray[np.int32]) -> bool:
 
 
 def volume_m3(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> float:
-    """Volume inside a closed mesh; negative if it looks inwards."""
+    """Volume inside a closed mesh; negative if it faces inwards."""
     if not len(triangles):
         return 0.0
     a, b, c = np.swapaxes(vertices_m[triangles] - vertices_m[triangles[0, 0]], 0, 1)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
-_NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
-
-
 def _without_repeats(ring: FloatArray) -> FloatArray:
-    """A ring without the corners that repeat the one before, and open."""
+    """An open ring without corners that repeat the one before."""
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return points
     kept: FloatArray = points[(points != points[[-1, *range(len(points) - 1)]]).any(axis=1)]
     return kept
-
-
-# ---------- solids from footprints: walls, floor and a flat roof
 
 
 def extrude(
@@ -152,32 +123,12 @@ def extrude(
     top_m: float,
     holes_m: Sequence[ArrayLike] = (),
     where: str = "footprint",
-) -> tuple[FloatArray, NDArray[np.int32]]:
-    """A closed solid over a footprint.
+) -> Mesh:
+    """A closed solid over a footprint: an outline (n, 2) and holes.
 
-    Parameters
-    ----------
-    outer_m : (n, 2) float
-        Outline, open or closed, in either direction. [m]
-    bottom_m, top_m : float
-        Heights of floor and roof. [m]
-    holes_m : sequence of (k, 2) float
-        Courtyards. [m]
-    where : str
-        For messages.
-
-    Returns
-    -------
-    vertices_m : (n_vertices, 3) float
-        [m]
-    triangles : (n_triangles, 3) int32
-        Counter-clockwise seen from outside.
-
-    Raises
-    ------
-    InputError
-        The outline crosses itself in a way that leaves nothing, has no area, or the roof is not
-        above the floor. What crosses itself otherwise is mended first.
+    Rings are open or closed, in either direction. Returns vertices (k, 3) and triangles that run
+    counter-clockwise seen from outside. Outlines that cross themselves are mended first. Raises
+    InputError, with `where` in its message, if no area is left or the roof is not above the floor.
     """
     import trimesh
     from shapely import MultiPolygon, Polygon, make_valid
@@ -186,25 +137,35 @@ def extrude(
         raise InputError(f"{where}: height", top_m - bottom_m, "metres, > 0")
     outer = float_array(outer_m, (-1, 2), where)
     if len(np.unique(outer, axis=0)) < 3:
-        raise InputError(where, Unquoted(f"{len(outer)} points"), "three different ones or more")
+        raise InputError(where, Unquoted(f"{len(outer)} points"), "at least three different points")
     shape = make_valid(Polygon(outer, [float_array(hole, (-1, 2), where) for hole in holes_m]))
     parts = [
         part
         for geometry in getattr(shape, "geoms", [shape])
         for part in (geometry.geoms if isinstance(geometry, MultiPolygon) else [geometry])
-        if isinstance(part, Polygon) and part.area > _MIN_AREA_M2_EXTRUSION
+        if isinstance(part, Polygon) and part.area > _MIN_FOOTPRINT_M2
     ]
     if not parts:
         raise InputError(where, Unquoted("an outline without area"), "a footprint")
     solids = [
         trimesh.creation.extrude_polygon(part, top_m - bottom_m, engine="earcut") for part in parts
     ]
-    first = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
-    vertices: FloatArray = np.concatenate([solid.vertices for solid in solids])
-    triangles = np.concatenate(
-        [solid.faces + offset for solid, offset in zip(solids, first[:-1], strict=True)]
-    )
-    return vertices + [0.0, 0.0, bottom_m], triangles.astype(np.int32)
+    vertices, triangles = join([(solid.vertices, solid.faces) for solid in solids])
+    return vertices + [0.0, 0.0, bottom_m], triangles
 
 
-_MIN_AREA_M2_EXTRUSION = 0.01
+def join(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    triangles = [faces + start for (_, faces), start in zip(meshes, first[:-1], strict=True)]
+    vertices: FloatArray = np.concatenate([vertices for vertices, _ in meshes])
+    return vertices, np.concatenate(triangles).astype(np.int32)
+
+
+@cache
+def unit_ball() -> Mesh:
+    """A ball of radius 1 from 80 triangles, for the crowns of trees."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    return np.asarray(ball.vertices, dtype=np.float64), np.asarray(ball.faces, dtype=np.int32)

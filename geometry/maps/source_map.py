@@ -1,5 +1,7 @@
-"""What a map file says, whatever its format: lanes, junctions, crosswalks, things, poles."""
+"""The content of a map file, whatever its format: lanes, junctions, crosswalks, things, poles."""
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -12,6 +14,9 @@ from ..errors import InputError
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
 Heights = Literal["above ground", "absolute"]
+MAX_TRIANGLES = 5_000_000  # of the things of a file
+_MAX_ID = 120  # characters
+_MAX_SKIPPED = 100  # entries
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -21,16 +26,16 @@ class MapLane:
     Attributes
     ----------
     id : str
-        In the source; unique in the map.
+        From the source; unique in the map.
     kind : str
         One of ``LANE_KINDS``.
     width_m : float
         Mean full width. [m]
     centreline_m : (n, 3) float
-        At least two points in driving direction; of lanes without one (walking, parking) in that
-        of the driving lane beside them. [m]
+        At least two points in driving direction; lanes without one (walking, parking) have that of
+        the driving lane beside them. [m]
     from_junction, to_junction : str
-        Ids of the junctions where it begins and ends: there it stops at the outline. Empty: none.
+        Ids of the junctions at its ends, where it stops at the outline; empty: none.
     """
 
     id: str
@@ -54,18 +59,18 @@ class MapLane:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapJunction:
-    """Where roads meet.
+    """A junction of roads.
 
     Attributes
     ----------
     id : str
-        In the source; unique in the map.
+        From the source; unique in the map.
     name : str
         For people, such as the streets that meet; may be empty.
     outline_m : (n, 2) float
         Outline of its road surface, where the lanes of its arms begin and end. [m]
     height_m : float
-        Of the road in its middle, as the map's ``heights`` count. [m]
+        Height of the road in its middle, as the map counts heights. [m]
     """
 
     id: str
@@ -82,27 +87,27 @@ class MapJunction:
 
     @property
     def position_m(self) -> FloatArray:
-        """Its middle: that of the box around the outline, (2,)."""
+        """Its middle, (2,): that of the box around the outline."""
         middle: FloatArray = 0.5 * (self.outline_m.min(axis=0) + self.outline_m.max(axis=0))
         return middle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Thing:
-    """Something solid.
+    """A solid object.
 
     Attributes
     ----------
     id : str
-        In the source; unique in the map.
+        From the source; unique in the map.
     class_name : str
         One of :data:`geometry.scene.CLASS_NAMES`.
     vertices_m : (n, 3) float
-        As the map's ``heights`` count upwards. [m]
+        Heights as the map counts them. [m]
     triangles : (m, 3) int32
-        Vertex indices; seen from outside they run counter-clockwise.
+        Vertex indices, counter-clockwise seen from outside.
     is_height_assumed : bool
-        The source does not say how high it is.
+        The source does not give its height.
     """
 
     id: str
@@ -125,18 +130,18 @@ class Thing:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pole:
-    """Something that stands and could carry sensors.
+    """A pole that could carry sensors.
 
     Attributes
     ----------
     id : str
-        In the source; unique in the map.
+        From the source; unique in the map.
     kind : str
         One of ``POLE_KINDS``.
     position_m : (3,) float
-        Of its foot. [m]
+        Position of its foot. [m]
     height_m : float, optional
-        Of its top above its foot, where the source says so. [m]
+        Height of its top above its foot, if the source gives it. [m]
     """
 
     id: str
@@ -154,43 +159,96 @@ class Pole:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Skipped:
-    """Something of a source that was not taken.
+    """Something of a source that was left out."""
 
-    Attributes
-    ----------
-    what : str
-        Kind and id, as the source has them: "way 4711", "road 5 object 12".
-    why : str
-        The reason, in words.
+    what: str  # kind and id, as the source has them: "way 4711", "road 5 object 12"
+    why: str  # the reason, in words
+
+
+@dataclass(frozen=True, slots=True)
+class Omissions:
+    """What is left out of a file, counted by kind and reason so that the list stays short.
+
+    ``found`` has the names by kind and reason.
     """
 
-    what: str
-    why: str
+    found: dict[tuple[str, str], list[str]] = field(default_factory=dict)
+
+    def add(self, kind: str, name: str, why: str) -> None:
+        """Note that a thing was left out, or changed.
+
+        `kind` is in the plural, "signals of other kinds", `name` the thing at hand: "road 5 signal
+        12". Repetitions in a row count once.
+        """
+        names = self.found.setdefault((kind, why), [])
+        if name not in names[-1:]:
+            names.append(name)
+
+    def listed(self) -> tuple[Skipped, ...]:
+        """One entry per kind and reason."""
+        entries = [
+            Skipped(
+                what=names[0]
+                if len(names) == 1
+                else f"{len(names)} {kind}, such as {names[0]} and {names[1]}",
+                why=why,
+            )
+            for (kind, why), names in self.found.items()
+        ]
+        if len(entries) > _MAX_SKIPPED:
+            n_more = len(entries) - _MAX_SKIPPED + 1
+            entries = entries[: _MAX_SKIPPED - 1]
+            entries.append(Skipped(what=f"{n_more} more kinds of things", why="see those above"))
+        return tuple(entries)
+
+
+def unique_id(wanted: str, taken: Counter[str]) -> str:
+    """The wanted id, with a number if it is taken; `taken` then contains it."""
+    wanted = wanted[:_MAX_ID] or "unnamed"
+    candidate = wanted
+    while candidate in taken:
+        taken[wanted] += 1
+        candidate = f"{wanted}-{taken[wanted]}"
+    taken[candidate] += 1
+    return candidate
+
+
+def shortened(skipped: Sequence[Skipped], most: int = _MAX_SKIPPED) -> tuple[Skipped, ...]:
+    """The first of many entries, and one that counts the rest."""
+    if len(skipped) <= most:
+        return tuple(skipped)
+    n_more = len(skipped) - most
+    return (*skipped[:most], Skipped(what=f"{n_more} more", why="for reasons like these"))
+
+
+def counted(counts: Counter[str], why: str) -> list[Skipped]:
+    """One entry per kind of thing: "3 Bridge"."""
+    return [Skipped(what=f"{n} {kind}", why=why) for kind, n in sorted(counts.items())]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SourceMap:
-    """What one file says.
+    """The content of one map file.
 
     Attributes
     ----------
     name : str
-        Of the file.
+        Name of the file.
     crs : str
-        Projected coordinate reference system, in metres, of all coordinates here, for pyproj;
-        empty: the file does not say where on earth it lies.
+        Projected coordinate reference system of all coordinates here, in metres, for pyproj; empty:
+        the file does not say where on earth it lies.
     source_crs : str
         The one that the file itself uses, such as "EPSG:4326".
     heights : {"above ground", "absolute"}
-        What z counts from.
+        Zero of the z axis.
     lanes, junctions, things, poles : tuple
-        What there is.
+        The objects of the map.
     crosswalks_m : (n, 2, 2) float
         Lines on which pedestrians cross, from end to end. [m]
     keeps_left : bool
         Traffic keeps left.
     skipped : tuple of Skipped
-        What was not taken, and why.
+        What was left out, and why.
     """
 
     name: str

@@ -1,7 +1,5 @@
 """Points to solids: cubes where there are points, joined to clusters, and their outer faces."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +10,13 @@ _BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
 _MASK = (1 << _BITS) - 1
 MAX_VOXELS_PER_AXIS = _MASK - 1
 _MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
+_HALF_OF_NEIGHBOURS = tuple(  # differences of keys
+    (x << 2 * _BITS) + (y << _BITS) + z
+    for x in (-1, 0, 1)
+    for y in (-1, 0, 1)
+    for z in (-1, 0, 1)
+    if (x, y, z) > (0, 0, 0)
+)
 
 
 def to_keys(cells: IntArray) -> IntArray:
@@ -26,7 +31,7 @@ def to_cells(keys: IntArray) -> IntArray:
 
 
 def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
-    """Which keys are among others."""
+    """Which keys are in `sorted_keys`."""
     if not len(sorted_keys):
         return np.zeros(len(keys), dtype=np.bool_)
     places = np.minimum(np.searchsorted(sorted_keys, keys), len(sorted_keys) - 1)
@@ -35,25 +40,17 @@ def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
 
 
 def clusters(keys: IntArray) -> IntArray:
-    """Number of the cluster of every voxel: those that touch at a face, an edge or a corner.
+    """Cluster number of every voxel: voxels that touch at a face, an edge or a corner are one.
 
-    Parameters
-    ----------
-    keys : (n,) int
-        Sorted, each once.
-
-    Returns
-    -------
-    labels : (n,) int
-        From 0, in the order of the clusters' first voxels.
+    `keys` are sorted and unique; numbers follow the order of the clusters' first voxels.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     n = len(keys)
     pairs = []
-    for x, y, z in _HALF_OF_NEIGHBOURS:
-        moved = keys + ((x << 2 * _BITS) + (y << _BITS) + z)
+    for step in _HALF_OF_NEIGHBOURS:
+        moved = keys + step
         here = np.flatnonzero(is_in(moved, keys))
         pairs.append(np.stack([here, np.searchsorted(keys, moved[here])]))
     first, second = np.concatenate(pairs, axis=1)
@@ -68,35 +65,21 @@ def clusters(keys: IntArray) -> IntArray:
 def bridged(keys: IntArray) -> IntArray:
     """Voxels, and those between two that lie opposite one another, sorted."""
     between = [keys]
-    for x, y, z in _HALF_OF_NEIGHBOURS:
-        step = (x << 2 * _BITS) + (y << _BITS) + z
+    for step in _HALF_OF_NEIGHBOURS:
         between.append(keys[is_in(keys + 2 * step, keys)] + step)
     return np.unique(np.concatenate(between))
 
 
 def mean_neighbours(keys: IntArray) -> float:
-    """How many of its 26 neighbours a voxel has, on average."""
-    n_pairs = sum(
-        int(is_in(keys + ((x << 2 * _BITS) + (y << _BITS) + z), keys).sum())
-        for x, y, z in _HALF_OF_NEIGHBOURS
-    )
+    """Mean number of a voxel's 26 neighbours that exist."""
+    n_pairs = sum(int(is_in(keys + step, keys).sum()) for step in _HALF_OF_NEIGHBOURS)
     return 2.0 * n_pairs / max(1, len(keys))
 
 
 def filled(keys: IntArray, floor: int) -> IntArray:
-    """Voxels, and the voids that they enclose together with the ground.
+    """Voxels of one cluster, and the voids that they enclose together with the ground, sorted.
 
-    Parameters
-    ----------
-    keys : (n,) int
-        Of one cluster, sorted.
-    floor : int
-        Lowest z of a voxel above ground.
-
-    Returns
-    -------
-    keys : (m,) int
-        Sorted. Where the box around the cluster is too large, as they were.
+    `floor` is the lowest z above ground. A cluster whose box is too large stays as it is.
     """
     from scipy.ndimage import binary_fill_holes
 
@@ -109,7 +92,7 @@ def filled(keys: IntArray, floor: int) -> IntArray:
     stands = bool((cells[:, 2] <= floor + 1).any())
     dense = np.zeros(tuple(shape + [0, 0, 1]), dtype=np.bool_)
     dense[tuple((cells - low + [0, 0, 1]).T)] = True
-    dense[:, :, 0] = stands  # the ground closes what stands on it
+    dense[:, :, 0] = stands  # the ground closes clusters that stand on it
     dense = binary_fill_holes(dense)[:, :, 1:]
     return np.sort(to_keys(np.argwhere(dense).astype(np.int64) + low))
 
@@ -126,51 +109,16 @@ def columns_to(keys: IntArray, floor: int) -> IntArray:
     return np.unique(np.concatenate([keys, (column << _BITS) | z]))
 
 
-@dataclass(frozen=True, slots=True)
-class _Direction:
-    """One of the six that a face can look to."""
-
-    axis: int
-    sign: int
-
-
 def faces(
     keys: IntArray, *, origin_m: FloatArray, voxel_m: float, max_triangles: int, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """The surface of voxels: rectangles as large as they come, two triangles each.
+    """The surface of sorted voxels: rectangles as large as possible, of two triangles each.
 
-    It is closed, though a rectangle's edge may meet several smaller ones.
-
-    Parameters
-    ----------
-    keys : (n,) int
-        Sorted.
-    origin_m : (3,) float
-        Lower corner of cell (0, 0, 0). [m]
-    voxel_m : float
-        Edge length. [m]
-    max_triangles : int
-        More are refused.
-    where : str
-        For messages.
-
-    Returns
-    -------
-    vertices_m : (n_vertices, 3) float
-        [m]
-    triangles : (n_triangles, 3) int32
-        Counter-clockwise seen from outside.
-
-    Raises
-    ------
-    InputError
-        There are too many.
+    It is closed, though a rectangle's edge may meet several smaller ones. `origin_m` (3,) is the
+    lower corner of cell (0, 0, 0). Triangles run counter-clockwise seen from outside. Raises
+    InputError if there are more than `max_triangles`.
     """
-    corners = []
-    for axis in range(3):
-        for sign in (-1, 1):
-            corners.append(_rectangles(keys, _Direction(axis, sign)))
-    quads = np.concatenate(corners)
+    quads = np.concatenate([_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)])
     if 2 * len(quads) > max_triangles:
         raise InputError(
             where, Unquoted(f"{2 * len(quads):,} triangles"), "a larger voxel, or fewer points"
@@ -181,14 +129,12 @@ def faces(
     return origin_m + voxel_m * unique, triangles
 
 
-def _rectangles(keys: IntArray, direction: _Direction) -> IntArray:
-    """Corners of the rectangles that look in one direction, (n, 4, 3), as indices of cells."""
-    step = np.zeros((1, 3), dtype=np.int64)
-    step[0, direction.axis] = direction.sign
-    shift = int(step[0, 0] * (1 << 2 * _BITS) + step[0, 1] * (1 << _BITS) + step[0, 2])
-    cells = to_cells(keys[~is_in(keys + shift, keys)])
-    u, v = [axis for axis in range(3) if axis != direction.axis]
-    slab, a, b = cells[:, direction.axis], cells[:, u], cells[:, v]
+def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
+    """Corners of the rectangles that face along an axis, (n, 4, 3), as indices of cells."""
+    step = sign << (2 - axis) * _BITS  # to the neighbour's key
+    cells = to_cells(keys[~is_in(keys + step, keys)])
+    u, v = [other for other in range(3) if other != axis]
+    slab, a, b = cells[:, axis], cells[:, u], cells[:, v]
     # Runs of faces that follow one another along v, then of equal runs along u.
     order = np.lexsort((b, a, slab))
     slab, a, b = slab[order], a[order], b[order]
@@ -207,16 +153,11 @@ def _rectangles(keys: IntArray, direction: _Direction) -> IntArray:
     end = np.append(start[1:], len(slab))
     slab, a_low, a_high = slab[start], a[start], a[end - 1] + 1
     b_low, b_high = b_low[start], b_high[start]
-    plane = slab + (direction.sign > 0)
+    plane = slab + (sign > 0)
     quads = np.empty((len(slab), 4, 3), dtype=np.int64)
-    quads[:, :, direction.axis] = plane[:, None]
+    quads[:, :, axis] = plane[:, None]
     quads[:, :, u] = np.stack([a_low, a_high, a_high, a_low], axis=1)
     quads[:, :, v] = np.stack([b_low, b_low, b_high, b_high], axis=1)
     # u, v, axis are right-handed for x and z as axes, left-handed for y.
-    is_outward = (direction.sign > 0) == (direction.axis != 1)
+    is_outward = (sign > 0) == (axis != 1)
     return quads if is_outward else quads[:, ::-1]
-
-
-_HALF_OF_NEIGHBOURS = tuple(
-    (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)
-)

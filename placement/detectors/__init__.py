@@ -1,11 +1,11 @@
 """Detectors: image evidence in, boxes with confidence out.
 
-``evidence`` says what they get and give; ``geometric`` looks at boxes, ``response`` misses with a
-probability, ``network`` shows rendered pictures to an ONNX file, which ``onnx_model`` runs,
-``onnx_exports`` recognises and ``letterbox`` fits images to; ``files`` finds detectors by name.
+``evidence`` says what they get and give. ``box_rule`` looks at boxes alone, ``response`` misses
+with a probability, ``network`` shows rendered pictures to an ONNX file, whose outputs
+``onnx_exports`` recognises. ``loading`` finds detectors by name.
 """
 
-from .box_rule import GeometricDetector
+from .box_rule import GeometricDetector, is_matched, load_min_iou
 from .evidence import (
     VRU_CLASSES,
     Detections,
@@ -13,15 +13,9 @@ from .evidence import (
     Evidence,
     PlanningDetector,
     aspects_deg,
-    is_matched,
     vru_class,
 )
-from .loading import (
-    DETECTOR_NAMES,
-    load_detector,
-    load_min_iou,
-    load_planning_detector,
-)
+from .loading import DETECTOR_NAMES, load_detector, load_planning_detector
 from .response import ResponseDetector
 
 __all__ = [

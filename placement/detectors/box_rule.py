@@ -1,14 +1,36 @@
-"""A detector that finds what is visible enough, large enough and not lost in fog."""
+"""The rule that a box counts by its overlap (IoU), and a detector that works by boxes alone."""
 
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 
 import numpy as np
 
-from geometry.arrays import BoolArray
+from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
+from geometry.files import load_toml, take_number
 from geometry.image_boxes import box_height_px, iou
 
 from .evidence import Detections, Evidence
+
+
+@cache
+def load_min_iou() -> float:
+    """Overlap (IoU) that a box must exceed to count, from ``data/detectors.toml``."""
+    file = "detectors.toml"
+    table = load_toml(files(__package__) / "data" / file)
+    return take_number(table["box_rule"], "min_iou", f"{file}: box_rule")
+
+
+def is_matched(detections: Detections, truth_px: FloatArray, *, min_iou: float) -> BoolArray:
+    """Rows in which some detection overlaps the VRU's box by more than `min_iou`, (n,).
+
+    `truth_px` (n, 4) is the box of the VRU's visible part, as in the study.
+    """
+    matched = np.zeros(len(truth_px), dtype=bool)
+    hits = iou(detections.boxes_px, truth_px[detections.row_index]) > min_iou
+    matched[detections.row_index[hits]] = True
+    return matched
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,7 +40,7 @@ class GeometricDetector:
     Attributes
     ----------
     min_iou : float
-        The visible box must overlap the amodal box by more than this.
+        The box of the visible part must overlap that of the whole VRU (amodal) by more than this.
     min_box_height_px : float
         The visible box must be at least this high. [px]
     min_contrast : float
@@ -63,12 +85,12 @@ class GeometricDetector:
         return expected
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
-        """The visible boxes of what it detects; nothing is left to chance."""
+        """The visible boxes of what it detects; `rng` is not used."""
         rows = np.flatnonzero(self.is_expected(evidence))
         return Detections(
             row_index=rows, boxes_px=evidence.visible_px[rows], confidence=np.ones(len(rows))
         )
 
     def fingerprint(self) -> tuple[object, ...]:
-        """All that it depends on."""
+        """Everything that it depends on."""
         return (self.name, self.min_iou, self.min_box_height_px, self.min_contrast)

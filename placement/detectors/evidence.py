@@ -1,4 +1,4 @@
-"""What images show of VRUs, what detectors say about it, and whether that counts."""
+"""What images show of road users, what detectors find in them, and what a detector is."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.image_boxes import iou
 
 VRU_CLASSES = ("pedestrian", "child", "cyclist")
 _ADULT_FROM_M = 1.4  # between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets
@@ -25,19 +24,9 @@ def vru_class(actor: Actor) -> str:
 
 
 def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
-    """Angle between line of sight and heading.
+    """Angle between the line of sight (n, 2) on the ground and the VRU's heading (n,), in degrees.
 
-    Parameters
-    ----------
-    sightline_m : (n, 2) float
-        On the ground, from the sensor to the VRU. [m]
-    yaw_deg : (n,) float
-        Of the VRU. [deg]
-
-    Returns
-    -------
-    aspect_deg : (n,) float
-        0 from behind or ahead, 90 from the side. [deg]
+    0 from behind or ahead, 90 from the side.
 
     Examples
     --------
@@ -51,25 +40,25 @@ def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """What images show of VRUs: one row per look, each a VRU in a unit's image in one frame.
+    """What images show of VRUs: a row for each VRU in a unit's image in a frame.
 
     Attributes
     ----------
     visible_px, amodal_px : (n, 4) float
         Box of what is seen, and of the whole VRU inside the image; zeros where there is none. [px]
     contrast : (n,) or (1,) float
-        Of the VRU against what is behind it, after light and air have taken their part.
+        Of the VRU against what is behind it, as light and air leave it.
     visible_share : (n,) or (1,) float
-        Of what the VRU covers inside the image: the part that nothing hides.
+        Share that nothing hides, of what the VRU covers inside the image.
     inside_share : (n,) or (1,) float
-        Of the VRU: the part that the image's edges do not cut off.
+        Share of the VRU that the image's edges do not cut off.
     aspect_deg : (n,) or (1,) float
         Between the line of sight and the VRU's heading: 0 from behind or ahead, 90 from the side.
     vru_class : (n,) or (1,) int
         Into ``VRU_CLASSES``.
     draw_index : (n,) int
-        Rows with the same number share their luck: the same frame of the same run in different
-        weathers. Numbers that follow one another are frames that do.
+        Rows with the same number share their random draw: the same frame of the same run in
+        different weathers. Consecutive numbers are consecutive frames.
     picture : callable, optional
         From a row to its image, (h, w, 3) uint8, RGB.
     """
@@ -124,57 +113,21 @@ class Detector(Protocol):
 
     @property
     def needs_shares(self) -> bool:
-        """Whether visible share, cut-off share and aspect matter; else they need not be known."""
+        """Whether visible share, cut-off share and aspect matter; otherwise they may be unknown."""
 
     @property
     def needs_pictures(self) -> bool:
         """Whether it looks at images."""
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
-        """Find VRUs.
-
-        Parameters
-        ----------
-        evidence : Evidence
-            What images show.
-        rng : numpy.random.Generator
-            Of what is left to chance.
-
-        Returns
-        -------
-        detections : Detections
-            Boxes.
-        """
+        """Find VRUs; what is left to chance is drawn from `rng`."""
 
 
 class PlanningDetector(Detector, Protocol):
-    """A detector whose success can be foretold without an image."""
+    """A detector whose success can be predicted without an image."""
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
         """Rows in which a plan may count on a detection, (n,)."""
 
     def fingerprint(self) -> tuple[Any, ...]:
-        """All that `is_expected` depends on."""
-
-
-def is_matched(detections: Detections, truth_px: FloatArray, *, min_iou: float) -> BoolArray:
-    """Rows in which some detection overlaps the VRU's box.
-
-    Parameters
-    ----------
-    detections : Detections
-        What was found.
-    truth_px : (n, 4) float
-        The VRU's box: that of its visible part, as in the study. [px]
-    min_iou : float
-        More than this.
-
-    Returns
-    -------
-    matched : (n,) bool
-        One per row of `truth_px`.
-    """
-    matched = np.zeros(len(truth_px), dtype=bool)
-    hits = iou(detections.boxes_px, truth_px[detections.row_index]) > min_iou
-    matched[detections.row_index[hits]] = True
-    return matched
+        """Everything that `is_expected` depends on."""

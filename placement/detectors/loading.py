@@ -9,15 +9,9 @@ from typing import Any
 
 from geometry.arrays import float_array
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    Table,
-    load_toml,
-    take,
-    take_list,
-    take_number,
-)
+from geometry.files import Table, load_toml, read_table, take, take_list, take_number
 
-from .box_rule import GeometricDetector
+from .box_rule import GeometricDetector, load_min_iou
 from .evidence import VRU_CLASSES, Detector, PlanningDetector
 from .response import ResponseDetector
 
@@ -54,35 +48,22 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     if path.suffix == ".toml":
         return _read_response(path, load_toml(path), name=path.name)
     if path.suffix == ".onnx":
-        from .network import load_network_detector
+        from .network import NetworkDetector, load_onnx_model
 
-        table = _defaults()["onnx"]
-        return load_network_detector(
-            path,
-            min_box_height_px=take_number(table, "min_box_height_px", f"{_FILE}: onnx"),
-            min_confidence=take_number(table, "min_confidence", f"{_FILE}: onnx"),
-        )
+        limits = read_table(_defaults()["onnx"], dict[str, float], f"{_FILE}: onnx")
+        return NetworkDetector(name=path.name, model=load_onnx_model(path), **limits)
     known = ", ".join(DETECTOR_NAMES)
     raise InputError(where, name, f"{known}, a .toml file with a response table, or an .onnx file")
 
 
 @cache
 def load_planning_detector(name: str = "geometric") -> PlanningDetector:
-    """One of the detectors that come with us, from ``data/detectors.toml``."""
+    """One of the built-in detectors, "geometric" or "response", from ``data/detectors.toml``."""
     table = take(_defaults(), name, _FILE)
     if name == "response":
         return _read_response(_source(), _defaults(), name=name)
-    where = f"{_FILE}: {name}"
-    return GeometricDetector(
-        min_iou=take_number(table, "min_iou", where),
-        min_box_height_px=take_number(table, "min_box_height_px", where),
-        min_contrast=take_number(table, "min_contrast", where),
-    )
-
-
-def load_min_iou() -> float:
-    """Overlap that a detection must exceed to count."""
-    return take_number(_defaults()["match"], "min_iou", f"{_FILE}: match")
+    limits = read_table(table, dict[str, float], f"{_FILE}: {name}")
+    return GeometricDetector(min_iou=load_min_iou(), **limits)
 
 
 def _source() -> Traversable:
@@ -108,7 +89,7 @@ _NUMBERS = (
 
 
 def _read_response(source: Path | Traversable, document: Table, *, name: str) -> ResponseDetector:
-    """Response table of a document; every problem names the file and the line."""
+    """Response table of a document; errors name the file and the line."""
     table = document.get("response")
     if not isinstance(table, dict):
         raise InputError(str(source), Unquoted("no table [response]"), "a table [response]")
@@ -136,7 +117,7 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
 
 
 def _line(source: Path | Traversable, key: str) -> int:
-    """Line of a key of the table ``[response]``; that of the table where it lacks the key."""
+    """Line of a key in the table ``[response]``; that of the table if the key is missing."""
     lines = source.read_text(encoding="utf-8").splitlines()
     header = next(
         (index for index, text in enumerate(lines) if re.match(r"\s*\[\s*response\s*\]", text)), 0

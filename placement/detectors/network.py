@@ -1,4 +1,4 @@
-"""An exported neural network that looks at rendered pictures."""
+"""Exported neural networks (ONNX) as detectors: run on images, and shown rendered pictures."""
 
 import math
 from collections.abc import Mapping
@@ -14,34 +14,18 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
 from geometry.image_boxes import clip_boxes, iou
 
+from .box_rule import load_min_iou
 from .evidence import VRU_CLASSES, Detections, Evidence
-from .onnx_exports import (
-    Array,
-    Export,
-    onnx_setting,
-    recognise_export,
-)
-
-# ---------- an image in the middle of a larger grey one, as networks of a fixed size want it
+from .onnx_exports import Array, Export, onnx_setting, recognise_export
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Letterbox:
-    """An image scaled without distortion and padded around.
+    """An image scaled without distortion and padded with grey around."""
 
-    Attributes
-    ----------
-    pixels : (h, w, 3) uint8
-        RGB.
-    scale : (2,) float
-        Pixels per pixel of the given image, across and down.
-    offset_px : (2,) float
-        Padding on the left and on top. [px]
-    """
-
-    pixels: NDArray[np.uint8]
-    scale: FloatArray
-    offset_px: FloatArray
+    pixels: NDArray[np.uint8]  # (h, w, 3), RGB
+    scale: FloatArray  # (2,): pixels per pixel of the given image, across and down
+    offset_px: FloatArray  # (2,): padding on the left and on top
 
     def to_image(self, boxes_px: FloatArray) -> FloatArray:
         """Boxes (n, 4) of the letterbox in pixels of the given image."""
@@ -52,21 +36,9 @@ class Letterbox:
 def letterbox(
     image: NDArray[np.uint8], *, width_px: int, height_px: int, scale: float
 ) -> Letterbox:
-    """Scale an image and put it into the middle of a grey one.
+    """Scale an RGB image (h, w, 3) and put it into the middle of a grey one.
 
-    Parameters
-    ----------
-    image : (h, w, 3) uint8
-        RGB.
-    width_px, height_px : int
-        Of the result.
-    scale : float
-        At most what lets the image fit.
-
-    Returns
-    -------
-    letterbox : Letterbox
-        The image, and the way back.
+    `scale` must let the image fit into `width_px` x `height_px`.
     """
     height, width = image.shape[:2]
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
@@ -82,9 +54,6 @@ def letterbox(
     )
 
 
-# ---------- exported image detectors: an ONNX file, recognised by what it takes and gives
-
-
 _IMAGE = "one image input, (1, 3, height, width) or (3, height, width), RGB"
 _PIXEL_TYPES: dict[str, type[np.generic]] = {
     "tensor(float)": np.float32,
@@ -96,61 +65,33 @@ _SIDE_INPUTS = ("pixel_mask", "orig_target_sizes")  # of DETR and RT-DETR: known
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageBoxes:
-    """What a network finds in an image, surest first.
+    """What a network finds in an image, in descending order of confidence."""
 
-    Attributes
-    ----------
-    boxes_px : (n, 4) float
-        Inside the image. [px]
-    class_ids : (n,) int
-        As the network numbers its classes.
-    confidence : (n,) float
-        0 .. 1.
-    kinds : mapping
-        From class to "person", "bicycle" or "cyclist"; the other classes are left out.
-    """
-
-    boxes_px: FloatArray
-    class_ids: IntArray
-    confidence: FloatArray
-    kinds: Mapping[int, str]
+    boxes_px: FloatArray  # (n, 4), inside the image
+    class_ids: IntArray  # (n,), as the network numbers its classes
+    confidence: FloatArray  # (n,), 0 .. 1
+    kinds: Mapping[int, str]  # class to "person", "bicycle" or "cyclist"; others are left out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScoredBoxes:
-    """Boxes of one kind.
+    """Boxes of one kind."""
 
-    Attributes
-    ----------
-    boxes_px : (n, 4) float
-        Boxes. [px]
-    confidence : (n,) float
-        0 .. 1.
-    """
-
-    boxes_px: FloatArray
-    confidence: FloatArray
+    boxes_px: FloatArray  # (n, 4)
+    confidence: FloatArray  # (n,), 0 .. 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VruBoxes:
-    """Boxes of vulnerable road users in an image.
+    """Boxes of vulnerable road users in an image."""
 
-    Attributes
-    ----------
-    persons : ScoredBoxes
-        Persons, on bicycles too.
-    cyclists : ScoredBoxes
-        See :func:`vru_boxes`.
-    """
-
-    persons: ScoredBoxes
-    cyclists: ScoredBoxes
+    persons: ScoredBoxes  # on bicycles, too
+    cyclists: ScoredBoxes  # see vru_boxes()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Session:
-    """A file at the runtime, whatever it computes."""
+    """A network in the ONNX runtime, whatever it computes."""
 
     path: Path
     session: Any
@@ -188,35 +129,16 @@ class _Session:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OnnxModel:
-    """A detector from an ONNX file; it may be used by several threads at once.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    """
+    """A detector from an ONNX file; several threads may use it at once."""
 
     path: Path
     _session: _Session
     _export: Export
 
     def detect(self, image: NDArray[np.uint8]) -> ImageBoxes:
-        """Find what the network knows.
+        """Find what the network knows in an RGB image (h, w, 3) uint8; boxes are in its pixels.
 
-        Parameters
-        ----------
-        image : (h, w, 3) uint8
-            RGB.
-
-        Returns
-        -------
-        found : ImageBoxes
-            In pixels of `image`.
-
-        Raises
-        ------
-        InputError
-            The image has another shape or type, or the network fails.
+        Raises :class:`InputError` if the image has another shape or type, or the network fails.
         """
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
             got = Unquoted(f"{image.dtype} of shape {image.shape}")
@@ -224,7 +146,7 @@ class OnnxModel:
         fitted = _fit(image, self._session, self._export.stride_px)
         outputs = self._session.run(fitted.pixels, is_imagenet=self._export.is_imagenet)
         boxes, class_ids, confidence = self._export.read(outputs)
-        # What is no number is kept, and told.
+        # NaN is kept, and reported below.
         is_sure = ~(confidence < onnx_setting("min_confidence"))
         boxes = boxes[is_sure].astype(np.float64)
         class_ids = class_ids[is_sure].astype(np.int64)
@@ -250,26 +172,21 @@ class OnnxModel:
 
 
 def load_onnx_model(path: Path, *, classes: str | None = None, threads: int = 1) -> OnnxModel:
-    """Detector from an ONNX file.
+    """Load a detector as exported from torchvision, YOLO (v5, v8 and later, end to end) or DETR.
 
-    A grey image is shown to the network once, to see what it gives. YOLOX is not told from
-    YOLOv5, but wants blue first, 0 .. 255, and gives steps of its grid for pixels: its boxes
-    come out wrong.
+    A grey image is shown to the network once, to see what it gives. YOLOX cannot be distinguished
+    from YOLOv5, but expects blue first and 0 .. 255, and gives steps of its grid instead of pixels:
+    its boxes come out wrong.
 
     Parameters
     ----------
     path : Path
-        The file, as exported from torchvision, YOLO (v5, v8 and later, end to end) or DETR.
+        The file.
     classes : str, optional
-        "coco80" or "coco91"; by default as the number of classes tells, 91 where the file gives
-        labels only. Class names in the file's metadata come first.
+        "coco80" or "coco91"; by default decided by the number of classes, 91 where the file gives
+        labels only. Class names in the file's metadata take precedence.
     threads : int
         That the runtime may use.
-
-    Returns
-    -------
-    model : OnnxModel
-        Ready.
 
     Raises
     ------
@@ -297,19 +214,9 @@ def vru_boxes(found: ImageBoxes) -> VruBoxes:
     """Persons and cyclists in an image.
 
     A network that knows persons and bicycles finds a cyclist as either or both: the box around a
-    person and a bicycle that overlap is a cyclist, as sure as the less sure of them; so is each of
-    them alone, for the other may be missed. A detection is matched with one VRU: boxes too many
-    do no harm.
-
-    Parameters
-    ----------
-    found : ImageBoxes
-        Of one image.
-
-    Returns
-    -------
-    boxes : VruBoxes
-        By kind.
+    person and a bicycle that overlap counts as a cyclist, with the lower of the two confidences; so
+    does each of them alone, for the other may be missed. A detection is matched with one VRU, so
+    surplus boxes do no harm.
     """
     persons, bicycles, riders = (_of_kind(found, kind) for kind in ("person", "bicycle", "cyclist"))
     overlap = iou(persons.boxes_px[:, None], bicycles.boxes_px[None]) > 0.0
@@ -328,21 +235,10 @@ def vru_boxes(found: ImageBoxes) -> VruBoxes:
 
 
 def suppress(boxes_px: FloatArray, class_ids: IntArray, *, max_iou: float) -> IntArray:
-    """Boxes that no surer one of their class overlaps by much (greedy non-maximum suppression).
+    """Indices (m,) of boxes that survive greedy non-maximum suppression.
 
-    Parameters
-    ----------
-    boxes_px : (n, 4) float
-        Surest first. [px]
-    class_ids : (n,) int
-        Boxes of different classes do not compete.
-    max_iou : float
-        More than this is much.
-
-    Returns
-    -------
-    kept : (m,) int
-        Into `boxes_px`, in its order.
+    Boxes (n, 4) are in descending order of confidence; one goes if a better one of its class
+    overlaps it by an IoU of more than `max_iou`.
     """
     is_left: BoolArray = np.ones(len(boxes_px), dtype=bool)
     for index in range(len(boxes_px)):
@@ -354,7 +250,7 @@ def suppress(boxes_px: FloatArray, class_ids: IntArray, *, max_iou: float) -> In
 
 
 def _fit(image: NDArray[np.uint8], session: _Session, stride_px: int) -> Letterbox:
-    """Image as the network wants it: scaled to fixed sides, padded to the grid along free ones."""
+    """Image as the network needs it: scaled to fixed sides, padded to the grid along free ones."""
     height, width = image.shape[:2]
     sides = ((session.width_px, width), (session.height_px, height))
     scale = min((fixed / side for fixed, side in sides if fixed is not None), default=1.0)
@@ -383,7 +279,7 @@ def _open(path: Path, threads: int) -> _Session:
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
-    options.log_severity_level = 4  # what goes wrong is said once, by us
+    options.log_severity_level = 4  # errors are reported once, by us
     try:
         session = onnxruntime.InferenceSession(
             str(path), options, providers=["CPUExecutionProvider"]
@@ -422,7 +318,7 @@ def _first_line(error: Exception) -> Unquoted:
     return Unquoted(str(error).strip().split("\n")[0] or type(error).__name__)
 
 
-# ---------- an exported neural network that looks at rendered pictures
+# ---------- the detector
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -446,33 +342,21 @@ class NetworkDetector:
     min_box_height_px: float
     min_confidence: float
 
+    needs_shares = False
+    needs_pictures = True
+
     @property
     def description(self) -> str:
         """When it detects."""
         return (
             f"The network {self.name} looks at rendered pictures; its boxes count from a "
             f"confidence of {self.min_confidence:g} on where they overlap the road user's visible "
-            "part by more than 0.5 (intersection over union). Poses are chosen by boxes alone."
+            f"part by more than {load_min_iou():g} (intersection over union). Poses are chosen by "
+            "boxes alone."
         )
 
-    @property
-    def needs_shares(self) -> bool:
-        """False: it sees for itself."""
-        return False
-
-    @property
-    def needs_pictures(self) -> bool:
-        """True: it looks at nothing else."""
-        return True
-
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
-        """Show each picture in which the VRU is large enough to the network.
-
-        Raises
-        ------
-        InputError
-            There are no pictures.
-        """
+        """Show each picture in which the VRU is large enough to the network."""
         if evidence.picture is None:
             raise InputError("evidence", Unquoted("no pictures"), "pictures for the network")
         height = evidence.visible_px[:, 3] - evidence.visible_px[:, 1]
@@ -492,23 +376,3 @@ class NetworkDetector:
             boxes_px=np.concatenate([np.empty((0, 4)), *boxes]),
             confidence=np.concatenate([np.empty(0), *confidence]),
         )
-
-
-def load_network_detector(
-    path: Path, *, min_box_height_px: float, min_confidence: float
-) -> NetworkDetector:
-    """Detector from an ONNX file.
-
-    Raises
-    ------
-    InputError
-        The file is no detector.
-    MissingExtraError
-        onnxruntime is not installed.
-    """
-    return NetworkDetector(
-        name=path.name,
-        model=load_onnx_model(path),
-        min_box_height_px=min_box_height_px,
-        min_confidence=min_confidence,
-    )

@@ -1,7 +1,7 @@
-"""What exported detectors give, recognised by names, shapes and types of their outputs.
+"""The outputs of exported detectors, recognised by their names, shapes and types.
 
 Every family of networks lays its outputs out in its own way, and the file does not say which it
-is. So the outputs of one probe are looked at, and an :class:`Export` says how all are read.
+is. So the outputs of one trial run are looked at, and an :class:`Export` says how all are read.
 """
 
 import ast
@@ -34,30 +34,15 @@ _QUERY_NAMES = (("logits", "pred_boxes"), ("pred_logits", "pred_boxes"), ("label
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Export:
-    """How a network's outputs are read, and what it wants to be shown.
+    """How a network's outputs are read, and what it needs to be shown."""
 
-    Attributes
-    ----------
-    kinds : mapping
-        From class to "person", "bicycle" or "cyclist"; the other classes are left out.
-    read : callable
-        From outputs by name to boxes (n, 4), classes (n,), confidence (n,).
-    stride_px : int
-        Images of free size are padded to its multiples. [px]
-    is_suppressed : bool
-        Whether boxes of one class that overlap have been thinned out.
-    is_imagenet : bool
-        Whether images are normalised by ImageNet's mean and spread.
-    is_relative : bool
-        Whether boxes are shares of the image's width and height, not pixels.
-    """
-
-    kinds: Mapping[int, str]
+    kinds: Mapping[int, str]  # class to "person", "bicycle" or "cyclist"; others are left out
+    # outputs by name to boxes (n, 4), classes (n,), confidence (n,)
     read: Callable[[Outputs], Found]
-    stride_px: int = 1
-    is_suppressed: bool = True
-    is_imagenet: bool = False
-    is_relative: bool = False
+    stride_px: int = 1  # images of free size are padded to its multiples
+    is_suppressed: bool = True  # overlapping boxes of one class have been removed
+    is_imagenet: bool = False  # images are normalised by ImageNet's mean and spread
+    is_relative: bool = False  # boxes are shares of the image's width and height, not pixels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,7 +57,7 @@ class _Numbering:
 def recognise_export(
     outputs: Outputs, *, path: Path, names: str | None, classes: str | None
 ) -> Export:
-    """How the outputs of a probe are to be read.
+    """How the outputs of a trial run, and of all further ones, are to be read.
 
     Parameters
     ----------
@@ -84,11 +69,6 @@ def recognise_export(
         Class names in the file's metadata.
     classes : str, optional
         "coco80" or "coco91", for a file without names; by default what fits.
-
-    Returns
-    -------
-    export : Export
-        Of these and all further outputs.
 
     Raises
     ------
@@ -125,7 +105,7 @@ def _recognise(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
 
 
 def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
-    """Boxes, labels and scores, told apart by shape and type: torchvision; RT-DETR in batches."""
+    """Boxes, labels and scores, known by shape and type: torchvision; RT-DETR in batches."""
     is_batch = all(v.ndim > 1 and len(v) == 1 for v in outputs.values())
     rows = {n: v[0] if is_batch else v for n, v in outputs.items()}
     boxes = [n for n, v in rows.items() if v.ndim == 2 and v.shape[1] == 4]
@@ -146,7 +126,7 @@ def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
 
 
 def _queries(outputs: Outputs, numbering: _Numbering) -> Export | None:
-    """DETR and its kin: logits (1, n, classes), often with one for "none", and boxes (1, n, 4)."""
+    """DETR and relatives: logits (1, n, classes), often with one for "none", boxes (1, n, 4)."""
     names = next((pair for pair in _QUERY_NAMES if outputs.keys() == set(pair)), None)
     if names is None:
         return None
@@ -221,7 +201,7 @@ def _best(scores: Array) -> tuple[Array, Array]:
 
 
 def _numberings(names: str | None, classes: str | None, where: str) -> list[_Numbering]:
-    """Numberings that come into question: the file's own, or COCO's."""
+    """Possible numberings: the file's own, or COCO's."""
     coco = {
         key: _Numbering(
             n_classes=entry["n_classes"],

@@ -1,25 +1,29 @@
-"""A detector that misses as image detectors do: by height, share seen, class, aspect, contrast."""
+"""A detector that misses with a probability: by height, share seen, class, aspect and contrast."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtr
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    float_array,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
 from geometry.errors import InputError
 from geometry.image_boxes import box_height_px
 
 from .evidence import VRU_CLASSES, Detections, Evidence
 
+_POSITIVES = (
+    "height_half_px",
+    "height_steepness",
+    "min_box_height_px",
+    "contrast_half",
+    "contrast_steepness",
+)
+_PROBABILITIES = ("cyclist_end_on", "box_noise_share", "frame_correlation", "plan_probability")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ResponseDetector:
-    """Detects with a probability; chance is drawn frame by frame.
+    """Detects with a probability; each frame is drawn at random.
 
     Attributes
     ----------
@@ -27,21 +31,21 @@ class ResponseDetector:
         "response", or the file that it comes from.
     seen_share, recall : (n,) float
         Share of the VRU that is seen, ascending from 0 to 1, and the probability of a correct
-        detection there; straight lines between.
+        detection there; linear between.
     height_half_px, height_steepness : float
         Factor 1 / (1 + (half / height)^steepness) of the visible box. [px]
     min_box_height_px : float
-        Nothing below. [px]
+        Smaller boxes are never detected. [px]
     class_factor : (n_classes,) float
         In the order of ``VRU_CLASSES``.
     cyclist_end_on : float
         Factor for a cyclist seen from straight behind or ahead; 1 from the side.
     contrast_half, contrast_steepness : float
-        Factor 1 / (1 + (half / contrast)^steepness), as a share of that at full contrast.
+        Factor 1 / (1 + (half / contrast)^steepness), relative to that at full contrast.
     box_noise_share : float
         Standard deviation of each side, as a share of the box's width or height.
     frame_correlation : float
-        Of what decides a frame with what decided the frame before.
+        Between the random draws of consecutive frames.
     plan_probability : float
         A plan counts on a detection from this probability on.
     """
@@ -60,6 +64,9 @@ class ResponseDetector:
     frame_correlation: float
     plan_probability: float
 
+    needs_shares = True
+    needs_pictures = False
+
     @property
     def description(self) -> str:
         """When it detects."""
@@ -70,16 +77,6 @@ class ResponseDetector:
             "detection table counts on frames with a probability of at least "
             f"{self.plan_probability:g}."
         )
-
-    @property
-    def needs_shares(self) -> bool:
-        """True: they decide."""
-        return True
-
-    @property
-    def needs_pictures(self) -> bool:
-        """False: boxes and shares are enough."""
-        return False
 
     def __post_init__(self) -> None:
         for field, length in (
@@ -102,18 +99,7 @@ class ResponseDetector:
                 raise InputError(field, value, "a number, > 0")
 
     def probability(self, evidence: Evidence) -> FloatArray:
-        """Probability of a correct detection.
-
-        Parameters
-        ----------
-        evidence : Evidence
-            What images show.
-
-        Returns
-        -------
-        probability : (n,) float
-            0 .. 1; 0 where nothing is seen.
-        """
+        """Probability of a correct detection, (n,); 0 where nothing is seen."""
         height = box_height_px(evidence.visible_px)
         seen = evidence.visible_share * evidence.inside_share
         probability: FloatArray = (
@@ -131,12 +117,12 @@ class ResponseDetector:
         return expected
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
-        """Draw which rows are detected, and by how much each box is off."""
+        """Draw which rows are detected, and the errors of their boxes."""
         draws, row_draw = np.unique(evidence.draw_index, return_inverse=True)
-        luck = ndtr(_linked_noise(draws, self.frame_correlation, rng))[row_draw]
+        chance = ndtr(_linked_noise(draws, self.frame_correlation, rng))[row_draw]
         noise = rng.standard_normal((len(draws), 4))[row_draw]
         probability = self.probability(evidence)
-        rows = np.flatnonzero(luck < probability)
+        rows = np.flatnonzero(chance < probability)
         boxes = evidence.visible_px[rows]
         size = np.tile(boxes[:, 2:] - boxes[:, :2], 2)
         return Detections(
@@ -146,7 +132,7 @@ class ResponseDetector:
         )
 
     def fingerprint(self) -> tuple[object, ...]:
-        """All that `is_expected` depends on."""
+        """Everything that `is_expected` depends on."""
         return (
             "response",
             *(getattr(self, name).tobytes() for name in ("seen_share", "recall", "class_factor")),
@@ -164,25 +150,15 @@ class ResponseDetector:
         return _rising(contrast, half=half, steepness=steepness) / full
 
 
-_POSITIVES = (
-    "height_half_px",
-    "height_steepness",
-    "min_box_height_px",
-    "contrast_half",
-    "contrast_steepness",
-)
-_PROBABILITIES = ("cyclist_end_on", "box_noise_share", "frame_correlation", "plan_probability")
-
-
 def _rising(values: FloatArray, *, half: float, steepness: float) -> FloatArray:
-    """From 0 over 0.5 at `half` to 1."""
+    """A curve that rises from 0 to 1 and is 0.5 at `half`."""
     powers = np.maximum(values, 0.0) ** steepness
     rising: FloatArray = powers / (powers + half**steepness)
     return rising
 
 
 def _linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator) -> FloatArray:
-    """Standard normal numbers, each linked to that of the frame before, (n,)."""
+    """Standard normal numbers, each correlated with that of the frame before, (n,)."""
     fresh = rng.standard_normal(len(draws))
     linked = fresh.copy()
     step = np.sqrt(1.0 - correlation**2)

@@ -1,10 +1,8 @@
-"""Pictures by ray casting: what a camera sees of a run, in colour, by instance, in depth.
+"""Pictures by ray casting: what a camera sees of a run in colour, by instance and in depth.
 
-``mesh`` gathers a frame's triangles, ``ground`` and ``markings`` draw the road plane;
-``materials``, ``surfaces`` and ``bodies`` say what is sent back, ``sky``, ``lamps`` and ``light``
-what falls on it; ``shading`` puts them together, ``edges`` smooths stairs, ``air`` adds drops and
-glare, ``imager`` exposes.
-``cloud`` scans the same mesh with a LiDAR.
+``mesh`` gathers a frame's triangles, ``ground`` draws the road plane; ``materials`` says what
+surfaces send back, ``light`` what falls on them; ``picture`` casts the rays and exposes,
+``rain_and_glare`` draws drops and glare. ``point_cloud`` scans the same mesh with a LiDAR.
 """
 
 from .picture import (

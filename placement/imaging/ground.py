@@ -1,4 +1,8 @@
-"""The road plane as a map: how far it is to road and paint, how much sky is left, and noise."""
+"""The road plane: lanes, markings, and a map of distances to road and paint, of skylight and noise.
+
+Rectangles (n, 5) stand for lanes and markings: east and north of the middle, yaw in radians, half
+length, half width.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,9 +14,9 @@ from geometry.arrays import FloatArray
 from geometry.raycast import FloatRays
 from geometry.scene import Lane, Scene
 
-from .mesh import Thing, polygon_distance, rectangle_distance
+from .mesh import Thing
 
-# ---------- what is painted on the road, as rectangles: lane lines, stop lines, zebra crossings
+# ---------- lanes and markings
 
 
 _BESIDE_M = 0.4  # so far beyond a lane's edge lies its neighbour
@@ -21,17 +25,9 @@ _OVERLAP_M = 0.06
 
 
 def build_road(scene: Scene) -> FloatArray:
-    """Rectangles that together cover all lanes.
+    """Rectangles (n, 5) that together cover all lanes.
 
-    Parameters
-    ----------
-    scene : Scene
-        The junction; what its outline encloses is road, too, but is no rectangle.
-
-    Returns
-    -------
-    rectangles : (n, 5) float
-        As for :func:`placement.imaging.mesh.rectangle_distance`.
+    What the junction's outline encloses is road, too, but is no rectangle.
     """
     return _stack(
         rectangle
@@ -43,19 +39,9 @@ def build_road(scene: Scene) -> FloatArray:
 
 
 def build_markings(scene: Scene, marks: Mapping[str, float]) -> FloatArray:
-    """Rectangles that are painted.
+    """Rectangles (n, 5) that are painted: lane lines, stop lines, zebra crossings.
 
-    Parameters
-    ----------
-    scene : Scene
-        Lanes, outline, crosswalks.
-    marks : mapping
-        ``[markings]`` of ``data/materials.toml``.
-
-    Returns
-    -------
-    rectangles : (n, 5) float
-        As :func:`build_road`.
+    `marks` is ``[markings]`` of ``data/materials.toml``.
     """
     return _stack(
         rectangle
@@ -169,7 +155,7 @@ def _strip(
         yield [*middle.tolist(), yaw, 0.5 * (end_m - start_m), 0.5 * width_m]
 
 
-# ---------- the road plane as a map
+# ---------- the map
 
 
 ROAD, PAINT, SKY = 0, 1, 2  # layers of a map
@@ -186,37 +172,17 @@ _NOISE_SEED = 5  # the road looks the same in every picture
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundMap:
-    """Layers over the road plane; beyond the edge they go on as they are there.
+    """Layers over the road plane; beyond the map's edge the values there go on."""
 
-    Attributes
-    ----------
-    origin_m : (2,) float
-        Middle of the first texel. World frame. [m]
-    layers : (n_north, n_east, 3) float32
-        Signed distances to the road's and the paint's edge, negative inside [m]; share of the
-        sky's light that what stands around leaves, 0 .. 1.
-    grain, patches : (1024 * 1024,) float32
-        Noise without mean, spread about 1: of single texels, and soft.
-    """
-
-    origin_m: FloatArray
+    origin_m: FloatArray  # (2,): middle of the first texel, world frame
+    # (n_north, n_east, 3): distances to the edges of road and paint, negative inside [m]; share of
+    # the sky's light that what stands around leaves, 0 .. 1
     layers: FloatRays
-    grain: FloatRays
-    patches: FloatRays
+    grain: FloatRays  # (1024 * 1024,): noise of single texels, mean 0, spread about 1
+    patches: FloatRays  # (1024 * 1024,): the same, but soft
 
     def sample(self, east_m: FloatRays, north_m: FloatRays) -> FloatRays:
-        """Layers at points, linear between texels.
-
-        Parameters
-        ----------
-        east_m, north_m : (n,) float32
-            World frame. [m]
-
-        Returns
-        -------
-        values : (n, 3) float32
-            See `layers`.
-        """
+        """Layers at points (n,) and (n,) in the world frame, linear between texels, (n, 3)."""
         n_north, n_east = self.layers.shape[:2]
         x = np.clip(
             (east_m - np.float32(self.origin_m[0])) / np.float32(_STEP_M), 0, n_east - 1.001
@@ -243,21 +209,10 @@ class GroundMap:
 def build_ground_map(
     scene: Scene, things: Sequence[Thing], marks: Mapping[str, float]
 ) -> GroundMap:
-    """Draw the map of a scene.
+    """Draw the map of a scene, as large as its lanes and outline.
 
-    Parameters
-    ----------
-    scene : Scene
-        Lanes, outline, crosswalks.
-    things : sequence of Thing
-        What stands still and takes light from the sky.
-    marks : mapping
-        ``[markings]`` of ``data/materials.toml``.
-
-    Returns
-    -------
-    ground : GroundMap
-        As large as the lanes and the outline.
+    `things` stand still and take light from the sky; `marks` is ``[markings]`` of
+    ``data/materials.toml``.
     """
     corners = np.concatenate([scene.outline_m, *(lane.centreline_m for lane in scene.lanes)])
     if not len(corners):
@@ -289,26 +244,16 @@ def build_ground_map(
 
 
 def thing_rectangle(thing: Thing) -> FloatArray:
-    """Footprint of a thing, as for :func:`placement.imaging.mesh.rectangle_distance`."""
+    """Footprint of a thing as a rectangle (5,)."""
     east, north, _ = thing.pose.position_m.tolist()
     half_length, half_width = (0.5 * thing.size_m[:2]).tolist()
     return np.array([east, north, np.radians(thing.pose.yaw_deg), half_length, half_width])
 
 
 def sky_left(distance_m: FloatArray, thing: Thing) -> FloatRays:
-    """Share of the sky's light that a thing leaves to the ground around and below it.
+    """Share of the sky's light that a thing leaves to the ground around and below it, (...).
 
-    Parameters
-    ----------
-    distance_m : (...) float
-        Signed, from its footprint's edge. [m]
-    thing : Thing
-        What stands there.
-
-    Returns
-    -------
-    share : (...) float32
-        0 .. 1.
+    `distance_m` (...) is that from the footprint's edge, negative inside.
 
     References
     ----------
@@ -327,21 +272,9 @@ def sky_left(distance_m: FloatArray, thing: Thing) -> FloatRays:
 
 
 def grain_at(noise: FloatRays, east: FloatRays, north: FloatRays, per_m: FloatRays) -> FloatRays:
-    """Values of a noise at points, the same on every tile.
+    """Noise (n,) at points of a plane, from the nearest texel; it repeats like tiles.
 
-    Parameters
-    ----------
-    noise : (1024 * 1024,) float32
-        Of :class:`GroundMap`.
-    east, north : (n,) float32
-        Points on a plane. [m]
-    per_m : (n,) float32
-        Texels per metre.
-
-    Returns
-    -------
-    values : (n,) float32
-        Of the nearest texel.
+    `noise` is one of :class:`GroundMap`; `per_m` (n,) says how many texels make a metre.
     """
     mask = np.int32(_NOISE_SIZE - 1)
     column = np.floor(east * per_m).astype(np.int32) & mask
@@ -353,20 +286,7 @@ def grain_at(noise: FloatRays, east: FloatRays, north: FloatRays, per_m: FloatRa
 def soft_noise_at(
     noise: FloatRays, east: FloatRays, north: FloatRays, *, texel_m: float
 ) -> FloatRays:
-    """Values of a noise at points, linear between texels.
-
-    Parameters
-    ----------
-    noise, east, north
-        As for :func:`grain_at`.
-    texel_m : float
-        Size of a texel. [m]
-
-    Returns
-    -------
-    values : (n,) float32
-        The same on every tile.
-    """
+    """Noise (n,) at points of a plane, linear between texels; see :func:`grain_at`."""
     mask, size = np.int32(_NOISE_SIZE - 1), np.int32(_NOISE_SIZE)
     x, y = east * np.float32(1.0 / texel_m), north * np.float32(1.0 / texel_m)
     left, low = np.floor(x), np.floor(y)
@@ -425,3 +345,47 @@ def _window(
     east = ground.origin_m[0] + _STEP_M * np.arange(columns.start, max(columns.start, columns.stop))
     north = ground.origin_m[1] + _STEP_M * np.arange(rows.start, max(rows.start, rows.stop))
     return (rows, columns), np.stack(np.meshgrid(east, north), axis=-1)
+
+
+# ---------- distances on the road plane
+
+
+def rectangle_distance(points_m: FloatArray, rectangle: FloatArray) -> FloatArray:
+    """Distance of points (..., 2) from the edge of a rectangle (5,), in metres, negative inside.
+
+    Examples
+    --------
+    >>> rectangle_distance(np.array([[0.0, 0.0], [5.0, 5.0]]), np.array([0.0, 0.0, 0.0, 2.0, 1.0]))
+    array([-1.,  5.])
+    """
+    east, north, yaw, half_length, half_width = rectangle.tolist()
+    x, y = points_m[..., 0] - east, points_m[..., 1] - north
+    along = np.abs(x * np.cos(yaw) + y * np.sin(yaw)) - half_length
+    across = np.abs(y * np.cos(yaw) - x * np.sin(yaw)) - half_width
+    outside = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
+    distance: FloatArray = outside + np.minimum(np.maximum(along, across), 0.0)
+    return distance
+
+
+def polygon_distance(points_m: FloatArray, polygon_m: FloatArray) -> FloatArray:
+    """Distance of points (..., 2) from the edge of a polygon (n, 2), in metres.
+
+    Negative inside by the even-odd rule.
+    """
+    x, y = points_m[..., 0], points_m[..., 1]
+    square = np.full(x.shape, np.inf)
+    is_inside = np.zeros(x.shape, dtype=bool)
+    for (x0, y0), (x1, y1) in zip(
+        polygon_m.tolist(), np.roll(polygon_m, -1, axis=0).tolist(), strict=True
+    ):
+        edge_x, edge_y = x1 - x0, y1 - y0
+        length2 = edge_x**2 + edge_y**2
+        if length2 == 0.0:
+            continue
+        share = np.clip(((x - x0) * edge_x + (y - y0) * edge_y) / length2, 0.0, 1.0)
+        square = np.minimum(square, (x - x0 - share * edge_x) ** 2 + (y - y0 - share * edge_y) ** 2)
+        if y0 != y1:
+            is_between = (y0 > y) != (y1 > y)
+            is_inside ^= is_between & (x < x0 + (y - y0) / (y1 - y0) * edge_x)
+    distance: FloatArray = np.where(is_inside, -1.0, 1.0) * np.sqrt(square)
+    return distance

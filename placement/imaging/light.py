@@ -12,7 +12,7 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, float_array
-from geometry.files import load_toml, take, take_number
+from geometry.files import load_toml, read_table, take, take_number
 from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster
 from geometry.scene import Scene
@@ -20,10 +20,8 @@ from geometry.weather import Weather
 
 from .materials import Hits
 
-# ---------- street lamps and headlights: where they are and how much light they send in a direction
-
-
-_WHERE_LAMPS = "lamps.toml"
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear red, green, blue (ITU-R BT.709)
+_FILE = "lamps.toml"
 _AHEAD_M = 0.03  # headlights shine from just before the body
 
 
@@ -47,44 +45,21 @@ class Lamp(Protocol):
         """Of the lit area, in metres."""
 
     def intensity_cd(self, directions: FloatRays) -> FloatRays:
-        """Luminous intensity.
-
-        Parameters
-        ----------
-        directions : (3, n) float32
-            Unit, from the lamp; rows east, north, up.
-
-        Returns
-        -------
-        intensity_cd : (n,) float32
-            Candela.
-        """
+        """Luminous intensity (n,) in candela along unit vectors (3, n) of the world frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StreetLamp:
-    """A lamp that shines straight down, evenly within a cone.
-
-    Attributes
-    ----------
-    position_m, colour, reach_m, radius_m
-        See :class:`Lamp`.
-    flux_lm : float
-        All its light. [lm]
-    inner_deg, outer_deg : float
-        Full intensity up to the first angle from straight down, the spill from the second on. [deg]
-    spill : float
-        Share of the full intensity that goes into all directions.
-    """
+    """A lamp that shines straight down, evenly within a cone."""
 
     position_m: FloatArray
     colour: FloatArray
     reach_m: float
     radius_m: float
-    flux_lm: float
-    inner_deg: float
-    outer_deg: float
-    spill: float
+    flux_lm: float  # all its light
+    inner_deg: float  # full intensity up to here from straight down
+    outer_deg: float  # nothing but the spill from here on
+    spill: float  # share of the full intensity that goes into all directions
 
     @property
     def peak_cd(self) -> float:
@@ -110,24 +85,14 @@ class StreetLamp:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeadLamp:
-    """A low beam.
-
-    Attributes
-    ----------
-    position_m, colour, reach_m, radius_m
-        See :class:`Lamp`.
-    R_world_lamp : (3, 3) float
-        Columns: ahead, left, up.
-    beam : mapping of float
-        ``[head_lamp]`` of ``data/lamps.toml``.
-    """
+    """A low beam."""
 
     position_m: FloatArray
     colour: FloatArray
     reach_m: float
     radius_m: float
-    R_world_lamp: FloatArray
-    beam: Mapping[str, float]
+    R_world_lamp: FloatArray  # (3, 3): columns ahead, left, up
+    beam: Mapping[str, float]  # [head_lamp] of data/lamps.toml
 
     def intensity_cd(self, directions: FloatRays) -> FloatRays:
         """See :class:`Lamp`."""
@@ -155,19 +120,9 @@ class HeadLamp:
 
 
 def build_street_lamps(scene: Scene) -> tuple[StreetLamp, ...]:
-    """A lamp on every lamp post, on an arm towards the road.
-
-    Parameters
-    ----------
-    scene : Scene
-        The junction.
-
-    Returns
-    -------
-    lamps : tuple of StreetLamp
-        One for each site of kind "lamp post", at the top of its height range.
-    """
-    table, where = load_lamp_table()["street_lamp"], f"{_WHERE_LAMPS}: street_lamp"
+    """A lamp on an arm towards the road, at the top of every site of kind "lamp post"."""
+    numbers, colour = _read_lamp("street_lamp")
+    arm_m = numbers.pop("arm_m")
     road = np.concatenate(
         [scene.outline_m, *(_points_along(lane.centreline_m) for lane in scene.lanes)]
     )
@@ -179,43 +134,25 @@ def build_street_lamps(scene: Scene) -> tuple[StreetLamp, ...]:
         if len(road):
             to_road = road[np.argmin(np.linalg.norm(road - foot, axis=1))] - foot
             arm = to_road / max(float(np.linalg.norm(to_road)), 1e-9)
-        arm_m = take_number(table, "arm_m", where)
         lamps.append(
             StreetLamp(
                 position_m=np.append(foot + arm_m * arm, site.height_range_m[1]),
-                colour=_colour_lamps(table, where),
-                **{
-                    key: take_number(table, key, where)
-                    for key in ("reach_m", "radius_m", "flux_lm", "inner_deg", "outer_deg", "spill")
-                },
+                colour=colour,
+                **numbers,
             )
         )
     return tuple(lamps)
 
 
 def build_headlights(vut: Actor, pose: Pose) -> tuple[HeadLamp, ...]:
-    """The two low beams of a vehicle.
-
-    Parameters
-    ----------
-    vut : Actor
-        The vehicle.
-    pose : Pose
-        Its body frame in the world.
-
-    Returns
-    -------
-    lamps : tuple of HeadLamp
-        Left and right.
-    """
-    table, where = load_lamp_table()["head_lamp"], f"{_WHERE_LAMPS}: head_lamp"
-    beam = {key: take_number(table, key, where) for key in table if key != "colour"}
+    """The two low beams of a vehicle whose body frame is at `pose`, left and right."""
+    beam, colour = _read_lamp("head_lamp")
     ahead_m, side_m = 0.5 * vut.length_m + _AHEAD_M, 0.5 * beam["apart_m"]
     places = to_world([[ahead_m, y, beam["height_m"]] for y in (side_m, -side_m)], pose)
     return tuple(
         HeadLamp(
             position_m=place,
-            colour=_colour_lamps(table, where),
+            colour=colour,
             reach_m=beam["reach_m"],
             radius_m=beam["radius_m"],
             R_world_lamp=body_rotation(pose.yaw_deg, pose.pitch_deg),
@@ -227,12 +164,12 @@ def build_headlights(vut: Actor, pose: Pose) -> tuple[HeadLamp, ...]:
 
 @cache
 def load_lamp_table() -> dict[str, Any]:
-    """``data/lamps.toml`` as it stands."""
-    return load_toml(files(__package__) / "data" / _WHERE_LAMPS)
+    """``data/lamps.toml``."""
+    return load_toml(files(__package__) / "data" / _FILE)
 
 
 def _points_along(line: FloatArray) -> FloatArray:
-    """Points every metre of a line."""
+    """Points of a line, about a metre apart."""
     pieces = [
         start
         + np.linspace(0.0, 1.0, max(2, int(np.linalg.norm(end - start))))[:, None] * (end - start)
@@ -241,62 +178,46 @@ def _points_along(line: FloatArray) -> FloatArray:
     return np.concatenate(pieces)
 
 
-def _colour_lamps(table: Mapping[str, Any], where: str) -> FloatArray:
-    colour = float_array(take(table, "colour", where), (3,), f"{where}.colour")
-    unit: FloatArray = colour / (np.array([0.2126, 0.7152, 0.0722]) @ colour)
+def _read_lamp(name: str) -> tuple[dict[str, float], FloatArray]:
+    """Numbers and colour of a lamp of ``data/lamps.toml``."""
+    table = dict(load_lamp_table()[name])
+    colour = _colour(table, "colour", f"{_FILE}: {name}")
+    del table["colour"]
+    return read_table(table, dict[str, float], f"{_FILE}: {name}"), colour
+
+
+def _colour(table: Mapping[str, object], key: str, where: str) -> FloatArray:
+    """A colour (3,), scaled to a luminance of 1."""
+    colour = float_array(take(table, key, where), (3,), f"{where}.{key}")
+    unit: FloatArray = colour / (LUMINANCE @ colour)
     return unit
 
 
-# ---------- the sky: how bright it is where, what it gives to the ground, and what the air adds
+# ---------- the sky and the air
 
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear red, green, blue (ITU-R BT.709)
 _EXPONENT = 0.6  # of the sine of the elevation, from horizon to zenith
-_WHERE = "lamps.toml: sky"
+_SKY = f"{_FILE}: sky"
 _FOG_VISIBILITY_M = 1000.0  # below it is fog (WMO-No. 407)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sky:
-    """Light from above, without the sun.
+    """Light from above, without the sun, and the air; colours are linear red, green, blue."""
 
-    Attributes
-    ----------
-    horizon_cdpm2, zenith_cdpm2 : (3,) float
-        Luminance by colour. [cd/m^2]
-    air_cdpm2 : (3,) float
-        Luminance of air without end: what distance fades into. [cd/m^2]
-    sky_lux, sun_lux : (3,) float
-        On level ground, and on what faces the sun. [lx]
-    to_sun : (3,) float
-        Unit, world frame.
-    haze_height_m : float
-        Depth of the layer of air that takes the contrast. [m]
-    extinction_per_m : float
-        Of the air. [1/m]
-    """
-
-    horizon_cdpm2: FloatArray
-    zenith_cdpm2: FloatArray
-    air_cdpm2: FloatArray
-    sky_lux: FloatArray
-    sun_lux: FloatArray
-    to_sun: FloatArray
-    haze_height_m: float
+    horizon_cdpm2: FloatArray  # (3,)
+    zenith_cdpm2: FloatArray  # (3,)
+    air_cdpm2: FloatArray  # (3,): of endless air, into which distant things fade
+    sky_lux: FloatArray  # (3,), on level ground
+    sun_lux: FloatArray  # (3,), on what faces the sun
+    to_sun: FloatArray  # (3,), unit, world frame
+    haze_height_m: float  # depth of the layer of air that takes the contrast
     extinction_per_m: float
 
     def luminance(self, up: FloatRays) -> FloatRays:
-        """Luminance of the sky as it is seen through the air.
+        """Luminance (n, 3) of the sky as seen through the air, in cd/m^2.
 
-        Parameters
-        ----------
-        up : (n,) float32
-            Sine of the elevation.
-
-        Returns
-        -------
-        luminance_cdpm2 : (n, 3) float32
-            Linear red, green, blue. [cd/m^2]
+        `up` (n,) is the sine of the elevation.
         """
         sine = np.maximum(up, np.float32(1e-4))
         share = (sine ** np.float32(_EXPONENT))[:, None]
@@ -307,7 +228,7 @@ class Sky:
         return seen
 
     def fade(self, luminance: FloatRays, distance_m: FloatRays) -> None:
-        """What the air leaves of luminances (n, 3) after a way (n,), in place.
+        """Take from luminances (n, 3) what the air takes over distances (n,), in place.
 
         References
         ----------
@@ -320,36 +241,16 @@ class Sky:
 
 
 def build_sky(weather: Weather) -> Sky:
-    """The sky of a weather.
-
-    Parameters
-    ----------
-    weather : Weather
-        Sun, sky, air.
-
-    Returns
-    -------
-    sky : Sky
-        Scaled so that level ground gets ``weather.sky_lux``.
-    """
-    table = take(load_lamp_table(), "sky", "lamps.toml")
-    if weather.sun_lux > 0.0:
-        zenith, horizon, kind = (
-            _colour(table, "clear_zenith"),
-            _colour(table, "clear_horizon"),
-            "clear",
-        )
-        horizon = horizon * take_number(table, "clear_horizon_to_zenith", _WHERE)
-    elif weather.has_lamps:
-        zenith, horizon, kind = (
-            _colour(table, "night_zenith"),
-            _colour(table, "night_horizon"),
-            "clear",
-        )
-        horizon = horizon * take_number(table, "clear_horizon_to_zenith", _WHERE)
+    """The sky of a weather, scaled so that level ground gets ``weather.sky_lux``."""
+    table = load_lamp_table()["sky"]
+    if weather.sun_lux > 0.0 or weather.has_lamps:
+        kind, hue = "clear", "clear" if weather.sun_lux > 0.0 else "night"
+        zenith = _colour(table, f"{hue}_zenith", _SKY)
+        horizon = _colour(table, f"{hue}_horizon", _SKY)
+        horizon = horizon * take_number(table, "clear_horizon_to_zenith", _SKY)
     else:
-        zenith, kind = _colour(table, "overcast"), "overcast"
-        horizon = zenith * take_number(table, "overcast_horizon_to_zenith", _WHERE)
+        kind, zenith = "overcast", _colour(table, "overcast", _SKY)
+        horizon = zenith * take_number(table, "overcast_horizon_to_zenith", _SKY)
     if weather.visibility_m < _FOG_VISIBILITY_M:
         kind = "fog"
     # Of horizon + (zenith - horizon) sin^n: the integral of its cosine over the half sphere.
@@ -361,7 +262,7 @@ def build_sky(weather: Weather) -> Sky:
         zenith_cdpm2=scale * zenith,
         air_cdpm2=scale * horizon,  # the sky at the horizon is nothing but air
         sky_lux=scale * level,
-        sun_lux=weather.sun_lux * _colour(table, "sun"),
+        sun_lux=weather.sun_lux * _colour(table, "sun", _SKY),
         to_sun=np.array(
             [
                 np.cos(elevation) * np.cos(yaw),
@@ -369,21 +270,12 @@ def build_sky(weather: Weather) -> Sky:
                 np.sin(elevation),
             ]
         ),
-        haze_height_m=take_number(
-            take(table, "haze_height_m", _WHERE), kind, f"{_WHERE}.haze_height_m"
-        ),
+        haze_height_m=take_number(table["haze_height_m"], kind, f"{_SKY}.haze_height_m"),
         extinction_per_m=weather.extinction_per_m,
     )
 
 
-def _colour(table: Mapping[str, object], key: str) -> FloatArray:
-    """A colour whose luminance is 1."""
-    colour = float_array(take(table, key, _WHERE), (3,), f"{_WHERE}.{key}")
-    unit: FloatArray = colour / (LUMINANCE @ colour)
-    return unit
-
-
-# ---------- illuminance of what rays have met
+# ---------- light on surfaces
 
 
 _OFF_SURFACE_M = 4.0e-3  # where rays towards the light start
@@ -401,29 +293,11 @@ def illuminance(
     sky_share: FloatRays | None = None,
     ground_albedo: float = 0.0,
 ) -> FloatRays:
-    """Light that falls on surfaces.
+    """Light that falls on surfaces, (n, 3), linear red, green, blue, in lux.
 
-    Parameters
-    ----------
-    hits : Hits
-        The surfaces.
-    caster : RayCaster
-        What throws shadows.
-    origin_m : (3,) float32
-        Of the caster's frame, world frame. [m]
-    sky : Sky
-        Sun and sky.
-    lamps : sequence of Lamp
-        Those that are on.
-    sky_share : (n,) float32, optional
-        Share of the sky that nothing hides; by default all.
-    ground_albedo : float
-        Of what light comes back from below.
-
-    Returns
-    -------
-    illuminance_lux : (n, 3) float32
-        Linear red, green, blue. [lx]
+    The caster throws the shadows; its origin is at `origin_m` (3,) of the world frame. `sky_share`
+    (n,) is the share of the sky that nothing hides (by default all), `ground_albedo` the share of
+    light that comes back from below.
 
     References
     ----------
@@ -463,7 +337,7 @@ def _add_lamps(
     lamps: Sequence[Lamp],
     below: FloatRays,
 ) -> None:
-    """Light of lamps; rays only where a lamp matters."""
+    """Add the light of lamps; shadow rays are cast only where a lamp matters."""
     points, normals = np.ascontiguousarray(hits.points_m.T), np.ascontiguousarray(hits.normals.T)
     low, high = points.min(axis=1), points.max(axis=1)
     total = lux[:, 1].copy()

@@ -1,21 +1,17 @@
-"""What surfaces send back, from ``data/materials.toml``, and the parts of a picture they fill."""
+"""What surfaces look like: albedo, gloss and patterns of ground, houses, vehicles and people."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from geometry.arrays import float_array
 from geometry.errors import InputError
-from geometry.files import (
-    Table,
-    load_toml,
-    take,
-    take_number,
-)
+from geometry.files import load_toml, read_table
 from geometry.raycast import FloatRays
 
 from .ground import (
@@ -28,63 +24,32 @@ from .ground import (
 )
 from .mesh import Index, Thing
 
-# ---------- what surfaces send back
-
-
 _WHERE = "materials.toml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Materials:
-    """Albedos, paints and patterns.
+    """Albedos, paints, patterns of ``data/materials.toml``; colours are linear red, green, blue."""
 
-    Attributes
-    ----------
-    albedo : mapping of (3,) float32
-        Share of light sent back, by surface; linear red, green, blue.
-    clothes : mapping of (2, 3) float32
-        Albedo of top and legs, by body.
-    vut_paint, parked_paints : (3,) and (n, 3) float32
-        Albedo of vehicles.
-    markings, pattern, gloss : mapping of float
-        See the file.
-    lit_window_colour : (3,) float32
-        Linear red, green, blue.
-    """
-
-    albedo: Mapping[str, FloatRays]
-    clothes: Mapping[str, FloatRays]
-    vut_paint: FloatRays
-    parked_paints: FloatRays
+    albedo: Mapping[str, FloatRays]  # (3,) by surface: share of light sent back
+    clothes: Mapping[str, FloatRays]  # (2, 3) by body: albedo of top and legs
+    vut_paint: FloatRays  # (3,)
+    parked_paints: FloatRays  # (n, 3)
     markings: Mapping[str, float]
     pattern: Mapping[str, float]
     gloss: Mapping[str, float]
-    lit_window_colour: FloatRays
+    lit_window_colour: FloatRays  # (3,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hits:
-    """Where rays have met triangles.
+    """Where rays have met triangles."""
 
-    Attributes
-    ----------
-    points_m : (n, 3) float32
-        World frame. [m]
-    normals : (n, 3) float32
-        Unit, on the side from which the ray came.
-    thing : (n,) int32
-        Index of the thing.
-    distance_m : (n,) float32
-        From the camera. [m]
-    pixel_m : (n,) float32
-        Size of a pixel on the surface, the mean of its two sides. [m]
-    """
-
-    points_m: FloatRays
-    normals: FloatRays
-    thing: Index
-    distance_m: FloatRays
-    pixel_m: FloatRays
+    points_m: FloatRays  # (n, 3), world frame
+    normals: FloatRays  # (n, 3), unit, on the side from which the ray came
+    thing: Index  # (n,): index of the thing
+    distance_m: FloatRays  # (n,), from the camera
+    pixel_m: FloatRays  # (n,): size of a pixel on the surface, the mean of its two sides
 
     def take(self, index: Any) -> "Hits":
         """Keep some, by index."""
@@ -99,24 +64,12 @@ class Hits:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Coat:
-    """What surfaces do with light; written to in parts.
+    """What surfaces do with light; written to in parts."""
 
-    Attributes
-    ----------
-    albedo : (n, 3) float32
-        Share sent back evenly into all directions.
-    mirror : (n,) float32
-        Share mirrored head-on; 0: dull.
-    rough : (n,) float32
-        By how much a mirrored ray of unit length is bent up or down.
-    glow : (n, 3) float32
-        Luminance of its own. [cd/m^2]
-    """
-
-    albedo: FloatRays
-    mirror: FloatRays
-    rough: FloatRays
-    glow: FloatRays
+    albedo: FloatRays  # (n, 3): share sent back evenly into all directions
+    mirror: FloatRays  # (n,): share mirrored head-on; 0 is dull
+    rough: FloatRays  # (n,): by how much a mirrored ray of unit length is bent up or down
+    glow: FloatRays  # (n, 3): luminance of its own [cd/m^2]
 
 
 def blank_coat(n_hits: int) -> Coat:
@@ -130,20 +83,7 @@ def blank_coat(n_hits: int) -> Coat:
 
 
 def cover(distance_m: FloatRays, pixel_m: FloatRays) -> FloatRays:
-    """Share of each pixel that lies inside an edge.
-
-    Parameters
-    ----------
-    distance_m : (n,) float32
-        From the edge, negative inside. [m]
-    pixel_m : (n,) float32
-        Size of a pixel. [m]
-
-    Returns
-    -------
-    share : (n,) float32
-        0 .. 1.
-    """
+    """Share (n,) of each pixel inside an edge, by its distance (negative inside) and size."""
     share: FloatRays = np.clip(np.float32(0.5) - distance_m / pixel_m, 0.0, 1.0)
     return share
 
@@ -155,28 +95,14 @@ def blend(under: FloatRays, over: FloatRays, share: FloatRays) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Things:
-    """Things as arrays, one row each.
+    """Things as arrays, one row each."""
 
-    Attributes
-    ----------
-    middle_m, size_m : (n, 3) float32
-        Foot of the middle, world frame; length, width, height. [m]
-    ahead : (n, 2) float32
-        Cosine and sine of the yaw.
-    axles_m : (n, 2) float32
-        Front and rear axle ahead of the middle, of vehicles. [m]
-    colours : (n, 2, 3) float32
-        Albedo of top and legs, or twice the paint.
-    mean_albedo : (n, 3) float32
-        What a thing looks like in a blurred mirror.
-    """
-
-    middle_m: FloatRays
-    size_m: FloatRays
-    ahead: FloatRays
-    axles_m: FloatRays
-    colours: FloatRays
-    mean_albedo: FloatRays
+    middle_m: FloatRays  # (n, 3): foot of the middle, world frame
+    size_m: FloatRays  # (n, 3): length, width, height
+    ahead: FloatRays  # (n, 2): cosine and sine of the yaw
+    axles_m: FloatRays  # (n, 2): front and rear axle of vehicles, ahead of the middle
+    colours: FloatRays  # (n, 2, 3): albedo of top and legs, or twice the paint
+    mean_albedo: FloatRays  # (n, 3): as seen in a blurred mirror
 
 
 def build_things(things: tuple[Thing, ...], materials: Materials) -> Things:
@@ -217,24 +143,21 @@ def _colours(number: int, thing: Thing, materials: Materials) -> FloatRays:
 def load_materials() -> Materials:
     """All materials, from ``data/materials.toml``."""
     table = load_toml(files(__package__) / "data" / _WHERE)
-    surfaces = take(table, "surfaces", _WHERE)
-    paints = take(table, "paints", _WHERE)
-    pattern = dict(take(table, "pattern", _WHERE))
-    colour = pattern.pop("lit_window_colour", None)
+    pattern = dict(table["pattern"])
+    colour = pattern.pop("lit_window_colour")
     return Materials(
         albedo={
-            name: _albedo(take(entry, "albedo", f"{_WHERE}: {name}"), (3,), name)
-            for name, entry in surfaces.items()
+            name: _albedo(entry["albedo"], (3,), name) for name, entry in table["surfaces"].items()
         },
         clothes={
             name: _albedo([entry["top"], entry["legs"]], (2, 3), f"clothes.{name}")
-            for name, entry in take(table, "clothes", _WHERE).items()
+            for name, entry in table["clothes"].items()
         },
-        vut_paint=_albedo(take(paints, "vut", _WHERE), (3,), "paints.vut"),
-        parked_paints=_albedo(take(paints, "parked", _WHERE), (-1, 3), "paints.parked"),
-        markings=_numbers(take(table, "markings", _WHERE), "markings"),
-        pattern=_numbers(pattern, "pattern"),
-        gloss=_numbers(take(table, "gloss", _WHERE), "gloss"),
+        vut_paint=_albedo(table["paints"]["vut"], (3,), "paints.vut"),
+        parked_paints=_albedo(table["paints"]["parked"], (-1, 3), "paints.parked"),
+        markings=read_table(table["markings"], dict[str, float], f"{_WHERE}: markings"),
+        pattern=read_table(pattern, dict[str, float], f"{_WHERE}: pattern"),
+        gloss=read_table(table["gloss"], dict[str, float], f"{_WHERE}: gloss"),
         lit_window_colour=_albedo(colour, (3,), "pattern.lit_window_colour"),
     )
 
@@ -247,11 +170,7 @@ def _albedo(values: Any, shape: tuple[int, ...], name: str) -> FloatRays:
     return array
 
 
-def _numbers(table: Table, name: str) -> dict[str, float]:
-    return {key: take_number(table, key, f"{_WHERE}: {name}") for key in table}
-
-
-# ---------- patterns by position: what a spot of ground, facade, wall or post looks like
+# ---------- ground, houses, walls and posts: patterns by position in the world
 
 
 _GRAIN_PER_M = (48.0, 384.0)  # texels of the grain, coarsest and finest
@@ -262,25 +181,9 @@ _TEXELS = np.float32(2.7)  # of noise per window
 def coat_ground(
     hits: Hits, ground: GroundMap, materials: Materials, *, wetness: float
 ) -> tuple[Coat, FloatRays]:
-    """Road, paint, kerb, pavement, grass.
+    """Road, paint, kerb, pavement and grass; beside the coat the share (n,) of skylight left there.
 
-    Parameters
-    ----------
-    hits : Hits
-        On the ground.
-    ground : GroundMap
-        Where road and paint are.
-    materials : Materials
-        What they look like.
-    wetness : float
-        Of the weather, 0 .. 1.
-
-    Returns
-    -------
-    coat : Coat
-        Of the hits.
-    sky_share : (n,) float32
-        Share of the sky's light that what stands around leaves.
+    `wetness` is the weather's, 0 .. 1.
     """
     east, north = np.ascontiguousarray(hits.points_m[:, 0]), hits.points_m[:, 1].copy()
     layers = ground.sample(east, north)
@@ -336,24 +239,7 @@ def _joints(u: FloatRays, v: FloatRays, pitch_m: float, pixel_m: FloatRays) -> F
 
 
 def coat_facade(hits: Hits, ground: GroundMap, materials: Materials, *, has_lamps: bool) -> Coat:
-    """Storeys of windows over a plinth; some are lit where lamps are.
-
-    Parameters
-    ----------
-    hits : Hits
-        On buildings.
-    ground : GroundMap
-        Has the noise.
-    materials : Materials
-        What facades look like.
-    has_lamps : bool
-        Of the weather.
-
-    Returns
-    -------
-    coat : Coat
-        Of the hits.
-    """
+    """Storeys of windows over a plinth; some are lit where lamps are on."""
     along, up = _wall_coordinates(hits)
     pattern, albedo, pixel = materials.pattern, materials.albedo, hits.pixel_m
     dirt = soft_noise_at(ground.patches, along, up, texel_m=0.04)
@@ -378,7 +264,7 @@ def coat_facade(hits: Hits, ground: GroundMap, materials: Materials, *, has_lamp
     if has_lamps:
         # One value of noise per window.
         chance = grain_at(ground.grain, column + 7.0 * storey, storey, np.full_like(along, _TEXELS))
-        is_lit = chance > np.float32(_normal_quantile(1.0 - pattern["lit_window_share"]))
+        is_lit = chance > np.float32(NormalDist().inv_cdf(1.0 - pattern["lit_window_share"]))
         light = materials.lit_window_colour * np.float32(pattern["lit_window_cdpm2"])
         coat.glow[...] = (share * is_lit)[:, None] * light
     return coat
@@ -420,13 +306,7 @@ def _wall_coordinates(hits: Hits) -> tuple[FloatRays, FloatRays]:
     return along, points[:, 2].copy()
 
 
-def _normal_quantile(share: float) -> float:
-    from statistics import NormalDist
-
-    return NormalDist().inv_cdf(share)
-
-
-# ---------- vehicles and people: colours by position in the body's own frame
+# ---------- vehicles and people: colours by position in their own frames
 
 
 _WHEEL_M = 0.335  # radius of ordinary tyres
@@ -434,22 +314,7 @@ _RIM_SHARE = 0.60
 
 
 def coat_vehicle(hits: Hits, things: Things, materials: Materials) -> Coat:
-    """Lacquer, glass, wheels, lamps, plates.
-
-    Parameters
-    ----------
-    hits : Hits
-        On vehicles.
-    things : Things
-        Where they stand.
-    materials : Materials
-        What they look like.
-
-    Returns
-    -------
-    coat : Coat
-        Of the hits.
-    """
+    """Lacquer, glass, wheels, lamps, plates."""
     x, y, z, facing = _into_body(hits, things)
     length, width, height = things.size_m[hits.thing].T
     side = np.abs(y)

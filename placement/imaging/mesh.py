@@ -1,4 +1,4 @@
-"""One mesh per frame: the scene, what parks in this run, the VUT and the VRU; each triangle named.
+"""Triangles of a frame: the scene, what parks in the run, the VUT and the VRU, each with its name.
 
 Rays are cast in single precision: a frame's mesh has its origin at the camera.
 """
@@ -18,118 +18,6 @@ from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
 from scenarios.runs import Run
 
-# ---------- rectangles on the road plane: around points, and how far a point is from their edge
-
-
-def smallest_rectangle(points_m: FloatArray) -> tuple[FloatArray, float, float, float]:
-    """The oriented rectangle of least area around points.
-
-    Parameters
-    ----------
-    points_m : (n, 2) float
-        At least one. [m]
-
-    Returns
-    -------
-    middle_m : (2,) float
-        Its centre. [m]
-    yaw_rad : float
-        Direction of its longer side, counter-clockwise from east. [rad]
-    length_m, width_m : float
-        Full sides, the longer one first. [m]
-
-    References
-    ----------
-    .. [1] H. Freeman, R. Shapira, "Determining the minimum-area encasing rectangle", 1975: one side
-       lies along an edge of the convex hull.
-    """
-    try:
-        hull = points_m[ConvexHull(points_m).vertices]
-    except (QhullError, ValueError):  # all on a line, or a single point
-        hull = points_m
-    edges = np.roll(hull, -1, axis=0) - hull
-    angles = np.unique(np.arctan2(edges[:, 1], edges[:, 0]).round(9))
-    ahead = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    left = ahead[:, ::-1] * [-1.0, 1.0]
-    along, across = hull @ ahead.T, hull @ left.T
-    spans = np.stack([np.ptp(along, axis=0), np.ptp(across, axis=0)])
-    best = int(np.argmin(spans.prod(axis=0)))
-    middle = 0.5 * (
-        (along[:, best].min() + along[:, best].max()) * ahead[best]
-        + (across[:, best].min() + across[:, best].max()) * left[best]
-    )
-    length, width = spans[:, best].tolist()
-    if length >= width:
-        return middle, float(angles[best]), length, width
-    return middle, float(angles[best] + 0.5 * np.pi), width, length
-
-
-def rectangle_distance(points_m: FloatArray, rectangle: FloatArray) -> FloatArray:
-    """Signed distance of points from the edge of a rectangle.
-
-    Parameters
-    ----------
-    points_m : (..., 2) float
-        Anywhere. [m]
-    rectangle : (5,) float
-        East and north of the middle, yaw in radians, half length, half width.
-
-    Returns
-    -------
-    distance_m : (...) float
-        Negative inside. [m]
-
-    Examples
-    --------
-    >>> rectangle_distance(np.array([[0.0, 0.0], [5.0, 5.0]]), np.array([0.0, 0.0, 0.0, 2.0, 1.0]))
-    array([-1.,  5.])
-    """
-    east, north, yaw, half_length, half_width = rectangle.tolist()
-    x, y = points_m[..., 0] - east, points_m[..., 1] - north
-    along = np.abs(x * np.cos(yaw) + y * np.sin(yaw)) - half_length
-    across = np.abs(y * np.cos(yaw) - x * np.sin(yaw)) - half_width
-    outside = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
-    distance: FloatArray = outside + np.minimum(np.maximum(along, across), 0.0)
-    return distance
-
-
-def polygon_distance(points_m: FloatArray, polygon_m: FloatArray) -> FloatArray:
-    """Signed distance of points from the edge of a polygon.
-
-    Parameters
-    ----------
-    points_m : (..., 2) float
-        Anywhere. [m]
-    polygon_m : (n, 2) float
-        Corners in order. [m]
-
-    Returns
-    -------
-    distance_m : (...) float
-        Negative inside (even-odd rule). [m]
-    """
-    x, y = points_m[..., 0], points_m[..., 1]
-    square = np.full(x.shape, np.inf)
-    is_inside = np.zeros(x.shape, dtype=bool)
-    for (x0, y0), (x1, y1) in zip(
-        polygon_m.tolist(), np.roll(polygon_m, -1, axis=0).tolist(), strict=True
-    ):
-        edge_x, edge_y = x1 - x0, y1 - y0
-        length2 = edge_x**2 + edge_y**2
-        if length2 == 0.0:
-            continue
-        share = np.clip(((x - x0) * edge_x + (y - y0) * edge_y) / length2, 0.0, 1.0)
-        square = np.minimum(square, (x - x0 - share * edge_x) ** 2 + (y - y0 - share * edge_y) ** 2)
-        if y0 != y1:
-            is_between = (y0 > y) != (y1 > y)
-            is_inside ^= is_between & (x < x0 + (y - y0) / (y1 - y0) * edge_x)
-    distance: FloatArray = np.where(is_inside, -1.0, 1.0) * np.sqrt(square)
-    return distance
-
-
-# ---------- one mesh per frame
-
-
 Index = NDArray[np.int32]
 
 ROUND = ("pedestrian", "cyclist")  # classes whose faces are shaded as if they were curved
@@ -138,92 +26,42 @@ _CREASE_COS = 0.6  # people's faces that meet at less than about 50 degrees are 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Thing:
-    """One thing in a picture.
+    """One thing in a picture."""
 
-    Attributes
-    ----------
-    name : str
-        Of the scene's instance, "parked-1" .. , "vut" or "vru".
-    class_name : str
-        One of the scene's or of the actors' classes.
-    pose : Pose
-        Its body frame: on the road under its middle.
-    size_m : (3,) float
-        Length, width, height. [m]
-    actor : Actor or None
-        What it is; None for what only the scene knows.
-    """
-
-    name: str
+    name: str  # the scene's instance, "parked-1" .. , "vut" or "vru"
     class_name: str
-    pose: Pose
-    size_m: FloatArray
-    actor: Actor | None = None
+    pose: Pose  # body frame: on the road under the middle
+    size_m: FloatArray  # (3,): length, width, height
+    actor: Actor | None = None  # None for what only the scene knows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mesh:
-    """Triangles of things.
+    """Triangles of things, in the world frame."""
 
-    Attributes
-    ----------
-    vertices_m : (n, 3) float
-        World frame. [m]
-    triangles : (m, 3) int32
-        Vertex indices.
-    triangle_thing : (m,) int32
-        Index into `things`.
-    normals : (m, 3, 3) float32
-        Unit normals at the corners of each triangle; all the same where it is shaded flat.
-    things : tuple of Thing
-        What there is.
-    """
-
-    vertices_m: FloatArray
-    triangles: Index
-    triangle_thing: Index
-    normals: FloatRays
+    vertices_m: FloatArray  # (n, 3)
+    triangles: Index  # (m, 3), into the vertices
+    triangle_thing: Index  # (m,), into `things`
+    normals: FloatRays  # (m, 3, 3): unit, at the corners of each triangle; equal where shaded flat
     things: tuple[Thing, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameMesh:
-    """All triangles of one frame, ready for rays; the origin is at the camera, axes as the world's.
+    """All triangles of one frame, ready for rays; origin at the camera, axes as the world's."""
 
-    Attributes
-    ----------
-    origin_m : (3,) float
-        Of the mesh's frame. World frame. [m]
-    corners_m : (m, 3, 3) float32
-        Corners of the triangles. [m]
-    normals, triangle_thing, things
-        As in :class:`Mesh`.
-    caster : RayCaster
-        Rays against the triangles.
-    """
-
-    origin_m: FloatArray
-    corners_m: FloatRays
-    normals: FloatRays
+    origin_m: FloatArray  # (3,), world frame
+    corners_m: FloatRays  # (m, 3, 3)
+    normals: FloatRays  # as in Mesh
     triangle_thing: Index
     things: tuple[Thing, ...]
     caster: RayCaster
 
 
 def build_static_mesh(scene: Scene, obstruction: Sequence[PlacedActor]) -> Mesh:
-    """What stands still in a run.
+    """Triangles of what stands still in a run.
 
-    Parameters
-    ----------
-    scene : Scene
-        The junction.
-    obstruction : sequence of PlacedActor
-        What parks in the run.
-
-    Returns
-    -------
-    mesh : Mesh
-        Things in the order of the scene's instances, then "parked-1", ...
+    The things are the scene's instances in their order, then "parked-1" and so on.
     """
     static = Mesh(
         vertices_m=scene.vertices_m,
@@ -242,25 +80,9 @@ def build_static_mesh(scene: Scene, obstruction: Sequence[PlacedActor]) -> Mesh:
 def build_frame_mesh(
     static: Mesh, run: Run, frame_index: int, origin_m: FloatArray, *, with_vut: bool
 ) -> FrameMesh:
-    """Everything that there is in a frame.
+    """Triangles of one frame, in a frame of coordinates with its origin at `origin_m` (3,).
 
-    Parameters
-    ----------
-    static : Mesh
-        Of the run's scene and obstruction.
-    run : Run
-        What drives.
-    frame_index : int
-        When.
-    origin_m : (3,) float
-        Of the new frame of coordinates, world frame. [m]
-    with_vut : bool
-        Whether the VUT is there to be seen.
-
-    Returns
-    -------
-    mesh : FrameMesh
-        The last things are "vut", if it is there, and "vru".
+    The last things are "vut", if it is to be seen, and "vru".
     """
     vru = run.encounter.vru
     shape = vru.shapes[int(run.vru_shape[frame_index])]
@@ -298,7 +120,7 @@ def _scene_thing(scene: Scene, index: int) -> Thing:
     instance = scene.instances[index]
     used = np.unique(scene.triangles[scene.triangle_instance == index])
     points = scene.vertices_m[used] if len(used) else np.zeros((1, 3))
-    middle, yaw_rad, length_m, width_m = smallest_rectangle(points[:, :2])
+    middle, yaw_rad, length_m, width_m = _smallest_rectangle(points[:, :2])
     low, high = points[:, 2].min(), points[:, 2].max()
     return Thing(
         name=instance.id,
@@ -306,6 +128,37 @@ def _scene_thing(scene: Scene, index: int) -> Thing:
         pose=Pose(position_m=np.append(middle, low), yaw_deg=float(np.degrees(yaw_rad))),
         size_m=np.array([length_m, width_m, high - low]),
     )
+
+
+def _smallest_rectangle(points_m: FloatArray) -> tuple[FloatArray, float, float, float]:
+    """The oriented rectangle of least area around points (n, 2): middle (2,), yaw, length, width.
+
+    The yaw is that of the longer side, counter-clockwise from east. [rad], [m]
+
+    References
+    ----------
+    .. [1] H. Freeman, R. Shapira, "Determining the minimum-area encasing rectangle", 1975: one side
+       lies along an edge of the convex hull.
+    """
+    try:
+        hull = points_m[ConvexHull(points_m).vertices]
+    except (QhullError, ValueError):  # all on a line, or a single point
+        hull = points_m
+    edges = np.roll(hull, -1, axis=0) - hull
+    angles = np.unique(np.arctan2(edges[:, 1], edges[:, 0]).round(9))
+    ahead = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    left = ahead[:, ::-1] * [-1.0, 1.0]
+    along, across = hull @ ahead.T, hull @ left.T
+    spans = np.stack([np.ptp(along, axis=0), np.ptp(across, axis=0)])
+    best = int(np.argmin(spans.prod(axis=0)))
+    middle = 0.5 * (
+        (along[:, best].min() + along[:, best].max()) * ahead[best]
+        + (across[:, best].min() + across[:, best].max()) * left[best]
+    )
+    length, width = spans[:, best].tolist()
+    if length >= width:
+        return middle, float(angles[best]), length, width
+    return middle, float(angles[best] + 0.5 * np.pi), width, length
 
 
 def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:

@@ -1,9 +1,10 @@
 """Pictures of a frame: colours, instances and depths, one ray per pixel."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
+from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray, IntArray
-from geometry.files import take, take_number
+from geometry.files import load_toml, read_table, take_number
 from geometry.poses import Pose, camera_rotation
 from geometry.raycast import FloatRays
 from geometry.scene import Scene
@@ -20,9 +21,9 @@ from geometry.weather import Weather
 from scenarios.runs import Run
 
 from ..compute import DEFAULT_COMPUTE, Compute
-from .camera import develop, load_imager, white_luminance
 from .ground import GroundMap, build_ground_map
 from .light import (
+    LUMINANCE,
     Lamp,
     Sky,
     StreetLamp,
@@ -58,9 +59,6 @@ from .mesh import (
 )
 from .rain_and_glare import add_glare, add_rain
 
-# ---------- some rows of a picture
-
-
 _OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
 _LEAST_MIRROR = 0.012  # share; less is not worth a ray
 _GRAZING = np.float32(0.02)  # cosine: no pixel is longer on a surface
@@ -70,59 +68,24 @@ _GRAZING_GAIN = np.float32(24.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shot:
-    """All that a picture is made from.
+    """All that a picture is made from."""
 
-    Attributes
-    ----------
-    R_world_camera : (3, 3) float
-        Where the camera looks.
-    camera : CameraModel
-        Intrinsics.
-    mesh : FrameMesh
-        What there is; its origin is at the camera.
-    things : Things
-        Of the mesh, as arrays.
-    materials : Materials
-        What they look like.
-    ground : GroundMap
-        The road plane.
-    sky : Sky
-        Sun, sky and air.
-    lamps : tuple of Lamp
-        Those that are on.
-    weather : Weather
-        Wetness, lamps.
-    """
-
-    R_world_camera: FloatArray
+    R_world_camera: FloatArray  # (3, 3)
     camera: CameraModel
-    mesh: FrameMesh
-    things: Things
+    mesh: FrameMesh  # its origin is at the camera
+    things: Things  # of the mesh, as arrays
     materials: Materials
     ground: GroundMap
     sky: Sky
-    lamps: tuple[Lamp, ...]
+    lamps: tuple[Lamp, ...]  # those that are on
     weather: Weather
 
 
 def shade_rays(shot: Shot, ways: FloatRays) -> tuple[FloatRays, Index, FloatRays]:
-    """Draw what some rays see.
+    """What rays see: radiance (n, 3) in cd/m^2, index of the thing (n,), depth (n,) in metres.
 
-    Parameters
-    ----------
-    shot : Shot
-        What is drawn.
-    ways : (n, 3) float32
-        From the camera, one metre deep; axes as the world's.
-
-    Returns
-    -------
-    radiance : (n, 3) float32
-        Linear red, green, blue. [cd/m^2]
-    instance : (n,) int32
-        Things; -1 for sky.
-    depth_m : (n,) float32
-        Infinite for sky. [m]
+    The rays (n, 3) start at the camera, are one metre deep and have the world's axes. Where there
+    is sky the index is -1 and the depth infinite.
     """
     camera, mesh, sky = shot.camera, shot.mesh, shot.sky
     length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
@@ -167,7 +130,7 @@ def _kinds(shot: Shot) -> NDArray[np.int8]:
 
 
 def tile_rays(shot: Shot, rows: slice, columns: slice) -> FloatRays:
-    """Ways through the middles of a tile's pixels, one metre deep, (n, 3)."""
+    """Rays through the middles of a tile's pixels, one metre deep, (n, 3)."""
     camera = shot.camera
     focal = camera.focal_length_px
     across = (np.arange(columns.start, columns.stop) + 0.5 - 0.5 * camera.width_px) / focal
@@ -179,7 +142,7 @@ def tile_rays(shot: Shot, rows: slice, columns: slice) -> FloatRays:
 
 
 def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRays:
-    """Ways through points of the image, one metre deep, (n, 3)."""
+    """Rays through points of the image, one metre deep, (n, 3)."""
     camera = shot.camera
     in_camera = np.empty((len(columns_px), 3), dtype=np.float32)
     in_camera[:, 0] = (columns_px - 0.5 * camera.width_px) / camera.focal_length_px
@@ -192,7 +155,7 @@ def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRa
 def _look(
     shot: Shot, ahead: FloatRays, distance: FloatRays, triangle: IntArray, *, is_round: bool
 ) -> Hits:
-    """Points, normals and the size of pixels there."""
+    """Points and normals where rays have hit, and the size of pixels there."""
     mesh = shot.mesh
     local = ahead * distance[:, None]
     flat = mesh.normals[:, 0].take(triangle, axis=0)
@@ -211,7 +174,7 @@ def _look(
 
 
 def _round_normals(mesh: FrameMesh, triangle: IntArray, points: FloatRays) -> FloatRays:
-    """Normals at points in triangles, between those of the corners."""
+    """Normals at points in triangles, interpolated between those of the corners, (n, 3)."""
     corners, normals = mesh.corners_m.take(triangle, axis=0), mesh.normals.take(triangle, axis=0)
     a, b, c = np.swapaxes(corners, 0, 1)
     whole = np.cross(b - a, c - a)
@@ -270,7 +233,7 @@ def _coat(shot: Shot, class_name: str, hits: Hits) -> Coat:
 
 
 def _add_mirrored(shot: Shot, light: FloatRays, coat: Coat, hits: Hits, ahead: FloatRays) -> None:
-    """What glass, lacquer and water mirror: sky, or things without their own shadows."""
+    """Add what glass, lacquer and water mirror: the sky, or things without their own shadows."""
     cosine = np.einsum("ij,ij->i", hits.normals, ahead)  # negative
     away = 1.0 + cosine
     share = coat.mirror * (1.0 + _GRAZING_GAIN * away**5)
@@ -301,11 +264,10 @@ def _add_mirrored(shot: Shot, light: FloatRays, coat: Coat, hits: Hits, ahead: F
 
 @cache
 def _ground_albedo() -> float:
-    table = take(load_lamp_table(), "sky", "lamps.toml")
-    return take_number(table, "ground_albedo", "lamps.toml: sky")
+    return take_number(load_lamp_table()["sky"], "ground_albedo", "lamps.toml: sky")
 
 
-# ---------- pictures of a frame: colours, instances and depths, one ray per pixel
+# ---------- whole pictures
 
 
 _EDGES = 12_000  # pixels that are smoothed at a time
@@ -336,38 +298,15 @@ class Picture:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Backdrop:
-    """What stands still in all frames of a run, ready to be drawn many times.
+    """What stands still in all frames of a run, ready to be drawn many times."""
 
-    Attributes
-    ----------
-    mesh : Mesh
-        Scene and obstruction.
-    ground : GroundMap
-        The road plane.
-    street_lamps : tuple of StreetLamp
-        On the scene's lamp posts.
-    """
-
-    mesh: Mesh
+    mesh: Mesh  # scene and obstruction
     ground: GroundMap
     street_lamps: tuple[StreetLamp, ...]
 
 
 def build_backdrop(scene: Scene, obstruction: Sequence[PlacedActor]) -> Backdrop:
-    """Prepare a scene for pictures.
-
-    Parameters
-    ----------
-    scene : Scene
-        The junction.
-    obstruction : sequence of PlacedActor
-        What parks in the run.
-
-    Returns
-    -------
-    backdrop : Backdrop
-        For all runs with this obstruction.
-    """
+    """Prepare a scene, with what parks in a run, for pictures of all runs with this obstruction."""
     mesh = build_static_mesh(scene, obstruction)
     return Backdrop(
         mesh=mesh,
@@ -387,20 +326,7 @@ def render_picture(
     with_vut: bool = True,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Picture:
-    """Render one frame of a run; for many frames see :func:`draw_picture`.
-
-    Parameters
-    ----------
-    scene : Scene
-        The junction.
-    run, frame_index, pose, camera, weather, with_vut, compute
-        As for :func:`draw_picture`.
-
-    Returns
-    -------
-    picture : Picture
-        At the camera's resolution.
-    """
+    """Render one frame of a run; for many frames see :func:`draw_picture`."""
     return draw_picture(
         build_backdrop(scene, run.obstruction),
         run,
@@ -502,7 +428,15 @@ def draw_picture(
         list(pool.map(smooth, np.array_split(edges, 1 + len(edges) // _EDGES)))
         add_glare(radiance, pose, camera, lamps, mesh.caster)
         rng = np.random.default_rng([compute.seed, frame_index, height, width])
-        add_rain(radiance, camera, weather, shot.sky, pose.pitch_deg, rng)
+        add_rain(
+            radiance,
+            camera,
+            weather,
+            shot.sky,
+            pitch_deg=pose.pitch_deg,
+            exposure_s=load_imager()["rain_exposure_s"],
+            rng=rng,
+        )
         white_cdpm2 = white_luminance(radiance, load_imager())
         list(pool.map(partial(expose, white_cdpm2), tiles))
     return Picture(
@@ -513,7 +447,7 @@ def draw_picture(
     )
 
 
-# ---------- pixels on edges, seen by several rays: no stairs along kerbs, roofs and shadows
+# ---------- smooth edges: several rays for pixels along kerbs, roofs and shadows
 
 
 _CONTRAST = 0.35  # between neighbours, of their mean: more is an edge
@@ -522,19 +456,9 @@ _OFFSETS_PX = ((0.125, 0.375), (-0.375, 0.125), (0.375, -0.125), (-0.125, -0.375
 
 
 def find_edges(radiance: FloatRays, tile_px: tuple[int, int]) -> IntArray:
-    """Pixels that differ much from one beside or below.
+    """Pixels that differ much from a neighbour, as row * w + column, tile by tile, (n,).
 
-    Parameters
-    ----------
-    radiance : (h, w, 3) float32
-        The image. [cd/m^2]
-    tile_px : tuple of int
-        Rows and columns of a tile.
-
-    Returns
-    -------
-    pixels : (n,) int
-        Row * w + column, tile by tile.
+    `radiance` is the image (h, w, 3), `tile_px` the rows and columns of a tile.
     """
     green = np.ascontiguousarray(radiance[..., 1])
     is_edge = np.zeros(green.shape, dtype=bool)
@@ -553,21 +477,9 @@ def find_edges(radiance: FloatRays, tile_px: tuple[int, int]) -> IntArray:
 
 
 def smooth_pixels(shot: Shot, pixels: IntArray, radiance: FloatRays) -> FloatRays:
-    """Luminance of pixels as the mean over several rays.
+    """Luminance (n, 3) of pixels as the mean over the ray that was cast and four more, in cd/m^2.
 
-    Parameters
-    ----------
-    shot : Shot
-        What is drawn.
-    pixels : (n,) int
-        Row * w + column.
-    radiance : (n, 3) float32
-        What the rays through their middles saw. [cd/m^2]
-
-    Returns
-    -------
-    mean : (n, 3) float32
-        Over these and four rays more. [cd/m^2]
+    `pixels` (n,) are row * w + column, `radiance` (n, 3) what the rays through their middles saw.
     """
     rows, columns = np.divmod(pixels, shot.camera.width_px)
     ways = [
@@ -581,3 +493,71 @@ def smooth_pixels(shot: Shot, pixels: IntArray, radiance: FloatRays) -> FloatRay
     more, _, _ = shade_rays(shot, np.concatenate(ways))
     mean: FloatRays = (radiance + more.reshape(len(ways), -1, 3).sum(axis=0)) / (1.0 + len(ways))
     return mean
+
+
+# ---------- exposure: from luminance to sRGB, with noise and highlights
+
+
+_SAMPLE = 4  # every so many pixels are looked at for the exposure
+_STEPS = 8192  # of the curve from linear light to sRGB, over 0 .. _BRIGHTEST
+_BRIGHTEST = 4.0
+
+
+@cache
+def load_imager() -> Mapping[str, float]:
+    """``data/imager.toml``."""
+    return read_table(
+        load_toml(files(__package__) / "data" / "imager.toml"), dict[str, float], "imager.toml"
+    )
+
+
+def white_luminance(radiance: FloatRays, imager: Mapping[str, float]) -> float:
+    """Luminance that the exposure of an image (h, w, 3) makes white, in cd/m^2.
+
+    The mean of logarithms over the key, but no less than the longest exposure allows.
+
+    References
+    ----------
+    .. [1] E. Reinhard et al., "Photographic tone reproduction for digital images", 2002: the key.
+    """
+    luminance = radiance[::_SAMPLE, ::_SAMPLE] @ LUMINANCE.astype(np.float32)
+    mean = float(np.exp(np.log(np.maximum(luminance, np.float32(1e-4))).mean()))
+    return max(mean / imager["key"], imager["white_cdpm2_least"])
+
+
+def develop(
+    radiance: FloatRays, white_cdpm2: float, imager: Mapping[str, float], rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Pixels of an image or of some rows of it, (h, w, 3), sRGB.
+
+    `radiance` (h, w, 3) in cd/m^2 is written over; `white_cdpm2` is what becomes white.
+    """
+    radiance *= np.float32(1.0 / white_cdpm2)
+    gain = max(1.0, imager["white_cdpm2_base"] / white_cdpm2)
+    electrons = imager["full_well_e"] / gain  # at white
+    # Photons come by chance (variance = mean), the amplifier adds its own.
+    spread = radiance * np.float32(1.0 / electrons)
+    spread += np.float32((imager["read_noise_e"] / electrons) ** 2)
+    np.sqrt(spread, out=spread)
+    spread *= rng.standard_normal(radiance.shape, dtype=np.float32)
+    radiance += spread
+    radiance *= np.float32(_STEPS / _BRIGHTEST)
+    np.clip(radiance, 0, _STEPS - 1, out=radiance)
+    rgb: NDArray[np.uint8] = _curve(imager["shoulder"]).take(radiance.astype(np.int16))
+    return rgb
+
+
+@cache
+def _curve(shoulder: float) -> NDArray[np.uint8]:
+    """Levels of sRGB by linear light in steps; beyond the shoulder highlights bend towards white.
+
+    References
+    ----------
+    .. [1] IEC 61966-2-1: the two branches of sRGB.
+    """
+    light = (np.arange(_STEPS) + 0.5) * (_BRIGHTEST / _STEPS)
+    rest = 1.0 - shoulder
+    bent = shoulder + rest * (1.0 - np.exp(-(light - shoulder) / rest))
+    light = np.where(light > shoulder, bent, light)
+    curved = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
+    return np.clip(np.rint(255.0 * curved), 0, 255).astype(np.uint8)

@@ -112,7 +112,7 @@ def scan_cloud(
 
 
 def _reflectivity(mesh: FrameMesh, run: Run) -> FloatArray:
-    """Of each thing, (n_things,)."""
+    """Reflectivity of each thing, (n_things,)."""
     by_class = load_surface_reflectivity()
     of_vru = load_lidar_detection().reflectivity[vru_class(run.encounter.vru)]
     return np.array(

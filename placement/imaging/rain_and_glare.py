@@ -1,4 +1,4 @@
-"""What hangs between camera and street: drops of rain, and the glare of lamps."""
+"""Drops of rain in front of a camera, and the glare of lamps, drawn into a picture."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,6 @@ from geometry.raycast import FloatRays, RayCaster
 from geometry.sensors import CameraModel, project_points
 from geometry.weather import Weather
 
-from .camera import load_imager
 from .light import Lamp, Sky, load_lamp_table
 
 _DROP_RANGE_M = (0.8, 6.0)  # nearer ones the housing keeps off, farther ones are too thin to see
@@ -22,20 +21,9 @@ _MARSHALL_PALMER_PER_M4 = 8.0e6
 def add_glare(
     radiance: FloatRays, pose: Pose, camera: CameraModel, lamps: Sequence[Lamp], caster: RayCaster
 ) -> None:
-    """Draw lamps that look into the camera, and the light that scatters around them, in place.
+    """Draw lamps that shine into the camera, and the light that scatters around them, in place.
 
-    Parameters
-    ----------
-    radiance : (h, w, 3) float32
-        The image. [cd/m^2]
-    pose : Pose
-        Of the camera.
-    camera : CameraModel
-        Intrinsics.
-    lamps : sequence of Lamp
-        Those that are on.
-    caster : RayCaster
-        What hides lamps; its origin is at the camera.
+    `radiance` is the image (h, w, 3) in cd/m^2; the caster has its origin at the camera.
     """
     if not lamps:
         return
@@ -91,25 +79,14 @@ def add_rain(
     camera: CameraModel,
     weather: Weather,
     sky: Sky,
+    *,
     pitch_deg: float,
+    exposure_s: float,
     rng: np.random.Generator,
 ) -> None:
-    """Draw near drops as streaks, in place.
+    """Draw near drops as streaks, in place; a drop shows the sky.
 
-    Parameters
-    ----------
-    radiance : (h, w, 3) float32
-        The image. [cd/m^2]
-    camera : CameraModel
-        Intrinsics.
-    weather : Weather
-        Rain rate.
-    sky : Sky
-        A drop shows the sky.
-    pitch_deg : float
-        Of the camera: it sees the fall foreshortened. [deg]
-    rng : Generator
-        Where drops are.
+    `radiance` is the image (h, w, 3) in cd/m^2. A pitched camera sees the fall foreshortened.
 
     References
     ----------
@@ -122,7 +99,6 @@ def add_rain(
     """
     if weather.rain_rate_mmph == 0.0:
         return
-    exposure_s = load_imager()["rain_exposure_s"]
     slope_per_m = 4100.0 * weather.rain_rate_mmph**-0.21
     per_m3 = _MARSHALL_PALMER_PER_M4 / slope_per_m * np.exp(-slope_per_m * _LEAST_DROP_M)
     near, far = _DROP_RANGE_M

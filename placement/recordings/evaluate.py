@@ -1,5 +1,6 @@
-"""Recorded detections to verdicts: match, confirm, brake in time."""
+"""Evaluation of recorded detections: match them with labels, confirm, and brake in time."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,14 +9,14 @@ import numpy as np
 from geometry.arrays import BoolArray
 from geometry.errors import InputError
 from geometry.image_boxes import iou
-from scenarios.aeb import AebRule, is_in_time
+from scenarios.aeb import AebRule, braking_distance_m, is_in_time
 from scenarios.runs import FrameAxis, confirmation_times_s
 
 from ..detection_table import DetectionTable, pack_table
+from ..detectors import load_min_iou
 from ..evaluation import Verdict
-from .drives import Drive, is_same_direction, last_brake_time_s
 from .files import Label, RecordingFormat, load_format
-from .read import Found, Recording
+from .read import Drive, Found, Recording
 
 RECORDED = "recorded"
 """Approach and weather of every drive: a recording does not tell them."""
@@ -56,12 +57,12 @@ class RecordedEvaluation:
 def evaluate_recording(
     recording: Recording, rule: AebRule, *, min_confidence: float = 0.0
 ) -> RecordedEvaluation:
-    """Judge the units of a recording.
+    """Evaluate the units of a recording.
 
-    A unit detects the VRU of a drive in a frame if a detection overlaps its label by more than an
-    IoU of 0.5. Where several VRUs of the drive's class are labelled, the VUT's is the one whose
-    distance comes nearest to that of WorldData; of a roadside unit each of them must be detected. A
-    frame that is missing is not detected.
+    A unit detects the VRU of a drive in a frame if a detection overlaps its label by more than
+    :func:`placement.detectors.load_min_iou`. Where several VRUs of the drive's class are labelled,
+    the VUT's is the one whose distance comes nearest to that of WorldData; of a roadside unit each
+    of them must be detected. A frame that is missing is not detected.
 
     Parameters
     ----------
@@ -99,17 +100,7 @@ def evaluate_recording(
 def take_units(
     evaluation: RecordedEvaluation, units: Sequence[str], rule: AebRule
 ) -> RecordedEvaluation:
-    """The evaluation of some of the units only.
-
-    Parameters
-    ----------
-    evaluation : RecordedEvaluation
-        Of all units.
-    units : sequence of str
-        At least one of them.
-    rule : AebRule
-        As for the evaluation.
-    """
+    """The evaluation of some of the units only, at least one."""
     return _judge(
         evaluation.axis,
         {unit: evaluation.units[unit].detected for unit in units},
@@ -131,17 +122,7 @@ def recorded_table(evaluation: RecordedEvaluation) -> DetectionTable:
 def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
     """Frames of the drives, laid end to end; runs are called "recording/SCENARIO/KMH".
 
-    Parameters
-    ----------
-    recording : Recording
-        Its drives.
-    rule : AebRule
-        How the VUT brakes.
-
-    Returns
-    -------
-    axis : FrameAxis
-        Cases are "scenario-3-pedestrian" and so on.
+    Cases are "scenario-3-pedestrian" and so on.
     """
     form, drives = load_format(), recording.drives
     return FrameAxis(
@@ -178,8 +159,51 @@ def _last_brake_time_s(drive: Drive, rule: AebRule, form: RecordingFormat) -> fl
     )
 
 
+def is_same_direction(
+    *,
+    vut_speed_mps: float,
+    vru_speed_mps: float,
+    closing_speed_mps: float,
+    form: RecordingFormat,
+) -> bool:
+    """Whether the VUT catches up with a VRU that goes its way, by the law of cosines.
+
+    False for a VRU that stands, or is as fast as the VUT. The format says up to which angle the
+    ways count as the same.
+    """
+    v, u = vut_speed_mps, vru_speed_mps
+    if not 0.0 < u < v:
+        return False
+    cosine = (v**2 + u**2 - closing_speed_mps**2) / (2.0 * u * v)
+    return cosine > math.cos(math.radians(form.max_same_direction_deg))
+
+
+def last_brake_time_s(
+    *, vut_speed_mps: float, vru_speed_mps: float, is_same_direction: bool, rule: AebRule
+) -> float:
+    """Latest onset of braking that avoids, in seconds relative to the impact.
+
+    -(v - u) / (2 a) without build-up if both go the same way: the VUT must only shed v - u before
+    the gap to the VRU is closed. Otherwise -v / (2 a): it must stop before the place of the impact.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from scenarios.aeb import load_aeb_rule
+    >>> rule = replace(load_aeb_rule(), deceleration_mps2=8.0)
+    >>> last_brake_time_s(
+    ...     vut_speed_mps=16.0, vru_speed_mps=4.0, is_same_direction=True, rule=rule
+    ... )
+    -0.75
+    """
+    shed_mps = vut_speed_mps - vru_speed_mps if is_same_direction else vut_speed_mps
+    # The VUT needs this distance to shed that speed; unbraked it would take distance / speed.
+    distance_m = float(braking_distance_m(np.inf, speed_mps=shed_mps, rule=rule))
+    return -distance_m / shed_mps
+
+
 def _run_ids(drives: Sequence[Drive]) -> tuple[str, ...]:
-    """Ids; a speed that is driven again gets a number."""
+    """Ids of the drives; a speed that is driven again gets a number."""
     ids: list[str] = []
     n_times: dict[str, int] = {}
     for drive in drives:
@@ -192,7 +216,7 @@ def _run_ids(drives: Sequence[Drive]) -> tuple[str, ...]:
 def _detected(
     recording: Recording, unit: str, form: RecordingFormat, min_confidence: float
 ) -> tuple[BoolArray, int]:
-    """Frames in which a unit detects the VRU, and in how many several are in view."""
+    """Frames in which a unit detects the VRU, and the number of those with several in view."""
     all_labels, all_found = recording.labels[unit], recording.detections[unit]
     detected, n_several = [], 0
     for drive in recording.drives:
@@ -213,11 +237,11 @@ def _detected(
                 if labels
                 else []
             )
-            detected.append(not np.isnan(distance_m) and _is_match(labels, found, form))
+            detected.append(not np.isnan(distance_m) and _is_match(labels, found))
     return np.array(detected), n_several
 
 
-def _is_match(labels: Sequence[Label], found: Sequence[Found], form: RecordingFormat) -> bool:
+def _is_match(labels: Sequence[Label], found: Sequence[Found]) -> bool:
     """Whether there is a label, and each one overlaps a detection."""
     if not labels or not found:
         return False
@@ -225,7 +249,7 @@ def _is_match(labels: Sequence[Label], found: Sequence[Found], form: RecordingFo
         np.array([label.box_px for label in labels])[:, None],
         np.array([one.box_px for one in found])[None],
     )
-    return bool((overlap.max(axis=1) > form.min_iou).all())
+    return bool((overlap.max(axis=1) > load_min_iou()).all())
 
 
 def _judge(

@@ -1,4 +1,7 @@
-"""One file of a recording in the study's folder layout; problems name file, line, field."""
+"""The study's folder layout, and its files read line by line.
+
+Reading is strict: every error names file, line and field.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,33 +12,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    load_toml,
-    take,
-    take_list,
-    take_number,
-    take_text,
-)
-
-# ---------- what is known of the folder layout of the CarlaNCAP study
-
+from geometry.files import load_toml, read_table
 
 VRU_CLASSES = ("pedestrian", "bicycle")
+Box = tuple[float, float, float, float]
 
 
 class FrameKey(NamedTuple):
-    """What a file's name SCENARIO_FRAME.txt says.
-
-    Attributes
-    ----------
-    scenario : int
-        Index of the scenario.
-    number : int
-        Number of the frame: it runs on over all drives of the scenario.
-    """
+    """Scenario and number of a frame, as in a file's name SCENARIO_FRAME.txt."""
 
     scenario: int
-    number: int
+    number: int  # runs on over all drives of the scenario
 
     @property
     def file_name(self) -> str:
@@ -45,47 +32,21 @@ class FrameKey(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingFormat:
-    """The study's folder layout, and how motion is read off it.
-
-    Attributes
-    ----------
-    width_px, height_px : int
-        Of every image.
-    frame_rate_hz : float
-        Of every unit. [Hz]
-    n_reset_frames : int
-        Frames between two drives.
-    min_iou : float
-        A detection must overlap the label by more than this.
-    vut_folder, world_folder, eval_folder : str
-        Names of folders; all others are units and have a number for a name.
-    vut_indices : tuple of str
-        What stands for the VUT in Eval.
-    label_fields, world_fields, eval_fields : tuple of str
-        What a line holds.
-    actor_types : mapping of str to str
-        Spelling to class: "pedestrian", "bicycle", "other".
-    window_s, min_closing_speed_mps, max_same_direction_deg, speed_tolerance, jump_m, max_gap_s,
-    standing_m
-        See the data file. [s], [m/s], [deg], share, [m], [s], [m]
-    min_frames : int
-        See the data file.
-    """
+    """The study's folder layout, and how motion is read from it: ``carla_ncap_format.toml``."""
 
     width_px: int
     height_px: int
     frame_rate_hz: float
-    n_reset_frames: int
-    min_iou: float
-    vut_folder: str
+    n_reset_frames: int  # between two drives
+    vut_folder: str  # all other folders are units and have a number for a name
     world_folder: str
     eval_folder: str
-    vut_indices: tuple[str, ...]
+    vut_indices: tuple[str, ...]  # what stands for the VUT in Eval
     label_fields: tuple[str, ...]
     world_fields: tuple[str, ...]
     eval_fields: tuple[str, ...]
-    actor_types: Mapping[str, str]
-    window_s: float
+    actor_types: Mapping[str, str]  # spelling to "pedestrian", "bicycle" or "other"
+    window_s: float  # this and the following: [motion]
     min_frames: int
     min_closing_speed_mps: float
     max_same_direction_deg: float
@@ -98,126 +59,42 @@ class RecordingFormat:
 @cache
 def load_format() -> RecordingFormat:
     """The layout, from ``data/carla_ncap_format.toml``."""
-    where = "carla_ncap_format.toml"
-    table = load_toml(files(__package__) / "data" / where)
-    motion = take(table, "motion", where)
-
-    def number(name: str) -> float:
-        return take_number(table, name, where)
-
-    def moving(name: str) -> float:
-        return take_number(motion, name, f"{where}: motion")
-
-    return RecordingFormat(
-        width_px=int(number("width_px")),
-        height_px=int(number("height_px")),
-        frame_rate_hz=number("frame_rate_hz"),
-        n_reset_frames=int(number("n_reset_frames")),
-        min_iou=number("min_iou"),
-        vut_folder=take_text(table, "vut_folder", where),
-        world_folder=take_text(table, "world_folder", where),
-        eval_folder=take_text(table, "eval_folder", where),
-        vut_indices=tuple(take_list(table, "vut_indices", where)),
-        label_fields=tuple(take_list(table, "label_fields", where)),
-        world_fields=tuple(take_list(table, "world_fields", where)),
-        eval_fields=tuple(take_list(table, "eval_fields", where)),
-        actor_types=dict(take(table, "actor_types", where)),
-        window_s=moving("window_s"),
-        min_frames=int(moving("min_frames")),
-        min_closing_speed_mps=moving("min_closing_speed_mps"),
-        max_same_direction_deg=moving("max_same_direction_deg"),
-        speed_tolerance=moving("speed_tolerance"),
-        jump_m=moving("jump_m"),
-        max_gap_s=moving("max_gap_s"),
-        standing_m=moving("standing_m"),
-    )
-
-
-# ---------- one file of a recording: strict, every problem names file, line and field
-
-
-Box = tuple[float, float, float, float]
+    file = "carla_ncap_format.toml"
+    table = load_toml(files(__package__) / "data" / file)
+    return read_table({**table, **table["motion"]}, RecordingFormat, file)
 
 
 class Label(NamedTuple):
-    """Where an actor is in a unit's image.
+    """Where an actor is in a unit's image."""
 
-    Attributes
-    ----------
-    class_name : str
-        "pedestrian", "bicycle" or "other".
-    box_px : (4,) float
-        Ground truth, of the visible pixels. [px]
-    distance_m : float
-        From the unit. [m]
-    """
-
-    class_name: str
-    box_px: Box
-    distance_m: float
+    class_name: str  # "pedestrian", "bicycle" or "other"
+    box_px: Box  # of the visible pixels
+    distance_m: float  # from the unit
 
 
 class Detection(NamedTuple):
-    """What a detector found in a unit's image.
+    """What a detector found in a unit's image."""
 
-    Attributes
-    ----------
-    unit : str
-        As in the file.
-    class_name : str
-        "pedestrian", "bicycle" or "other".
-    box_px : (4,) float
-        Found. [px]
-    confidence : float
-        0 .. 1.
-    line_number : int
-        Where it stands in its file.
-    """
-
-    unit: str
-    class_name: str
+    unit: str  # as in the file
+    class_name: str  # "pedestrian", "bicycle" or "other"
     box_px: Box
-    confidence: float
+    confidence: float  # 0 .. 1
     line_number: int
 
 
 class World(NamedTuple):
-    """How the bodies move in a frame.
+    """How the bodies move in a frame."""
 
-    Attributes
-    ----------
-    distance_m : float
-        Between the origins of VUT and VRU. [m]
-    vut_speed_mps, vru_speed_mps : float
-        Target speeds of the drive: the bodies may still stand. [m/s]
-    """
-
-    distance_m: float
-    vut_speed_mps: float
+    distance_m: float  # between the origins of VUT and VRU
+    vut_speed_mps: float  # target speeds of the drive: the bodies may still stand
     vru_speed_mps: float
 
 
 def read_labels(path: Path, form: RecordingFormat) -> tuple[list[Label], int]:
-    """Labels of a unit's frame, and how many lines repeat others.
+    """Labels of a unit's frame, ``UNIT/SCENARIO_FRAME.txt``, and how many lines repeat others.
 
-    Parameters
-    ----------
-    path : Path
-        ``UNIT/SCENARIO_FRAME.txt``; empty where nothing is in view.
-    form : RecordingFormat
-        The layout.
-
-    Returns
-    -------
-    labels : list of Label
-        Boxes as they stand there: the image does not clip them.
-    n_repeated : int
-        Lines that stand there again: the generator opens its files for appending.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or a line is not what it should be.
+    The file is empty where nothing is in view; boxes may extend beyond the image. Lines repeat
+    because the generator opens its files for appending.
     """
     lines, n_repeated = _lines(path)
     labels = []
@@ -234,11 +111,7 @@ def read_labels(path: Path, form: RecordingFormat) -> tuple[list[Label], int]:
 
 
 def read_detections(path: Path, form: RecordingFormat) -> tuple[list[Detection], int]:
-    """Detections of all units in a frame, and how many lines repeat others.
-
-    Parameters, returns and errors are those of :func:`read_labels`, for
-    ``Eval/SCENARIO_FRAME.txt``.
-    """
+    """Detections of all units, ``Eval/SCENARIO_FRAME.txt``, and how many lines repeat others."""
     lines, n_repeated = _lines(path)
     detections = []
     for number, line in lines:
@@ -256,29 +129,10 @@ def read_detections(path: Path, form: RecordingFormat) -> tuple[list[Detection],
 
 
 def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
-    """Distance and speeds of a frame, and how often they stand there again.
+    """Distance and speeds of a frame, ``WorldData/SCENARIO_FRAME.txt``, and how often they repeat.
 
     The generator ends the line without a line break: a frame that is recorded twice reads
-    ``12.5 5.6 1.412.5 5.6 1.4``.
-
-    Parameters
-    ----------
-    path : Path
-        ``WorldData/SCENARIO_FRAME.txt``.
-    form : RecordingFormat
-        The layout.
-
-    Returns
-    -------
-    world : World
-        What stands there.
-    n_repeated : int
-        How many times more.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, does not hold three numbers, or holds different ones twice.
+    ``12.5 5.6 1.412.5 5.6 1.4``. Different numbers in a file are an error.
     """
     text = _read_text(path).strip()
     once, n_repeated = _once(text, len(form.world_fields))
@@ -301,7 +155,7 @@ def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
 
 
 def _once(text: str, n_fields: int) -> tuple[str, int]:
-    """Text of `n_fields` words that may stand there several times, with or without line breaks."""
+    """The first `n_fields` words of a text that may repeat them, and how often it does."""
     lines = [line.strip() for line in text.splitlines()]
     if len(lines) > 1 and len(set(lines)) == 1:
         return lines[0], len(lines) - 1
@@ -323,7 +177,7 @@ def _read_text(path: Path) -> str:
 
 
 def _lines(path: Path) -> tuple[list[tuple[int, str]], int]:
-    """Lines with their numbers, each once, and how many repeat others."""
+    """Distinct lines with their numbers, and how many lines repeat others."""
     first_number: dict[str, int] = {}
     n_lines = 0
     for number, line in enumerate(_read_text(path).splitlines(), start=1):

@@ -1,15 +1,21 @@
-"""A recording from its folder: strict about what would make the result wrong, counting the rest."""
+"""A recording from its folder: its frames cut into drives, its labels and detections.
+
+What would make the result wrong is an error; what is merely left out is counted.
+"""
 
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
+from geometry.arrays import FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 
-from .drives import Drive, cut_drives, with_class
 from .files import (
     VRU_CLASSES,
     Box,
@@ -30,28 +36,200 @@ OUTSIDE = "boxes outside the image"
 NO_AREA = "boxes without area"
 REPEATED = "lines that repeat others"
 OTHER_NAMES = "files and folders with other names"
+RESETS = "frames between drives (bodies back at their starts)"
+TOO_SHORT = "frames of drives too short to tell their motion"
+NO_APPROACH = "frames of drives in which nothing approaches"
+MISFITS = "frames of drives whose distance does not fall as their speeds ask"
+
+UNSEEN = "unseen"
+"""Class of a VRU that no unit has a label of."""
 
 _FRAME_NAME = re.compile(r"(0|[1-9]\d{0,8})_(0|[1-9]\d{0,8})\.txt", re.ASCII)
 _UNIT_NAME = re.compile(r"0|[1-9]\d{0,8}", re.ASCII)
 _BESIDE = (".png", ".bin")  # images and points of the frames
 
 
-class Found(NamedTuple):
-    """A detection of a VRU by a unit.
+# ---------- drives: frames of a scenario up to the impact
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drive:
+    """Frames of one scenario at one speed, up to the impact.
 
     Attributes
     ----------
-    class_name : str
-        "pedestrian" or "bicycle".
-    box_px : (4,) float
-        Inside the image. [px]
-    confidence : float
-        0 .. 1.
+    scenario : int
+        Index in the recording.
+    vru_class : str
+        "pedestrian", "bicycle", or "unseen".
+    vut_speed_mps, vru_speed_mps : float
+        Target speeds. [m/s]
+    closing_speed_mps : float
+        At which the distance falls in the last second before the impact. [m/s]
+    first_number : int
+        Frame number of the first frame; the others follow one by one.
+    distance_m : (n_frames,) float
+        Between the origins of VUT and VRU; the last one is that of the impact. NaN for a frame that
+        is missing. [m]
     """
 
-    class_name: str
-    box_px: Box
-    confidence: float
+    scenario: int
+    vru_class: str
+    vut_speed_mps: float
+    vru_speed_mps: float
+    closing_speed_mps: float
+    first_number: int
+    distance_m: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "distance_m", freeze(self.distance_m))
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames, including missing ones."""
+        return len(self.distance_m)
+
+    @property
+    def n_missing(self) -> int:
+        """Number of frames that are missing."""
+        return int(np.isnan(self.distance_m).sum())
+
+    @property
+    def frames(self) -> tuple[FrameKey, ...]:
+        """Keys of all frames."""
+        return tuple(
+            FrameKey(self.scenario, self.first_number + index) for index in range(self.n_frames)
+        )
+
+    def __repr__(self) -> str:
+        return f"Drive(scenario {self.scenario}, {self.vru_class}, {self.n_frames} frames)"
+
+
+def cut_drives(
+    world: Mapping[FrameKey, World], form: RecordingFormat
+) -> tuple[list[Drive], Counter[str]]:
+    """Cut the frames of a recording into drives, and count the others by reason.
+
+    Within a scenario a drive is a sequence of frames with the same target speeds. Where the
+    distance rises by more than these allow, the bodies were put back and another drive begins, as
+    it does where many frames are missing. The impact is the frame of the smallest distance; what
+    follows does not belong to the drive, nor do frames after a reset in which the bodies still
+    stand. Classes are still "unseen".
+    """
+    drives: list[Drive] = []
+    left_out: Counter[str] = Counter()
+    for _, group in groupby(sorted(world), key=lambda key: (key.scenario, *world[key][1:])):
+        frames = list(group)
+        for part, is_after_reset in _between_resets(frames, world, form):
+            result = _drive(part, world, form, is_after_reset=is_after_reset)
+            if isinstance(result, Drive):
+                drives.append(result)
+                left_out[RESETS] += len(part) - (result.n_frames - result.n_missing)
+            else:
+                left_out[result] += len(part)
+    return drives, +left_out
+
+
+def with_class(drive: Drive, votes: Counter[str]) -> Drive:
+    """The drive with the class of VRU that most of its labels have.
+
+    A rider may be labelled beside the bicycle: if both are as frequent it is a bicycle's drive.
+    """
+    if not votes:
+        return drive
+    most = max(votes, key=lambda name: (votes[name], name == "bicycle"))
+    return replace(drive, vru_class=most)
+
+
+def _between_resets(
+    frames: list[FrameKey], world: Mapping[FrameKey, World], form: RecordingFormat
+) -> Iterator[tuple[list[FrameKey], bool]]:
+    """Parts of a sequence of frames, and whether another part comes before."""
+    distance, numbers = _distances(frames, world), _numbers(frames)
+    _, vut_speed, vru_speed = world[frames[0]]
+    fastest_m = (vut_speed + vru_speed) * np.diff(numbers) / form.frame_rate_hz
+    is_cut = np.diff(distance) > fastest_m + form.jump_m
+    is_cut |= np.diff(numbers) > form.max_gap_s * form.frame_rate_hz
+    cuts = np.flatnonzero(is_cut) + 1
+    bounds = [0, *cuts.tolist(), len(frames)]
+    for first, last in pairwise(bounds):
+        yield frames[first:last], first > 0
+
+
+def _drive(
+    frames: list[FrameKey],
+    world: Mapping[FrameKey, World],
+    form: RecordingFormat,
+    *,
+    is_after_reset: bool,
+) -> Drive | str:
+    """The drive in a part, or the reason why there is none."""
+    distance, numbers = _distances(frames, world), _numbers(frames)
+    _, vut_speed, vru_speed = world[frames[0]]
+    impact = int(np.argmin(distance))
+    first = _first_moving(distance, form) if is_after_reset else 0
+    n_window = round(form.window_s * form.frame_rate_hz)
+    is_near = (numbers >= numbers[impact] - n_window) & (numbers < numbers[impact])
+    is_near[:first] = False
+    if is_near.sum() + 1 < form.min_frames:
+        never_nears = impact <= first and len(frames) >= form.min_frames
+        return RESETS if is_after_reset else NO_APPROACH if never_nears else TOO_SHORT
+    # Without the frame of the impact: there the bodies have pushed each other already.
+    closing = closing_speed_mps(numbers[is_near] / form.frame_rate_hz, distance[is_near])
+    if closing < form.min_closing_speed_mps:
+        return RESETS if is_after_reset else NO_APPROACH
+    slowest, fastest = abs(vut_speed - vru_speed), vut_speed + vru_speed
+    tolerance = form.speed_tolerance
+    if not (1.0 - tolerance) * slowest <= closing <= (1.0 + tolerance) * fastest:
+        return MISFITS
+    laid_out = np.full(numbers[impact] - numbers[first] + 1, np.nan)
+    laid_out[numbers[first : impact + 1] - numbers[first]] = distance[first : impact + 1]
+    return Drive(
+        scenario=frames[0].scenario,
+        vru_class=UNSEEN,
+        vut_speed_mps=vut_speed,
+        vru_speed_mps=vru_speed,
+        closing_speed_mps=closing,
+        first_number=int(numbers[first]),
+        distance_m=laid_out,
+    )
+
+
+def _first_moving(distance_m: FloatArray, form: RecordingFormat) -> int:
+    """Last frame in which the bodies stand at their starts."""
+    has_moved = np.abs(distance_m - distance_m[0]) > form.standing_m
+    return int(np.argmax(has_moved)) - 1 if has_moved.any() else len(distance_m) - 1
+
+
+def _distances(frames: list[FrameKey], world: Mapping[FrameKey, World]) -> FloatArray:
+    return np.array([world[key].distance_m for key in frames])
+
+
+def _numbers(frames: list[FrameKey]) -> IntArray:
+    return np.array([key.number for key in frames], dtype=np.int64)
+
+
+def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
+    """How fast a distance falls, by least squares: minus the slope of the line through it.
+
+    Examples
+    --------
+    >>> round(closing_speed_mps(np.array([-0.2, -0.1]), np.array([6.0, 5.5])), 9)
+    5.0
+    """
+    time = time_s - time_s.mean()
+    return -float(time @ (distance_m - distance_m.mean()) / (time @ time))
+
+
+# ---------- the folder
+
+
+class Found(NamedTuple):
+    """A detection of a VRU by a unit."""
+
+    class_name: str  # "pedestrian" or "bicycle"
+    box_px: Box  # inside the image
+    confidence: float  # 0 .. 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -251,7 +429,7 @@ def _read_all_detections(
 
 
 def _inside(box: Box, form: RecordingFormat, skipped: Counter[str]) -> Box | None:
-    """The part of a box inside the image; None, counted, if there is none."""
+    """The part of a box inside the image; None, and counted, if there is none."""
     x_min, y_min, x_max, y_max = box
     if x_min == x_max or y_min == y_max:
         skipped[NO_AREA] += 1

@@ -9,12 +9,7 @@ from uuid import uuid4
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted
 
-from .files import (
-    VRU_CLASSES,
-    FrameKey,
-    RecordingFormat,
-    load_format,
-)
+from .files import VRU_CLASSES, FrameKey, RecordingFormat, load_format
 
 CONFIDENCE = 1.0
 """Of every detection that is written."""
@@ -98,7 +93,7 @@ def write_recording(
     Raises
     ------
     InputError
-        There is no drive, units differ, or the folder holds something or cannot be written.
+        There is no drive, units differ, or the folder is not empty or cannot be written.
     """
     form = load_format()
     if not drives:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from experiments.cli import main
-from experiments.jobs import placement, planning, writing
+from experiments.jobs import placement, writing
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
+from placement import planning
 from placement.candidates import CandidatePose, load_candidate_grid
 from placement.detectors import load_detector, load_planning_detector
 from placement.layout import Layout

@@ -10,10 +10,11 @@ from browser_pages import open_page, start_browser
 from interactive_pages import EVIL, build_evaluation, build_layout, with_evil_names
 from partial_pages import build_result
 
-from experiments.jobs import placement, planning
+from experiments.jobs import placement
 from experiments.progress import StageProgress
 from experiments.report.page import write_report
 from experiments.study.layout import load_carlancap_layout
+from placement import planning
 from placement.candidates import load_candidate_grid
 from placement.compute import Compute
 from placement.layout import Layout, layout_records

@@ -165,11 +165,11 @@ def test_placements_are_as_the_schema_says(kind, small_study, without_figures, r
     assert load_result(tmp_path / "out").summary == summary
 
 
-def test_prices_of_private_ground_are_in_the_schema(
+def test_private_ground_is_in_the_schema(
     small_study, without_figures, run, tmp_path, garden, layout_files
 ):
     summary = written(
-        run, tmp_path / "out", "--budget", 1, "--no-look", garden, "--no-look-price", 1
+        run, tmp_path / "out", "--budget", 1, "--no-look", garden, "--no-look-share", 1
     )
     assert messages(summary) == []
     assert summary["private_ground"]["areas"][0]["name"] == "garden"

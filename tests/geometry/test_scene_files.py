@@ -11,7 +11,7 @@ from geometry.errors import InputError
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.frames import from_carla_points, to_geographic
 from geometry.scene import CLASS_NAMES, containing_instance
-from geometry.scene_files import load_scene, load_study_scene
+from geometry.scene_files import load_box_scene, load_study_scene
 
 TOWN05 = tomllib.loads((files("geometry") / "data" / "town05.toml").read_text(encoding="utf-8"))
 
@@ -261,7 +261,7 @@ def _inline(value) -> str:
 def _load(tmp_path, table):
     path = tmp_path / "small.toml"
     path.write_text(_toml(table), encoding="utf-8")
-    return load_scene(path)
+    return load_box_scene(path)
 
 
 def test_parked_rows_have_the_stated_gaps_and_begin_at_the_first_bumper(tmp_path):
@@ -353,25 +353,25 @@ def test_the_study_scene_is_read_once():
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("name", None, "{}.name: got nothing; expected a value"),
-        ("crs", "", "{}.crs: got ''; expected text"),
-        ("frame", None, "{}.frame: got nothing; expected a value"),
+        ("name", None, "{}: name: got nothing; expected a value"),
+        ("crs", "", "{}: crs: got ''; expected text"),
+        ("frame", None, "{}: frame: got nothing; expected a value"),
         ("frame", "enu", "{}: frame: got 'enu'; expected one of carla-left-handed"),
-        ("ground", None, "{}.ground: got nothing; expected a value"),
+        ("ground", None, "{}: ground: got nothing; expected a value"),
         ("ground", 3, "{}: ground: got 3; expected a table"),
         ("ground.half_size_m", 0.0, "{}: ground.half_size_m: got 0.0; expected a number > 0"),
-        ("outline_m", None, "{}.outline_m: got nothing; expected a value"),
+        ("outline_m", None, "{}: outline_m: got nothing; expected a value"),
         (
             "outline_m",
             [[1.0, 2.0, 3.0]],
-            "{}.outline_m: got shape (1, 3); expected shape (-1, 2)",
+            "{}: outline_m: got shape (1, 3); expected shape (-1, 2)",
         ),
         (
             "outline_m",
             [[1.0, 2.0], [3.0]],
-            "{}.outline_m: got [[1.0, 2.0], [3.0]]; expected numbers of shape (-1, 2)",
+            "{}: outline_m: got [[1.0, 2.0], [3.0]]; expected numbers of shape (-1, 2)",
         ),
-        ("walls", 3, "{}.walls: got 3; expected a list"),
+        ("walls", 3, "{}: walls: got 3; expected a list"),
         ("walls", [3], "{}: walls[0]: got 3; expected a table"),
         ("walls.0.id", None, "{}: walls[0].id: got nothing; expected a value"),
         ("walls.0.height_m", None, "{}: walls[0].height_m: got nothing; expected a value"),
@@ -469,5 +469,5 @@ def test_an_unknown_body_in_a_row_lists_the_known_ones(tmp_path):
 def test_a_file_that_is_not_there_is_named(tmp_path):
     path = tmp_path / "none.toml"
     with pytest.raises(InputError) as caught:
-        load_scene(path)
+        load_box_scene(path)
     assert str(caught.value) == f"{path}: got No such file or directory; expected a readable file"

@@ -3,15 +3,18 @@ import zipfile
 import numpy as np
 import pytest
 import trimesh
+from osm_text import LAT_DEG, LON_DEG, OsmText
 
 from geometry.errors import InputError
 from geometry.frames import from_gltf_points, to_gltf_points
-from geometry.scene_files import load_study_scene
-from geometry.scene_folders import (
+from geometry.junction import build_junction
+from geometry.scene_files import (
     SCENE_FILE,
     THINGS_FILE,
     load_notes,
+    load_scene,
     load_scene_folder,
+    load_study_scene,
     pack_scene,
     save_scene,
 )
@@ -122,10 +125,62 @@ def test_what_is_no_scene_is_refused(folder, tmp_path):
 
 
 def test_a_bomb_in_an_archive_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("geometry.scene_folders._MAX_BYTES", {SCENE_FILE: 1000, THINGS_FILE: 1000})
+    monkeypatch.setattr("geometry.scene_files._MAX_BYTES", {SCENE_FILE: 1000, THINGS_FILE: 1000})
     file = tmp_path / "bomb.zip"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(SCENE_FILE, "#" * 2_000_000)
         archive.writestr(THINGS_FILE, "")
     with pytest.raises(InputError, match="more than 1,000 bytes"):
         load_scene_folder(file)
+
+
+# From wherever it is
+
+
+def _two_crossings(folder):
+    """A map: four streets that meet at the origin, three that meet 200 m east of it."""
+    osm = OsmText()
+    west, east = osm.node(0.0, 0.0), osm.node(200.0, 0.0)
+    osm.road([west, east], name="Link")
+    for middle, x_m, ways in (
+        (west, 0.0, ((-1, 0), (0, 1), (0, -1))),
+        (east, 200.0, ((0, 1), (1, 0))),
+    ):
+        for along, up in ways:
+            osm.road([middle, (x_m + 100.0 * along, 100.0 * up)], name=f"{x_m:g} {along} {up}")
+    return osm.write(folder)
+
+
+def test_a_scene_is_loaded_from_wherever_it_is(folder, tmp_path):
+    assert load_scene() is load_scene("town05") is load_study_scene()
+    archive = tmp_path / "scene.zip"
+    pack_scene(folder, archive)
+    for path in (folder, str(folder), archive, str(archive)):
+        assert load_scene(path).instances == load_study_scene().instances
+
+
+def test_a_junction_of_a_map_is_loaded_by_name_by_place_or_as_the_largest(tmp_path):
+    path = _two_crossings(tmp_path)
+    packed = tmp_path / "map.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.write(path, "map.osm")
+    largest = load_scene(path)
+    assert len(build_junction(largest).arms) == 4
+    assert largest.sites
+    for other in (
+        load_scene(str(path), junction="2"),
+        load_scene(path, at=(LON_DEG + 0.003, LAT_DEG)),
+    ):
+        assert len(build_junction(other).arms) == 3
+    assert load_scene(packed).lanes[0].id == largest.lanes[0].id
+    with pytest.raises(InputError, match="--at: got it beside --junction"):
+        load_scene(path, junction="2", at=(LON_DEG, LAT_DEG))
+
+
+def test_what_is_neither_a_scene_nor_a_map_is_named(tmp_path):
+    with pytest.raises(InputError, match="got nothing there; expected a scene"):
+        load_scene(tmp_path / "gone.osm")
+    text = tmp_path / "notes.txt"
+    text.write_text("nothing")
+    with pytest.raises(InputError, match=r"notes\.txt: got .*; expected a scene"):
+        load_scene(text)

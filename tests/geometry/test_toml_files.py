@@ -131,6 +131,28 @@ class Mount:
             raise InputError("mount nowhere", self.height_m, "another name")
 
 
+class Pole(Struct, frozen=True, kw_only=True, tag="pole", tag_field="kind"):
+    """One of two tables that the field "kind" tells apart."""
+
+    height_m: float
+
+
+class Wall(Struct, frozen=True, kw_only=True, tag="wall", tag_field="kind"):
+    """The other one."""
+
+    length_m: float
+
+    def __post_init__(self) -> None:
+        if self.length_m > 100.0:
+            raise InputError("", self.length_m, "a wall that somebody would build")
+
+
+class Place(Struct, frozen=True, kw_only=True):
+    """A table with one of them."""
+
+    thing: Pole | Wall
+
+
 class Mounts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Several of them; nothing else is known."""
 
@@ -164,13 +186,13 @@ def test_named_tables_know_their_names():
     ("change", "message"),
     [
         ({"name": 3}, "name: got 3; expected text"),
-        ({"height_m": "high"}, "height_m: got 'high'; expected a number > 0"),
-        ({"height_m": True}, "height_m: got True; expected a number > 0"),
+        ({"height_m": "high"}, "height_m: got 'high'; expected a finite number"),
+        ({"height_m": True}, "height_m: got True; expected a finite number"),
         ({"height_m": 0}, "height_m: got 0; expected a number > 0"),
         ({"height_m": float("nan")}, "height_m: got nan; expected a finite number"),
         ({"height_m": float("inf")}, "height_m: got inf; expected a finite number"),
         ({"height_m": 10**400}, f"height_m: got 1{199 * '0'}..; expected a finite number"),
-        ({"n_units": 2.5}, "n_units: got 2.5; expected a whole number, at least 1"),
+        ({"n_units": 2.5}, "n_units: got 2.5; expected a whole number"),
         ({"n_units": 0}, "n_units: got 0; expected a whole number, at least 1"),
         ({"limits_m": 3}, "limits_m: got 3; expected [low, high] in metres"),
         ({"limits_m": [3]}, "limits_m: got [3]; expected [low, high] in metres"),
@@ -215,3 +237,24 @@ def test_what_a_value_checks_itself_is_said_in_its_own_words():
     assert _message(read_table, {**MOUNT, "name": "nowhere"}, Mount, "f.toml") == (
         "mount nowhere: got 4.0; expected another name"
     )
+
+
+@pytest.mark.parametrize(
+    ("thing", "message"),
+    [
+        ({"kind": "tree"}, "thing.kind: got 'tree'; expected one of pole, wall"),
+        ({"height_m": 3}, "thing.kind: got nothing; expected a value"),
+        ({"kind": "wall", "height_m": 3}, "thing.length_m: got nothing; expected a value"),
+        ({"kind": "wall", "length_m": "x"}, "thing.length_m: got 'x'; expected a finite number"),
+        (
+            {"kind": "wall", "length_m": 101},
+            "thing: got 101.0; expected a wall that somebody would build",
+        ),
+        (3, "thing: got 3; expected a table"),
+    ],
+)
+def test_tables_that_one_field_tells_apart_say_what_is_wrong(thing, message):
+    assert read_table({"thing": {"kind": "pole", "height_m": 1}}, Place, "f.toml").thing == Pole(
+        height_m=1.0
+    )
+    assert _message(read_table, {"thing": thing}, Place, "f.toml") == f"f.toml: {message}"

@@ -10,13 +10,11 @@ from strategies import numbers
 from geometry.errors import InputError
 from placement.latency import (
     DEFAULT_LATENCY_BUDGET,
-    LATENCY_MODES,
     LatencyBudget,
     LatencyPart,
     fixed_latency,
     load_latency_budget,
     load_latency_budgets,
-    pick_latency_s,
 )
 from scenarios.aeb import load_aeb_rule
 
@@ -170,28 +168,8 @@ def test_a_fixed_budget_has_the_tolerance_of_the_braking_rule():
 # One number for commands that need one
 
 
-def test_one_latency_is_picked_by_mode():
-    budget = load_latency_budget("cpm-100ms")
-    assert pick_latency_s(budget, "mean") == budget.mean_s
-    assert pick_latency_s(budget, "worst") == budget.worst_s
+def test_one_number_is_a_budget_of_one_part():
     assert fixed_latency(0.04).worst_s == 0.04
-
-
-@pytest.mark.parametrize(
-    ("mode", "message"),
-    [
-        (
-            "sampled",
-            "--latency-mode: got 'sampled'; expected mean or worst: this command draws no "
-            "latencies",
-        ),
-        ("best", "--latency-mode: got 'best'; expected one of " + ", ".join(LATENCY_MODES)),
-    ],
-)
-def test_a_mode_that_cannot_be_is_told(mode, message):
-    with pytest.raises(InputError) as caught:
-        pick_latency_s(load_latency_budget(), mode)
-    assert str(caught.value) == message
 
 
 # Files

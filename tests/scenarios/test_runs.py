@@ -140,27 +140,7 @@ def test_a_junction_that_lies_otherwise_gives_the_same_runs(actors, rule, name, 
         assert apart == pytest.approx(apart_here, abs=1e-6)
 
 
-# Phase, weather, approaches
-
-
-def test_the_worst_phase_loses_up_to_a_frame_before_the_last_moment(actors, rule):
-    cases = pick_cases("CPNCO-50", "cases")
-    scene, vut = load_study_scene(), actors["vut"]
-    aligned, _ = build_runs(scene, cases, vut=vut, rule=rule)
-    worst, _ = build_runs(scene, cases, vut=vut, rule=rule, phase="worst")
-    for run, late in zip(aligned, worst, strict=True):
-        assert run.id == late.id
-        shift_s = run.time_s[-1] - late.time_s[-1]
-        assert 0.0 <= shift_s < 0.1
-        assert late.time_s[:-1] + 0.1 == pytest.approx(late.time_s[1:])
-        deadline_s = run.last_brake_time_s - rule.latency_s
-
-        def waits_s(shift_s, deadline_s=deadline_s):
-            frames = np.arange(-400, 1) / 10.0 - shift_s
-            return deadline_s - frames[frames <= deadline_s + 1e-9].max()
-
-        assert waits_s(shift_s) == pytest.approx(max(waits_s(k / 100.0) for k in range(10)))
-        assert waits_s(shift_s) >= 0.09 - 1e-6
+# Weather, approaches
 
 
 def test_each_weather_is_a_run_of_its_own(actors, rule):
@@ -181,7 +161,6 @@ def test_each_weather_is_a_run_of_its_own(actors, rule):
             "approach: got 'up'; expected one of east, north, west, south",
         ),
         ({"weathers": ["snow"]}, "weather: got 'snow'; expected one of day, night, rain, fog"),
-        ({"phase": "late"}, "phase: got 'late'; expected one of aligned, worst"),
     ],
 )
 def test_unknown_words_list_the_known_ones(actors, rule, options, message):

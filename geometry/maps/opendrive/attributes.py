@@ -1,9 +1,9 @@
-"""Attributes of XML elements, checked; the header; facts of the format; what is left out."""
+"""Checked attributes of XML elements, the header, facts of the format, and a list of omissions."""
 
 import math
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -14,37 +14,18 @@ import numpy as np
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from ...files import load_toml
-from ..source_map import Skipped
-
-# ---------- attributes of XML elements as numbers and words, checked
-
+from ..source_map import Omissions
 
 MAX_MAGNITUDE = 1.0e12  # beyond it cubes of arc lengths leave what floats can hold
 MAX_SIZE_M = 1.0e4
-_UNSET = ("", "none", "undefined", "nan")  # what exporters write where they know nothing
+_UNSET = ("", "none", "undefined", "nan")  # written by exporters for unknown values
 
 
 def take_number(element: Element, key: str, where: str) -> float:
-    """Finite number of an attribute that must be there.
+    """Finite number of an attribute that must be there, at most ``MAX_MAGNITUDE`` in size.
 
-    Parameters
-    ----------
-    element : Element
-        Who has it.
-    key : str
-        Its name.
-    where : str
-        File and element, for messages: "Town.xodr: road 5 geometry[2]".
-
-    Returns
-    -------
-    value : float
-        At most ``MAX_MAGNITUDE`` in size.
-
-    Raises
-    ------
-    InputError
-        It is missing, no number, or not finite.
+    `where` is file and element, for messages: "Town.xodr: road 5 geometry[2]". Raises InputError if
+    the attribute is missing, no number, or not finite.
     """
     text = element.get(key)
     if text is None:
@@ -61,25 +42,22 @@ def take_number(element: Element, key: str, where: str) -> float:
 
 
 def take_number_or(element: Element, key: str, where: str, default: float) -> float:
-    """Finite number of an attribute, or what holds where it is missing or left open."""
+    """Finite number of an attribute, or the default if it is missing or left open."""
     value = take_number_if_any(element, key, where)
     return default if value is None else value
 
 
 def take_number_if_any(element: Element, key: str, where: str) -> float | None:
-    """Finite number of an attribute, or None where it is missing or left open."""
+    """Finite number of an attribute, or None if it is missing or left open."""
     if element.get(key, "").strip().lower() in _UNSET:
         return None
     return take_number(element, key, where)
 
 
 def take_size(element: Element, key: str, where: str) -> float | None:
-    """A length, width, height or radius; None where it is missing, left open or not above 0.
+    """A length, width, height or radius; None if it is missing, left open or not above 0.
 
-    Raises
-    ------
-    InputError
-        It is no finite number, or larger than anything beside a road.
+    Raises InputError if it is not finite, or larger than anything beside a road.
     """
     value = take_number_if_any(element, key, where)
     if value is not None and value > MAX_SIZE_M:
@@ -88,13 +66,7 @@ def take_size(element: Element, key: str, where: str) -> float | None:
 
 
 def take_id(element: Element, where: str) -> str:
-    """Attribute id, which must be there.
-
-    Raises
-    ------
-    InputError
-        It is missing or empty.
-    """
+    """Attribute id; raises InputError if it is missing or empty."""
     text = element.get("id", "").strip()
     if not text:
         raise InputError(f"{where}.id", Unquoted("nothing"), "an id")
@@ -102,64 +74,12 @@ def take_id(element: Element, where: str) -> str:
 
 
 def numbered(parent: Element | None, tag: str, where: str) -> Iterator[tuple[Element, str]]:
-    """Children of one kind and where they stand: "Town.xodr: road 5 geometry[2]"."""
+    """Children with a tag, and their names for messages: "Town.xodr: road 5 geometry[2]"."""
     for index, child in enumerate([] if parent is None else parent.findall(tag)):
         yield child, f"{where} {tag}[{index}]"
 
 
-# ---------- what is left out of a file, and why: counted by kind, so that the list stays short
-
-
-_MAX_ENTRIES = 100
-
-
-@dataclass(frozen=True, slots=True)
-class Omissions:
-    """A list that grows while a file is read.
-
-    Attributes
-    ----------
-    found : dict of (str, str) to list of str
-        Ids of what was left out, by what it is (in the plural) and why.
-    """
-
-    found: dict[tuple[str, str], list[str]] = field(default_factory=dict)
-
-    def add(self, kind: str, name: str, why: str) -> None:
-        """Leave one thing out.
-
-        Parameters
-        ----------
-        kind : str
-            What it is, in the plural: "signals of other kinds".
-        name : str
-            The one at hand: "road 5 signal 12".
-        why : str
-            In words.
-        """
-        self.found.setdefault((kind, why), []).append(name)
-
-    def listed(self) -> tuple[Skipped, ...]:
-        """One entry per kind and reason."""
-        entries = [
-            Skipped(
-                what=names[0]
-                if len(names) == 1
-                else f"{len(names)} {kind}, such as {names[0]} and {names[1]}",
-                why=why,
-            )
-            for (kind, why), names in self.found.items()
-        ]
-        if len(entries) > _MAX_ENTRIES:
-            n_more = len(entries) - _MAX_ENTRIES + 1
-            entries = entries[: _MAX_ENTRIES - 1]
-            entries.append(Skipped(what=f"{n_more} more kinds of things", why="see those above"))
-        return tuple(entries)
-
-
-# ---------- where on earth a file lies, and how its coordinates are shifted to get there
-
-
+# ---------- the header
 _MAX_CRS_CHARACTERS = 20_000
 # They speak of heights, and name grids that need not be at hand.
 _VERTICAL_PARAMETERS = ("+geoidgrids=", "+vunits=", "+vto_meter=", "+geoid_crs=")
@@ -167,14 +87,7 @@ _VERTICAL_PARAMETERS = ("+geoidgrids=", "+vunits=", "+vto_meter=", "+geoid_crs="
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offset:
-    """From the coordinates of a file to those of its projection.
-
-    Attributes
-    ----------
-    x_m, y_m, z_m : float
-        [m]
-    heading_rad : float
-        About the vertical, applied first. [rad]
+    """Offset from the coordinates of a file to those of its projection; rotation is applied first.
 
     References
     ----------
@@ -195,13 +108,7 @@ class Offset:
 
 
 def read_offset(root: Element, where: str) -> Offset:
-    """Offset of a document's header; none: all zero.
-
-    Raises
-    ------
-    InputError
-        A number is not finite.
-    """
+    """Offset of a document's header; all zero without one."""
     element = root.find("header/offset")
     if element is None:
         return Offset()
@@ -213,15 +120,10 @@ def read_offset(root: Element, where: str) -> Offset:
 
 
 def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
-    """Coordinate reference system of a document.
+    """Coordinate reference system of a document: one for pyproj, and the declared one.
 
-    Returns
-    -------
-    crs : str
-        For pyproj, projected and in metres, without what it says about heights; empty: the file
-        names none, or one that is no such thing (noted in `omissions`).
-    source_crs : str
-        What the file says, or of CARLA's maps means.
+    The first is projected, in metres and without parameters of heights; it is empty if the file
+    names none, or one that does not fit (noted in `omissions`).
     """
     element = root.find("header/geoReference")
     source = "" if element is None else " ".join("".join(element.itertext()).split())
@@ -243,7 +145,7 @@ def _without_heights(source: str) -> str:
 
 
 def _with_projection(crs: str) -> str:
-    """CARLA writes the point alone (+lat_0=49 +lon_0=8) and means a transverse Mercator there."""
+    """Complete CARLA's short form: +lat_0=49 +lon_0=8 means a transverse Mercator there."""
     words = [word.partition("=")[0] for word in crs.split()]
     if set(words) != {"+lat_0", "+lon_0"}:
         return crs
@@ -271,18 +173,16 @@ def _why_not(crs: str) -> str:
     return "" if units == {1.0} else "not in metres"
 
 
-# ---------- the facts in ``geometry/maps/data/opendrive.toml``
-
-
+# ---------- facts of the format
 @cache
 def load_facts() -> dict[str, Any]:
-    """Lane kinds, words, types and assumed numbers."""
+    """Lane kinds, words, types and assumed numbers from ``geometry/maps/data/opendrive.toml``."""
     return load_toml(files("geometry.maps") / "data" / "opendrive.toml")
 
 
 @cache
 def lane_kinds() -> dict[str, str]:
-    """Kind of lane by the standard's type, written small."""
+    """Kind of lane by the standard's type in lower case."""
     kinds: dict[str, list[str]] = load_facts()["lane_kinds"]
     return {name.lower(): kind for kind, names in kinds.items() for name in names}
 

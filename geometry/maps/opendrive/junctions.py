@@ -1,4 +1,4 @@
-"""Junctions: which a file has, the roads that end at them, and the road surface they cover."""
+"""Junctions: records of a file, the roads that end at them, and outlines of their road surface."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,54 +9,33 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
-from ..source_map import MapJunction, MapLane
-from .attributes import Omissions, numbered, take_id
+from ..source_map import MapJunction, MapLane, Omissions
+from .attributes import numbered, take_id
 from .lanes import RoadEnds, SampledSection, lane_kind
 from .roads import NO_JUNCTION, Road, RoadLink
 
-# ---------- junctions: which a file has, and which roads begin and end at them
-
-
 _WITHOUT_SURFACE = {
     "direct": "its roads join without connecting roads: it has no surface of its own",
-    "virtual": "it lies on a road that goes on: no lane ends at it",
-    "crossing": "its roads cross without a way from one to the other",
+    "virtual": "it lies on a continuous road: no lane ends at it",
+    "crossing": "its roads cross without a connection",
 }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JunctionRecord:
-    """A junction as the file has it.
-
-    Attributes
-    ----------
-    id, name : str
-        Of the file.
-    has_surface : bool
-        It has connecting roads, by its type.
-    incoming : tuple of str
-        Ids of the roads that lead to it.
-    element : Element
-        For what else it has.
-    """
+    """A junction as the file has it."""
 
     id: str
     name: str
-    has_surface: bool
-    incoming: tuple[str, ...]
-    element: Element
+    has_surface: bool  # by its type it has connecting roads
+    incoming: tuple[str, ...]  # ids of the roads that lead to it
+    element: Element  # for further content
 
 
 def read_junction_records(
     root: Element, where: str, omissions: Omissions
 ) -> dict[str, JunctionRecord]:
-    """Junctions of a document, by id.
-
-    Raises
-    ------
-    InputError
-        One has no id, or that of another.
-    """
+    """Junctions of a document, by id; raises InputError if an id is missing or double."""
     found: dict[str, JunctionRecord] = {}
     for element, here in numbered(root, "junction", where):
         junction_id = take_id(element, here)
@@ -81,10 +60,10 @@ def read_junction_records(
 def find_road_ends(
     roads: Mapping[str, Road], junctions: Mapping[str, JunctionRecord], omissions: Omissions
 ) -> dict[str, RoadEnds]:
-    """Junctions at both ends of the roads that are no connecting ones, by id of the road.
+    """Junctions at both ends of the roads outside junctions, by id of the road.
 
-    From the roads' own links; where one has none, from the connecting roads that lead to it. Links
-    to what there is not are noted in `omissions`.
+    They come from the roads' own links, or else from the connecting roads that lead to them. Links
+    to missing roads and junctions are noted in `omissions`.
     """
     led_to: dict[tuple[str, str], str] = {}
     for road in roads.values():
@@ -96,7 +75,7 @@ def find_road_ends(
         known = {"junction": junctions, "road": roads}.get(link.kind, {})
         if link.kind and link.id not in known:
             omissions.add(
-                "links to what there is not",
+                "links to missing roads or junctions",
                 f"road {road.id}, link to {link.kind[:20]} {link.id[:40]}",
                 "the file has no such road or junction",
             )
@@ -124,11 +103,9 @@ def junction_name(record: JunctionRecord, roads: Mapping[str, Road]) -> str:
     return " / ".join(dict.fromkeys(name for name in names if name))
 
 
-# ---------- outlines of junctions: the road surface that their connecting roads cover
-
-
-_ARM_KINDS = ("driving", "parking")  # where a car parked at the corner hides who crosses
-_AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; what follows may move it by a little
+# ---------- outlines
+_ARM_KINDS = ("driving", "parking")  # a car parked at the corner hides who crosses
+_AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; later steps may move it slightly
 _MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction
 _MOUTH_M = 15.0  # of a lane, which is no part of the junction
 _WAY_WIDTH_M = 1.0  # to a lane's end outside: other ends that it passes stay at the outline
@@ -149,35 +126,12 @@ def build_junctions(
     omissions: Omissions,
     where: str,
 ) -> tuple[list[MapJunction], list[MapLane]]:
-    """Junctions with their outlines.
+    """Junctions with their outlines, and lanes without links to missing junctions.
 
-    Parameters
-    ----------
-    records : mapping of str to JunctionRecord
-        By id.
-    roads : mapping of str to Road
-        By id.
-    sampled : mapping of str to sequence of SampledSection
-        Of these roads.
-    lanes : sequence of MapLane
-        Of the roads between junctions.
-    omissions : Omissions
-        Where to note junctions without surface, and lanes that end far from theirs.
-    where : str
-        File, for messages.
-
-    Returns
-    -------
-    junctions : list of MapJunction
-        The union of the driving lanes of their connecting roads, without holes; the ends of driving
-        and parking lanes that lead there lie on the outline.
-    lanes : list of MapLane
-        Those given, but without junctions that are not there, or far off.
-
-    Raises
-    ------
-    InputError
-        The roads of a junction take more points than can be.
+    An outline is that of the union of the driving lanes of the connecting roads, without holes; the
+    ends of driving and parking lanes that lead there lie on it. Junctions without surface, and
+    lanes that end far from theirs, are noted. Raises InputError if a junction needs too many
+    points.
     """
     members: dict[str, list[str]] = {}
     for road in roads.values():
@@ -253,7 +207,7 @@ def _tips_by_junction(lanes: Sequence[MapLane]) -> dict[str, list[tuple[MapLane,
 
 
 def _surface(sections: Sequence[SampledSection]) -> Any:
-    """Union of the strips of driving lanes, its largest part without holes; None: there is none."""
+    """Largest part of the union of the strips of driving lanes, without holes, or None."""
     import shapely
 
     rings = [
@@ -273,7 +227,7 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
 
 
 def _rings(inner_m: FloatArray, outer_m: FloatArray) -> list[FloatArray]:
-    """Outlines (k, 2) of a strip in short pieces: what winds over itself stays cheap to mend."""
+    """Outlines (k, 2) of a strip in short pieces, so that self-intersections stay cheap to mend."""
     last = len(inner_m) - 1
     return [
         np.concatenate(
@@ -287,7 +241,7 @@ def _rings(inner_m: FloatArray, outer_m: FloatArray) -> list[FloatArray]:
 
 
 def _largest(shape: Any) -> Any:
-    """Largest polygon of a shape, its holes filled; None where there is none to speak of."""
+    """Largest polygon of a shape with its holes filled, or None if it is tiny."""
     import shapely
 
     parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
@@ -299,12 +253,8 @@ def _largest(shape: Any) -> Any:
 def _fit(surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]) -> tuple[Any, list[MapLane]]:
     """Move an outline to the ends of the lanes that lead to it.
 
-    Returns
-    -------
-    surface : Polygon
-        Without the mouths of lanes that end inside, and with ways to those that end outside.
-    far : list of MapLane
-        Those too far outside.
+    The mouths of lanes that end inside are cut off, and narrow ways lead to those that end outside.
+    Returns also the lanes whose ends are too far outside.
     """
     import shapely
 

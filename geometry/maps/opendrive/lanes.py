@@ -1,4 +1,4 @@
-"""Lanes of roads: sampled as points, joined along their sections, short stubs taken in."""
+"""Lanes of roads: sampled as points, joined along lane sections and with short stubs."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,9 +13,6 @@ from .attributes import lane_kinds
 from .reference_line import MAX_COORDINATE_M, PiecewiseCubic, evaluate
 from .roads import LaneRecord, LaneSection, Road
 
-# ---------- roads as points
-
-
 MAX_POINTS = 5_000_000  # of a file
 _CHORD_ERROR_M = 0.02  # below the 3 cm that are asked for: bounds of bends are sampled
 _MAX_STEP_M = 5.0
@@ -27,18 +24,10 @@ _MAX_TURN_RAD = 200.0  # of one piece: some thirty rounds
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledLane:
-    """A lane of a section as points.
-
-    Attributes
-    ----------
-    record : LaneRecord
-        What it is.
-    inner_m, outer_m : (n,) float
-        Where its edges are, to the left of the reference line. [m]
-    """
+    """A lane of a section as points."""
 
     record: LaneRecord
-    inner_m: FloatArray
+    inner_m: FloatArray  # (n,), its edges, to the left of the reference line
     outer_m: FloatArray
 
     @property
@@ -51,24 +40,12 @@ class SampledLane:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledSection:
-    """A lane section as points.
+    """A lane section as points."""
 
-    Attributes
-    ----------
-    s_m : (n,) float
-        Stations, from its begin to its end. [m]
-    points_m : (n, 3) float
-        Of the reference line. [m]
-    left : (n, 2) float
-        Unit vectors to the left of it.
-    lanes : dict of int to SampledLane
-        By number.
-    """
-
-    s_m: FloatArray
-    points_m: FloatArray
-    left: FloatArray
-    lanes: dict[int, SampledLane]
+    s_m: FloatArray  # (n,), stations from its begin to its end
+    points_m: FloatArray  # (n, 3), of the reference line
+    left: FloatArray  # (n, 2), unit vectors to the left of it
+    lanes: dict[int, SampledLane]  # by number
 
     def beside(self, t_m: FloatArray) -> FloatArray:
         """Points (n, 3) some metres to the left of the reference line."""
@@ -77,27 +54,13 @@ class SampledSection:
         return points
 
 
-def sample_road(road: Road, bends: FloatArray | None = None) -> tuple[SampledSection, ...]:
+def sample_road(road: Road) -> tuple[SampledSection, ...]:
     """Sample all lane sections of a road.
 
-    Parameters
-    ----------
-    road : Road
-        What to sample.
-    bends : (n_pieces, 3) float, optional
-        Of its reference line, where known.
-
-    Returns
-    -------
-    sections : tuple of SampledSection
-        Stations at most 5 m apart along any lane, chords at most 3 cm from the curve.
-
-    Raises
-    ------
-    InputError
-        A curve turns so fast that this takes more points than can be.
+    Stations are at most 5 m apart along any lane, and chords at most 3 cm from the curve. Raises
+    InputError if that needs too many points.
     """
-    bends = road.line.bends() if bends is None else bends
+    bends = road.line.bends()
     return tuple(_sample_section(road, section, bends) for section in road.sections)
 
 
@@ -166,7 +129,7 @@ def _check_count(road: Road, n_points: float) -> None:
 
 
 def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray]:
-    """Begins and lengths of stretches in which nothing but one formula holds, (n,) each."""
+    """Begins and lengths, (n,) each, of stretches in which line and cubics have one piece."""
     cubics: list[PiecewiseCubic] = [road.offset, road.elevation]
     for lane in (*section.left, *section.right):
         cubics += [lane.width, lane.border]
@@ -196,8 +159,8 @@ def _count_steps(
 ) -> NDArray[np.int64]:
     """Steps per interval, (n,) int.
 
-    A chord of h metres leaves a curve by h^2 / 8 times its second derivative at most, here that of
-    p(s) + t(s) n(s): the bend of the line, widened outwards, what t adds, and the elevation.
+    A chord of h metres leaves a curve by at most h^2 / 8 times its second derivative, here that of
+    p(s) + t(s) n(s): the bend of the line, widened outwards, the change of t, and the elevation.
     """
     piece = np.maximum(np.searchsorted(road.line.starts_m, inside, side="right") - 1, 0)
     curvature, change, stride = bends[piece].T
@@ -239,9 +202,7 @@ def _count_steps(
     return counts
 
 
-# ---------- lanes of roads, joined along their lane sections
-
-
+# ---------- lanes
 _MIN_WIDTH_M = 0.05  # below it there is no lane yet, or none any more
 _SAME_POINT_M = 0.005
 _MIN_LENGTH_M = 0.01
@@ -249,29 +210,19 @@ _MIN_LENGTH_M = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadEnds:
-    """Junctions that a road begins and ends at; empty: none."""
+    """Junctions at the ends of a road; empty: none."""
 
     start: str = ""
     end: str = ""
 
 
 def lane_kind(lane_type: str) -> str | None:
-    """One of ``LANE_KINDS``, or None where a type of the standard is no lane here."""
+    """One of ``LANE_KINDS``, or None if a type of the standard is no lane here."""
     return lane_kinds().get(lane_type.lower())
 
 
 def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) -> list[MapLane]:
-    """Lanes of a road, each from one end to the other where its links lead through.
-
-    Parameters
-    ----------
-    road : Road
-        No connecting road of a junction.
-    sections : sequence of SampledSection
-        Of the road.
-    ends : RoadEnds
-        Junctions at its ends.
-    """
+    """Lanes of a road outside junctions, each joined along the sections as its links say."""
     lanes = []
     used: dict[str, int] = {}
     for chain in _chains(sections):
@@ -304,7 +255,7 @@ def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) 
 
 
 def _chains(sections: Sequence[SampledSection]) -> Iterator[dict[int, int]]:
-    """Lanes that go on in one another: number by index of the section."""
+    """Lanes that continue each other: number by index of the section."""
     claimed: set[tuple[int, int]] = set()
     for start, section in enumerate(sections):
         for number in section.lanes:
@@ -321,7 +272,7 @@ def _chains(sections: Sequence[SampledSection]) -> Iterator[dict[int, int]]:
 
 
 def _following(sections: Sequence[SampledSection], index: int, number: int) -> int | None:
-    """Number in a section of the lane that goes on from one in the section before."""
+    """Number in a section of the lane that continues one of the section before."""
     record = sections[index - 1].lanes[number].record
     # Some write only the link back.
     back = [
@@ -347,7 +298,7 @@ def _following(sections: Sequence[SampledSection], index: int, number: int) -> i
 def _runs(
     sections: Sequence[SampledSection], chain: dict[int, int]
 ) -> Iterator[tuple[FloatArray, float, bool, bool]]:
-    """Stretches of a chain where there is a lane: centreline, mean width, at the road's ends."""
+    """Stretches of a chain with a lane: centreline, mean width, at the road's start, at its end."""
     pieces = []
     for index, number in chain.items():
         section = sections[index]
@@ -365,7 +316,7 @@ def _runs(
             continue
         mean_width_m = float((0.5 * (width[1:] + width[:-1]) * steps).sum()) / length_m
         is_new = np.append(True, steps > _SAME_POINT_M)
-        is_new[-1] = True  # the very end stays, what is too close before it goes
+        is_new[-1] = True  # the end stays, and a point too close before it goes
         if steps[-1] <= _SAME_POINT_M and len(is_new) > 2:
             is_new[-2] = False
         is_new[0] = True
@@ -374,27 +325,17 @@ def _runs(
         yield line[is_new], mean_width_m, bool(at_start), bool(at_end)
 
 
-# ---------- very short roads at the mouth of a junction
-
-
+# ---------- short roads at the mouth of a junction
 _STUB_M = 5.0
 _SAME_POINT_M_STUBS = 0.5
 _MAX_IN_A_ROW = 8
 
 
 def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
-    """Join lanes that are very short, and lead to a junction at one end, to the ones beyond.
+    """Join very short lanes that lead to a junction at one end to the lanes at their other end.
 
-    Parameters
-    ----------
-    lanes : sequence of MapLane
-        Of all roads.
-
-    Returns
-    -------
-    lanes : list of MapLane
-        A stub's points and junction go over to the lane of its kind that goes on within half a
-        metre, which keeps its id.
+    A stub's points and junction go to the lane of its kind that continues within half a metre and
+    keeps its id.
     """
     joined = list(lanes)
     for _ in range(_MAX_IN_A_ROW):

@@ -1,31 +1,247 @@
-"""Solids of objects: prisms over outlines, boxes, cylinders, walls swept along the road, trees."""
+"""Places of objects (once, or repeated along a road, with their outlines) and their solids."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
+from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ..solids import extrude
-from .attributes import assumed, load_facts
-from .object_places import (
-    Copy,
-    Outline,
-    Sweep,
-    place,
-    stations,
+from ..solids import Mesh, extrude, join, unit_ball
+from .attributes import (
+    MAX_SIZE_M,
+    assumed,
+    load_facts,
+    numbered,
+    take_number,
+    take_number_or,
+    take_size,
 )
 from .roads import Road
 
-# ---------- solids of things: prisms over outlines, walls along a line, trees, posts of hedges
+_SIZES = ("length", "width", "height", "radius")
+_MAX_COPIES = 20_000  # of one <repeat>
+_STEP_M = 2.0  # along a sweep
+_BEYOND_M = 1.0
 
 
-Solid = tuple[FloatArray, NDArray[np.int32]]
-_FLAT_M = 0.05  # slopes that nobody sees round
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Copy:
+    """One place of an object, or one end of a sweep; sizes of its body where given."""
+
+    s_m: float
+    t_m: float
+    z_m: float
+    length_m: float | None
+    width_m: float | None
+    height_m: float | None
+    radius_m: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sweep:
+    """A <repeat> without distance: one body, interpolated between two cross-sections."""
+
+    start: Copy
+    end: Copy
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outline:
+    """An outline of an object at one place."""
+
+    points_m: FloatArray  # (n, 2), open
+    road_m: FloatArray  # (n, 2), the same as s and t; in bends only near the object
+    bottom_m: FloatArray  # (n,)
+    height_m: FloatArray  # (n,), above the bottom; 0: not given
+    is_closed: bool  # it surrounds an area
+    is_outer: bool  # that area is part of the object, not cut out of it
+
+
+def read_places(element: Element, road: Road, where: str) -> Iterator[Copy | Sweep]:
+    """All places of an object on its road; raises InputError if a <repeat> asks for too much."""
+    own = Copy(
+        s_m=take_number(element, "s", where),
+        t_m=take_number(element, "t", where),
+        z_m=take_number_or(element, "zOffset", where, 0.0),
+        **{f"{size}_m": take_size(element, size, where) for size in _SIZES},
+    )
+    _check_reach(own, where)
+    repeats = list(numbered(element, "repeat", where))
+    if not repeats:
+        if is_on(road, own.s_m):
+            yield own
+        return
+    for repeat, here in repeats:
+        start_m = take_number(repeat, "s", here)
+        length_m = take_number(repeat, "length", here)
+        distance_m = take_number(repeat, "distance", here)
+        if length_m < 0.0 or distance_m < 0.0:
+            key, value = ("length", length_m) if length_m < 0.0 else ("distance", distance_m)
+            raise InputError(f"{here}.{key}", value, "metres, at least 0")
+        start, end = (
+            Copy(
+                s_m=s_m,
+                t_m=take_number_or(repeat, f"t{side}", here, own.t_m),
+                z_m=take_number_or(repeat, f"zOffset{side}", here, own.z_m),
+                **{
+                    f"{size}_m": take_size(repeat, f"{size}{side}", here)
+                    or getattr(own, f"{size}_m")
+                    for size in _SIZES
+                },
+            )
+            for side, s_m in (("Start", start_m), ("End", start_m + length_m))
+        )
+        _check_reach(start, here)
+        _check_reach(end, here)
+        if distance_m == 0.0 and length_m > 0.0:
+            if is_on(road, start_m):
+                end_m = min(end.s_m, road.length_m)
+                yield Sweep(
+                    start=start, end=_between(start, end, (end_m - start_m) / length_m, end_m)
+                )
+            continue
+        n_copies = 1 if distance_m == 0.0 else int(length_m / distance_m + 1.0e-6) + 1
+        if n_copies > _MAX_COPIES:
+            raise InputError(f"{here}.distance", distance_m, f"at most {_MAX_COPIES:,} copies")
+        for index in range(n_copies):
+            s_m = start_m + index * distance_m
+            if is_on(road, s_m):
+                yield _between(start, end, index * distance_m / max(length_m, 1.0e-9), s_m)
+
+
+def _check_reach(copy: Copy, where: str) -> None:
+    for key, value in (("t", copy.t_m), ("zOffset", copy.z_m)):
+        if abs(value) > MAX_SIZE_M:
+            raise InputError(f"{where}.{key}", value, f"at most {MAX_SIZE_M:g} m off the road")
+
+
+def is_on(road: Road, s_m: float) -> bool:
+    """A station is on the road, with some tolerance for rounding."""
+    return -_BEYOND_M <= s_m <= road.length_m + _BEYOND_M
+
+
+def _between(start: Copy, end: Copy, share: float, s_m: float) -> Copy:
+    def mix(name: str) -> float | None:
+        one, other = getattr(start, name), getattr(end, name)
+        return None if one is None or other is None else one + share * (other - one)
+
+    return Copy(
+        s_m=s_m,
+        t_m=start.t_m + share * (end.t_m - start.t_m),
+        z_m=start.z_m + share * (end.z_m - start.z_m),
+        **{f"{size}_m": mix(f"{size}_m") for size in _SIZES},
+    )
+
+
+def place(road: Road, copy: Copy) -> tuple[FloatArray, float]:
+    """Point (3,) of the road's plane below or above a copy, and heading of the road there."""
+    points, heading = road.place(np.array([copy.s_m]), np.array([copy.t_m]))
+    return points[0], float(heading[0])
+
+
+def stations(sweep: Sweep) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """S and t (n,) along a sweep, and the share of the way (0 .. 1)."""
+    n_points = max(2, int(np.ceil((sweep.end.s_m - sweep.start.s_m) / _STEP_M)) + 1)
+    share = np.linspace(0.0, 1.0, n_points)
+    s_m, t_m = (
+        getattr(sweep.start, key) + share * (getattr(sweep.end, key) - getattr(sweep.start, key))
+        for key in ("s_m", "t_m")
+    )
+    return s_m, t_m, share
+
+
+def read_outlines(element: Element, road: Road, copy: Copy, where: str) -> list[Outline]:
+    """Outlines of an object at one of its places."""
+    found = [*numbered(element, "outline", where)]
+    for group, here in numbered(element, "outlines", where):
+        found += numbered(group, "outline", here)
+    outlines = []
+    for outline, here in found:
+        rows = _read_corners(outline, element, road, copy, here)
+        if not len(rows):
+            continue
+        reach_m = float(np.abs(rows[:, 2:] - [*place(road, copy)[0][2:], 0, copy.s_m, 0]).max())
+        if reach_m > MAX_SIZE_M:
+            raise InputError(f"{here}: corner", reach_m, f"at most {MAX_SIZE_M:g} m off")
+        is_new = np.append(True, np.hypot(*np.diff(rows[:, :2], axis=0).T) > 1.0e-3)
+        if len(rows) > 1 and np.hypot(*(rows[-1, :2] - rows[0, :2])) <= 1.0e-3:
+            is_new[-1] = False  # closed by naming its first corner again
+            is_new[0] = True
+        rows = rows[is_new]
+        outlines.append(
+            Outline(
+                points_m=rows[:, :2],
+                road_m=rows[:, 4:6],
+                bottom_m=rows[:, 2],
+                height_m=np.maximum(rows[:, 3], 0.0),
+                is_closed=_flag(outline, "closed"),
+                is_outer=_flag(outline, "outer"),
+            )
+        )
+    return outlines
+
+
+def _flag(outline: Element, key: str) -> bool:
+    return outline.get(key, "true").strip().lower() not in ("false", "0")
+
+
+def _read_corners(
+    outline: Element, element: Element, road: Road, copy: Copy, where: str
+) -> FloatArray:
+    """x, y, z, height, s, t of corners: (n, 6)."""
+    foot, road_heading = place(road, copy)
+    turn = take_number_or(element, "hdg", where, 0.0)
+    corners = [
+        tuple(take_number(corner, key, here) for key in "uv")
+        + (take_number_or(corner, "z", here, 0.0), take_number_or(corner, "height", here, 0.0))
+        for corner, here in numbered(outline, "cornerLocal", where)
+    ]
+    if corners:
+        u, v, z, height = np.array(corners).T
+        along, across = _turned(u, v, turn)
+        x, y = _turned(along, across, road_heading)
+        return np.column_stack(
+            [
+                *(foot[0] + x, foot[1] + y, foot[2] + copy.z_m + z, height),
+                *(copy.s_m + along, copy.t_m + across),
+            ]
+        )
+    corners = [
+        tuple(take_number(corner, key, here) for key in "st")
+        + (take_number_or(corner, "dz", here, 0.0), take_number_or(corner, "height", here, 0.0))
+        for corner, here in numbered(outline, "cornerRoad", where)
+    ]
+    if not corners:
+        return np.empty((0, 6))
+    s, t, dz, height = np.array(corners).T
+    s = s + copy.s_m - take_number(element, "s", where)
+    t = t + copy.t_m - take_number(element, "t", where)
+    points, _ = road.place(s, t)
+    return np.column_stack([points[:, :2], points[:, 2] + dz, height, s, t])
+
+
+def _turned(x: FloatArray, y: FloatArray, angle_rad: float) -> tuple[FloatArray, FloatArray]:
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    return x * cos - y * sin, x * sin + y * cos
+
+
+def box_corners(copy: Copy, turn_rad: float) -> FloatArray | None:
+    """Corners (4, 2) of a copy's box as s and t, or None if it has no length or width."""
+    if copy.length_m is None or copy.width_m is None:
+        return None
+    u = 0.5 * copy.length_m * np.array([-1.0, 1.0, 1.0, -1.0])
+    v = 0.5 * copy.width_m * np.array([-1.0, -1.0, 1.0, 1.0])
+    along, across = _turned(u, v, turn_rad)
+    return np.stack([copy.s_m + along, copy.t_m + across], axis=1)
+
+
+# ---------- solids
+_FLAT_M = 0.05  # lower slopes are levelled
 _STRAIGHT_M = 0.02
-_N_ROUND = 12  # corners of what is round
+_N_ROUND = 12  # corners of a cylinder
 
 
 def build_prism(
@@ -35,25 +251,11 @@ def build_prism(
     top_m: FloatArray,
     holes_m: Sequence[FloatArray] = (),
     where: str,
-) -> Solid:
-    """A closed solid over an outline, floor and roof sloping where its corners do.
+) -> Mesh:
+    """A closed solid over an open outline (n, 2) with floor and roof heights (n,) at its corners.
 
-    Parameters
-    ----------
-    outline_m : (n, 2) float
-        Open. [m]
-    bottom_m, top_m : (n,) float
-        At its corners. [m]
-    holes_m : sequence of (k, 2) float
-        With them, or where the outline crosses itself, floor and roof are level: as low and as high
-        as the corners go. [m]
-    where : str
-        For messages.
-
-    Raises
-    ------
-    InputError
-        The outline has no area, or the solid no height.
+    With holes, or if the outline crosses itself, floor and roof are level at the lowest and highest
+    corner. Raises InputError if the outline has no area, or the solid no height.
     """
     import shapely
 
@@ -73,11 +275,7 @@ def build_prism(
     if shapely.LinearRing(outline_m).is_ccw:
         corners, bottom, top = outline_m, bottom_m, np.maximum(top_m, bottom_m)
     else:
-        corners, bottom, top = (
-            outline_m[::-1],
-            bottom_m[::-1],
-            np.maximum(top_m, bottom_m)[::-1],
-        )
+        corners, bottom, top = (outline_m[::-1], bottom_m[::-1], np.maximum(top_m, bottom_m)[::-1])
     n = len(corners)
     roof = np.asarray(
         mapbox_earcut.triangulate_float64(corners, np.array([n], dtype=np.uint32)), dtype=np.int64
@@ -104,18 +302,8 @@ def build_band(
     width_m: FloatArray,
     bottom_m: FloatArray,
     top_m: FloatArray,
-) -> Solid:
-    """A wall along a line.
-
-    Parameters
-    ----------
-    line_m : (n, 2) float
-        At least two points. [m]
-    left : (n, 2) float
-        Unit vectors to its left.
-    width_m, bottom_m, top_m : (n,) float
-        Thickness, heights of its foot and its top. [m]
-    """
+) -> Mesh:
+    """A wall along a line (n, 2), with unit vectors to its left (n, 2); other arrays are (n,)."""
     table = np.column_stack([line_m, left, width_m, bottom_m, top_m])
     share = np.linspace(0.0, 1.0, len(table))[:, None]
     if np.abs(table - (table[0] + share * (table[-1] - table[0]))).max() < _STRAIGHT_M:
@@ -153,8 +341,8 @@ def build_band(
 
 def build_box(
     middle_m: FloatArray, heading_rad: float, *, length_m: float, width_m: float, height_m: float
-) -> Solid:
-    """A box on its foot's middle (3,), its length along the heading."""
+) -> Mesh:
+    """A box above the middle of its base (3,), its length along the heading."""
     along = np.array([np.cos(heading_rad), np.sin(heading_rad)])
     left = np.array([-along[1], along[0]])
     ends = middle_m[:2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * along
@@ -168,63 +356,32 @@ def build_box(
     )
 
 
-def build_cylinder(foot_m: FloatArray, *, radius_m: float, height_m: float) -> Solid:
-    """An upright cylinder on a foot (3,)."""
+def build_cylinder(foot_m: FloatArray, *, radius_m: float, height_m: float) -> Mesh:
+    """An upright cylinder above the middle of its base (3,)."""
     vertices, triangles = _unit_cylinder()
     return vertices * [radius_m, radius_m, height_m] + foot_m, triangles
 
 
-def build_tree(foot_m: FloatArray, *, crown_radius_m: float, height_m: float) -> Solid:
-    """A trunk and an ellipsoid of leaves.
-
-    Parameters
-    ----------
-    foot_m : (3,) float
-        [m]
-    crown_radius_m : float
-        [m]
-    height_m : float
-        From the foot to the top. [m]
-    """
+def build_tree(foot_m: FloatArray, *, crown_radius_m: float, height_m: float) -> Mesh:
+    """A trunk and an ellipsoid of leaves above a foot (3,)."""
     shares = load_facts()["tree"]
     stem_m = shares["stem_share"] * height_m
     radius_m = min(shares["trunk_radius_share"] * height_m, crown_radius_m)
     half_m = 0.5 * (height_m - stem_m)
     trunk, trunk_triangles = build_cylinder(foot_m, radius_m=radius_m, height_m=stem_m + half_m)
-    crown, crown_triangles = _unit_ball()
+    crown, crown_triangles = unit_ball()
     crown = crown * [crown_radius_m, crown_radius_m, half_m] + foot_m + [0.0, 0.0, stem_m + half_m]
     return join([(trunk, trunk_triangles), (crown, crown_triangles)])
 
 
-def join(solids: Sequence[Solid]) -> Solid:
-    """Several solids as one."""
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in solids)])
-    return (
-        np.concatenate([vertices for vertices, _ in solids]),
-        np.concatenate(
-            [triangles + start for (_, triangles), start in zip(solids, first[:-1], strict=True)]
-        ).astype(np.int32),
-    )
-
-
 @cache
-def _unit_cylinder() -> Solid:
+def _unit_cylinder() -> Mesh:
     angle = 2.0 * np.pi * np.arange(_N_ROUND) / _N_ROUND
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return extrude(ring, bottom_m=0.0, top_m=1.0)
 
 
-@cache
-def _unit_ball() -> Solid:
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=1)
-    return np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32)
-
-
-# ---------- bodies of objects: from outlines, boxes, radii, or swept along the road
-
-
+# ---------- bodies of objects
 def build_body(
     road: Road,
     kind: str,
@@ -233,35 +390,12 @@ def build_body(
     *,
     turn_rad: float,
     where: str,
-) -> tuple[Solid, bool] | None:
-    """Body of an object at one of its places.
+) -> tuple[Mesh, bool] | None:
+    """Body of an object at one of its places, and whether its height is assumed; None: no extent.
 
-    Parameters
-    ----------
-    road : Road
-        That it belongs to.
-    kind : str
-        "building", "wall", "vegetation", "tree", "parked vehicle"; "obstacle": a wall if the file
-        says how high it is.
-    one : Copy or Sweep
-        Where.
-    outlines : sequence of Outline
-        What it has there.
-    turn_rad : float
-        Against the road. [rad]
-    where : str
-        For messages.
-
-    Returns
-    -------
-    body : tuple of Solid and bool, or None
-        Vertices and triangles, closed, and whether its height is assumed, as the file does not
-        say it. None: it has no extent.
-
-    Raises
-    ------
-    InputError
-        Its outline surrounds nothing, or it has no height.
+    `kind` is "building", "wall", "vegetation", "tree", "parked vehicle" or "obstacle", which is a
+    wall if the file gives its height. `turn_rad` is the heading against the road. Raises InputError
+    if an outline surrounds nothing, or there is no height.
     """
     copy = one.start if isinstance(one, Sweep) else one
     height_m = copy.height_m
@@ -274,7 +408,7 @@ def build_body(
     if height_m is None:
         thing = "wall" if kind == "obstacle" else kind.replace(" ", "_")
         height_m = assumed(f"{thing}_height_m")
-    solid: Solid | None
+    solid: Mesh | None
     if isinstance(one, Sweep):
         solid = _sweep(road, one, height_m)
     elif has_outline:
@@ -284,7 +418,7 @@ def build_body(
     return None if solid is None else (solid, not says_height)
 
 
-def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> Solid:
+def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> Mesh:
     holes = [outline.points_m for outline in outlines if not outline.is_outer]
     solids = []
     for outline in outlines:
@@ -307,18 +441,14 @@ def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> 
             inside = _holes_inside(outline.points_m, holes)
             solids.append(
                 build_prism(
-                    outline.points_m,
-                    bottom_m=bottom_m,
-                    top_m=top_m,
-                    holes_m=inside,
-                    where=where,
+                    outline.points_m, bottom_m=bottom_m, top_m=top_m, holes_m=inside, where=where
                 )
             )
     return join(solids)
 
 
 def _holes_inside(outline_m: FloatArray, holes: Sequence[FloatArray]) -> list[FloatArray]:
-    """Holes that are those of this outline, where an object has several."""
+    """The holes of this outline, if an object has several outlines."""
     import shapely
 
     if not holes or len(outline_m) < 3:
@@ -332,7 +462,7 @@ def _holes_inside(outline_m: FloatArray, holes: Sequence[FloatArray]) -> list[Fl
 
 
 def _left_of(line_m: FloatArray) -> FloatArray:
-    """Unit vectors to the left of a line; at its corners between those of both sides, (n, 2)."""
+    """Unit vectors (n, 2) to the left of a line; at its corners halfway between both sides."""
     steps = np.diff(line_m, axis=0)
     steps = steps / np.maximum(np.hypot(*steps.T), 1.0e-9)[:, None]
     before, after = np.concatenate([steps[:1], steps]), np.concatenate([steps, steps[-1:]])
@@ -343,7 +473,7 @@ def _left_of(line_m: FloatArray) -> FloatArray:
     return np.stack([-along[:, 1], along[:, 0]], axis=1)
 
 
-def _sweep(road: Road, sweep: Sweep, height_m: float) -> Solid:
+def _sweep(road: Road, sweep: Sweep, height_m: float) -> Mesh:
     s_m, t_m, share = stations(sweep)
     points, heading = road.place(s_m, t_m)
 
@@ -365,8 +495,8 @@ def _sweep(road: Road, sweep: Sweep, height_m: float) -> Solid:
     )
 
 
-def _simple(road: Road, kind: str, copy: Copy, height_m: float, turn_rad: float) -> Solid | None:
-    """A tree, a cylinder or a box; None: it has no extent."""
+def _simple(road: Road, kind: str, copy: Copy, height_m: float, turn_rad: float) -> Mesh | None:
+    """A tree, a cylinder or a box, or None if it has no extent."""
     foot, heading = place(road, copy)
     foot[2] += copy.z_m
     radius_m = copy.radius_m

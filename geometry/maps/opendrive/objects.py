@@ -1,6 +1,7 @@
 """Objects on and beside the roads: buildings, trees, crosswalks, parking spaces."""
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -11,23 +12,20 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
-from ..source_map import POLE_KINDS, MapLane, Pole, Thing
-from .attributes import Omissions, load_facts, numbered, take_number_or
+from ..source_map import POLE_KINDS, MapLane, Omissions, Pole, Thing
+from .attributes import load_facts, take_number_or
 from .junctions import JunctionRecord
-from .object_places import (
+from .object_shapes import (
     Copy,
     Outline,
     Sweep,
     box_corners,
+    build_body,
     place,
     read_outlines,
     read_places,
 )
-from .object_shapes import build_body
-from .roads import Road
-
-# ---------- what an object or a signal is, from its type and its name
-
+from .roads import Road, RoadElement
 
 _MAX_CHARACTERS = 100  # of a name that is looked at
 _MAX_WORDS = 3  # that are read as one
@@ -36,13 +34,10 @@ _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 
 def object_kind(element: Element) -> str | None:
-    """Kind of an object; None: none that matters here.
+    """Kind of an object from its type and name; None: none that matters here.
 
-    Returns
-    -------
-    kind : str or None
-        "crosswalk", "parking space", "tree", "vegetation", "building", "wall", "parked vehicle", or
-        one of ``POLE_KINDS``; "obstacle" where the standard's type says no more than that.
+    "crosswalk", "parking space", "tree", "vegetation", "building", "wall", "parked vehicle", one of
+    ``POLE_KINDS``, or "obstacle" if the standard's type says no more than that.
     """
     object_type, name = element.get("type", ""), element.get("name", "")
     if has_word((object_type, name), load_facts()["flat"]["words"]):
@@ -63,13 +58,7 @@ def object_kind(element: Element) -> str | None:
 
 
 def signal_kind(element: Element) -> str | None:
-    """Kind of a signal.
-
-    Returns
-    -------
-    kind : str or None
-        "traffic light", "crosswalk" (painted), "sign"; None: other paint.
-    """
+    """Kind of a signal: "traffic light", "crosswalk" (painted), "sign"; None: other paint."""
     facts = load_facts()["signals"]
     texts = (element.get("name", ""), element.get("type", ""), element.get("subtype", ""))
     number = element.get("type", "").strip()
@@ -84,12 +73,12 @@ def signal_kind(element: Element) -> str | None:
 
 
 def words(text: str) -> list[str]:
-    """Words of a name, written small: "streetLamp_3" has street and lamp."""
+    """Words of a name in lower case: "streetLamp_3" has street and lamp."""
     return [word.lower() for word in _WORD.findall(text[:_MAX_CHARACTERS])]
 
 
 def has_word(texts: Iterable[str], wanted: Sequence[str]) -> bool:
-    """One of the texts has a word of the list, or several that together are one."""
+    """One of the texts has a word of the list, or several words that together are one."""
     return any(phrase in wanted for text in texts for phrase in _phrases(text))
 
 
@@ -104,9 +93,7 @@ def _phrases(text: str) -> frozenset[str]:
     )
 
 
-# ---------- crosswalks as lines: from kerb to kerb
-
-
+# ---------- crosswalks
 _CLEARLY_LONGER = 1.3  # of two sides: below it, people cross more nearly across the road
 _MIN_LENGTH_M = 0.5
 
@@ -114,24 +101,11 @@ _MIN_LENGTH_M = 0.5
 def crosswalk_line(
     road: Road, one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float
 ) -> FloatArray | None:
-    """Line on which pedestrians cross.
+    """Line (2, 2) on which pedestrians cross, or None if the object has no extent.
 
-    Parameters
-    ----------
-    road : Road
-        That the object belongs to.
-    one : Copy or Sweep
-        Where.
-    outlines : sequence of Outline
-        What it has there.
-    turn_rad : float
-        Of its length against the road. [rad]
-
-    Returns
-    -------
-    line_m : (2, 2) float or None
-        Through the middle of its smallest box, the long way; where that is nearly a square, across
-        the road. Two corners are the line itself. None: it has no extent. [m]
+    It runs through the middle of the smallest box the long way; if that is nearly a square, across
+    the road. Two corners are the line itself. `turn_rad` is the heading of the object against the
+    road.
     """
     copy = one.start if isinstance(one, Sweep) else one
     _, heading = place(road, copy)
@@ -195,9 +169,7 @@ def _long_way(corners_m: FloatArray, across_road: FloatArray) -> FloatArray | No
     return line
 
 
-# ---------- parking spaces, taken together as rows along the road
-
-
+# ---------- parking spaces
 _SAME_ROW_T_M = 1.0
 _SAME_ROW_GAP_M = 1.5
 _STEP_M = 2.0
@@ -206,15 +178,7 @@ _MIN_SIZE_M = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
-    """A parking space, as its box along the road.
-
-    Attributes
-    ----------
-    first_m, last_m : float
-        Where it begins and ends along the road. [m]
-    right_m, left_m : float
-        And beside it, to the left of the reference line. [m]
-    """
+    """A parking space as a box along its road: s from first to last, t from right to left."""
 
     first_m: float
     last_m: float
@@ -228,17 +192,7 @@ class Space:
 
 
 def read_space(one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float) -> Space | None:
-    """One parking space, or a strip of them; None: it has no extent.
-
-    Parameters
-    ----------
-    one : Copy or Sweep
-        Where.
-    outlines : sequence of Outline
-        What it has there.
-    turn_rad : float
-        Of its length against the road. [rad]
-    """
+    """One parking space, or a strip of them; None if it has no extent."""
     if isinstance(one, Sweep):
         start, end = one.start, one.end
         if start.width_m is None:
@@ -258,27 +212,14 @@ def read_space(one: Copy | Sweep, outlines: Sequence[Outline], turn_rad: float) 
     if min(last_m - first_m, left_m - right_m) < _MIN_SIZE_M:
         return None
     return Space(
-        first_m=float(first_m),
-        last_m=float(last_m),
-        right_m=float(right_m),
-        left_m=float(left_m),
+        first_m=float(first_m), last_m=float(last_m), right_m=float(right_m), left_m=float(left_m)
     )
 
 
 def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
-    """Parking lanes of a road: spaces that lie side by side, or one behind the other.
+    """Parking lanes of a road: spaces side by side, or one behind the other, as one lane.
 
-    Parameters
-    ----------
-    road : Road
-        That the spaces belong to.
-    spaces : sequence of Space
-        In any order.
-
-    Returns
-    -------
-    lanes : list of MapLane
-        As wide as the spaces reach across; in the direction of the traffic on their side.
+    It is as wide as the spaces are on average, and runs in the direction of traffic on its side.
     """
     rows: list[list[Space]] = []
     open_rows: list[list[Space]] = []  # those that may still go on
@@ -318,9 +259,7 @@ def _build_row(road: Road, row: Sequence[Space], name: str) -> MapLane | None:
     )
 
 
-# ---------- objects beside and on the roads: what hides things, what could carry sensors
-
-
+# ---------- all objects
 _MAX_PLACES = 100_000  # of all objects of a file
 _MAX_VERTICES = 5_000_000
 _CLASSES = {"tree": "vegetation", "obstacle": "wall"}
@@ -334,51 +273,23 @@ _NO_SIZE = "it has no outline, length, width or radius"
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What stands and lies along the roads.
-
-    Attributes
-    ----------
-    things, poles : list
-        As the map has them.
-    crosswalks_m : list of (2, 2) float
-        Lines on which pedestrians cross. [m]
-    spaces : dict of str to list of Space
-        Parking spaces by id of the road.
-    """
+    """Objects along the roads."""
 
     things: list[Thing] = field(default_factory=list)
     poles: list[Pole] = field(default_factory=list)
-    crosswalks_m: list[FloatArray] = field(default_factory=list)
-    spaces: dict[str, list[Space]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Object:
-    element: Element
-    road: Road
-    kind: str
-    name: str
-    where: str
+    crosswalks_m: list[FloatArray] = field(default_factory=list)  # (2, 2) each
+    spaces: dict[str, list[Space]] = field(default_factory=dict)  # parking spaces by id of the road
 
 
 def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
-    """Objects of all roads.
+    """Objects of all roads; what is left out is noted in `omissions`.
 
-    Parameters
-    ----------
-    roads : mapping of str to Road
-        By id.
-    omissions : Omissions
-        Where to note what is left out.
-
-    Raises
-    ------
-    InputError
-        A number is missing or not finite, or there is more than can be.
+    Raises InputError if a number is missing or not finite, or there are too many objects or
+    corners.
     """
     found = Found()
     n_places = n_vertices = n_counted = 0
-    for one in _taken_objects(roads, omissions):
+    for kind, one in _taken_objects(roads, omissions):
         places = list(islice(read_places(one.element, one.road, one.where), _MAX_PLACES + 1))
         n_places += len(places)
         if not places:
@@ -388,8 +299,8 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
             raise InputError(one.where, got, "a smaller file: cut it out first")
         for index, spot in enumerate(places):
             name = one.name if len(places) == 1 else f"{one.name}/{index}"
-            if not _take(one, spot, name, found):
-                omissions.add(f"objects ({one.kind}) without size", name, _NO_SIZE)
+            if not _take(kind, one, spot, name, found):
+                omissions.add(f"objects ({kind}) without size", name, _NO_SIZE)
             n_vertices += sum(len(thing.vertices_m) for thing in found.things[n_counted:])
             n_counted = len(found.things)
             if n_vertices > _MAX_VERTICES:
@@ -398,10 +309,12 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
     return found
 
 
-def _taken_objects(roads: Mapping[str, Road], omissions: Omissions) -> "list[_Object]":
+def _taken_objects(
+    roads: Mapping[str, Road], omissions: Omissions
+) -> list[tuple[str, RoadElement]]:
     """Objects of a kind that matters; the others are noted."""
     objects = []
-    names: dict[str, int] = {}
+    names: Counter[str] = Counter()
     for road in roads.values():
         parent = road.element.find("objects")
         for tag, why in _NOT_TAKEN.items():
@@ -410,56 +323,49 @@ def _taken_objects(roads: Mapping[str, Road], omissions: Omissions) -> "list[_Ob
                 omissions.add(f"{tag}s", name, why)
         if road.element.find("railroad/switch") is not None:
             omissions.add("railroads", f"road {road.id} railroad", "no road users go there")
-        for index, (element, _) in enumerate(numbered(parent, "object", road.where)):
-            label = f"object {element.get('id', f'[{index}]')[:60]}"
-            name = f"road {road.id} {label}"
-            names[name] = names.get(name, 0) + 1  # ids need not be unique in what people write
-            name = name if names[name] == 1 else f"{name} #{names[name]}"
-            kind = object_kind(element)
+        for one in road.listed("object", names):
+            kind = object_kind(one.element)
             if kind is None:
-                said = element.get("type", "") or element.get("name", "") or "no type"
+                said = one.element.get("type", "") or one.element.get("name", "") or "no type"
                 why = "its kind hides nothing and carries nothing"
-                omissions.add(f"objects ({said[:40]})", name, why)
-                continue
-            where = f"{road.where} {label}"
-            objects.append(_Object(element=element, road=road, kind=kind, name=name, where=where))
+                omissions.add(f"objects ({said[:40]})", one.name, why)
+            else:
+                objects.append((kind, one))
     return objects
 
 
-def _take(one: _Object, spot: Copy | Sweep, name: str, found: Found) -> bool:
-    """Take an object at one of its places; False: it has no size."""
-    if one.kind in POLE_KINDS:
-        found.poles.append(_build_pole(one, spot, name))
+def _take(kind: str, one: RoadElement, spot: Copy | Sweep, name: str, found: Found) -> bool:
+    """Add an object at one of its places to `found`; False: it has no size."""
+    if kind in POLE_KINDS:
+        found.poles.append(_build_pole(kind, one.road, spot, name))
         return True
     outlines = (
         [] if isinstance(spot, Sweep) else read_outlines(one.element, one.road, spot, one.where)
     )
     turn_rad = take_number_or(one.element, "hdg", one.where, 0.0)
-    if one.kind == "crosswalk":
+    if kind == "crosswalk":
         line = crosswalk_line(one.road, spot, outlines, turn_rad)
         if line is not None:
             found.crosswalks_m.append(line)
         return line is not None
-    if one.kind == "parking space":
+    if kind == "parking space":
         space = read_space(spot, outlines, turn_rad)
         if space is not None:
             found.spaces.setdefault(one.road.id, []).append(space)
         return space is not None
     try:
         with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
-            body = build_body(
-                one.road, one.kind, spot, outlines, turn_rad=turn_rad, where=one.where
-            )
+            body = build_body(one.road, kind, spot, outlines, turn_rad=turn_rad, where=one.where)
     except InputError:  # its outline surrounds nothing
         return False
     if body is None:
         return False
-    (vertices_m, triangles), is_assumed = body
+    (vertices, triangles), is_assumed = body
     found.things.append(
         Thing(
             id=name,
-            class_name=_CLASSES.get(one.kind, one.kind),
-            vertices_m=vertices_m,
+            class_name=_CLASSES.get(kind, kind),
+            vertices_m=vertices,
             triangles=triangles,
             is_height_assumed=is_assumed,
         )
@@ -467,8 +373,8 @@ def _take(one: _Object, spot: Copy | Sweep, name: str, found: Found) -> bool:
     return True
 
 
-def _build_pole(one: _Object, spot: Copy | Sweep, name: str) -> Pole:
+def _build_pole(kind: str, road: Road, spot: Copy | Sweep, name: str) -> Pole:
     copy = spot.start if isinstance(spot, Sweep) else spot
-    foot, _ = place(one.road, copy)
+    foot, _ = place(road, copy)
     top_m = 0.0 if copy.height_m is None else copy.z_m + copy.height_m
-    return Pole(id=name, kind=one.kind, position_m=foot, height_m=top_m if top_m > 0.0 else None)
+    return Pole(id=name, kind=kind, position_m=foot, height_m=top_m if top_m > 0.0 else None)

@@ -1,7 +1,7 @@
-"""One OpenDRIVE file as a map.
+"""Read an OpenDRIVE file as a map.
 
-An own reader: the Python libraries for OpenDRIVE write files, or read them in part, for one
-simulator or one version, while lanes, outlines and objects are needed here of all versions.
+The reader is our own: the Python libraries for OpenDRIVE write files, or read parts of them for one
+simulator or version, while this needs lanes, outlines and objects of all versions.
 """
 
 from collections.abc import Mapping
@@ -12,8 +12,8 @@ import numpy as np
 
 from ...errors import InputError, Unquoted
 from ...untrusted_files import local_name, read_xml
-from ..source_map import SourceMap
-from .attributes import Offset, Omissions, numbered, read_crs, read_offset
+from ..source_map import Omissions, SourceMap
+from .attributes import Offset, numbered, read_crs, read_offset
 from .junctions import build_junctions, find_road_ends, read_junction_records
 from .lanes import MAX_POINTS, SampledSection, build_lanes, join_stubs, sample_road
 from .objects import build_rows, cross_paths, read_objects
@@ -22,29 +22,18 @@ from .signals import merge_poles, read_signals
 
 
 def read_opendrive(path: Path) -> SourceMap:
-    """Read an OpenDRIVE file.
+    """Read a file in ASAM OpenDRIVE 1.4 to 1.8.
 
-    Parameters
-    ----------
-    path : Path
-        A file in ASAM OpenDRIVE 1.4 to 1.8.
+    Roads outside junctions become lanes in driving direction; the surface of a junction's
+    connecting roads becomes its outline; objects and signals become things, poles, crosswalks and
+    parking lanes. Heights are absolute, and roads are level across.
 
-    Returns
-    -------
-    source_map : SourceMap
-        Its roads outside junctions as lanes in driving direction; the surface that the connecting
-        roads of a junction cover as its outline; objects and signals as things, poles, crosswalks
-        and parking lanes. Heights are absolute. Roads are level across.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, is no OpenDRIVE, has no roads, lacks a number or has one that is out of
-        range, or takes more points than can be.
+    Raises InputError if the file cannot be read, is no OpenDRIVE, has no roads, lacks a number or
+    has one out of range, or needs too many points.
 
     References
     ----------
-    .. [1] ASAM OpenDRIVE 1.8.1, and 1.4 to 1.7 for what it has dropped.
+    .. [1] ASAM OpenDRIVE 1.8.1, and 1.4 to 1.7 for features that were dropped.
     """
     where = path.name
     root = read_xml(path, expected="OpenDRIVE")
@@ -74,7 +63,7 @@ def read_opendrive(path: Path) -> SourceMap:
     ]
     poles, painted = read_signals(roads, sampled, offset, omissions)
     crosswalks = [*found.crosswalks_m, *painted, *cross_paths(records, roads)]
-    _note_what_is_not_followed(root, roads, omissions)
+    _note_ignored(root, roads, omissions)
     return SourceMap(
         name=where,
         crs=crs,
@@ -128,9 +117,7 @@ def _keeps_left(roads: Mapping[str, Road], omissions: Omissions) -> bool:
     return 2 * n_left > len(roads)
 
 
-def _note_what_is_not_followed(
-    root: Element, roads: Mapping[str, Road], omissions: Omissions
-) -> None:
+def _note_ignored(root: Element, roads: Mapping[str, Road], omissions: Omissions) -> None:
     for road in roads.values():
         if road.is_banked:
             omissions.add(

@@ -1,4 +1,4 @@
-"""The reference line of a road: its planView, evaluated at arc lengths."""
+"""The reference line of a road (planView), and cubics along it, evaluated at arc lengths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,22 +12,14 @@ from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from .attributes import Offset, numbered, take_number
 
-# ---------- shapes of the pieces of a reference line, each in its own frame: it starts at 0 along x
-
-
 _ARC_BELOW_RAD = 1.0e-9  # a clothoid that turns by so much more or less than an arc is one
 _N_ARC_LENGTH = 2049
 
 
 def arc(s_m: FloatArray, curvature: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) and headings (n,) of circular arcs; of straight lines where curvature is 0.
+    """Points (n, 2) and headings (n,) of circular arcs at arc lengths.
 
-    Parameters
-    ----------
-    s_m : (n,) float
-        Arc lengths. [m]
-    curvature : (n,) float
-        Positive turns to the left. [1/m]
+    Positive curvature, in 1/m, turns to the left; 0 is a straight line.
     """
     half = 0.5 * curvature * s_m
     chord = s_m * np.sinc(half / np.pi)
@@ -37,16 +29,7 @@ def arc(s_m: FloatArray, curvature: FloatArray) -> tuple[FloatArray, FloatArray]
 def spiral(
     s_m: FloatArray, start_curvature: FloatArray, curvature_slope: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) and headings (n,) of clothoids.
-
-    Parameters
-    ----------
-    s_m : (n,) float
-        Arc lengths. [m]
-    start_curvature : (n,) float
-        [1/m]
-    curvature_slope : (n,) float
-        By how much curvature grows per metre. [1/m^2]
+    """Points (n, 2) and headings (n,) of clothoids; the slope is the change of curvature per metre.
 
     References
     ----------
@@ -74,15 +57,7 @@ def spiral(
 
 
 def polynomial(p: FloatArray, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) and headings (n,) of a pair of cubics.
-
-    Parameters
-    ----------
-    p : (n,) float
-        Parameter.
-    u, v : (4,) or (n, 4) float
-        Coefficients a, b, c, d of both coordinates.
-    """
+    """Points (n, 2) and headings (n,) of two cubics with coefficients a, b, c, d in u and v."""
     points = np.stack([_cubic(p, u), _cubic(p, v)], axis=1)
     du, dv = _slope(p, u), _slope(p, v)
     # Where the curve starts with a standstill its second derivative says where it leads.
@@ -93,17 +68,7 @@ def polynomial(p: FloatArray, u: FloatArray, v: FloatArray) -> tuple[FloatArray,
 
 
 def graph_parameter(s_m: FloatArray, v: FloatArray, length_m: float) -> FloatArray:
-    """Where on its u axis a curve v(u) has a given length, (n,).
-
-    Parameters
-    ----------
-    s_m : (n,) float
-        Arc lengths, 0 .. `length_m`. [m]
-    v : (4,) float
-        Coefficients a, b, c, d.
-    length_m : float
-        Of the whole curve. [m]
-    """
+    """The u, (n,), at which a curve v(u) has a given arc length from 0 to `length_m`."""
     grid = np.linspace(0.0, length_m, _N_ARC_LENGTH)
     speed = np.hypot(1.0, _slope(grid, v))
     steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
@@ -121,9 +86,7 @@ def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
     return slopes
 
 
-# ---------- the reference line of a road: its planView, evaluated at arc lengths
-
-
+# ---------- the reference line
 SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
 MAX_COORDINATE_M = 1.0e8
 _N_CURVATURES = 33  # samples of a polynomial's curvature
@@ -135,42 +98,24 @@ _MAX_GAP_M = 1.0  # by which lengths of a file may miss one another
 class ReferenceLine:
     """Pieces one after the other.
 
-    Attributes
-    ----------
-    starts_m, lengths_m : (n,) float
-        Of the pieces along the road. [m]
-    origins_m : (n, 2) float
-        Where they begin. [m]
-    headings_rad : (n,) float
-        [rad]
-    shapes : (n,) int
-        Index into ``SHAPES``.
-    parameters : (n, 9) float
-        Curvature, or that of the start and its slope; or coefficients of u and v (a, b, c, d) and
-        what an arc length is multiplied by to get the parameter. A line is an arc of curvature 0.
-    wheres : tuple of str
-        For messages.
+    `parameters` has nine columns: curvature (of a line: 0), or that of the start and its slope; or
+    coefficients a, b, c, d of u and of v, and the factor from arc length to parameter.
     """
 
-    starts_m: FloatArray
-    lengths_m: FloatArray
-    origins_m: FloatArray
-    headings_rad: FloatArray
-    shapes: NDArray[np.int64]
-    parameters: FloatArray
-    wheres: tuple[str, ...]
+    starts_m: FloatArray  # (n,), along the road
+    lengths_m: FloatArray  # (n,)
+    origins_m: FloatArray  # (n, 2), begins of the pieces
+    headings_rad: FloatArray  # (n,)
+    shapes: NDArray[np.int64]  # (n,), indices into SHAPES
+    parameters: FloatArray  # (n, 9)
+    wheres: tuple[str, ...]  # for messages
 
     def at(
         self, s_m: FloatArray, inside_m: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Points (k, 2) and headings (k,) at arc lengths.
+        """Points (k, 2) and headings (k,) at arc lengths, which are clipped to the line.
 
-        Parameters
-        ----------
-        s_m : (k,) float
-            Before the begin and beyond the end they are moved there. [m]
-        inside_m : (k,) float, optional
-            Points that say which piece is meant: where two meet, the one or the other. [m]
+        `inside_m` (k,) are stations that select the piece where two meet.
         """
         lookup = s_m if inside_m is None else inside_m
         piece = np.maximum(np.searchsorted(self.starts_m, lookup, side="right") - 1, 0)
@@ -206,13 +151,10 @@ class ReferenceLine:
         return points, turns
 
     def bends(self) -> FloatArray:
-        """How fast each piece turns: (n, 3).
+        """How fast each piece turns, (n, 3).
 
-        Returns
-        -------
-        bends : (n, 3) float
-            Largest curvature [1/m], largest change of it per metre [1/m^2], and largest distance
-            that the line takes per metre of s (1 but for parametric polynomials).
+        The largest curvature [1/m], its largest change per metre [1/m^2], and the largest distance
+        that the line takes per metre of s (1 except for parametric polynomials).
         """
         rows = np.zeros((len(self.starts_m), 3))
         rows[:, 2] = 1.0
@@ -230,7 +172,7 @@ class ReferenceLine:
 def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, float]:
     s = np.linspace(0.0, length_m, _N_CURVATURES)
     p = s * k[8]
-    du, dv = (k[i + 1] + p * (2.0 * k[i + 2] + 3.0 * p * k[i + 3]) for i in (0, 4))
+    du, dv = _slope(p, k[:4]), _slope(p, k[4:8])
     ddu, ddv = (2.0 * k[i + 2] + 6.0 * p * k[i + 3] for i in (0, 4))
     speed = np.maximum(np.hypot(du, dv), 1.0e-6)
     curvature = (du * ddv - dv * ddu) / speed**3
@@ -246,22 +188,8 @@ def read_reference_line(
 ) -> ReferenceLine:
     """Read a road's planView.
 
-    Parameters
-    ----------
-    road : Element
-        Who has it.
-    where : str
-        For messages: "Town.xodr: road 5".
-    length_m : float
-        Of the road. [m]
-    offset : Offset
-        From the file's coordinates to the projection's.
-
-    Raises
-    ------
-    InputError
-        There is no piece of a length above 0, a number is missing or not finite, a piece begins
-        beyond the road's end or far from its begin, or has an unknown shape.
+    Raises InputError if there is no piece of a length above 0, a number is missing or not finite, a
+    piece begins outside the road or far from its begin, or has an unknown shape.
     """
     rows = []
     for element, here in numbered(road.find("planView"), "geometry", where):
@@ -330,38 +258,18 @@ def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...
     return (*(take_number(shape, key, where) for key in keys), per_metre)
 
 
-# ---------- piecewise cubic polynomials along a road: offsets, widths, elevations
-
-
+# ---------- cubics along a road
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PiecewiseCubic:
-    """a + b ds + c ds^2 + d ds^3 with ds counted from where a piece begins; 0 before the first.
+    """a + b ds + c ds^2 + d ds^3 with ds counted from the begin of a piece; 0 before the first."""
 
-    Attributes
-    ----------
-    starts_m : (n,) float
-        Where the pieces begin, ascending. [m]
-    coefficients : (n, 4) float
-        a, b, c, d.
-    """
-
-    starts_m: FloatArray
-    coefficients: FloatArray
+    starts_m: FloatArray  # (n,), begins of the pieces, ascending
+    coefficients: FloatArray  # (n, 4): a, b, c, d
 
     def rebased(self, starts_m: FloatArray, inside_m: FloatArray) -> FloatArray:
-        """Coefficients counted from other points.
+        """Coefficients (k, 4) of the same polynomials counted from other stations (Taylor's shift).
 
-        Parameters
-        ----------
-        starts_m : (k,) float
-            From which to count. [m]
-        inside_m : (k,) float
-            Points that say which piece is meant: where two meet, the one or the other. [m]
-
-        Returns
-        -------
-        coefficients : (k, 4) float
-            Of the same polynomials (Taylor's shift).
+        `inside_m` (k,) are stations that select the piece where two meet.
         """
         if not len(self.starts_m):
             return np.zeros((len(starts_m), 4))
@@ -369,12 +277,7 @@ class PiecewiseCubic:
         a, b, c, d = self.coefficients[np.maximum(piece, 0)].T
         h = starts_m - self.starts_m[np.maximum(piece, 0)]
         shifted = np.stack(
-            [
-                a + h * (b + h * (c + h * d)),
-                b + h * (2.0 * c + 3.0 * h * d),
-                c + 3.0 * h * d,
-                d,
-            ],
+            [a + h * (b + h * (c + h * d)), b + h * (2.0 * c + 3.0 * h * d), c + 3.0 * h * d, d],
             axis=1,
         )
         return np.where((piece >= 0)[:, None], shifted, 0.0)
@@ -387,38 +290,16 @@ class PiecewiseCubic:
 
 def evaluate(coefficients: FloatArray, ds_m: FloatArray) -> FloatArray:
     """Values of one cubic per point, (n,): coefficients (n, 4) at ds_m (n,)."""
-    a, b, c, d = coefficients.T
-    values: FloatArray = a + ds_m * (b + ds_m * (c + ds_m * d))
-    return values
+    return _cubic(ds_m, coefficients)
 
 
 def read_cubics(
     parent: Element | None, tag: str, where: str, *, start_key: str = "s", first_m: float = 0.0
 ) -> PiecewiseCubic:
-    """Read a list of elements with attributes a, b, c, d.
+    """Read the children of `parent` with a tag and attributes a, b, c, d, sorted by begin.
 
-    Parameters
-    ----------
-    parent : Element, optional
-        Who has them; none: no pieces.
-    tag : str
-        Of the elements.
-    where : str
-        For messages.
-    start_key : str
-        Attribute that says where a piece begins.
-    first_m : float
-        Where that counts from. [m]
-
-    Returns
-    -------
-    cubic : PiecewiseCubic
-        In ascending order; of several that begin at one point the last one holds.
-
-    Raises
-    ------
-    InputError
-        A number is missing or not finite.
+    `first_m` is the zero of the attribute `start_key`. Of several that begin at one station the
+    last one holds.
     """
     rows = [
         (

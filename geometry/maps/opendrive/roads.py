@@ -1,5 +1,7 @@
 """Roads as a file has them: reference line, elevation, lane sections, links."""
 
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
@@ -18,61 +20,29 @@ _MAX_LANES = 200  # on one side of a section
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadLink:
-    """What a road begins or ends at.
+    """The road or junction at an end of a road."""
 
-    Attributes
-    ----------
-    kind : str
-        "road", "junction"; empty: nothing.
-    id : str
-        Of that road or junction.
-    contact : str
-        Which of a road's ends: "start" or "end".
-    """
-
-    kind: str = ""
+    kind: str = ""  # "road", "junction"; empty: nothing
     id: str = ""
-    contact: str = ""
+    contact: str = ""  # end of the other road: "start" or "end"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneRecord:
-    """A lane of one lane section.
+    """A lane of one lane section."""
 
-    Attributes
-    ----------
-    number : int
-        Its id: negative to the right of the reference line, counted outwards.
-    type : str
-        Of the standard: "driving", "sidewalk", ...
-    is_reversed : bool
-        Driven against what its side says (OpenDRIVE 1.7 and later).
-    predecessors, successors : tuple of int
-        Numbers in the sections before and after it.
-    width, border : PiecewiseCubic
-        Along the road. Border: where its outer edge is. No pieces: not given. [m]
-    """
-
-    number: int
-    type: str
-    is_reversed: bool
-    predecessors: tuple[int, ...]
+    number: int  # its id: negative to the right of the reference line, counted outwards
+    type: str  # of the standard: "driving", "sidewalk", ...
+    is_reversed: bool  # driven against the direction of its side (OpenDRIVE 1.7 and later)
+    predecessors: tuple[int, ...]  # numbers in the section before; successors: in the one after
     successors: tuple[int, ...]
-    width: PiecewiseCubic
-    border: PiecewiseCubic
+    width: PiecewiseCubic  # along the road; without pieces: not given
+    border: PiecewiseCubic  # lateral position of its outer edge; without pieces: not given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneSection:
-    """A stretch of a road with the same lanes.
-
-    Attributes
-    ----------
-    start_m, end_m : float
-        Along the road. [m]
-    left, right : tuple of LaneRecord
-        From the reference line outwards.
-    """
+    """A stretch of a road with the same lanes, listed from the reference line outwards."""
 
     start_m: float
     end_m: float
@@ -82,53 +52,23 @@ class LaneSection:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Road:
-    """One road.
-
-    Attributes
-    ----------
-    id, name : str
-        Of the file.
-    where : str
-        For messages.
-    junction : str
-        Whose connecting road it is; ``NO_JUNCTION``: none.
-    length_m : float
-        [m]
-    keeps_left : bool
-        Traffic keeps left.
-    line : ReferenceLine
-        planView.
-    elevation : PiecewiseCubic
-        Of the reference line, without the header's offset. [m]
-    base_m : float
-        The header's offset in height. [m]
-    offset : PiecewiseCubic
-        Of the lanes to the left of the reference line. [m]
-    sections : tuple of LaneSection
-        One after the other.
-    before, after : RoadLink
-        What it begins and ends at.
-    is_banked : bool
-        It has a superelevation or a shape, which are not followed.
-    element : Element
-        For objects and signals.
-    """
+    """One road."""
 
     id: str
     name: str
-    where: str
-    junction: str
+    where: str  # for messages
+    junction: str  # of which it is a connecting road; NO_JUNCTION: none
     length_m: float
     keeps_left: bool
     line: ReferenceLine
-    elevation: PiecewiseCubic
-    base_m: float
-    offset: PiecewiseCubic
+    elevation: PiecewiseCubic  # of the reference line, without the header's offset
+    base_m: float  # the header's offset in height
+    offset: PiecewiseCubic  # of the lanes to the left of the reference line
     sections: tuple[LaneSection, ...]
-    before: RoadLink
-    after: RoadLink
-    is_banked: bool
-    element: Element
+    before: RoadLink  # at its begin
+    after: RoadLink  # at its end
+    is_banked: bool  # it has a superelevation or a shape, which are ignored
+    element: Element  # for objects and signals
 
     def height_at(self, s_m: FloatArray) -> FloatArray:
         """Height of the reference line, (n,)."""
@@ -136,30 +76,39 @@ class Road:
         return heights
 
     def place(self, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points (n, 3) on the road's plane and headings (n,) of its reference line there."""
+        """Points (n, 3) on the road's plane, and headings (n,) of its reference line there."""
         s_m = np.clip(s_m, 0.0, self.length_m)
         points, heading = self.line.at(s_m)
         left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
         return np.column_stack([points + t_m[:, None] * left, self.height_at(s_m)]), heading
 
+    def listed(self, tag: str, names: Counter[str]) -> Iterator["RoadElement"]:
+        """Its objects or signals; `names` counts names over all roads, to make them unique."""
+        parent = self.element.find(f"{tag}s")
+        for index, (element, _) in enumerate(numbered(parent, tag, self.where)):
+            label = f"{tag} {element.get('id', f'[{index}]')[:60]}"
+            name = f"road {self.id} {label}"
+            names[name] += 1  # ids are not unique in some files
+            yield RoadElement(
+                element=element,
+                road=self,
+                name=name if names[name] == 1 else f"{name} #{names[name]}",
+                where=f"{self.where} {label}",
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RoadElement:
+    """An object or signal of a road."""
+
+    element: Element
+    road: Road
+    name: str  # unique in the file
+    where: str  # for messages
+
 
 def read_road(element: Element, where: str, offset: Offset) -> Road:
-    """Read a road element.
-
-    Parameters
-    ----------
-    element : Element
-        The road.
-    where : str
-        File, for messages.
-    offset : Offset
-        From the file's coordinates to the projection's.
-
-    Raises
-    ------
-    InputError
-        Something that it cannot be without is missing, or out of range.
-    """
+    """Read a road element; raises InputError if a necessary value is missing or out of range."""
     road_id = take_id(element, f"{where}: road")
     where = f"{where}: road {road_id}"
     length_m = take_number(element, "length", where)
@@ -267,6 +216,6 @@ def _take_lane_number(element: Element, where: str) -> int:
 
 
 def _linked_lanes(lane: Element, side: str) -> tuple[int, ...]:
-    """Numbers that a lane names as those it goes on in; what is no number is no link."""
+    """Numbers of the lanes that continue this one; a link that is no number is ignored."""
     ids = [link.get("id", "").strip() for link in lane.findall(f"link/{side}")]
     return tuple(int(text) for text in ids if text.lstrip("+-").isdecimal() and len(text) < 10)

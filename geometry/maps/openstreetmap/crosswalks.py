@@ -1,4 +1,4 @@
-"""Where pedestrians cross roads."""
+"""Crosswalks: lines on which pedestrians cross roads."""
 
 from itertools import product
 
@@ -6,29 +6,19 @@ import numpy as np
 import shapely
 
 from ...arrays import FloatArray
-from .elements import DEFAULTS, Elements, Notes
+from ..source_map import Omissions
+from .elements import DEFAULTS, Elements
 from .network import Network, known_runs
 
+_FOOTWAYS = ("footway", "path", "pedestrian")
 _PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
 
 
-def find_crosswalks(network: Network, elements: Elements, notes: Notes) -> FloatArray:
-    """Lines on which pedestrians cross the carriageways of roads.
+def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) -> FloatArray:
+    """Lines (n, 2, 2) on which pedestrians cross the carriageways of roads.
 
-    Parameters
-    ----------
-    network : Network
-        The roads.
-    elements : Elements
-        What the file has.
-    notes : Notes
-        Told of crossings without a road.
-
-    Returns
-    -------
-    crosswalks_m : (n, 2, 2) float
-        Mapped footways over a road as they are; else a line across the road at the mapped point.
-        [m]
+    Mapped footways over a road count as they are; otherwise a line runs across the road at the
+    mapped point. Crossings without a road are noted.
     """
     limits = DEFAULTS["crosswalk"]
     taken = _Lines(limits["same_m"])
@@ -43,7 +33,7 @@ def find_crosswalks(network: Network, elements: Elements, notes: Notes) -> Float
             length_m = float(np.hypot(*(line[1] - line[0])))
             over_road = tree.query(shapely.linestrings(points), predicate="intersects")
             if not len(over_road) or not 1.0 < length_m <= limits["max_length_m"]:
-                notes.add("crossings", f"way {way.id}", "no road for cars below it")
+                omissions.add("crossings", f"way {way.id}", "no road for cars below it")
                 continue
             covered.update(rows.tolist())
             taken.add(line)
@@ -57,9 +47,6 @@ def find_crosswalks(network: Network, elements: Elements, notes: Notes) -> Float
     return np.array(taken.lines).reshape(-1, 2, 2)
 
 
-_FOOTWAYS = ("footway", "path", "pedestrian")
-
-
 def _edges_at(network: Network) -> dict[int, tuple[int, int]]:
     """An edge through each node of the roads, and which of its points lies there."""
     found: dict[int, tuple[int, int]] = {}
@@ -71,7 +58,7 @@ def _edges_at(network: Network) -> dict[int, tuple[int, int]]:
 
 
 def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float) -> FloatArray:
-    """From kerb to kerb and a little farther, square to the road at one of its nodes."""
+    """A line from kerb to kerb and a little farther, square to the road at one of its nodes."""
     index, at = place
     edge = network.edges[index]
     points = edge.points_m
@@ -99,7 +86,7 @@ def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float)
 
 
 class _Lines:
-    """Crosswalks so far, found again by where they lie."""
+    """Crosswalks so far, indexed by place."""
 
     def __init__(self, same_m: float) -> None:
         self.lines: list[FloatArray] = []
@@ -107,7 +94,7 @@ class _Lines:
         self._by_cell: dict[tuple[int, int], list[FloatArray]] = {}
 
     def add(self, line_m: FloatArray) -> None:
-        """Take a line, but for one that is there already, mapped in another way."""
+        """Add a line unless it is there already, mapped in another way."""
         middle = line_m.mean(axis=0)
         east, north = (int(one) for one in np.floor(middle / self._same_m))
         for cell in product((east - 1, east, east + 1), (north - 1, north, north + 1)):

@@ -1,12 +1,13 @@
-"""Nodes, ways, relations and areas of a file as they stand there, and notes on what is left out."""
+"""Nodes, ways, relations, areas and tags of a file of OpenStreetMap data."""
 
 import bz2
 import gzip
+import re
 import zlib
 from array import array
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -18,16 +19,10 @@ from ...arrays import FloatArray, IntArray
 from ...errors import InputError, Unquoted
 from ...files import load_toml
 from ...untrusted_files import check_pbf, check_size
-from ..source_map import Skipped
-
-# ---------- what OpenStreetMap leaves open, from ``data/openstreetmap.toml``
-
+from ..source_map import Omissions
 
 DEFAULTS: dict[str, Any] = load_toml(files("geometry.maps") / "data" / "openstreetmap.toml")
 """Sizes where a tag is missing or makes no sense, each with its source in the file."""
-
-
-# ---------- nodes, ways and relations of a file, as they stand there
 
 
 Tags = dict[str, str]
@@ -38,25 +33,15 @@ _EXPECTED = "OpenStreetMap data, XML or PBF"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Way:
-    """A line.
-
-    Attributes
-    ----------
-    id : int
-        In OpenStreetMap.
-    rows : (n,) int
-        Its nodes, as rows of :class:`Elements`; -1: not in the file.
-    tags : dict
-        What is known of it.
-    """
+    """A line."""
 
     id: int
-    rows: IntArray
+    rows: IntArray  # (n,), its nodes as rows of Elements; -1: not in the file
     tags: Tags
 
     @property
     def is_closed(self) -> bool:
-        """It ends where it begins, and goes around something."""
+        """It ends where it begins, and surrounds something."""
         return len(self.rows) >= 4 and self.rows[0] == self.rows[-1]
 
 
@@ -71,44 +56,21 @@ class Relation:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Elements:
-    """What a file has.
+    """The elements of a file."""
 
-    Attributes
-    ----------
-    node_ids : (n,) int
-        Rising.
-    lon_lat_deg : (n, 2) float
-        WGS 84. [deg]
-    node_tags : dict of int to dict
-        By row; of nodes that have any.
-    ways : tuple of Way
-    relations : tuple of Relation
-    """
-
-    node_ids: IntArray
-    lon_lat_deg: FloatArray
-    node_tags: dict[int, Tags]
+    node_ids: IntArray  # (n,), ascending
+    lon_lat_deg: FloatArray  # (n, 2), WGS 84
+    node_tags: dict[int, Tags]  # by row, for nodes with tags
     ways: tuple[Way, ...]
     relations: tuple[Relation, ...]
 
 
 def read_elements(path: Path) -> Elements:
-    """Read a file of OpenStreetMap data.
+    """Read a file of OpenStreetMap data: XML, packed with gzip or bzip2 or not, or PBF.
 
-    Parameters
-    ----------
-    path : Path
-        XML or PBF; XML may be packed with gzip or bzip2. What it is shows in its first bytes.
-
-    Returns
-    -------
-    elements : Elements
-        Without what is deleted; of several versions the last.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, is something else, damaged, too large, or a node lies nowhere on earth.
+    The first bytes show the format. Deleted elements are left out; of several versions the last one
+    counts. Raises InputError if the file cannot be read, has another format, is damaged or too
+    large, or a node lies nowhere on earth.
     """
     try:
         check_size(path)
@@ -137,7 +99,7 @@ def _file_format(path: Path) -> str:
 
 
 def _check_unpacked_size(path: Path, unpack: Any) -> None:
-    """Refuse what would grow without end; a second reading, but without keeping anything."""
+    """Refuse what unpacks to too much; a second reading, but without keeping anything."""
     limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
     n_bytes = 0
     try:
@@ -214,7 +176,7 @@ def _collect(path: Path, file_format: str) -> Elements:
 
 
 def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> None:
-    """Refuse coordinates that lie in the file's own bounds only when they are exchanged."""
+    """Refuse coordinates that lie within the file's own bounds only when exchanged."""
     if not len(lon_lat_deg):
         return
     middle = np.median(lon_lat_deg, axis=0)
@@ -232,7 +194,7 @@ def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> No
 
 def _place(location: Any) -> str:
     lat_deg, lon_deg = location.lat_without_check(), location.lon_without_check()
-    if max(abs(lat_deg), abs(lon_deg)) > 214.0:  # what osmium keeps where there is nothing
+    if max(abs(lat_deg), abs(lon_deg)) > 214.0:  # osmium's value for a missing one
         return "no coordinates"
     return f"latitude {lat_deg}, longitude {lon_deg}"
 
@@ -275,63 +237,15 @@ def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
     return rows
 
 
-# ---------- what was not taken, or not as it stands: gathered while reading, told once per reason
-
-
-@dataclass(slots=True)
-class Notes:
-    """Elements by the reason for which they were left out.
-
-    Attributes
-    ----------
-    reasons : dict of (str, str) to list of str
-        Kind of element in the plural and reason -> ids.
-    """
-
-    reasons: dict[tuple[str, str], list[str]] = field(default_factory=dict)
-
-    def add(self, kinds: str, element: str, why: str) -> None:
-        """Keep an element in mind: "walls", "way 5", "it has no length"."""
-        elements = self.reasons.setdefault((kinds, why), [])
-        if element not in elements[-1:]:
-            elements.append(element)
-
-    def skipped(self) -> tuple[Skipped, ...]:
-        """One entry per reason, with a count where there is more than one element."""
-        return tuple(
-            Skipped(
-                what=elements[0]
-                if len(elements) == 1
-                else f"{len(elements)} {kinds} ({elements[0]}, ..)",
-                why=why,
-            )
-            for (kinds, why), elements in self.reasons.items()
-        )
-
-
-# ---------- areas of a map: closed ways, and rings joined from the ways of multipolygons
-
-
+# ---------- areas
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Area:
-    """An area with its courtyards.
+    """An area with its courtyards."""
 
-    Attributes
-    ----------
-    id : str
-        "w5", or of a multipolygon's second ring "r7.1".
-    tags : dict
-        What is known of it.
-    outer_m : (n, 2) float
-        Closed. [m]
-    holes_m : tuple of (k, 2) float
-        [m]
-    """
-
-    id: str
+    id: str  # "w5", or of a multipolygon's second ring "r7.1"
     tags: Tags
-    outer_m: FloatArray
-    holes_m: tuple[FloatArray, ...] = ()
+    outer_m: FloatArray  # (n, 2), closed
+    holes_m: tuple[FloatArray, ...] = ()  # (k, 2) each
 
     @property
     def polygon(self) -> Polygon:
@@ -340,25 +254,9 @@ class Area:
 
 
 def find_areas(
-    elements: Elements, positions_m: FloatArray, keys: Sequence[str], notes: Notes
+    elements: Elements, positions_m: FloatArray, keys: Sequence[str], omissions: Omissions
 ) -> Iterator[Area]:
-    """Areas that have one of some tags.
-
-    Parameters
-    ----------
-    elements : Elements
-        What the file has.
-    positions_m : (n, 2) float
-        Of its nodes. [m]
-    keys : sequence of str
-        One of them must be there: "building".
-    notes : Notes
-        Told of outlines that are not whole.
-
-    Yields
-    ------
-    area : Area
-    """
+    """Closed ways and rings of multipolygons with one of the tags `keys`; broken ones are noted."""
     by_id = {way.id: way for way in elements.ways}
     used: set[int] = set()
     for relation in elements.relations:
@@ -371,12 +269,12 @@ def find_areas(
             tags = next((way.tags for way in outers if any(k in way.tags for k in keys)), {})
         if tags:
             used.update(way.id for way in outers if any(key in way.tags for key in keys))
-            yield from _multipolygon(relation, tags, by_id, positions_m, notes)
+            yield from _multipolygon(relation, tags, by_id, positions_m, omissions)
     for way in elements.ways:
         if way.id in used or not any(key in way.tags for key in keys):
             continue
         if not way.is_closed or (way.rows < 0).any():
-            notes.add("outlines", f"way {way.id}", "an outline that is not whole")
+            omissions.add("outlines", f"way {way.id}", "its outline is not closed, or misses nodes")
             continue
         yield Area(id=f"w{way.id}", tags=way.tags, outer_m=positions_m[way.rows])
 
@@ -386,7 +284,7 @@ def _multipolygon(
     tags: Tags,
     by_id: Mapping[int, Way],
     positions_m: FloatArray,
-    notes: Notes,
+    omissions: Omissions,
 ) -> Iterator[Area]:
     rings: dict[bool, list[FloatArray]] = {}
     for is_inner in (False, True):
@@ -397,7 +295,9 @@ def _multipolygon(
         rows, is_whole = join_rings(ways)
         rings[is_inner] = [positions_m[ring] for ring in rows]
         if len(ways) < len(members) or not is_whole:
-            notes.add("outlines", f"relation {relation.id}", "an outline that is not whole")
+            omissions.add(
+                "outlines", f"relation {relation.id}", "its outline is not closed, or misses nodes"
+            )
     holes: dict[int, list[FloatArray]] = defaultdict(list)
     outers = [make_valid(Polygon(ring)) for ring in rings[False]]
     if outers and rings[True]:
@@ -412,19 +312,9 @@ def _multipolygon(
 
 
 def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
-    """Rings of node rows from ways that may each be a part of one.
+    """Closed rings of node rows from ways in any order and direction.
 
-    Parameters
-    ----------
-    ways : sequence of Way
-        In any order and direction.
-
-    Returns
-    -------
-    rings : list of (n,) int
-        Closed ones.
-    is_whole : bool
-        Every way is part of one.
+    Returns also whether every way is part of a ring.
     """
     rings, is_whole = [], True
     open_ways: dict[int, Way] = {}
@@ -456,3 +346,106 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
         else:
             is_whole = False
     return rings, is_whole
+
+
+# ---------- values of tags
+_FOOT_M = 0.3048
+_INCH_M = 0.0254
+_UNITS_M = {
+    "": 1.0,
+    "m": 1.0,
+    "metre": 1.0,
+    "metres": 1.0,
+    "meter": 1.0,
+    "meters": 1.0,
+    "cm": 0.01,
+    "km": 1000.0,
+    "ft": _FOOT_M,
+    "foot": _FOOT_M,
+    "feet": _FOOT_M,
+    "'": _FOOT_M,
+    "in": _INCH_M,
+    "inch": _INCH_M,
+    "inches": _INCH_M,
+    '"': _INCH_M,
+}
+_NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
+_LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
+_FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
+_RANGE = re.compile(rf"{_NUMBER}\s*(?:-|\.\.|;|to)\s*{_NUMBER}\s*([a-z]*)")
+OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward": "forward"}
+
+
+def parse_length_m(text: str) -> float | None:
+    r"""A length as people write it, with decimal commas, units or ranges (their middle), or None.
+
+    Examples
+    --------
+    >>> [parse_length_m(text) for text in ("3,5", "12 ft", "3-4 m", "wide")]
+    [3.5, 3.6576000000000004, 3.5, None]
+    >>> round(parse_length_m("6'7\""), 4)
+    2.0066
+    """
+    text = text.strip().lower().removeprefix("~").strip()
+    if match := _LENGTH.fullmatch(text):
+        number, unit = match.groups()
+        if unit not in _UNITS_M:
+            return None
+        return _number(number) * _UNITS_M[unit]
+    if match := _FEET_AND_INCHES.fullmatch(text):
+        feet, inches = match.groups()
+        return _number(feet) * _FOOT_M + _number(inches) * _INCH_M
+    if match := _RANGE.fullmatch(text):
+        low, high, unit = match.groups()
+        if unit not in _UNITS_M:
+            return None
+        return 0.5 * (_number(low) + _number(high)) * _UNITS_M[unit]
+    return None
+
+
+def _number(text: str) -> float:
+    return float(text.replace(",", "."))
+
+
+def parse_count(text: str, *, highest: int) -> int | None:
+    """A whole number from 1 to `highest`, or None."""
+    text = text.strip()
+    if not re.fullmatch(r"[0-9]{1,6}(\.0+)?", text):
+        return None
+    number = int(float(text))
+    return number if 1 <= number <= highest else None
+
+
+def parse_number(text: str, *, highest: float) -> float | None:
+    """A number from 0 to `highest`, or None."""
+    text = text.strip().replace(",", ".")
+    if not re.fullmatch(r"[0-9]{1,6}(\.[0-9]{1,9})?", text):
+        return None
+    number = float(text)
+    return number if number <= highest else None
+
+
+def is_yes(text: str | None) -> bool:
+    """A tag that is there and does not say no."""
+    return text is not None and text.strip().lower() not in ("", "no", "0", "false", "none")
+
+
+def side_value(tags: Tags, key: str, side: str) -> str | None:
+    """Value of a tag for one side: ``key:side``, or else ``key:both``."""
+    return tags.get(f"{key}:{side}", tags.get(f"{key}:both"))
+
+
+def turned_round(tags: Tags) -> Tags:
+    """Tags of the same line with its nodes in the opposite order.
+
+    Examples
+    --------
+    >>> turned_round({"sidewalk": "left", "lanes:forward": "2"})
+    {'sidewalk': 'right', 'lanes:backward': '2'}
+    """
+    return {
+        ":".join(OPPOSITE.get(word, word) for word in key.split(":")): (
+            OPPOSITE.get(value, value) if key == "sidewalk" else value
+        )
+        for key, value in tags.items()
+    }

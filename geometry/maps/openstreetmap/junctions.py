@@ -1,4 +1,4 @@
-"""Junctions of a network: which streets are their arms, their outlines and names."""
+"""Junctions of a network: their nodes, arms, outlines and names."""
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -11,19 +11,9 @@ from shapely import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
-from ..source_map import MapJunction
-from .elements import DEFAULTS, Elements, Notes, Tags
-from .network import (
-    End,
-    Network,
-    Street,
-    axis_points,
-    surface,
-    trace_streets,
-)
-
-# ---------- where streets end at a junction: how far from its nodes, and which of them are one arm
-
+from ..source_map import MapJunction, Omissions
+from .elements import DEFAULTS, Elements, Tags
+from .network import End, Network, Street, axis_points, surface, trace_streets
 
 _STEP_M = 0.5
 _SAME_ARM_COSINE = np.cos(np.radians(25.0))  # as geometry.junction groups lanes
@@ -32,24 +22,12 @@ _SAME_ARM_GAP_M = 12.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arm:
-    """A street that leaves a junction.
+    """A street that leaves a junction."""
 
-    Attributes
-    ----------
-    street : Street
-        Away from the junction, from its node.
-    index : int
-        Of the street, among all.
-    is_begin : bool
-        The street as it is listed begins here; otherwise it ends here and is turned round.
-    mouth_m : float
-        How far from its node lanes begin. [m]
-    """
-
-    street: Street
-    index: int
-    is_begin: bool
-    mouth_m: float = 0.0
+    street: Street  # away from the junction, from its node
+    index: int  # of the street, among all
+    is_begin: bool  # the street as listed begins here; otherwise it is turned round
+    mouth_m: float = 0.0  # distance from its node at which lanes begin
 
     @property
     def direction(self) -> FloatArray:
@@ -67,25 +45,15 @@ class Arm:
 
     @property
     def half_width_m(self) -> float:
-        """Of its carriageway at the mouth, in metres."""
+        """Half the width of its carriageway at the mouth, in metres."""
         return 0.5 * self.street.sections[self.street.part_at(self.mouth_m)].width_m
 
 
 def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
     """Find how far from a junction's nodes its arms begin.
 
-    Parameters
-    ----------
-    arms : sequence of Arm
-        Of one junction.
-    inside : sequence of Street
-        Those between its nodes.
-
-    Returns
-    -------
-    arms : list of Arm
-        They begin where their carriageways have left those of the others, and a corner farther;
-        the carriageways of one arm side by side.
+    They begin a corner beyond the point where their carriageways have left those of the others and
+    of the streets `inside`; the carriageways of one arm begin side by side.
     """
     limits = DEFAULTS["junction"]
     directions = [arm.direction for arm in arms]
@@ -144,14 +112,14 @@ def group_arms(arms: Sequence[Arm]) -> list[list[int]]:
 
 
 def _is_one_road(one: Arm, other: Arm) -> bool:
-    """Leading the same way they are the carriageways of a road, which may overlap."""
+    """Two arms in the same direction are carriageways of one road, which may overlap."""
     edges = [one.street.parts[0], other.street.parts[0]]
     is_pair = all(edge.is_oneway for edge, _ in edges) and edges[0][1] != edges[1][1]
     return is_pair or (edges[0][0].name != "" and edges[0][0].name == edges[1][0].name)
 
 
 def _clear_from_m(street: Street, others: BaseGeometry) -> float:
-    """How far along a street its cross-section first touches no other surface, in metres."""
+    """Distance in metres at which a street's cross-section first touches no other surface."""
     limit_m = DEFAULTS["junction"]["max_mouth_m"]
     stations = np.arange(0.0, limit_m, _STEP_M)
     half = np.array([0.5 * street.sections[street.part_at(one)].width_m for one in stations])
@@ -165,29 +133,19 @@ def _clear_from_m(street: Street, others: BaseGeometry) -> float:
     return float(stations[clear[0]]) if len(clear) else limit_m
 
 
-# ---------- which nodes belong to which junction
-
-
+# ---------- nodes of junctions
 _FORK_DEG = 60.0  # two one-way roads that lie closer to one another than this are one road's
 
 
 @dataclass(slots=True)
 class Clusters:
-    """Nodes of junctions, joined step by step.
+    """Nodes of junctions, joined step by step."""
 
-    Attributes
-    ----------
-    of_row : dict of int to int
-        Junction's number by node row.
-    members : dict of int to list of int
-        Node rows by junction's number.
-    """
-
-    of_row: dict[int, int] = field(default_factory=dict)
-    members: dict[int, list[int]] = field(default_factory=dict)
+    of_row: dict[int, int] = field(default_factory=dict)  # junction's number by node row
+    members: dict[int, list[int]] = field(default_factory=dict)  # node rows by junction's number
 
     def add(self, row: int, number: int | None = None) -> None:
-        """A node becomes part of a junction, by default of a new one."""
+        """Add a node to a junction, by default a new one."""
         if row not in self.of_row:
             self.of_row[row] = row if number is None else number
             self.members.setdefault(self.of_row[row], []).append(row)
@@ -200,7 +158,7 @@ class Clusters:
             self.members[one] += self.members.pop(other)
 
     def drop(self, number: int) -> None:
-        """Forget a junction."""
+        """Remove a junction."""
         for row in self.members.pop(number):
             del self.of_row[row]
 
@@ -208,19 +166,9 @@ class Clusters:
 def find_clusters(network: Network, node_tags: Mapping[int, Tags]) -> Clusters:
     """Nodes where roads meet, those of one junction together.
 
-    Parameters
-    ----------
-    network : Network
-        The roads.
-    node_tags : dict of int to dict
-        By row.
-
-    Returns
-    -------
-    clusters : Clusters
-        Nodes with three or more ends of roads, or of roads and yards where signals stand; on the
-        ground; where a road only forks into its carriageways or ramps there is none. Nodes are
-        joined along short ways, and all of a roundabout.
+    These are nodes on the ground with three or more ends of roads, or of roads and yards at a
+    signal, unless a road only forks into its carriageways or ramps. Nodes are joined along short
+    streets, and all of a roundabout.
     """
     clusters = Clusters()
     for row, ends in network.ends.items():
@@ -267,7 +215,7 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
 
 
 def _join_roundabouts(network: Network, clusters: Clusters) -> None:
-    """Nodes of one ring, and of what touches it, become one junction."""
+    """Make one junction of the nodes of a ring and of what touches it."""
     limit_m = DEFAULTS["junction"]["max_roundabout_m"]
     rings = Clusters()
     for edge in network.edges:
@@ -316,62 +264,27 @@ def is_between_carriageways(network: Network, street: Street) -> bool:
     return bool(names[0] & names[1] - {street.parts[0][0].name})
 
 
-def direction_at(points_m: FloatArray, over_m: float = 10.0) -> FloatArray:
-    """Unit vector along the first metres of a line, (2,)."""
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T)))
-    ahead = np.array([np.interp(over_m, along, points_m[:, axis]) for axis in (0, 1)])
-    vector = ahead - points_m[0]
-    unit: FloatArray = vector / max(float(np.hypot(*vector)), 1e-9)
-    return unit
-
-
-# ---------- junctions of a network: which streets are their arms, their outlines and names
-
-
+# ---------- junctions
 _MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reach:
-    """The part of a street that has lanes, and the junctions at its ends.
-
-    Attributes
-    ----------
-    street : Street
-        All of it.
-    begin_m, end_m : float
-        Stations where lanes begin and end; nowhere if the end is not behind the begin. [m]
-    from_junction, to_junction : str
-        Ids; empty: none.
-    """
+    """The part of a street that has lanes, and the junctions at its ends."""
 
     street: Street
-    begin_m: float
+    begin_m: float  # station where lanes begin; there are none if the end is not beyond it
     end_m: float
-    from_junction: str = ""
+    from_junction: str = ""  # id, as of the other; empty: none
     to_junction: str = ""
 
 
 def find_junctions(
-    network: Network, elements: Elements, notes: Notes
+    network: Network, elements: Elements, omissions: Omissions
 ) -> tuple[list[Reach], list[MapJunction]]:
-    """Where roads meet.
+    """Streets outside junctions with the reach of their lanes, and junctions in the order of ids.
 
-    Parameters
-    ----------
-    network : Network
-        The roads.
-    elements : Elements
-        For tags and ids of nodes.
-    notes : Notes
-        Told of meetings of roads that have too few arms.
-
-    Returns
-    -------
-    reaches : list of Reach
-        All streets but those inside junctions.
-    junctions : list of MapJunction
-        In the order of their nodes' ids.
+    Meetings of roads with too few arms are noted.
     """
     clusters = find_clusters(network, elements.node_tags)
     known: _Placed = {}
@@ -380,7 +293,7 @@ def find_junctions(
         arms, inside = _arms_by_cluster(streets, clusters, known)
         if number_of_round < _MAX_ROUNDS and _take_in_forks(network, clusters, arms):
             continue
-        if not _drop_small(clusters, arms, elements, notes):
+        if not _drop_small(clusters, arms, elements, omissions):
             break
     ids = {
         number: f"n{min(int(elements.node_ids[row]) for row in rows)}"
@@ -439,7 +352,7 @@ def _arms_by_cluster(
 
 
 def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequence[Arm]]) -> bool:
-    """Forks in an arm before it begins, and those at the tip of a splitter island, join in."""
+    """Join forks in an arm before it begins, and those at the tip of a splitter island."""
     island_m = DEFAULTS["junction"]["island_m"]
     taken = []
     for number, here in arms.items():
@@ -468,9 +381,9 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
 
 
 def _drop_small(
-    clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements, notes: Notes
+    clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements, omissions: Omissions
 ) -> bool:
-    """Meetings of roads that are none to somebody who drives there: two roads merge, or end."""
+    """Drop meetings that no driver would call a junction, where two roads merge or end."""
     min_arms, least_m = DEFAULTS["junction"]["min_arms"], DEFAULTS["cross_section"]["min_road_m"]
     small = []
     for number, here in arms.items():
@@ -479,7 +392,9 @@ def _drop_small(
             small.append(number)
     for number in small:
         node = min(int(elements.node_ids[row]) for row in clusters.members[number])
-        notes.add("meetings of roads", f"node {node}", "fewer than three arms: roads merge or end")
+        omissions.add(
+            "meetings of roads", f"node {node}", "fewer than three arms: roads merge or end"
+        )
         clusters.drop(number)
     return bool(small)
 
@@ -491,7 +406,7 @@ def _reaches(
     arms: Mapping[int, Sequence[Arm]],
     ids: Mapping[int, str],
 ) -> dict[int, Reach]:
-    """Which part of each street has lanes, by its index."""
+    """The part of each street that has lanes, by its index."""
     least_m = DEFAULTS["cross_section"]["min_road_m"]
     mouths = {(arm.index, arm.is_begin): arm.mouth_m for here in arms.values() for arm in here}
     reaches = {}
@@ -520,7 +435,7 @@ def _reaches(
 
 
 def _road_beside_m(network: Network, street: Street, *, is_begin: bool) -> float:
-    """Half the width of the road into which a yard leads, where no junction is, in metres."""
+    """Half the width of the road into which a yard leads without a junction, in metres."""
     edge, _ = street.parts[0 if is_begin else -1]
     ends = network.ends[int(street.rows[0 if is_begin else -1])]
     others = [network.edges[index] for index, _ in ends]

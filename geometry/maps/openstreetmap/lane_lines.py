@@ -1,4 +1,4 @@
-"""Lanes of streets: cross-sections along the line of the street."""
+"""Lines of lanes: cross-sections laid along the streets."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -23,42 +23,21 @@ _BEND_M = 15.0
 
 @dataclass(slots=True)
 class _Piece:
-    """A lane over some parts of a street, with where its middle lies at breaks.
-
-    Attributes
-    ----------
-    strips : list of Strip
-        Of each part.
-    spans_m : list of (float, float)
-        Stations of each part. [m]
-    ends_left_m : list of (float, float)
-        Its middle, to the left of the street, where each part begins and ends. [m]
-    levels : list of int
-        Layer of each part.
-    id : str
-        Of the lane.
-    """
+    """A lane over some parts of a street."""
 
     id: str
-    strips: list[Strip] = field(default_factory=list)
-    spans_m: list[tuple[float, float]] = field(default_factory=list)
+    strips: list[Strip] = field(default_factory=list)  # of each part
+    spans_m: list[tuple[float, float]] = field(default_factory=list)  # stations of each part
+    # its middle, left of the street, at both ends of each part
     ends_left_m: list[tuple[float, float]] = field(default_factory=list)
-    levels: list[int] = field(default_factory=list)
+    levels: list[int] = field(default_factory=list)  # layer of each part
 
 
 def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
-    """Lanes of all streets.
+    """One lane per strip of each street and stretch between junctions.
 
-    Parameters
-    ----------
-    reaches : sequence of Reach
-        Streets and where on them lanes begin and end.
-
-    Returns
-    -------
-    lanes : tuple of MapLane
-        One per lane and stretch between junctions; where the number of lanes of a direction
-        changes, all of them end, and those that follow begin at the same points.
+    If the number of lanes of a direction changes, all of them end, and the following ones begin at
+    the same points.
     """
     lanes = [lane for reach in reaches for lane in _street_lanes(reach)]
     return tuple(_lead_on(lanes))
@@ -105,7 +84,7 @@ def _key(strip: Strip) -> tuple[str, str, int]:
 
 
 def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tuple[float, bool]:
-    """Where a lane's middle lies at a break, left of the street, and whether it just goes on."""
+    """Middle of a lane at a break, left of the street, and whether it simply continues."""
     here, there = (
         sorted(
             (one for one in side if (one.kind, one.place) == (strip.kind, strip.place)),
@@ -190,7 +169,7 @@ def _heights(piece: _Piece) -> list[tuple[float, float]]:
 
 
 def _lead_on(lanes: Sequence[MapLane]) -> list[MapLane]:
-    """Let lanes of carriageways that part or merge begin where the one before them ends."""
+    """Let lanes of carriageways that part or merge begin where the lane before them ends."""
     led = list(lanes)
     loose: dict[bool, list[int]] = defaultdict(list)  # by whether the begin is meant
     driving = [index for index, lane in enumerate(lanes) if lane.kind == "driving"]
@@ -244,7 +223,7 @@ def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
 
 
 def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
-    """A line that begins at another point and comes back to itself within some metres."""
+    """A line that begins at another point and returns to itself within some metres."""
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m[:, :2], axis=0).T)))
     run = min(_BEND_M, float(along[-1]))
     stations = np.unique(np.append(along, run))

@@ -1,39 +1,29 @@
-"""Lanes of a road from its tags: how many in each direction, how wide, what lies beside them."""
+"""Lanes of a road from its tags: number per direction, widths, and strips beside them."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
-from .elements import DEFAULTS, Notes, Tags
-from .tags import is_yes, parse_count, parse_length_m, side_value
+from ..source_map import Omissions
+from .elements import DEFAULTS, OPPOSITE, Tags, is_yes, parse_count, parse_length_m, side_value
 
-# ---------- how many lanes a road has in each direction, from its tags
+Note = Callable[[str], None]  # says that a tag of the way at hand is not followed, and why
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneCounts:
-    """Lanes of a road.
-
-    Attributes
-    ----------
-    n_forward, n_backward : int
-        In each direction, as the way's nodes run and against them.
-    is_shared : bool
-        The only lane is for both directions: both counts are 1 and mean the same lane.
-    has_centre : bool
-        There is a lane in the middle for turning from both directions.
-    is_counted : bool
-        Tags say how many lanes there are.
-    """
+    """Lanes of a road in each direction, as the way's nodes run and against them."""
 
     n_forward: int
     n_backward: int
-    is_shared: bool = False
-    has_centre: bool = False
-    is_counted: bool = False
+    is_shared: bool = False  # the only lane serves both directions; both counts are 1
+    has_centre: bool = False  # a lane in the middle is for turning from both directions
+    is_counted: bool = False  # tags give the number of lanes
 
 
 def is_oneway(tags: Tags) -> bool:
-    """A road on which cars drive one way only, as its nodes run or against them."""
+    """A road on which cars drive one way only, in the order of its nodes or against it."""
     text = tags.get("oneway", "").strip().lower()
     if text in ("yes", "true", "1", "-1", "reverse"):
         return True
@@ -47,17 +37,10 @@ def runs_backward(tags: Tags) -> bool:
     return tags.get("oneway", "").strip().lower() in ("-1", "reverse")
 
 
-def count_lanes(tags: Tags, *, element: str, notes: Notes) -> LaneCounts:
-    """Lanes of a road in each direction.
+def count_lanes(tags: Tags, note: Note) -> LaneCounts:
+    """Lanes of a road in each direction; senseless tags are noted.
 
-    Parameters
-    ----------
-    tags : dict
-        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
-    element : str
-        For notes: "way 5".
-    notes : Notes
-        Told of what makes no sense.
+    If it is a one-way road, its tags must be turned so that cars drive in the order of its nodes.
     """
     highest = int(DEFAULTS["cross_section"]["max_lanes"])
     usual = DEFAULTS["roads"][tags["highway"]]
@@ -67,7 +50,7 @@ def count_lanes(tags: Tags, *, element: str, notes: Notes) -> LaneCounts:
             return None
         count = parse_count(tags[key], highest=at_most)
         if count is None and tags[key].strip() != "0":
-            notes.add("ways", element, f"{key} makes no sense; the usual number of lanes taken")
+            note(f"{key} makes no sense; the usual number of lanes taken")
         return count
 
     def listed(key: str) -> int | None:
@@ -95,7 +78,7 @@ def count_lanes(tags: Tags, *, element: str, notes: Notes) -> LaneCounts:
         rest = max(total - (forward or backward or 0), 1)
         forward, backward = forward or rest, backward or rest
     elif total is not None and forward is None:
-        # An odd lane is somebody's turning lane; nothing says whose.
+        # An odd lane is a turning lane of an unknown direction.
         forward, backward = total - total // 2, total // 2
     if not is_counted and tags.get("lane_markings") == "no":
         forward = backward = 1
@@ -109,52 +92,27 @@ def count_lanes(tags: Tags, *, element: str, notes: Notes) -> LaneCounts:
     )
 
 
-# ---------- what lies beside the driving lanes of a road: parked cars, cyclists, pedestrians
-
-
+# ---------- strips beside the driving lanes
 Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
 
 _ON_CARRIAGEWAY = ("lane", "half_on_kerb", "shoulder", "yes")
 _BESIDE_CARRIAGEWAY = ("street_side", "on_kerb")
 _OLD_ORIENTATIONS = ("parallel", "diagonal", "perpendicular")
+_OLD_POSITIONS = {"street_side": "street_side", "on_kerb": "on_kerb", "lay_by": "street_side"}
 _CYCLE_LANES = ("lane", "opposite_lane")
 _CYCLE_TRACKS = ("track", "opposite_track")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Roadside:
-    """Beside one side of the driving lanes, from these outwards.
+    """Strips beside the driving lanes, outwards: kind, width [m], runs as the way does."""
 
-    Attributes
-    ----------
-    inner : tuple of (str, float, bool)
-        On the carriageway: kind, width [m], whether it runs as the way does.
-    outer : tuple of (str, float, bool)
-        Behind the kerb.
-    """
-
-    inner: tuple[Part, ...]
-    outer: tuple[Part, ...]
+    inner: tuple[Part, ...]  # on the carriageway
+    outer: tuple[Part, ...]  # behind the kerb
 
 
-def roadside_strips(
-    tags: Tags, *, side: str, keeps_left: bool, element: str, notes: Notes
-) -> Roadside:
-    """Parked cars, cyclists and pedestrians on one side of a road.
-
-    Parameters
-    ----------
-    tags : dict
-        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
-    side : {"left", "right"}
-        Seen along the way.
-    keeps_left : bool
-        Traffic keeps left.
-    element : str
-        For notes: "way 5".
-    notes : Notes
-        Told of widths that make no sense.
-    """
+def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> Roadside:
+    """Parked cars, cyclists and pedestrians on a side of a road, "left" or "right"."""
     is_near = side == ("left" if keeps_left else "right")  # the side of traffic along the way
     is_forward = is_near or is_oneway(tags)
     inner: list[Part] = []
@@ -167,7 +125,7 @@ def roadside_strips(
             return usual_m
         width_m = parse_length_m(text)
         if width_m is None or not 0.5 <= width_m <= 15.0:
-            notes.add("ways", element, f"{key} width makes no sense; the usual one taken")
+            note(f"{key} width makes no sense; the usual one taken")
             return usual_m
         return width_m
 
@@ -203,27 +161,20 @@ def _cycleway(tags: Tags, side: str, *, is_near: bool) -> str:
 
 
 def _parking(tags: Tags, side: str) -> tuple[str, str]:
-    """Where cars park on a side, and how."""
+    """Position and orientation of parked cars on a side."""
     position = side_value(tags, "parking", side)
     if position is not None:
-        restriction = tags.get(
-            f"parking:{side}:restriction", tags.get("parking:both:restriction", "")
+        restriction, orientation = (
+            tags.get(f"parking:{side}:{key}", tags.get(f"parking:both:{key}", default))
+            for key, default in (("restriction", ""), ("orientation", "parallel"))
         )
         if restriction in ("no_stopping", "no_parking", "no_standing"):
             return "no", ""
-        orientation = tags.get(
-            f"parking:{side}:orientation", tags.get("parking:both:orientation", "parallel")
-        )
         return position, orientation
     old = side_value(tags, "parking:lane", side) or ""
     if old in _OLD_ORIENTATIONS:
         where = tags.get(f"parking:lane:{side}:{old}", tags.get(f"parking:lane:both:{old}", ""))
-        old_positions = {
-            "street_side": "street_side",
-            "on_kerb": "on_kerb",
-            "lay_by": "street_side",
-        }
-        return old_positions.get(where, "lane"), old
+        return _OLD_POSITIONS.get(where, "lane"), old
     return "no", ""
 
 
@@ -234,52 +185,25 @@ def _has_sidewalk(tags: Tags, side: str) -> bool:
     return tags.get("sidewalk") in ("both", "yes", side)
 
 
-# ---------- lanes of a road side by side, from its tags
-
-
+# ---------- cross-sections
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Strip:
-    """One lane in a cross-section.
+    """One lane in a cross-section."""
 
-    Attributes
-    ----------
-    kind : str
-        One of :data:`geometry.maps.source_map.LANE_KINDS`.
-    place : str
-        Tells strips of a kind apart: "forward", "backward" for driving lanes, "left", "right" for
-        others.
-    number : int
-        Among those of its kind and place; 0: next to the kerb.
-    width_m : float
-        [m]
-    left_m : float
-        Of its middle, to the left of the way. [m]
-    is_forward : bool
-        Traffic runs as the way does.
-    """
-
-    kind: str
-    place: str
-    number: int
+    kind: str  # one of geometry.maps.source_map.LANE_KINDS
+    place: str  # "forward" or "backward" for driving lanes, "left" or "right" for others
+    number: int  # among those of its kind and place; 0: next to the kerb
     width_m: float
-    left_m: float
-    is_forward: bool
+    left_m: float  # of its middle, to the left of the way
+    is_forward: bool  # traffic runs in the direction of the way
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossSection:
-    """What lies side by side along a way; its carriageway's middle is the way.
+    """Strips side by side along a way, which runs in the middle of the carriageway."""
 
-    Attributes
-    ----------
-    strips : tuple of Strip
-        From left to right.
-    width_m : float
-        From kerb to kerb, parked cars and cycle lanes on the carriageway included. [m]
-    """
-
-    strips: tuple[Strip, ...]
-    width_m: float
+    strips: tuple[Strip, ...]  # from left to right
+    width_m: float  # from kerb to kerb, with parked cars and cycle lanes on the carriageway
 
     def lanes(self, *, is_forward: bool) -> tuple[Strip, ...]:
         """Driving lanes of one direction, from the kerb to the axis."""
@@ -291,7 +215,7 @@ class CrossSection:
         strips = tuple(
             replace(
                 strip,
-                place=_OPPOSITE[strip.place],
+                place=OPPOSITE[strip.place],
                 left_m=-strip.left_m,
                 is_forward=not strip.is_forward,
             )
@@ -300,54 +224,42 @@ class CrossSection:
         return replace(self, strips=strips)
 
 
-_OPPOSITE = {"forward": "backward", "backward": "forward", "left": "right", "right": "left"}
-
-
 def build_cross_section(
-    tags: Tags, *, element: str, keeps_left: bool, notes: Notes
+    tags: Tags, *, element: str, keeps_left: bool, omissions: Omissions
 ) -> CrossSection:
-    """What lies side by side along a road.
+    """Strips side by side along a road; defaults replace senseless tags, which are noted.
 
-    Parameters
-    ----------
-    tags : dict
-        Of a way for cars; if it is a one-way road, cars drive along it as its nodes run.
-    element : str
-        For notes: "way 5".
-    keeps_left : bool
-        Traffic keeps left.
-    notes : Notes
-        Told of what makes no sense in the tags; defaults stand in for it.
+    If it is a one-way road, its tags must be turned so that cars drive in the order of its nodes.
     """
     limits = DEFAULTS["cross_section"]
+    note = partial(omissions.add, "ways", element)
     left, right = (
-        roadside_strips(tags, side=side, keeps_left=keeps_left, element=element, notes=notes)
-        for side in ("left", "right")
+        roadside_strips(tags, note, side=side, keeps_left=keeps_left) for side in ("left", "right")
     )
-    counts = count_lanes(tags, element=element, notes=notes)
+    counts = count_lanes(tags, note)
     beside_m = sum(width for _, width, _ in (*left.inner, *right.inner))
-    widths, counts = _lane_widths(tags, counts, beside_m, element=element, notes=notes)
+    widths, counts = _lane_widths(tags, counts, beside_m, note)
     driving = _driving(widths, counts, keeps_left=keeps_left)
-    # From the left kerb to the right one, then what lies behind the kerbs.
-    driving_m = sum(width for _, _, width in driving)
-    carriageway_m = driving_m + beside_m
+    carriageway_m = sum(width for _, _, width in driving) + beside_m
     strips: list[Strip] = []
-    for side, parts in (("left", left), ("right", right)):
-        sign = 1.0 if side == "left" else -1.0
-        edge_m = 0.5 * carriageway_m
-        numbers: dict[str, int] = {}
-        # The kerb first, then inwards; then from the kerb outwards.
-        inwards = edge_m
-        for kind, width_m, is_forward in reversed(parts.inner):
-            strips.append(
-                _strip(kind, side, numbers, width_m, sign * (inwards - 0.5 * width_m), is_forward)
-            )
-            inwards -= width_m
-        for kind, width_m, is_forward in parts.outer:
-            strips.append(
-                _strip(kind, side, numbers, width_m, sign * (edge_m + 0.5 * width_m), is_forward)
-            )
-            edge_m += width_m
+    for side, sign, parts in (("left", 1.0, left), ("right", -1.0, right)):
+        numbers: Counter[str] = Counter()
+        # From the kerb inwards, then from the kerb outwards.
+        for step, found in ((-1.0, parts.inner[::-1]), (1.0, parts.outer)):
+            edge_m = 0.5 * carriageway_m
+            for kind, width_m, is_forward in found:
+                strips.append(
+                    Strip(
+                        kind=kind,
+                        place=side,
+                        number=numbers[kind],
+                        width_m=width_m,
+                        left_m=sign * (edge_m + step * 0.5 * width_m),
+                        is_forward=is_forward,
+                    )
+                )
+                numbers[kind] += 1
+                edge_m += step * width_m
     at_m = 0.5 * carriageway_m - sum(width for _, width, _ in left.inner)
     for place, number, width_m in driving:
         middle_m = at_m - 0.5 * width_m
@@ -373,28 +285,9 @@ def build_cross_section(
     return CrossSection(strips=tuple(strips), width_m=carriageway_m)
 
 
-def _strip(
-    kind: str,
-    side: str,
-    numbers: dict[str, int],
-    width_m: float,
-    left_m: float,
-    is_forward: bool,
-) -> Strip:
-    numbers[kind] = numbers.get(kind, -1) + 1
-    return Strip(
-        kind=kind,
-        place=side,
-        number=numbers[kind],
-        width_m=width_m,
-        left_m=left_m,
-        is_forward=is_forward,
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class _Widths:
-    """Widths of lanes in metres, each from left to right in its driving direction."""
+    """Widths of lanes in metres, from left to right in their driving direction."""
 
     forward: Sequence[float]
     backward: Sequence[float]
@@ -419,7 +312,7 @@ def _driving(
 
 
 def _lane_widths(
-    tags: Tags, counts: LaneCounts, beside_m: float, *, element: str, notes: Notes
+    tags: Tags, counts: LaneCounts, beside_m: float, note: Note
 ) -> tuple[_Widths, LaneCounts]:
     limits = DEFAULTS["cross_section"]
     narrow_m, wide_m = limits["min_lane_width_m"], limits["max_lane_width_m"]
@@ -429,7 +322,7 @@ def _lane_widths(
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
         return _Widths(forward, backward, centre_m), counts
-    total_m = _total_width_m(tags, element=element, notes=notes)
+    total_m = _total_width_m(tags, note)
     if total_m is not None:
         free_m = total_m - beside_m - centre_m
         fitting = counts
@@ -439,7 +332,7 @@ def _lane_widths(
         n_lanes = 1 if fitting.is_shared else counts.n_forward + counts.n_backward
         if narrow_m <= free_m / n_lanes <= wide_m:
             return _even(free_m / n_lanes, centre_m, fitting), fitting
-        notes.add("ways", element, "its width does not fit its lanes; usual widths taken")
+        note("its width does not fit its lanes; usual widths taken")
     return _even(usual_m, centre_m, counts), counts
 
 
@@ -448,7 +341,7 @@ def _even(width_m: float, centre_m: float, counts: LaneCounts) -> _Widths:
 
 
 def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) -> list[float] | None:
-    """Widths of each lane in metres, where they are listed and as many as there are lanes."""
+    """Widths of each lane in metres, if they are listed for the right number of lanes."""
     if not count:
         return []
     text = tags.get(f"width:lanes:{direction}") or (tags.get("width:lanes") if is_alone else None)
@@ -464,11 +357,11 @@ def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) ->
     return known if len(known) == len(widths) == count else None
 
 
-def _total_width_m(tags: Tags, *, element: str, notes: Notes) -> float | None:
+def _total_width_m(tags: Tags, note: Note) -> float | None:
     for key in ("width:carriageway", "width", "est_width"):
         if key in tags:
             width_m = parse_length_m(tags[key])
             if width_m is not None and 1.0 < width_m < 100.0:
                 return width_m
-            notes.add("ways", element, f"{key} makes no sense; usual widths taken")
+            note(f"{key} makes no sense; usual widths taken")
     return None

@@ -11,46 +11,27 @@ from shapely import Polygon, make_valid
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from .elements import DEFAULTS, Elements, Notes, Tags, Way
+from ..source_map import Omissions
+from .elements import DEFAULTS, Elements, Tags, Way, is_yes, turned_round
 from .lanes import CrossSection, build_cross_section, is_oneway, runs_backward
-from .tags import is_yes, turned_round
-
-# ---------- the roads of a map as a graph
-
 
 _MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Edge:
-    """Part of a way for cars between two nodes where ways begin, end or meet.
+    """Part of a way for cars between two nodes where ways begin, end or meet."""
 
-    Attributes
-    ----------
-    id : str
-        Way and part: "w5", "w5.1".
-    way_id : int
-        In OpenStreetMap.
-    rows : (n,) int
-        Nodes; if it is a one-way road, cars drive as they run.
-    points_m : (n, 2) float
-        Where they lie. [m]
-    tags : dict
-        Of the way, as its nodes run here.
-    section : CrossSection
-        What lies side by side along it.
-    """
-
-    id: str
+    id: str  # way and part: "w5", "w5.1"
     way_id: int
-    rows: IntArray
-    points_m: FloatArray
-    tags: Tags
+    rows: IntArray  # (n,), nodes; in a one-way road cars drive in their order
+    points_m: FloatArray  # (n, 2), positions of the nodes
+    tags: Tags  # of the way, in the order of nodes here
     section: CrossSection
 
     @property
     def is_service(self) -> bool:
-        """A road to somebody's yard, not one of the network."""
+        """A road to a yard, not one of the network."""
         return self.tags["highway"] == "service"
 
     @property
@@ -70,7 +51,7 @@ class Edge:
 
     @property
     def level(self) -> int:
-        """Layer that it lies in; 0: on the ground."""
+        """Its layer; 0: on the ground."""
         return level(self.tags)
 
 
@@ -93,16 +74,7 @@ End = tuple[int, bool]  # an edge and whether its first node is meant
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Network:
-    """Edges and what meets where.
-
-    Attributes
-    ----------
-    edges : tuple of Edge
-    ends : dict of int to tuple of End
-        By node row.
-    positions_m : (n, 2) float
-        Of all nodes of the file. [m]
-    """
+    """Edges, their ends by node row, and positions (n, 2) of all nodes of the file."""
 
     edges: tuple[Edge, ...]
     ends: Mapping[int, tuple[End, ...]]
@@ -118,17 +90,12 @@ class Network:
         east, north = ahead - points[0]
         return float(np.degrees(np.arctan2(north, east)))
 
-    def row(self, end: End) -> int:
-        """Node at an edge's end."""
-        index, is_start = end
-        return int(self.edges[index].rows[0 if is_start else -1])
 
-
-_ACCESS = ("motorcar", "motor_vehicle", "vehicle", "access")  # what is more special goes first
+_ACCESS = ("motorcar", "motor_vehicle", "vehicle", "access")  # the most specific first
 
 
 def is_for_cars(tags: Tags) -> bool:
-    """A way that cars drive on as part of the network of roads, or to somebody's yard."""
+    """A way that cars drive on as part of the network of roads, or to a yard."""
     return (
         tags.get("highway") in DEFAULTS["roads"]
         and tags.get("area") != "yes"
@@ -138,28 +105,16 @@ def is_for_cars(tags: Tags) -> bool:
 
 
 def build_network(
-    elements: Elements, positions_m: FloatArray, *, keeps_left: bool, notes: Notes
+    elements: Elements, positions_m: FloatArray, *, keeps_left: bool, omissions: Omissions
 ) -> Network:
-    """The roads for cars of a file.
-
-    Parameters
-    ----------
-    elements : Elements
-        What the file has.
-    positions_m : (n, 2) float
-        Of its nodes. [m]
-    keeps_left : bool
-        Traffic keeps left.
-    notes : Notes
-        Told of ways whose nodes are missing and of tags that make no sense.
-    """
+    """The roads for cars; ways with missing nodes and senseless tags are noted."""
     parts: list[tuple[Way, int, IntArray]] = []
     for way in elements.ways:
         if is_for_cars(way.tags):
             found = list(known_runs(way.rows, positions_m))
             if (way.rows < 0).any() or not found:
                 why = "nodes are missing in the file, as at the edge of a cut-out"
-                notes.add("roads", f"way {way.id}", f"partly left out: {why}")
+                omissions.add("roads", f"way {way.id}", f"partly left out: {why}")
             parts += [(way, part, rows) for part, rows in enumerate(found)]
     n_uses = np.zeros(len(positions_m), dtype=np.int64)
     for _, _, rows in parts:
@@ -174,7 +129,7 @@ def build_network(
             if runs_backward(way.tags):
                 tags |= {"oneway": "yes", "oneway:turned": "yes"}
             section = build_cross_section(
-                tags, element=f"way {way.id}", keeps_left=keeps_left, notes=notes
+                tags, element=f"way {way.id}", keeps_left=keeps_left, omissions=omissions
             )
             sections[way.id] = (tags, section)
         tags, section = sections[way.id]
@@ -218,32 +173,16 @@ def known_runs(rows: IntArray, positions_m: FloatArray) -> Iterator[IntArray]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Street:
-    """Edges one after the other, between two nodes where they stop.
+    """Edges one after the other, between two nodes where they stop."""
 
-    Attributes
-    ----------
-    parts : tuple of (Edge, bool)
-        Edges, and whether they are followed as their nodes run.
-    points_m : (n, 2) float
-        Of all of it. [m]
-    rows : (n,) int
-        Nodes there.
-    stations_m : (n,) float
-        Distance of each point along it. [m]
-    normals : (n - 1, 2) float
-        Unit vectors to the left of what lies between points.
-    breaks_m : (n_parts + 1,) float
-        Where parts begin and end. [m]
-    sections : tuple of CrossSection
-        Of each part, as the street runs.
-    """
-
+    # edges, and whether they are followed in the order of their nodes
     parts: tuple[tuple[Edge, bool], ...]
-    points_m: FloatArray = field(init=False)
-    rows: IntArray = field(init=False)
-    stations_m: FloatArray = field(init=False)
-    normals: FloatArray = field(init=False)
-    breaks_m: FloatArray = field(init=False)
+    points_m: FloatArray = field(init=False)  # (n, 2)
+    rows: IntArray = field(init=False)  # (n,), nodes
+    stations_m: FloatArray = field(init=False)  # (n,), distance of each point along the street
+    normals: FloatArray = field(init=False)  # (n - 1, 2), unit vectors to the left between points
+    breaks_m: FloatArray = field(init=False)  # (n_parts + 1,), begins and ends of parts
+    # of each part, in the direction of the street
     sections: tuple[CrossSection, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -279,13 +218,13 @@ class Street:
         return float(self.stations_m[-1])
 
     def turned_round(self) -> "Street":
-        """The same from its end to its begin."""
+        """The same street from its end to its begin."""
         return replace(
             self, parts=tuple((edge, not is_along) for edge, is_along in self.parts[::-1])
         )
 
     def part_at(self, station_m: float) -> int:
-        """Which part lies at a distance along it."""
+        """Index of the part at a distance along the street."""
         if len(self.parts) == 1:
             return 0
         index = int(np.searchsorted(self.breaks_m, station_m, side="right")) - 1
@@ -293,20 +232,9 @@ class Street:
 
 
 def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street]:
-    """Follow roads from node to node until they stop.
+    """Follow roads from node to node until `stops(row)`; every edge is part of exactly one street.
 
-    Parameters
-    ----------
-    network : Network
-        The roads.
-    stops : callable
-        Whether streets end at a node, given its row. Elsewhere a road goes straight on where it
-        can, and what joins it from the side ends there.
-
-    Returns
-    -------
-    streets : list of Street
-        Every edge is part of exactly one.
+    At other nodes a road goes straight on if it can, and roads that join from the side end there.
     """
     partner: dict[End, End] = {}
     for row, ends in network.ends.items():
@@ -332,7 +260,7 @@ def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street
 
 
 def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, End]]:
-    """Which roads go on into which at a node that is no junction: busy ones and straight ones."""
+    """Pairs of roads that continue each other at a node that is no junction."""
     if len(ends) == 2:
         yield ends[0], ends[1]
         return
@@ -364,35 +292,18 @@ def _can_follow(edges: tuple[Edge, ...], one: End, other: End) -> bool:
 
 
 # ---------- lines and areas beside a street
-
-
 _MAX_MITRE = 2.0  # at sharp bends lines beside a street are cut off
 
 
 def points_beside(street: Street, stations_m: ArrayLike, left_m: ArrayLike) -> FloatArray:
-    """Points beside a street.
-
-    Parameters
-    ----------
-    street : Street
-        Along which.
-    stations_m : (n,) float
-        How far along it; rising. [m]
-    left_m : (n,) float
-        How far to its left there. [m]
-
-    Returns
-    -------
-    points_m : (n, 2) float
-        At bends on the line that halves the angle. [m]
-    """
+    """Points (n, 2) beside a street at ascending stations; at bends on the angle's bisector."""
     middle, across = axis_points(street, stations_m)
     beside: FloatArray = middle + np.asarray(left_m, dtype=np.float64).reshape(-1, 1) * across
     return beside
 
 
 def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Points of a street's axis, and what to add to them for each metre to the left; (n, 2)."""
+    """Points of a street's axis, and the step for each metre to the left; (n, 2)."""
     stations = np.asarray(stations_m, dtype=np.float64)
     stations = np.minimum(np.maximum(stations, 0.0), street.length_m)
     points, along, normals = street.points_m, street.stations_m, street.normals
@@ -412,10 +323,10 @@ def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, Floa
 
 
 def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
-    """Which points of a line beside a street stay, so that it runs as the street does, (n,).
+    """Which points of a line beside a street to keep, so that it runs as the street does, (n,).
 
-    At sharp bends a line on the inner side would run back for a while; `middle` are the points of
-    the street's axis beside which those of the line lie.
+    At sharp bends a line on the inner side would run backwards for a while; `middle` are the points
+    of the street's axis beside those of the line.
     """
     is_kept = np.ones(len(line_m), dtype=bool)
     steps = np.einsum("ij,ij->i", np.diff(line_m, axis=0), np.diff(middle, axis=0))
@@ -436,7 +347,7 @@ def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
 def stations_between(
     street: Street, begin_m: float, end_m: float, extra: Sequence[float] = ()
 ) -> FloatArray:
-    """Where a line beside a street needs points: begin, end, bends, and others between them."""
+    """Stations where a line beside a street needs points: begin, end, bends, and `extra` ones."""
     every = np.concatenate([street.stations_m, np.asarray(extra, dtype=np.float64)])
     inside = np.unique(every[(every > begin_m + 0.05) & (every < end_m - 0.05)])
     return np.concatenate([[begin_m], inside, [end_m]])

@@ -1,4 +1,4 @@
-"""OpenStreetMap data as a map, from a file or from a public server."""
+"""Read OpenStreetMap data as a map, from a file or from a public server."""
 
 from collections import Counter
 from dataclasses import replace
@@ -11,44 +11,31 @@ from numpy.typing import ArrayLike
 from ...arrays import FloatArray, float_array
 from ...errors import InputError, MissingExtraError, Unquoted
 from ...files import write_atomically
-from ..georeferences import local_crs, transform
-from ..source_map import Skipped, SourceMap
+from ..georeferences import WGS84, local_crs, transform
+from ..source_map import Omissions, Skipped, SourceMap
 from .crosswalks import find_crosswalks
-from .elements import DEFAULTS, Elements, Notes, Way, read_elements
+from .elements import DEFAULTS, Elements, Way, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
 from .lanes import is_oneway, runs_backward
 from .network import build_network, is_for_cars, known_runs
 from .things import find_barriers, find_buildings, find_poles, find_trees
 
-# ---------- on which side traffic keeps, as far as a map shows it
-
-
 _CLEAR = 0.8  # of all that shows a side
 _CARRIAGEWAYS_M = (3.0, 30.0)  # apart
 
 
 def find_driving_side(elements: Elements, positions_m: FloatArray) -> tuple[bool, str]:
-    """Whether traffic keeps left.
+    """Whether traffic keeps left, and what shows it (empty: nothing, it is assumed).
 
-    Parameters
-    ----------
-    elements : Elements
-        What the file has.
-    positions_m : (n, 2) float
-        Of its nodes. [m]
-
-    Returns
-    -------
-    keeps_left : bool
-        From the tag, or from which way round cars drive in roundabouts, or from which side the
-        other carriageway of a street lies on; otherwise False.
-    how : str
-        What showed it; empty: nothing, it is assumed.
+    Evidence is the tag, the driving direction in roundabouts, or the side of a street's other
+    carriageway. `positions_m` (n, 2) are those of the nodes.
     """
     ways = [way for way in elements.ways if is_for_cars(way.tags)]
     tagged = Counter(
-        way.tags["driving_side"] for way in ways if way.tags.get("driving_side") in _SIDES
+        way.tags["driving_side"]
+        for way in ways
+        if way.tags.get("driving_side") in ("left", "right")
     )
     if tagged:
         return tagged["left"] > tagged["right"], "its tag"
@@ -63,16 +50,13 @@ def find_driving_side(elements: Elements, positions_m: FloatArray) -> tuple[bool
     return False, ""
 
 
-_SIDES = ("left", "right")
-
-
 def _points(way: Way, positions_m: FloatArray) -> list[FloatArray]:
     step = -1 if runs_backward(way.tags) else 1
     return [positions_m[rows[::step]] for rows in known_runs(way.rows, positions_m)]
 
 
 def _roundabouts(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
-    """Clockwise where traffic keeps left; parts of a ring bend that way too."""
+    """Votes of roundabouts: driven clockwise if traffic keeps left; parts of a ring count too."""
     votes: Counter[bool] = Counter()
     for way in ways:
         if way.tags.get("junction") not in ("roundabout", "circular"):
@@ -87,7 +71,7 @@ def _roundabouts(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
 
 
 def _carriageways(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
-    """The other carriageway lies on the right where traffic keeps left."""
+    """Votes of streets: the other carriageway lies on the right if traffic keeps left."""
     votes: Counter[bool] = Counter()
     starts, ends, names = [], [], []
     for way in ways:
@@ -117,14 +101,14 @@ def _carriageways(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
     return votes
 
 
-# ---------- openStreetMap files as maps
-
-
-_WGS84 = "EPSG:4326"
+# ---------- files
 
 
 def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read a file of OpenStreetMap data.
+
+    Coordinates are metres around the middle of the roads, heights are above the ground; there may
+    be no junction.
 
     Parameters
     ----------
@@ -132,12 +116,6 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
         XML (.osm, .osm.gz, .osm.bz2) or PBF (.osm.pbf).
     keeps_left : bool, optional
         Traffic keeps left; by default what the file shows: a tag, roundabouts, carriageways.
-
-    Returns
-    -------
-    source_map : SourceMap
-        In metres around the middle of its roads, heights above the ground. It may have no
-        junction.
 
     Raises
     ------
@@ -153,34 +131,34 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
         raise InputError(str(path), Unquoted(found), "a map with roads")
     positions_m, crs = _project(elements, rows, path)
     elements = _near(elements, positions_m)
-    notes = Notes()
+    omissions = Omissions()
     side = ""
     if keeps_left is None:
         keeps_left, side = find_driving_side(elements, positions_m)
         side = side or "nothing"
-    network = build_network(elements, positions_m, keeps_left=keeps_left, notes=notes)
+    network = build_network(elements, positions_m, keeps_left=keeps_left, omissions=omissions)
     if not network.edges:
         raise InputError(str(path), Unquoted("no road with two nodes"), "a map with roads")
-    reaches, junctions = find_junctions(network, elements, notes)
+    reaches, junctions = find_junctions(network, elements, omissions)
     lanes = build_lanes(reaches)
-    poles = find_poles(network, reaches, elements, keeps_left=keeps_left, notes=notes)
-    crosswalks_m = find_crosswalks(network, elements, notes)
+    poles = find_poles(network, reaches, elements, keeps_left=keeps_left, omissions=omissions)
+    crosswalks_m = find_crosswalks(network, elements, omissions)
     things = [
-        *find_buildings(elements, positions_m, notes),
-        *find_barriers(elements, positions_m, notes),
-        *find_trees(elements, positions_m, notes),
+        *find_buildings(elements, positions_m, omissions),
+        *find_barriers(elements, positions_m, omissions),
+        *find_trees(elements, positions_m, omissions),
     ]
-    skipped = notes.skipped()
+    skipped = omissions.listed()
     if side == "nothing":
         assumed = Skipped(
             what="side of the road",
-            why="nothing shows it - tag, roundabout, carriageways -: taken to keep right",
+            why="no tag, roundabout or pair of carriageways shows it: taken to keep right",
         )
         skipped = (assumed, *skipped)
     return SourceMap(
         name=path.name,
         crs=crs,
-        source_crs=_WGS84,
+        source_crs=WGS84,
         heights="above ground",
         lanes=lanes,
         junctions=tuple(junctions),
@@ -193,7 +171,7 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
 
 
 def _project(elements: Elements, rows: np.ndarray, path: Path) -> tuple[FloatArray, str]:
-    """Metres around the middle of the roads for all nodes, and what they count from."""
+    """Positions of all nodes in metres around the middle of the roads, and their CRS."""
     lon_lat = elements.lon_lat_deg[rows]
     low, high = lon_lat.min(axis=0), lon_lat.max(axis=0)
     limit_deg = DEFAULTS["reading"]["max_span_deg"]
@@ -206,11 +184,11 @@ def _project(elements: Elements, rows: np.ndarray, path: Path) -> tuple[FloatArr
             ),
             f"a map of a place, at most {limit_deg:g} degree wide; cut it out first",
         )
-    crs = local_crs(0.5 * (low + high), _WGS84, where=str(path))
-    # Far from the roads the projection ends; nobody needs what is there.
+    crs = local_crs(0.5 * (low + high), WGS84, where=str(path))
+    # Far from the roads the projection ends, and nothing is needed there.
     is_near = (np.abs(elements.lon_lat_deg - 0.5 * (low + high)) <= 2.0 * limit_deg).all(axis=1)
     positions = np.full((len(is_near), 2), np.inf)
-    positions[is_near] = transform(elements.lon_lat_deg[is_near], _WGS84, crs)
+    positions[is_near] = transform(elements.lon_lat_deg[is_near], WGS84, crs)
     return positions, crs
 
 
@@ -229,11 +207,9 @@ def _near(elements: Elements, positions_m: FloatArray) -> Elements:
     )
 
 
-# ---------- openStreetMap data of a place, from a public server
-
-
+# ---------- a public server
 def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
-    """Fetch all of OpenStreetMap within a box, by the Overpass API.
+    """Fetch all OpenStreetMap data within a box, by the Overpass API.
 
     Parameters
     ----------
@@ -245,7 +221,7 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
     Raises
     ------
     InputError
-        The box is none, or too large; or the server does not answer with a map.
+        The box is not valid or too large; or the server does not answer with a map.
     MissingExtraError
         The package for requests over the network is not installed.
     """

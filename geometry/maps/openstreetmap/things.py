@@ -2,52 +2,48 @@
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import LineString, Polygon, STRtree, make_valid
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ..solids import extrude
-from ..source_map import Pole, Thing
-from .elements import DEFAULTS, Area, Elements, Notes, Tags, Way, find_areas
+from ..solids import Mesh, extrude, join, unit_ball
+from ..source_map import Omissions, Pole, Thing
+from .elements import (
+    DEFAULTS,
+    Area,
+    Elements,
+    Tags,
+    Way,
+    find_areas,
+    is_yes,
+    parse_length_m,
+    parse_number,
+)
 from .junctions import Reach
+from .lanes import Note
 from .network import Network, known_runs, points_beside
-from .tags import is_yes, parse_length_m, parse_number
-
-# ---------- buildings and their parts as solids
-
 
 _ON_STILTS = ("roof", "carport", "canopy")
 _NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapsed")
 
 
-def find_buildings(elements: Elements, positions_m: FloatArray, notes: Notes) -> Iterator[Thing]:
-    """Buildings of a file.
+def find_buildings(
+    elements: Elements, positions_m: FloatArray, omissions: Omissions
+) -> Iterator[Thing]:
+    """Buildings as prisms from the ground, or from their tagged bottom.
 
-    Parameters
-    ----------
-    elements : Elements
-        What the file has.
-    positions_m : (n, 2) float
-        Of its nodes. [m]
-    notes : Notes
-        Told of buildings that are left out, and why.
-
-    Yields
-    ------
-    building : Thing
-        A prism from the ground, or from where the map says that it begins. A building with parts
-        that cover it is its parts; where they do not, the rest of it stands too.
+    A building with parts is its parts, and the rest of it unless they cover it. Buildings that are
+    left out are noted.
     """
     areas = [
         area
-        for area in find_areas(elements, positions_m, ("building", "building:part"), notes)
-        if _stands(area, notes)
+        for area in find_areas(elements, positions_m, ("building", "building:part"), omissions)
+        if _stands(area, omissions)
     ]
     parts = [area for area in areas if is_yes(area.tags.get("building:part"))]
     part_ids = {area.id for area in parts}
@@ -55,14 +51,14 @@ def find_buildings(elements: Elements, positions_m: FloatArray, notes: Notes) ->
     rests = _without_parts(outlines, parts)
     for area in parts:
         if not _is_on_stilts(area.tags) or _bottom_m(area.tags) > 0.0:
-            yield from _solid(area, notes)
+            yield from _solid(area, omissions)
         else:
-            notes.add("roofs", _element(area), "a roof on stilts of unknown height")
+            omissions.add("roofs", _element(area), "a roof on stilts of unknown height")
     for area, rest in zip(outlines, rests, strict=True):
         if _is_on_stilts(area.tags) and _bottom_m(area.tags) <= 0.0:
-            notes.add("roofs", _element(area), "a roof on stilts of unknown height")
+            omissions.add("roofs", _element(area), "a roof on stilts of unknown height")
         elif rest is None:
-            yield from _solid(area, notes)
+            yield from _solid(area, omissions)
         else:
             for number, piece in enumerate(rest):
                 name = f"{area.id} beside its parts" + (f" {number}" if number else "")
@@ -73,7 +69,7 @@ def find_buildings(elements: Elements, positions_m: FloatArray, notes: Notes) ->
                         outer_m=np.asarray(piece.exterior.coords),
                         holes_m=tuple(np.asarray(hole.coords) for hole in piece.interiors),
                     ),
-                    notes,
+                    omissions,
                 )
 
 
@@ -82,17 +78,17 @@ def _element(area: Area) -> str:
     return f"{kind} {area.id[1:].partition('.')[0]}"
 
 
-def _stands(area: Area, notes: Notes) -> bool:
-    """It is there, above the ground, and something to look at."""
+def _stands(area: Area, omissions: Omissions) -> bool:
+    """It exists, above the ground, and can be seen."""
     tags = area.tags
     kinds = [tags[key] for key in ("building", "building:part") if key in tags]
     if all(kind == "no" for kind in kinds):
         return False
     if any(kind in _NOT_THERE for kind in kinds):
-        notes.add("buildings", _element(area), "not built yet, or no longer there")
+        omissions.add("buildings", _element(area), "not built yet, or no longer there")
         return False
     if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
-        notes.add("buildings", _element(area), "below the ground")
+        omissions.add("buildings", _element(area), "below the ground")
         return False
     return True
 
@@ -102,7 +98,7 @@ def _is_on_stilts(tags: Tags) -> bool:
 
 
 def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list[Polygon] | None]:
-    """What of each outline no part covers; None: it has none."""
+    """The rest of each outline that no part covers; None: it has no parts."""
     rests: list[list[Polygon] | None] = [None] * len(outlines)
     if not outlines or not parts:
         return rests
@@ -130,24 +126,20 @@ def _polygons(shape: BaseGeometry) -> Iterator[Polygon]:
             yield part
 
 
-def _solid(area: Area, notes: Notes) -> Iterator[Thing]:
-    top_m, is_assumed = _top_m(area, notes)
+def _solid(area: Area, omissions: Omissions) -> Iterator[Thing]:
+    top_m, is_assumed = _top_m(area, omissions)
     bottom_m = _bottom_m(area.tags)
     if bottom_m >= top_m:
         if not is_assumed:
-            notes.add("buildings", _element(area), "its roof is not above its floor")
+            omissions.add("buildings", _element(area), "its roof is not above its floor")
             return
         top_m = bottom_m + DEFAULTS["building"]["storey_height_m"]
     try:
         vertices, triangles = extrude(
-            area.outer_m,
-            bottom_m=bottom_m,
-            top_m=top_m,
-            holes_m=area.holes_m,
-            where=_element(area),
+            area.outer_m, bottom_m=bottom_m, top_m=top_m, holes_m=area.holes_m, where=_element(area)
         )
     except InputError as error:
-        notes.add("buildings", _element(area), f"its outline has {error.got}")
+        omissions.add("buildings", _element(area), f"its outline has {error.got}")
         return
     yield Thing(
         id=area.id,
@@ -158,15 +150,15 @@ def _solid(area: Area, notes: Notes) -> Iterator[Thing]:
     )
 
 
-def _top_m(area: Area, notes: Notes) -> tuple[float, bool]:
-    """Height of the roof, and whether nothing says so; in metres."""
+def _top_m(area: Area, omissions: Omissions) -> tuple[float, bool]:
+    """Height of the roof in metres, and whether it is assumed."""
     tags, usual = area.tags, DEFAULTS["building"]
     for key in ("height", "building:height", "est_height"):
         if key in tags:
             height_m = parse_length_m(tags[key])
             if height_m is not None and 0.0 < height_m <= usual["max_height_m"]:
                 return height_m, False
-            notes.add("buildings", _element(area), f"{key} makes no sense; the next best taken")
+            omissions.add("buildings", _element(area), f"{key} makes no sense; the next best taken")
     storey_m = usual["storey_height_m"]
     levels = _levels(tags, "building:levels")
     roof_m = parse_length_m(tags["roof:height"]) if "roof:height" in tags else None
@@ -199,29 +191,14 @@ def _levels(tags: Tags, key: str) -> float | None:
     )
 
 
-# ---------- walls and hedges as solids
-
-
+# ---------- walls and hedges
 _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
 
 
-def find_barriers(elements: Elements, positions_m: FloatArray, notes: Notes) -> Iterator[Thing]:
-    """Walls, hedges and boarded fences of a file.
-
-    Parameters
-    ----------
-    elements : Elements
-        What the file has.
-    positions_m : (n, 2) float
-        Of its nodes. [m]
-    notes : Notes
-        Told of fences, which are seen through, and of what is damaged.
-
-    Yields
-    ------
-    barrier : Thing
-        As high and thick as the map says, or as is usual.
-    """
+def find_barriers(
+    elements: Elements, positions_m: FloatArray, omissions: Omissions
+) -> Iterator[Thing]:
+    """Walls, hedges and boarded fences; transparent fences and damaged outlines are noted."""
     for way in elements.ways:
         kind = way.tags.get("barrier", "")
         if kind not in _KINDS:
@@ -229,10 +206,10 @@ def find_barriers(elements: Elements, positions_m: FloatArray, notes: Notes) -> 
         element = f"way {way.id}"
         fence = way.tags.get("fence_type", way.tags.get("material", ""))
         if kind == "fence" and fence not in DEFAULTS["barrier"]["opaque_fences"]:
-            notes.add("fences", element, "seen through: no fence_type that says otherwise")
+            omissions.add("fences", element, "seen through: no fence_type that says otherwise")
             continue
-        height_m, is_assumed = _size_m(way.tags, kind, "height", notes, element)
-        thickness_m, _ = _size_m(way.tags, kind, "thickness", notes, element)
+        height_m, is_assumed = _size_m(way.tags, kind, "height", omissions, element)
+        thickness_m, _ = _size_m(way.tags, kind, "thickness", omissions, element)
         for number, footprint in enumerate(_footprints(way, positions_m, thickness_m)):
             try:
                 vertices, triangles = extrude(
@@ -243,7 +220,7 @@ def find_barriers(elements: Elements, positions_m: FloatArray, notes: Notes) -> 
                     where=element,
                 )
             except InputError as error:
-                notes.add("barriers", element, f"its outline has {error.got}")
+                omissions.add("barriers", element, f"its outline has {error.got}")
                 continue
             yield Thing(
                 id=f"w{way.id} {kind}" + (f" {number}" if number else ""),
@@ -272,71 +249,64 @@ def _footprints(way: Way, positions_m: FloatArray, thickness_m: float) -> Iterat
                 yield part
 
 
-def _size_m(tags: Tags, kind: str, name: str, notes: Notes, element: str) -> tuple[float, bool]:
-    """Height or thickness, and whether nothing says so; in metres."""
+def _size_m(
+    tags: Tags, kind: str, name: str, omissions: Omissions, element: str
+) -> tuple[float, bool]:
+    """Height or thickness in metres, and whether it is assumed."""
     limits = DEFAULTS["barrier"]
-    for key in (name, "width") if name == "thickness" else (name, "est_height"):
+    keys = (name, "width") if name == "thickness" else (name, "est_height")
+    bounds_m = 0.01, limits[f"max_{name}_m"]
+    size_m = _tagged_m(tags, keys, bounds_m, partial(omissions.add, "barriers", element))
+    return (float(limits[kind][f"{name}_m"]), True) if size_m is None else (size_m, False)
+
+
+def _tagged_m(
+    tags: Tags, keys: Sequence[str], bounds_m: tuple[float, float], note: Note
+) -> float | None:
+    """First length of some tags within bounds; the others are noted."""
+    for key in keys:
         if key in tags:
             size_m = parse_length_m(tags[key])
-            if size_m is not None and 0.01 <= size_m <= limits[f"max_{name}_m"]:
-                return size_m, False
-            notes.add("barriers", element, f"{key} makes no sense; the usual one taken")
-    return float(limits[kind][f"{name}_m"]), True
+            if size_m is not None and bounds_m[0] <= size_m <= bounds_m[1]:
+                return size_m
+            note(f"{key} makes no sense; the usual one taken")
+    return None
 
 
-# ---------- trees as solids: a trunk and a crown
-
-
-_WOODS = (
-    ("natural", "wood"),
-    ("natural", "scrub"),
-    ("landuse", "forest"),
-)
+# ---------- trees
+_WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
 _TRUNK_SIDES = 8
 
 
-def find_trees(elements: Elements, positions_m: FloatArray, notes: Notes) -> Iterator[Thing]:
-    """Trees of a file.
-
-    Parameters
-    ----------
-    elements : Elements
-        What the file has.
-    positions_m : (n, 2) float
-        Of its nodes. [m]
-    notes : Notes
-        Told of woods, whose trees nobody mapped.
-
-    Yields
-    ------
-    tree : Thing
-        An upright trunk and an ellipsoid as its crown, each closed.
-    """
+def find_trees(
+    elements: Elements, positions_m: FloatArray, omissions: Omissions
+) -> Iterator[Thing]:
+    """Trees as an upright trunk and an ellipsoid crown, each closed; woods are noted."""
     for row, tags in elements.node_tags.items():
         if tags.get("natural") == "tree":
             element = f"node {int(elements.node_ids[row])}"
             name = f"n{int(elements.node_ids[row])}"
-            yield _tree(name, positions_m[row], tags, element, notes)
+            yield _tree(name, positions_m[row], tags, element, omissions)
     for way in elements.ways:
         element = f"way {way.id}"
         if way.tags.get("natural") == "tree_row":
             number = 0
             for rows in known_runs(way.rows, positions_m):
                 for foot in _along(positions_m[rows]):
-                    yield _tree(f"w{way.id} tree {number}", foot, way.tags, element, notes)
+                    yield _tree(f"w{way.id} tree {number}", foot, way.tags, element, omissions)
                     number += 1
-        _note_wood(way.tags, element, notes)
+        _note_wood(way.tags, element, omissions)
     for relation in elements.relations:
-        _note_wood(relation.tags, f"relation {relation.id}", notes)
+        _note_wood(relation.tags, f"relation {relation.id}", omissions)
 
 
-def _note_wood(tags: Tags, element: str, notes: Notes) -> None:
+def _note_wood(tags: Tags, element: str, omissions: Omissions) -> None:
     if any(tags.get(key) == value for key, value in _WOODS):
-        notes.add("woods", element, "nothing says where in it trees and bushes stand")
+        omissions.add("woods", element, "the positions of its trees and bushes are unknown")
 
 
 def _along(line_m: FloatArray) -> FloatArray:
-    """Where the trees of a row stand, evenly from its begin to its end, (n, 2)."""
+    """Positions of the trees of a row, evenly from its begin to its end, (n, 2)."""
     usual = DEFAULTS["tree"]
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
     n_trees = min(round(float(along[-1]) / usual["row_spacing_m"]) + 1, usual["max_in_row"])
@@ -347,51 +317,37 @@ def _along(line_m: FloatArray) -> FloatArray:
     return feet
 
 
-def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, notes: Notes) -> Thing:
+def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Omissions) -> Thing:
     usual = DEFAULTS["tree"]
 
-    def size_m(keys: tuple[str, ...], highest_m: float, usual_m: float) -> tuple[float, bool]:
-        for key in keys:
-            if key in tags:
-                size = parse_length_m(tags[key])
-                if size is not None and 0.05 <= size <= highest_m:
-                    return size, False
-                notes.add("trees", element, f"{key} makes no sense; the usual one taken")
-        return usual_m, True
+    def size_m(keys: Sequence[str], highest_m: float) -> float | None:
+        note = partial(omissions.add, "trees", element)
+        return _tagged_m(tags, keys, (0.05, highest_m), note)
 
-    height_m, is_assumed = size_m(
-        ("height", "est_height"), usual["max_height_m"], usual["height_m"]
-    )
-    crown_m, _ = size_m(("diameter_crown",), usual["max_crown_m"], usual["crown_diameter_m"])
-    girth_m, has_no_girth = size_m(("circumference",), np.pi * usual["max_trunk_m"], 0.0)
-    trunk_m = usual["trunk_diameter_m"] if has_no_girth else girth_m / np.pi
+    tagged_m = size_m(("height", "est_height"), usual["max_height_m"])
+    height_m = usual["height_m"] if tagged_m is None else tagged_m
+    crown_m = size_m(("diameter_crown",), usual["max_crown_m"]) or usual["crown_diameter_m"]
+    girth_m = size_m(("circumference",), np.pi * usual["max_trunk_m"])
+    trunk_m = usual["trunk_diameter_m"] if girth_m is None else girth_m / np.pi
     trunk_m = min(trunk_m, crown_m)
     base_m = min(usual["crown_base_m"], usual["crown_base_share"] * height_m)
-    sphere, sphere_faces = _sphere()
+    ball, ball_faces = unit_ball()
     middle_m = 0.5 * (base_m + height_m)
-    crown = sphere * [0.5 * crown_m, 0.5 * crown_m, height_m - middle_m] + [0.0, 0.0, middle_m]
+    crown = ball * [0.5 * crown_m, 0.5 * crown_m, height_m - middle_m] + [0.0, 0.0, middle_m]
     prism, prism_faces = _prism()
     trunk = prism * [0.5 * trunk_m, 0.5 * trunk_m, middle_m]
+    vertices, triangles = join([(trunk, prism_faces), (crown, ball_faces)])
     return Thing(
         id=name,
         class_name="vegetation",
-        vertices_m=np.concatenate([trunk, crown]) + np.append(foot_m, 0.0),
-        triangles=np.concatenate([prism_faces, sphere_faces + len(prism)]),
-        is_height_assumed=is_assumed,
+        vertices_m=vertices + np.append(foot_m, 0.0),
+        triangles=triangles,
+        is_height_assumed=tagged_m is None,
     )
 
 
 @cache
-def _sphere() -> tuple[FloatArray, NDArray[np.int32]]:
-    """A ball of radius 1 from 80 triangles."""
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=1)
-    return np.asarray(ball.vertices, dtype=np.float64), np.asarray(ball.faces, dtype=np.int32)
-
-
-@cache
-def _prism() -> tuple[FloatArray, NDArray[np.int32]]:
+def _prism() -> Mesh:
     """A trunk of radius 1 from height 0 to 1."""
     import trimesh
 
@@ -401,10 +357,9 @@ def _prism() -> tuple[FloatArray, NDArray[np.int32]]:
     return np.asarray(prism.vertices, dtype=np.float64), np.asarray(prism.faces, dtype=np.int32)
 
 
-# ---------- lamp posts, signals, signs and other poles
-
-
+# ---------- poles
 _POLES = ("mast", "utility_pole", "pole")
+_NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
 _NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
 
 
@@ -414,29 +369,13 @@ def find_poles(
     elements: Elements,
     *,
     keeps_left: bool,
-    notes: Notes,
+    omissions: Omissions,
 ) -> tuple[Pole, ...]:
-    """What stands beside roads and could carry sensors.
+    """Poles beside roads that could carry sensors; lamps without a pole are noted.
 
-    Parameters
-    ----------
-    network : Network
-        The roads.
-    reaches : sequence of Reach
-        Streets, and where junctions begin on them.
-    elements : Elements
-        What the file has.
-    keeps_left : bool
-        Traffic keeps left.
-    notes : Notes
-        Told of lamps without a pole.
-
-    Returns
-    -------
-    poles : tuple of Pole
-        Signals and signs that are mapped on a road, as part of it, stand at the kerb on the side of
-        traffic: beside the stop line, or where an arm begins if that is farther out; those mapped
-        where roads meet stand at every arm by which cars come.
+    Signals and signs that are mapped on a road stand at the kerb on the side of traffic: at the
+    stop line, or where an arm begins if that is farther out; those mapped where roads meet stand at
+    every arm from which cars come.
     """
     places = _places(network, reaches)
     poles = []
@@ -447,13 +386,15 @@ def find_poles(
         node_id = int(elements.node_ids[row])
         support = tags.get("support") or tags.get("lamp_mount") or tags.get("camera:mount", "")
         if support in _NO_POLE:
-            notes.add(f"{kind}s", f"node {node_id}", "on a wall or a wire, without a pole")
+            omissions.add(f"{kind}s", f"node {node_id}", "on a wall or a wire, without a pole")
             continue
         is_on_road = row in network.ends or row in places
         if is_on_road and kind in ("traffic light", "sign"):
             feet = _at_kerbs(places.get(row, ()), tags, keeps_left=keeps_left)
             if not feet:
-                notes.add(f"{kind}s", f"node {node_id}", "inside a junction, where nobody stops")
+                omissions.add(
+                    f"{kind}s", f"node {node_id}", "inside a junction, where nobody stops"
+                )
         else:
             feet = [network.positions_m[row]]
         for number, foot in enumerate(feet):
@@ -491,7 +432,7 @@ _Place = tuple[Reach, float]  # a street and how far along it [m]
 
 
 def _places(network: Network, reaches: Sequence[Reach]) -> dict[int, list[_Place]]:
-    """Where nodes lie on streets; nodes of junctions lie on all arms."""
+    """Positions of nodes along streets; nodes of junctions lie on all arms."""
     places: dict[int, list[_Place]] = {}
     for reach in reaches:
         for row, station_m in zip(reach.street.rows, reach.street.stations_m, strict=True):
@@ -533,7 +474,7 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
     text = text or tags.get("direction", "")
     if text in ("forward", "backward"):
         # Along the way as mapped; one-way roads that run against it have been turned round.
-        is_way = (text == "forward") == (edge.tags.get(_TURNED) != "yes")
+        is_way = (text == "forward") == (edge.tags.get("oneway:turned") != "yes")
         return [one for one in driven if one == (is_way == is_along)]
     if text == "both" or len(driven) < 2:
         return driven
@@ -542,7 +483,3 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
     if min(to_begin, to_end) > _NEAR_JUNCTION_M:
         return driven
     return [bool(to_end <= to_begin)]
-
-
-_NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
-_TURNED = "oneway:turned"

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from geometry.scene_folders import load_scene_folder
 from opendrive_text import crossing, document
 from osm_text import OsmText
 from osm_text import crossing as crossing_streets
@@ -16,9 +17,8 @@ from PIL import Image
 from experiments.cli.scene import scene_text
 from experiments.figures.axes import to_png
 from experiments.figures.scene import plot_scene_plan, plot_scene_view
-from experiments.jobs import planning
 from geometry.scene_files import load_study_scene
-from geometry.scene_folders import load_scene_folder
+from placement import planning
 from placement.candidates import load_candidate_grid
 
 FOUR = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]

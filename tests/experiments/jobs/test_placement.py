@@ -12,6 +12,7 @@ from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from placement.compute import Compute
 from placement.layout import Layout, load_layout
+from placement.planning import build_plan
 from placement.question import Question
 
 
@@ -102,46 +103,10 @@ def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(small_stud
     assert "Other layouts as good" in page
 
 
-def test_the_studys_poses_are_candidates_only_if_asked_for(small_study, tmp_path, monkeypatch):
-    class Asked(Exception):
-        pass
-
-    def ask(setting, candidates, **options):
-        raise Asked({candidate.id for candidate in candidates})
-
-    monkeypatch.setattr(placement, "place", ask)
-    ids = []
-    for included in (True, False):
-        with pytest.raises(Asked) as caught:
-            place(tmp_path / "out", study_poses=included)
-        ids.append(caught.value.args[0])
-    assert ids[1] < ids[0]
-    assert ids[0] - ids[1] == {unit.id for unit in load_carlancap_layout().units}
-
-
-def test_every_sensor_asked_for_is_tried_at_every_pose(small_study, tmp_path, monkeypatch):
-    class Asked(Exception):
-        pass
-
-    def ask(setting, candidates, **options):
-        raise Asked([(*c.pose.position_m, c.pose.yaw_deg, c.sensor.name) for c in candidates])
-
-    monkeypatch.setattr(placement, "place", ask)
-    names = ["carla-ncap-lidar", "carla-ncap-rgb"]
-    found = []
-    for sensors in ("", names[0], "carla-ncap-rgb, carla-ncap-lidar"):
-        with pytest.raises(Asked) as caught:
-            place(tmp_path / "out", study_poses=False, sensors=sensors)
-        found.append({name: set() for *_, name in caught.value.args[0]})
-        for *pose, name in caught.value.args[0]:
-            found[-1][name].add(tuple(pose))
-    assert [sorted(poses) for poses in found] == [names[1:], names[:1], names]
-    assert found[2] == found[0] | found[1]
-    with pytest.raises(InputError, match=r"--sensors: got .radar.; expected one of .*carla-ncap-"):
-        place(tmp_path / "out", sensors="radar")
-
-
-def test_a_layout_brings_its_own_sensors_along(small_study, tmp_path):
+def test_a_layout_brings_its_own_sensors_along(small_study, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        placement, "build_plan", lambda asked, scene, study: build_plan(asked, scene)
+    )
     catalogue = tmp_path / "mine.toml"
     catalogue.write_text(
         """
@@ -154,7 +119,7 @@ def test_a_layout_brings_its_own_sensors_along(small_study, tmp_path):
         price_eur = 100.0
         """
     )
-    summary = place(tmp_path / "out", sensors=f"{catalogue}:wide", study_poses=False)
+    summary = place(tmp_path / "out", sensors=f"{catalogue}:wide")
     assert summary["layout"][0]["camera"] == "wide"
     catalogue.unlink()
     layout = load_layout(tmp_path / "out/layout.json")

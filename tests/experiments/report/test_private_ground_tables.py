@@ -6,12 +6,10 @@ from experiments.report.private_ground import MAX_AREAS, MAX_UNITS, private_grou
 from experiments.results.explanations import PrivateGroundRecord
 
 
-def summary(shares, price_eur=0.0):
+def summary(shares):
     """Shares of areas by unit, as a record of the result."""
     names = list(next(iter(shares.values())))
     plain = {
-        "eur_per_m2": 2.0 if price_eur else 0.0,
-        "price_eur": price_eur,
         "areas": [{"name": name, "area_m2": 10.0 + number} for number, name in enumerate(names)],
         "units": shares,
     }
@@ -43,7 +41,7 @@ def test_of_many_units_and_areas_those_that_matter_are_shown_and_it_is_told():
         f"U{unit}": {f"area{area}": (unit * area) / 40_000.0 for area in range(100)}
         for unit in range(200)
     }
-    part = private_ground_section(summary(shares, price_eur=5.0), {})
+    part = private_ground_section(summary(shares), {})
     (table,) = tables_of(part)
     assert table.columns[3:] == [f"U{unit}" for unit in range(200 - MAX_UNITS, 200)]
     assert [row[0] for row in table.rows] == [
@@ -52,8 +50,7 @@ def test_of_many_units_and_areas_those_that_matter_are_shown_and_it_is_told():
     assert "of 200 units the 12" in table.caption
     assert "of 100 areas the 60" in table.caption
     assert part.blocks[0] == (
-        "199 of 200 units see something of 99 of 100 private areas; the most is 49.3 % of area99. "
-        "That is in the cost with 5 EUR, 2 EUR a square metre: no money is paid for it."
+        "199 of 200 units see something of 99 of 100 private areas; the most is 49.3 % of area99."
     )
 
 

@@ -20,8 +20,7 @@ from osm_text import OsmText, arm_lanes, crossing
 from geometry.errors import InputError, MissingExtraError
 from geometry.junction import distance_to_outline_m
 from geometry.maps.openstreetmap import fetch_openstreetmap, read_openstreetmap
-from geometry.maps.openstreetmap.elements import DEFAULTS
-from geometry.maps.openstreetmap.tags import parse_length_m
+from geometry.maps.openstreetmap.elements import DEFAULTS, parse_length_m
 from geometry.maps.source_map import SourceMap
 
 RealInput = Callable[[str], Path]

@@ -8,6 +8,7 @@ from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose
+from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.evaluator.evaluate import evaluate_layout
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
@@ -185,10 +186,10 @@ def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(last_frame
         (N_FRAMES, second, 0),
         (2 * N_FRAMES - 1, second, N_FRAMES - 1),
     ):
-        by_rsu = render(scene, run, frame, POSE, camera, seed=5)
+        by_rsu = render(scene, run, frame, POSE, camera, compute=Compute(seed=5))
         assert np.array_equal(source.from_roadside(POSE, camera)(index), by_rsu)
         pose = vut_camera_pose(mount, run, frame)
-        by_vut = render(scene, run, frame, pose, camera, seed=5, with_vut=False)
+        by_vut = render(scene, run, frame, pose, camera, compute=Compute(seed=5), with_vut=False)
         assert np.array_equal(source.from_vut(mount)(index), by_vut)
 
 

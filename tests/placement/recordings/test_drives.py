@@ -5,17 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placement.recordings.drives import (
+from placement.recordings.evaluate import is_same_direction
+from placement.recordings.files import FrameKey, World, load_format
+from placement.recordings.read import (
     MISFITS,
     NO_APPROACH,
     RESETS,
     TOO_SHORT,
     UNSEEN,
     cut_drives,
-    is_same_direction,
     with_class,
 )
-from placement.recordings.files import FrameKey, World, load_format
 
 FORM = load_format()
 

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placement.recordings.drives import closing_speed_mps, is_same_direction, last_brake_time_s
+from placement.recordings.evaluate import is_same_direction, last_brake_time_s
 from placement.recordings.files import load_format
+from placement.recordings.read import closing_speed_mps
 from scenarios.aeb import load_aeb_rule
 
 speeds_mps = st.floats(5.0, 20.0)

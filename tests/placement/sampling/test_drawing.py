@@ -176,13 +176,15 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
     tables = [
         _table(
             _first(chancy, candidates, DRAWN),
-            compute=Compute(workers=workers, progress=lambda *call: calls.append(call)),
+            workers=workers,
+            progress=lambda *call: calls.append(call),
         ).packed
         for workers in (1, 2)
     ]
     assert np.array_equal(*tables)
     assert tables[0].any()
-    assert calls == [(0, 1, 2), (0, 2, 2)] * 2  # mount positions of the first world
+    stage = "sampled detection tables"
+    assert calls == [(stage, 1, 2), (stage, 2, 2)] * 2  # mount positions of the first world
 
 
 # Messages

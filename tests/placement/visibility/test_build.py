@@ -325,7 +325,7 @@ def test_an_interruption_stops_after_the_positions_at_work(world, mount, monkeyp
 
     monkeypatch.setattr(build_module, "_mount_rows", slow)
 
-    def interrupt(done, total):
+    def interrupt(stage, done, total):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -1,7 +1,9 @@
-"""From planning options to wishes, effort and candidates."""
+"""What a question means for planning: candidate poses, wishes, and how hard to look."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 from typing import cast
 
@@ -11,21 +13,24 @@ from geometry.catalogue import Sensor, load_catalogue, pick_sensor
 from geometry.errors import InputError, Unquoted
 from geometry.files import pick
 from geometry.scene import Scene
-from placement.candidates import (
+
+from .candidates import (
     CandidateGrid,
     CandidatePose,
     build_candidates,
     load_candidate_grid,
 )
-from placement.layout import Layout, check_layout
-from placement.optimiser import Effort
-from placement.optimiser.milp import SolverName
-from placement.private_ground import PrivateGround, private_shares
-from placement.question import Question
-from placement.wishes import Wishes, check_wishes
-
-from ..report.private_ground import is_decent, load_private_ground
-from ..study.layout import find_baseline, find_layout
+from .layout import Layout, check_layout, load_layout
+from .optimiser import Effort
+from .optimiser.milp import SolverName
+from .private_ground import (
+    PrivateGround,
+    load_private_ground,
+    private_shares,
+    respects_private_ground,
+)
+from .question import BASELINE_NAME, Question
+from .wishes import Wishes, check_wishes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,7 +47,7 @@ class Plan:
         Ids are unique.
     kept : Layout, optional
         What hangs there already.
-    private : PrivateGround, optional
+    private_ground : PrivateGround, optional
         What cameras must not look into.
     """
 
@@ -50,11 +55,11 @@ class Plan:
     effort: Effort
     candidates: tuple[CandidatePose, ...]
     kept: Layout | None
-    private: PrivateGround | None = None
+    private_ground: PrivateGround | None = None
 
 
-def build_plan(question: Question, scene: Scene) -> Plan:
-    """Read planning options.
+def build_plan(question: Question, scene: Scene, *, study: Layout | None = None) -> Plan:
+    """Find out what a question asks for, and what there is to choose from.
 
     Parameters
     ----------
@@ -62,11 +67,14 @@ def build_plan(question: Question, scene: Scene) -> Plan:
         A user's words.
     scene : Scene
         Its sites.
+    study : Layout, optional
+        The layout that a user calls carlancap-12. At its own junction, its poses are candidates.
 
     Returns
     -------
     plan : Plan
-        Candidates are the grid's, the study's poses and those kept; or those of `within` alone.
+        Candidates are the grid's, the study's poses and those kept; or those of `within` and those
+        kept.
 
     Raises
     ------
@@ -82,34 +90,24 @@ def build_plan(question: Question, scene: Scene) -> Plan:
             raise InputError(
                 "--refine", Unquoted(f"it beside {option}"), "one of them: poses stay as they are"
             )
-    for option, value in (
-        ("--no-look-share", question.no_look_share),
-        ("--no-look-price", question.no_look_price),
-    ):
-        if value and not question.no_look:
-            raise InputError(option, value, "--no-look beside it")
-    study = find_baseline(scene) if question.study_poses else None
-    kept = _layout(question.keep, "--keep", scene)
-    within = _layout(question.within, "--within", scene)
+    if question.no_look_share and not question.no_look:
+        raise InputError("--no-look-share", question.no_look_share, "--no-look beside it")
+    kept = _layout(question.keep, "--keep", scene, study)
+    within = _layout(question.within, "--within", scene, study)
     if within is not None:
         candidates = tuple(_distinct([within, kept]))
     else:
-        extra = _distinct([study, kept])
-        candidates = build_candidates(scene, grid_of(question.sensors), extra=extra)
-    private = None
-    surcharges: tuple[tuple[str, float], ...] = ()
+        is_at_home = study is not None and study.scene_name == scene.name
+        extra = _distinct([study if is_at_home else None, kept])
+        candidates = build_candidates(scene, build_grid(question.sensors), extra=extra)
+    private_ground = None
     if question.no_look:
-        private = load_private_ground(Path(question.no_look), scene)
-        most = question.no_look_share
-        if most is None:
-            most = 1.0 if question.no_look_price else 0.0
-        shares = private_shares(scene, candidates, private)
-        prices_eur = question.no_look_price * (shares @ private.area_m2)
-        chosen = np.flatnonzero(is_decent(shares, most=most))
-        surcharges = tuple(
-            (candidates[row].id, float(prices_eur[row])) for row in chosen if prices_eur[row] > 0.0
+        private_ground = load_private_ground(Path(question.no_look), scene)
+        may_stay = respects_private_ground(
+            private_shares(scene, candidates, private_ground),
+            max_share=question.no_look_share or 0.0,
         )
-        candidates = tuple(candidates[row] for row in chosen)
+        candidates = tuple(compress(candidates, may_stay))
         if kept is not None:  # what hangs there hangs there
             candidates = tuple(_distinct([Layout(name="all", units=candidates), kept]))
     wishes = Wishes(
@@ -125,7 +123,6 @@ def build_plan(question: Question, scene: Scene) -> Plan:
         site_capacity=question.site_capacity,
         site_cost_eur=question.site_cost_eur,
         separation_m=question.separation_m,
-        surcharges_eur=surcharges,
         tail=_tail(question.risk, question.samples),
     )
     check_wishes(wishes, scene)
@@ -135,14 +132,14 @@ def build_plan(question: Question, scene: Scene) -> Plan:
         )
     return Plan(
         wishes=wishes,
-        effort=effort_of(question),
+        effort=build_effort(question),
         candidates=candidates,
         kept=kept,
-        private=private,
+        private_ground=private_ground,
     )
 
 
-def effort_of(question: Question) -> Effort:
+def build_effort(question: Question) -> Effort:
     """How hard the optimiser tries.
 
     Raises
@@ -157,7 +154,7 @@ def effort_of(question: Question) -> Effort:
     )
 
 
-def grid_of(sensors: str) -> CandidateGrid:
+def build_grid(sensors: str) -> CandidateGrid:
     """The default grid, with sensors by name or from files, commas between; none: its own."""
     names = _words(sensors)
     if not names:
@@ -176,10 +173,25 @@ def _sensors(word: str) -> Sequence[Sensor]:
     return [pick_sensor(word, "--sensors")]
 
 
-def _layout(name: str, option: str, scene: Scene) -> Layout | None:
+def find_layout(name: str, option: str, *, study: Layout | None = None) -> Layout:
+    """A layout from a file, or the study's by the name that a user gives it.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it is no layout.
+    """
+    if study is not None and name == BASELINE_NAME:
+        return study
+    if not os.path.lexists(name):
+        raise InputError(option, name, f"{BASELINE_NAME}, or a layout file that exists")
+    return load_layout(Path(name))
+
+
+def _layout(name: str, option: str, scene: Scene, study: Layout | None) -> Layout | None:
     if not name:
         return None
-    layout = find_layout(name, option)
+    layout = find_layout(name, option, study=study)
     check_layout(layout, scene)
     return layout
 

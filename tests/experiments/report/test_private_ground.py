@@ -6,20 +6,21 @@ import numpy as np
 import pytest
 from shapely import box
 
-from experiments.jobs.planning import build_plan
 from experiments.report.private_ground import (
-    is_decent,
-    load_private_ground,
-    private_sentences,
+    private_ground_sentence,
 )
 from experiments.results.explanations import build_private_ground_record
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.scene_files import load_study_scene
-from placement.private_ground import private_shares
+from placement.planning import build_plan
+from placement.private_ground import (
+    load_private_ground,
+    private_shares,
+    respects_private_ground,
+)
 from placement.question import Question
-from placement.wishes import build_limits
 
 
 def summarise(*given, **options):
@@ -72,11 +73,11 @@ def test_poses_that_look_in_are_no_candidates(garden, scene):
     plan = build_plan(Question(budget=1, no_look=str(garden)), scene)
     everything = build_plan(Question(budget=1), scene)
     assert 0 < len(plan.candidates) < len(everything.candidates)
-    assert (private_shares(scene, plan.candidates, plan.private) == 0.0).all()
+    assert (private_shares(scene, plan.candidates, plan.private_ground) == 0.0).all()
     some = build_plan(Question(budget=1, no_look=str(garden), no_look_share=0.5), scene)
     assert len(plan.candidates) < len(some.candidates) <= len(everything.candidates)
-    summary = summarise(plan.candidates[:2], scene, plan.private)
-    assert private_sentences(summary) == ["No camera has the private area in its picture."]
+    summary = summarise(plan.candidates[:2], scene, plan.private_ground)
+    assert private_ground_sentence(summary) == "No camera has the private area in its picture."
 
 
 def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
@@ -84,49 +85,20 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
     units = load_carlancap_layout().units
     shares = private_shares(scene, units, ground)[:, 0]
     summary = summarise(units, scene, ground)
-    (sentence,) = private_sentences(summary)
+    sentence = private_ground_sentence(summary)
     for unit, share in zip(units, shares, strict=True):
         assert summary.units[unit.id] == {"garden": share}
         assert (f"{unit.id} sees " in sentence) == (share > 0.0)
     watching = [unit for unit, share in zip(units, shares, strict=True) if share > 0.0]
     assert watching
     with pytest.raises(InputError, match=r"--no-look-share: got 0\.0 %; expected at least 0\."):
-        is_decent(private_shares(scene, watching, ground), most=0.0)
+        respects_private_ground(private_shares(scene, watching, ground), max_share=0.0)
     with pytest.raises(InputError, match="--refine: got it beside --no-look"):
         build_plan(Question(budget=1, no_look=str(garden), refine=True), scene)
 
 
-def test_a_price_forbids_nothing_and_counts_every_square_metre(garden, scene):
-    everything = build_plan(Question(budget=1), scene)
-    plan = build_plan(Question(budget=1, no_look=str(garden), no_look_price=30.0), scene)
-    assert [c.id for c in plan.candidates] == [c.id for c in everything.candidates]
-    prices = dict(plan.wishes.surcharges_eur)
-    seen_m2 = private_shares(scene, plan.candidates, plan.private)[:, 0] * plan.private.area_m2[0]
-    assert [prices.get(unit.id, 0.0) for unit in plan.candidates] == pytest.approx(30.0 * seen_m2)
-    costs = build_limits(plan.wishes, scene, plan.candidates).unit_cost_eur
-    sensors = np.array([unit.sensor.price_eur for unit in plan.candidates])
-    assert costs == pytest.approx(sensors + 30.0 * seen_m2)
-    both = Question(budget=1, no_look=str(garden), no_look_price=30.0, no_look_share=0.5)
-    assert len(build_plan(both, scene).candidates) < len(everything.candidates)
-    units = load_carlancap_layout().units
-    summary = summarise(units, scene, plan.private, eur_per_m2=30.0)
-    assert summary.price_eur == pytest.approx(sum(prices.get(unit.id, 0.0) for unit in units))
-    assert f"{summary.price_eur:,.0f} EUR, 30 EUR a square" in private_sentences(summary)[1]
-
-
-def test_the_cheapest_layout_looks_away_from_what_has_a_price(garden, run, small_study):
-    """Where any of several cameras does, the price decides which."""
-    common = ("--target", "0.5", "--least", "cost", "--no-look", garden, "--json", "--quiet")
-    free = json.loads(run(*common, "--no-look-share", "1")[1])
-    priced = json.loads(run(*common, "--no-look-price", "1000")[1])
-    assert free["private_ground"]["price_eur"] == 0.0
-    money = priced["cost_eur"] + priced["private_ground"]["price_eur"]
-    assert priced["spent_eur"] == pytest.approx(money)
-    assert priced["private_ground"]["price_eur"] <= 1.0
-
-
-@pytest.mark.parametrize("option", ["--no-look-share", "--no-look-price"])
-def test_what_belongs_to_areas_needs_areas(run, option):
+def test_what_belongs_to_areas_needs_areas(run):
+    option = "--no-look-share"
     code, _, err = run("--budget", 1, option, "0.5")
     assert code == 2
     assert err.endswith(f"place-rsus: {option}: got 0.5; expected --no-look beside it\n")
