@@ -1,4 +1,4 @@
-"""What is there: frames, poses, sensors, bodies, scenes, and rays through them.
+"""A junction as it stands: scenes, sensors, bodies, frames, and rays through them.
 
 ``load_scene()`` loads a junction: the study's, one that was imported, or one of a map file.
 ``load_cameras()`` and ``load_lidars()`` give the catalogue of sensors, ``load_actors()`` that of

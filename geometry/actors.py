@@ -10,6 +10,7 @@ from importlib.resources.abc import Traversable
 from typing import Any
 
 import numpy as np
+from msgspec import Struct, structs
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import (
@@ -19,13 +20,7 @@ from .arrays import (
     freeze,
 )
 from .errors import InputError, Unquoted
-from .files import (
-    Table,
-    load_toml,
-    pick,
-    take_number,
-    take_text,
-)
+from .files import Table, Text, load_toml, pick, read_tables
 from .poses import Pose
 
 _SHAPE_DECIMALS = 6  # of a shape: distances that differ in the last bits give the same one
@@ -149,7 +144,11 @@ def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
         raise InputError(str(source), Unquoted("no such file"), _REMEDY) from None
     if str(arrays.get("fingerprint")) != fingerprint(table):
         raise InputError(str(source), Unquoted("shapes of another actors.toml"), _REMEDY)
-    return {name: _build_actor(name, entry, arrays) for name, entry in table.items()}
+    entries = read_tables(table, _ActorEntry, "actors.toml")
+    return {
+        name: Actor(name=name, shapes=_stored_shapes(name, arrays), **structs.asdict(entry))
+        for name, entry in entries.items()
+    }
 
 
 _REMEDY = "shapes built from it: python -m geometry.body_shapes"
@@ -167,27 +166,27 @@ def pick_actor(name: str, where: str) -> Actor:
     return actor
 
 
-def _build_actor(name: str, entry: Table, arrays: dict[str, NDArray[Any]]) -> Actor:
-    where = f"actors.toml: {name}"
-    n_shapes = int(arrays[f"{name}/n_shapes"])
-    numbers = {key: take_number(entry, key, where) for key in _SIZES}
-    numbers |= {key: take_number(entry, key, where) for key in _OPTIONAL if key in entry}
-    return Actor(
-        name=name,
-        class_name=take_text(entry, "class_name", where),
-        shapes=tuple(
-            Shape(
-                vertices_m=arrays[f"{name}/{index}/vertices_m"],
-                triangles=arrays[f"{name}/{index}/triangles"],
-            )
-            for index in range(n_shapes)
-        ),
-        **numbers,
+class _ActorEntry(Struct, frozen=True, kw_only=True):
+    """A body in ``data/actors.toml`` but for its parts, which ``geometry.body_shapes`` reads."""
+
+    class_name: Text
+    length_m: float
+    width_m: float
+    height_m: float
+    cycle_m: float = 0.0
+    reference_ahead_m: float = 0.0
+    wheelbase_m: float = 0.0
+    front_axle_ahead_m: float = 0.0
+
+
+def _stored_shapes(name: str, arrays: dict[str, NDArray[Any]]) -> tuple[Shape, ...]:
+    return tuple(
+        Shape(
+            vertices_m=arrays[f"{name}/{index}/vertices_m"],
+            triangles=arrays[f"{name}/{index}/triangles"],
+        )
+        for index in range(int(arrays[f"{name}/n_shapes"]))
     )
-
-
-_SIZES = ("length_m", "width_m", "height_m")
-_OPTIONAL = ("cycle_m", "reference_ahead_m", "wheelbase_m", "front_axle_ahead_m")
 
 
 def park_row(

@@ -1,6 +1,6 @@
 """Array types and the one check of shape and finiteness."""
 
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,11 +10,19 @@ from .errors import InputError, Unquoted
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
-# Arrays of one shape, for values that are read from files (see geometry.files.read_table).
-Point2 = np.ndarray[tuple[Literal[2]], np.dtype[np.float64]]
-Point3 = np.ndarray[tuple[Literal[3]], np.dtype[np.float64]]
-Points2 = np.ndarray[tuple[int, Literal[2]], np.dtype[np.float64]]
-Segment2 = np.ndarray[tuple[Literal[2], Literal[2]], np.dtype[np.float64]]
+
+# Arrays of one shape, for values that are read from files: geometry.files.read_table takes the
+# shape from the type. Type checkers see any array, because numpy's own functions return such.
+if TYPE_CHECKING:
+    Point2 = FloatArray
+    Point3 = FloatArray
+    Points2 = FloatArray
+    Segment2 = FloatArray
+else:
+    Point2 = np.ndarray[tuple[Literal[2]], np.dtype[np.float64]]
+    Point3 = np.ndarray[tuple[Literal[3]], np.dtype[np.float64]]
+    Points2 = np.ndarray[tuple[int, Literal[2]], np.dtype[np.float64]]
+    Segment2 = np.ndarray[tuple[Literal[2], Literal[2]], np.dtype[np.float64]]
 
 
 def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:

@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze
@@ -200,8 +201,8 @@ class Lane:
     """
 
     id: str
-    kind: str
-    width_m: float
+    kind: Annotated[str, Meta(min_length=1)]
+    width_m: Annotated[float, Meta(gt=0.0)]
     centreline_m: Points2
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""What may be wrong with a scene: holes, things that float or overlap, sites inside walls."""
+"""Look for mistakes in a scene: holes, things that float or overlap, sites inside walls."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -11,6 +11,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -19,7 +20,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
-from msgspec import field as struct_field
 
 from .actors import park_row, pick_actor
 from .arrays import FloatArray, Point2, Points2, Segment2
@@ -152,13 +152,6 @@ class _MastArm(_Mount, frozen=True, kw_only=True):
     to_m: Point2
 
 
-class _Lane(Struct, frozen=True, kw_only=True):
-    id: Text
-    kind: Text
-    width_m: _Positive
-    centreline_m: Points2
-
-
 class _Crosswalk(Struct, frozen=True, kw_only=True):
     ends_m: Segment2
 
@@ -182,7 +175,7 @@ class _BoxScene(Struct, frozen=True, kw_only=True):
     parked_rows: tuple[_ParkedRow, ...] = ()
     poles: tuple[_Pole, ...] = ()
     mast_arms: tuple[_MastArm, ...] = ()
-    lanes: tuple[_Lane, ...] = ()
+    lanes: tuple[Lane, ...] = ()
     crosswalks: tuple[_Crosswalk, ...] = ()
 
 
@@ -225,13 +218,7 @@ def load_box_scene(source: Path | Traversable) -> Scene:
         ),
         outline_m=from_carla_points(table.outline_m),
         lanes=tuple(
-            Lane(
-                id=lane.id,
-                kind=lane.kind,
-                width_m=lane.width_m,
-                centreline_m=from_carla_points(lane.centreline_m),
-            )
-            for lane in table.lanes
+            replace(lane, centreline_m=from_carla_points(lane.centreline_m)) for lane in table.lanes
         ),
         crs=table.crs,
         crosswalks_m=_crosswalks(from_carla_points(line.ends_m) for line in table.crosswalks),
@@ -271,7 +258,6 @@ def _site(mount: _Mount, below_m: FloatArray, kind: str) -> Site:
 
 
 def _on_road(point_carla_m: FloatArray, height_m: float = 0.0) -> FloatArray:
-    """Point of the world at a height above the road, (3,)."""
     return np.append(from_carla_points(point_carla_m), height_m)
 
 
@@ -360,9 +346,9 @@ def _cylinder(
 # ---------- a scene's folder or archive, in the world frame
 
 
-class _Thing(Struct, frozen=True, kw_only=True):
+class _Thing(Struct, frozen=True, kw_only=True, rename={"class_name": "class"}):
     id: Text
-    class_name: Text = struct_field(name="class")
+    class_name: Text
     is_height_assumed: bool = False
 
 
@@ -388,6 +374,9 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     skipped: tuple[_Skipped, ...]
 
 
+_SITE_FIELDS = ["id", "kind", "position_m", "height_range_m", "capacity_units", "cost_eur", "use"]
+
+
 def save_scene(
     folder: Path,
     scene: Scene,
@@ -398,9 +387,18 @@ def save_scene(
 ) -> None:
     """Write a scene into a folder that exists.
 
-    Coordinates are rounded to a millimetre, meshes to single precision. `sources` are the files
-    that it was made from, `skipped` says what of them was left out and why, and `assumed_heights`
-    has the ids of things whose heights the sources do not say.
+    Parameters
+    ----------
+    folder : Path
+        Its ``scene.toml`` and ``things.glb`` are replaced.
+    scene : Scene
+        What to write; coordinates are rounded to a millimetre, meshes to single precision.
+    sources : sequence of str
+        Names of the files that it was made from.
+    skipped : sequence of (str, str)
+        What of them was left out, and why.
+    assumed_heights : sequence of str
+        Ids of things whose heights the sources do not say.
     """
     import tomlkit
 
@@ -415,28 +413,9 @@ def save_scene(
         "road_network": scene.road_network,
         "sources": list(sources),
         "outline_m": _rounded(scene.outline_m),
-        "lanes": [
-            {
-                "id": lane.id,
-                "kind": lane.kind,
-                "width_m": round(lane.width_m, _MILLIMETRES),
-                "centreline_m": _rounded(lane.centreline_m),
-            }
-            for lane in scene.lanes
-        ],
+        "lanes": [_entry(lane, "id", "kind", "width_m", "centreline_m") for lane in scene.lanes],
         "crosswalks": [{"ends_m": _rounded(line)} for line in scene.crosswalks_m],
-        "sites": [
-            {
-                "id": site.id,
-                "kind": site.kind,
-                "position_m": _rounded(site.position_m),
-                "height_range_m": _rounded(site.height_range_m),
-                "capacity_units": site.capacity_units,
-                "cost_eur": site.cost_eur,
-                "use": site.use,
-            }
-            for site in scene.sites
-        ],
+        "sites": [_entry(site, *_SITE_FIELDS) for site in scene.sites],
         "things": [
             {"id": thing.id, "class": thing.class_name}
             | ({"is_height_assumed": True} if thing.id in assumed_heights else {})
@@ -549,6 +528,12 @@ def _as_folder(path: Path) -> Iterator[Path]:
         except (OSError, zipfile.BadZipFile, NotImplementedError, EOFError, ValueError) as error:
             raise InputError(str(path), Unquoted(error), "a scene: a folder or .zip file") from None
         yield Path(temporary)
+
+
+def _entry(value: object, *names: str) -> dict[str, Any]:
+    """Fields of a value, lengths rounded to a millimetre."""
+    fields = {name: getattr(value, name) for name in names}
+    return {key: _rounded(one) if key.endswith("_m") else one for key, one in fields.items()}
 
 
 def _rounded(array: FloatArray) -> Any:

@@ -45,12 +45,12 @@ def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
         except OSError as error:
             reason = error.strerror or str(error)
             raise InputError(where, Unquoted(reason), "a readable .zip") from None
+        except InputError:
+            raise
         except (
             *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError, RuntimeError),
-            *(NotImplementedError, ValueError),
+            ValueError,
         ) as error:
-            if isinstance(error, InputError):
-                raise
             raise InputError(where, Unquoted(error), "a .zip that can be unpacked") from None
         try:
             yield Path(folder) / found.filename
@@ -77,7 +77,7 @@ def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipIn
         if entry.flag_bits & 0x1:
             raise InputError(shown, Unquoted("an encrypted file"), "one without a password")
         if name.casefold() in seen:
-            raise InputError(shown, Unquoted("a name that it has twice"), "every name once")
+            raise InputError(shown, Unquoted("a name that occurs twice"), "every name once")
         seen.add(name.casefold())
         if not entry.is_dir():
             members.append(entry)
@@ -148,21 +148,41 @@ def read_xml(path: Path, *, expected: str) -> Element:
     Raises InputError if the file cannot be read, is larger than half a gigabyte, is not
     well-formed, or has entities or other dangerous parts.
     """
-    from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import parse
 
-    try:
+    with _xml_errors(path, expected, f"{expected}: well-formed XML"):
         check_size(path)
         root: Element = parse(path, forbid_dtd=False).getroot()
+    return root
+
+
+def read_xml_root(path: Path) -> Element:
+    """The first element of an XML document without its content; raises as :func:`read_xml` does."""
+    from defusedxml.ElementTree import iterparse
+
+    with _xml_errors(path, "XML", "well-formed XML"):
+        for _, element in iterparse(path, events=("start",), forbid_dtd=False):
+            first: Element = element
+            return first
+    raise InputError(str(path), Unquoted("no element"), "well-formed XML")
+
+
+@contextmanager
+def _xml_errors(path: Path, expected: str, well_formed: str) -> Iterator[None]:
+    """Raise InputError in place of the errors of XML parsers."""
+    from defusedxml import DefusedXmlException
+
+    try:
+        yield
+    except InputError:
+        raise
     except OSError as error:
         raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
     except DefusedXmlException as error:
-        raise InputError(
-            str(path), Unquoted(f"{type(error).__name__}"), f"{expected} without entities"
-        ) from None
+        reason = Unquoted(type(error).__name__)
+        raise InputError(str(path), reason, f"{expected} without entities") from None
     except (ParseError, ValueError, LookupError) as error:  # LookupError: unknown encoding
-        raise InputError(str(path), Unquoted(error), f"{expected}: well-formed XML") from None
-    return root
+        raise InputError(str(path), Unquoted(error), well_formed) from None
 
 
 def check_size(path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:
@@ -177,26 +197,6 @@ def check_size(path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:
 def local_name(element: Element) -> str:
     """Name of an element without its namespace."""
     return str(element.tag).rpartition("}")[2]
-
-
-def read_xml_root(path: Path) -> Element:
-    """The first element of an XML document without its content; raises as :func:`read_xml` does."""
-    from defusedxml import DefusedXmlException
-    from defusedxml.ElementTree import iterparse
-
-    try:
-        for _, element in iterparse(path, events=("start",), forbid_dtd=False):
-            first: Element = element
-            return first
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except DefusedXmlException as error:
-        raise InputError(
-            str(path), Unquoted(f"{type(error).__name__}"), "XML without entities"
-        ) from None
-    except (ParseError, ValueError, LookupError) as error:
-        raise InputError(str(path), Unquoted(error), "well-formed XML") from None
-    raise InputError(str(path), Unquoted("no element"), "well-formed XML")
 
 
 # ---------- JSON
@@ -343,7 +343,7 @@ def _blobs(path: Path) -> Iterator[tuple[bytes, bytes]]:
         while prefix := file.read(4):
             n_bytes = int.from_bytes(prefix, "big")
             if len(prefix) < 4 or n_bytes > _MAX_HEADER_BYTES:
-                raise _DamagedError("a header that is none")
+                raise _DamagedError("an invalid header")
             header = _fields(_exactly(file.read(n_bytes), n_bytes))
             kind, n_bytes = b"", -1
             for number, value in header:
@@ -369,7 +369,7 @@ def _unpacked(blob: bytes) -> bytes:
         if number == 3 and isinstance(value, bytes):
             unpacked = zlib.decompressobj().decompress(value, _MAX_BLOB_BYTES + 1)
             if len(unpacked) > _MAX_BLOB_BYTES:
-                raise _DamagedError("a blob that grows too large")
+                raise _DamagedError("a blob that is too large when unpacked")
             return unpacked
     raise _DamagedError("a blob packed in another way than with zlib")
 
@@ -400,7 +400,7 @@ def _fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
         else:
             raise _DamagedError("a field of unknown type")
         if length > end - at:
-            raise _DamagedError("a field that is longer than what it is in")
+            raise _DamagedError("a field that is longer than its message")
         yield number, data[at : at + length]
         at += length
 
@@ -416,4 +416,4 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
             return value, at
         shift += 7
         if shift > 63:
-            raise _DamagedError("a number of too many bytes")
+            raise _DamagedError("a number with too many bytes")

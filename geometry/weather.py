@@ -13,7 +13,7 @@ from .errors import InputError
 from .files import load_toml, pick, read_tables
 
 CONTRAST_AT_VISIBILITY = 0.05
-"""Of the meteorological optical range: contrast that is left at the visibility (WMO-No. 8)."""
+"""Contrast that remains at the visibility (meteorological optical range, WMO-No. 8)."""
 
 _DB_PER_NEPER = 10.0 / math.log(10.0)
 
@@ -84,7 +84,7 @@ class Weather:
         return -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m + self._rain_per_m
 
     def transmission(self, distance_m: ArrayLike) -> FloatArray:
-        """Share of light, and of contrast, that is left after a distance through the air.
+        """Share of light, and of contrast, that remains after a distance through the air.
 
         Examples
         --------

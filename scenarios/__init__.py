@@ -1,4 +1,4 @@
-"""What happens there: Euro NCAP cases, where they are driven, and the braking that may help.
+"""Euro NCAP cases, where they are driven at a junction, and the braking that may help.
 
 ``load_cases()`` has all cases, ``pick_cases()`` those that a user names. ``build_runs()`` lays them
 on the arms of a junction, by the study's own start points where there are any, else by the rules

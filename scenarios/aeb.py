@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
-from geometry.files import load_toml, take, take_number
+from geometry.files import load_toml, read_table
 
 from .encounters import (
     GRAZING_M,
@@ -62,14 +62,7 @@ class AebRule:
 @cache
 def load_aeb_rule() -> AebRule:
     """The study's rule, from ``data/aeb.toml``."""
-    table = load_toml(files(__package__) / "data" / "aeb.toml")
-    return AebRule(
-        deceleration_mps2=take_number(table, "deceleration_mps2", "aeb.toml"),
-        latency_s=take_number(table, "latency_s", "aeb.toml"),
-        n_confirmations=take(table, "n_confirmations", "aeb.toml"),
-        frame_rate_hz=take_number(table, "frame_rate_hz", "aeb.toml"),
-        build_up_s=take_number(table, "build_up_s", "aeb.toml"),
-    )
+    return read_table(load_toml(files(__package__) / "data" / "aeb.toml"), AebRule, "aeb.toml")
 
 
 def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:
@@ -190,7 +183,7 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         )
         speed = encounter.vut_reach * fastest + closing
         mean = 0.5 * (separation[0] + separation[1])
-        # Between its ends a gap sags no deeper than a parabola, as long as nobody sets off.
+        # Between its ends a gap sags no deeper than a parabola, while neither body sets off.
         is_smooth = (separation[0] <= encounter.near_m) & (speed * half_time <= encounter.small_m)
         for set_off_s in (start, vru.start_time_s):
             is_smooth &= (times[0] >= set_off_s) | (times[1] <= set_off_s)

@@ -1,29 +1,19 @@
 """Test cases, from ``data/cases.toml``: a new case is a new table there, not new code."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta, Struct, structs
 
 from geometry.actors import Actor, pick_actor
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    Table,
-    load_toml,
-    take,
-    take_list,
-    take_number,
-    take_text,
-)
+from geometry.files import Table, Text, load_toml, read_table
 
-KINDS = ("crossing", "longitudinal", "turning")
-SIDES = ("near", "far")
-_LINES = ("crosswalk", "lane", "kerb")
-_OBSTRUCTIONS = ("beside-vut", "beside-vru", "wall")
 ALL_CASES = "all"
 
 
@@ -143,28 +133,217 @@ class Case:
         return f"Case({self.name!r}, {speeds} km/h)"
 
 
+# ---------- tables of data/cases.toml
+
+
+_Positive = Annotated[float, Meta(gt=0.0)]
+_Side = Literal["near", "far"]
+
+
+class _Speeds(Struct, frozen=True, kw_only=True):
+    """Speeds of the VUT in km/h, evenly spaced."""
+
+    min: float
+    max: float
+    step: float
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.min <= self.max and self.step > 0.0):
+            raise InputError("", structs.asdict(self), "0 < min <= max, step > 0")
+
+
+class _Crosswalk(Struct, frozen=True, kw_only=True, tag="crosswalk", tag_field="along"):
+    pass
+
+
+class _Lane(Struct, frozen=True, kw_only=True, tag="lane", tag_field="along"):
+    lane: Literal["inner", "outer"]
+    left_of_lane_centre_m: float
+
+
+class _Kerb(Struct, frozen=True, kw_only=True, tag="kerb", tag_field="along"):
+    outside_kerb_m: float
+
+
+class _BesideVut(Struct, frozen=True, kw_only=True, tag="beside-vut", tag_field="kind"):
+    bodies: tuple[str, ...]
+    first_gap_m: float
+    between_gap_m: float
+    side_gap_m: float
+
+
+class _BesideVru(_BesideVut, frozen=True, kw_only=True, tag="beside-vru", tag_field="kind"):
+    pass
+
+
+class _Wall(Struct, frozen=True, kw_only=True, tag="wall", tag_field="kind"):
+    first_gap_m: float
+    side_gap_m: float
+    length_m: _Positive
+    thickness_m: _Positive
+    height_m: _Positive
+
+
+class _CaseEntry(Struct, frozen=True, kw_only=True):
+    """What every case says."""
+
+    title: Text
+    source: Text
+    vru: Text
+    vru_speed_kmh: _Positive
+    vru_reference: Literal["reference", "middle", "front"]
+    vut_speed_kmh: Annotated[_Speeds, Meta(description="a table with min, max and step")]
+    impact_percent: Annotated[float, Meta(ge=0.0, le=100.0, description="0 to 100")]
+    impact_face: Literal["front", "side"] = "front"
+    acceleration_distance_m: _Positive
+    start_distance_m: _Positive | None = None
+    steady_distance_m: _Positive | None = None
+    obstruction: _BesideVut | _BesideVru | _Wall | None = None
+
+    def __post_init__(self) -> None:
+        starts = [
+            key
+            for key in ("start_distance_m", "steady_distance_m")
+            if getattr(self, key) is not None
+        ]
+        if len(starts) != 1:
+            raise InputError("", starts, "either start_distance_m or steady_distance_m")
+
+
+class _Crossing(_CaseEntry, frozen=True, kw_only=True, tag="crossing", tag_field="kind"):
+    vru_from: _Side
+    vru_line: _Crosswalk | _Lane | _Kerb
+
+
+class _Longitudinal(_CaseEntry, frozen=True, kw_only=True, tag="longitudinal", tag_field="kind"):
+    pass
+
+
+class _Turning(_CaseEntry, frozen=True, kw_only=True, tag="turning", tag_field="kind"):
+    turn: _Side
+    vru_direction: Literal["same", "opposite"]
+    vru_line: _Crosswalk | _Lane | _Kerb
+
+
 @cache
 def load_cases() -> dict[str, Case]:
     """All cases, by name."""
     table = load_toml(files(__package__) / "data" / "cases.toml")
-    return {
-        name: _build_case(name, _whole_entry(table, name), f"cases.toml: {name}") for name in table
-    }
+    cases = {}
+    for name in table:
+        where = f"cases.toml: {name}"
+        # A union is no class to mypy, but the reader takes it.
+        entry = read_table(_whole_entry(table, name), _ANY_CASE, where)
+        cases[name] = _build_case(name, entry, where)
+    return cases
+
+
+_ANY_CASE: Any = _Crossing | _Longitudinal | _Turning
 
 
 @cache
 def load_case_sets() -> dict[str, tuple[Case, ...]]:
-    """Sets of cases, by name, with the speeds of the set; "all" is every case."""
+    """Sets of cases, by name, with the speeds of the set if it has any; "all" is every case."""
     table = load_toml(files(__package__) / "data" / "case_sets.toml")
     cases = load_cases()
-    sets = {
-        set_name: tuple(
-            _with_speeds(cases[name], entry, f"case_sets.toml: {set_name}.{name}")
-            for name, entry in entries.items()
-        )
-        for set_name, entries in table.items()
-    }
+    sets: dict[str, tuple[Case, ...]] = {}
+    for set_name, entries in table.items():
+        driven = []
+        for name, entry in entries.items():
+            speeds = (
+                read_table(entry, _Speeds, f"case_sets.toml: {set_name}.{name}") if entry else None
+            )
+            driven.append(
+                replace(cases[name], vut_speeds_kmh=_speeds_kmh(speeds)) if speeds else cases[name]
+            )
+        sets[set_name] = tuple(driven)
     return {**sets, ALL_CASES: tuple(cases.values())}
+
+
+def _speeds_kmh(speeds: _Speeds) -> tuple[float, ...]:
+    return tuple(np.arange(speeds.min, speeds.max + 0.5 * speeds.step, speeds.step).tolist())
+
+
+def _whole_entry(table: Table, name: str, *, seen: tuple[str, ...] = ()) -> dict[str, Any]:
+    """A case's table, on top of the one that it is like."""
+    entry = dict(table[name])
+    if "as" not in entry:
+        return entry
+    other = entry.pop("as")
+    if other not in table or other in seen:
+        raise InputError(f"cases.toml: {name}.as", other, "another case, not in a circle")
+    return {**_whole_entry(table, other, seen=(*seen, name)), **entry}
+
+
+def _build_case(name: str, entry: _Crossing | _Longitudinal | _Turning, where: str) -> Case:
+    vru = pick_actor(entry.vru, f"{where}.vru")
+    return Case(
+        name=name,
+        title=entry.title,
+        source=entry.source,
+        kind=str(type(entry).__struct_config__.tag),
+        vru=vru,
+        vru_speed_kmh=entry.vru_speed_kmh,
+        vut_speeds_kmh=_speeds_kmh(entry.vut_speed_kmh),
+        speed_limits_kmh=(entry.vut_speed_kmh.min, entry.vut_speed_kmh.max),
+        impact_percent=entry.impact_percent,
+        impact_face=entry.impact_face,
+        vru_reference_m={
+            "reference": vru.reference_ahead_m,
+            "middle": 0.0,
+            "front": 0.5 * vru.length_m,
+        }[entry.vru_reference],
+        acceleration_distance_m=entry.acceleration_distance_m,
+        start_distance_m=entry.start_distance_m,
+        steady_distance_m=entry.steady_distance_m,
+        vru_side=entry.vru_from if isinstance(entry, _Crossing) else "",
+        turn=entry.turn if isinstance(entry, _Turning) else "",
+        vru_direction=entry.vru_direction if isinstance(entry, _Turning) else "",
+        vru_line=None if isinstance(entry, _Longitudinal) else _build_line(entry.vru_line),
+        obstruction=_build_obstruction(entry.obstruction, f"{where}.obstruction"),
+    )
+
+
+def _build_line(line: _Crosswalk | _Lane | _Kerb) -> VruLine:
+    match line:
+        case _Lane(lane=lane, left_of_lane_centre_m=left_m):
+            return VruLine(along="lane", lane=lane, left_m=left_m)
+        case _Kerb(outside_kerb_m=outside_m):
+            return VruLine(along="kerb", left_m=outside_m)
+        case _:
+            return VruLine(along="crosswalk")
+
+
+def _build_obstruction(
+    entry: _BesideVut | _BesideVru | _Wall | None, where: str
+) -> Obstruction | None:
+    if entry is None:
+        return None
+    if isinstance(entry, _Wall):
+        return Obstruction(
+            kind="wall",
+            bodies=(),
+            first_gap_m=entry.first_gap_m,
+            between_gap_m=0.0,
+            side_gap_m=entry.side_gap_m,
+            wall_size_m=(entry.length_m, entry.thickness_m, entry.height_m),
+        )
+    return Obstruction(
+        kind="beside-vru" if isinstance(entry, _BesideVru) else "beside-vut",
+        bodies=tuple(
+            pick_actor(name, f"{where}.bodies[{index}]") for index, name in enumerate(entry.bodies)
+        ),
+        first_gap_m=entry.first_gap_m,
+        between_gap_m=entry.between_gap_m,
+        side_gap_m=entry.side_gap_m,
+        wall_size_m=(),
+    )
+
+
+# ---------- cases and speeds in the words of a user
+
+
+_HIGHEST_KMH = 250.0
 
 
 def pick_cases(text: str, where: str) -> tuple[Case, ...]:
@@ -204,136 +383,6 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
         for case in found:
             picked.setdefault(case.name, case)
     return tuple(picked.values())
-
-
-def _whole_entry(table: Table, name: str, *, seen: tuple[str, ...] = ()) -> dict[str, Any]:
-    """A case's table, on top of the one that it is like."""
-    entry = dict(table[name])
-    if "as" not in entry:
-        return entry
-    other = entry.pop("as")
-    if other not in table or other in seen:
-        raise InputError(f"cases.toml: {name}.as", other, "another case, not in a circle")
-    return {**_whole_entry(table, other, seen=(*seen, name)), **entry}
-
-
-def _build_case(name: str, entry: Table, where: str) -> Case:
-    kind = _take_word(entry, "kind", where, KINDS)
-    vru = pick_actor(take_text(entry, "vru", where), f"{where}.vru")
-    starts = [key for key in ("start_distance_m", "steady_distance_m") if key in entry]
-    if len(starts) != 1:
-        raise InputError(where, starts, "either start_distance_m or steady_distance_m")
-    low, high, _ = _take_speeds(entry, where)
-    is_turning = kind == "turning"
-    reference = _take_word(entry, "vru_reference", where, ("reference", "middle", "front"))
-    case = Case(
-        name=name,
-        title=take_text(entry, "title", where),
-        source=take_text(entry, "source", where),
-        kind=kind,
-        vru=vru,
-        vru_speed_kmh=_take_positive(entry, "vru_speed_kmh", where),
-        vut_speeds_kmh=(),
-        speed_limits_kmh=(low, high),
-        impact_percent=take_number(entry, "impact_percent", where),
-        impact_face=_take_word({"impact_face": "front", **entry}, "impact_face", where, _FACES),
-        vru_reference_m={
-            "reference": vru.reference_ahead_m,
-            "middle": 0.0,
-            "front": 0.5 * vru.length_m,
-        }[reference],
-        acceleration_distance_m=_take_positive(entry, "acceleration_distance_m", where),
-        start_distance_m=_take_optional(entry, "start_distance_m", where),
-        steady_distance_m=_take_optional(entry, "steady_distance_m", where),
-        vru_side=_take_word(entry, "vru_from", where, SIDES) if kind == "crossing" else "",
-        turn=_take_word(entry, "turn", where, SIDES) if is_turning else "",
-        vru_direction=(
-            _take_word(entry, "vru_direction", where, ("same", "opposite")) if is_turning else ""
-        ),
-        vru_line=None if kind == "longitudinal" else _build_line(entry, where),
-        obstruction=_build_obstruction(entry, where) if "obstruction" in entry else None,
-    )
-    if not 0.0 <= case.impact_percent <= 100.0:
-        raise InputError(f"{where}.impact_percent", case.impact_percent, "0 to 100")
-    return _with_speeds(case, entry["vut_speed_kmh"], where)
-
-
-_FACES = ("front", "side")
-
-
-def _with_speeds(case: Case, entry: Table, where: str) -> Case:
-    """The case at the speeds of a table with min, max and step; an empty one changes nothing."""
-    if not entry:
-        return case
-    low, high, step = _take_speeds({"vut_speed_kmh": entry}, where)
-    return replace(case, vut_speeds_kmh=tuple(np.arange(low, high + 0.5 * step, step).tolist()))
-
-
-def _take_speeds(entry: Table, where: str) -> tuple[float, float, float]:
-    speeds = take(entry, "vut_speed_kmh", where)
-    here = f"{where}.vut_speed_kmh"
-    if not isinstance(speeds, Mapping):
-        raise InputError(here, speeds, "a table with min, max and step")
-    low, high, step = (take_number(speeds, key, here) for key in ("min", "max", "step"))
-    if not (0.0 < low <= high and step > 0.0):
-        raise InputError(here, dict(speeds), "0 < min <= max, step > 0")
-    return low, high, step
-
-
-def _build_line(entry: Table, where: str) -> VruLine:
-    line, here = take(entry, "vru_line", where), f"{where}.vru_line"
-    along = _take_word(line, "along", here, _LINES)
-    if along == "lane":
-        return VruLine(
-            along=along,
-            lane=_take_word(line, "lane", here, ("inner", "outer")),
-            left_m=take_number(line, "left_of_lane_centre_m", here),
-        )
-    return VruLine(
-        along=along, left_m=take_number(line, "outside_kerb_m", here) if along == "kerb" else 0.0
-    )
-
-
-def _build_obstruction(entry: Table, where: str) -> Obstruction:
-    table, here = entry["obstruction"], f"{where}.obstruction"
-    kind = _take_word(table, "kind", here, _OBSTRUCTIONS)
-    is_wall = kind == "wall"
-    names = [] if is_wall else take_list(table, "bodies", here)
-    return Obstruction(
-        kind=kind,
-        bodies=tuple(pick_actor(name, f"{here}.bodies[{i}]") for i, name in enumerate(names)),
-        first_gap_m=take_number(table, "first_gap_m", here),
-        between_gap_m=0.0 if is_wall else take_number(table, "between_gap_m", here),
-        side_gap_m=take_number(table, "side_gap_m", here),
-        wall_size_m=tuple(
-            _take_positive(table, f"{size}_m", here)
-            for size in (("length", "thickness", "height") if is_wall else ())
-        ),
-    )
-
-
-def _take_word(entry: Table, key: str, where: str, known: tuple[str, ...]) -> str:
-    word = take_text(entry, key, where)
-    if word not in known:
-        raise InputError(f"{where}.{key}", word, "one of " + ", ".join(known))
-    return word
-
-
-def _take_positive(entry: Table, key: str, where: str) -> float:
-    value = take_number(entry, key, where)
-    if value <= 0.0:
-        raise InputError(f"{where}.{key}", value, "a number, more than 0")
-    return value
-
-
-def _take_optional(entry: Table, key: str, where: str) -> float | None:
-    return _take_positive(entry, key, where) if key in entry else None
-
-
-# ---------- cases and speeds in the words of a user
-
-
-_HIGHEST_KMH = 250.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

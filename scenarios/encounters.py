@@ -12,7 +12,7 @@ from geometry.footprints import FootprintSizes, gaps_between
 
 from .paths import Motion
 
-_LONGEST_S = 600.0  # nobody looks any further
+_LONGEST_S = 600.0  # contacts later than this are not looked for
 _FIRST_STEP_S = 0.25
 _STEP_GROWTH = 0.05
 _CONTACT_TOLERANCE_S = 1.0e-7
@@ -117,7 +117,7 @@ class Encounter:
 
 
 def first_contact_s(encounter: Encounter) -> float:
-    """When the bodies first touch if nobody brakes, within a tenth of a microsecond.
+    """When the bodies first touch without braking, within a tenth of a microsecond.
 
     Infinite if they do not touch within ten minutes of the earlier one's start.
     """

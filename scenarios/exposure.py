@@ -8,11 +8,12 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import load_toml, take_list, take_text
+from geometry.files import load_toml, read_table
 
 from .runs import Run
 
@@ -129,11 +130,25 @@ def _what_is_driven(runs: Sequence[Run], row: Mapping[str, str]) -> str:
 RATING = "euroncap-rating-2026"
 
 
+class _Score(Struct, frozen=True, kw_only=True):
+    """A score of the rating, and the cases (what our names begin with) that it counts for."""
+
+    name: str
+    cases: tuple[str, ...]
+    weather: str
+
+
+class _Rating(Struct, frozen=True, kw_only=True):
+    """``data/rating_2026.toml``."""
+
+    scores: tuple[_Score, ...]
+
+
 def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     """Weights by the points that Euro NCAP gives the cases in 2026.
 
     The points that a score can earn at most (standard and extended range, robustness) are shared
-    equally by the runs that belong to it; those of scores without runs are nobody's. Runs without a
+    equally by the runs that belong to it; those of scores without runs do not count. Runs without a
     score, such as all in the rain, weigh nothing. The weights sum to 1.
 
     Raises
@@ -176,17 +191,19 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
         raise MissingExtraError(
             f"--weights {RATING} needs that package: pip install place-rsus[rating]"
         ) from None
-    table = load_toml(files(__package__) / "data" / "rating_2026.toml")
+    where = "rating_2026.toml"
+    table = read_table(load_toml(files(__package__) / "data" / where), _Rating, where)
     points = {}
-    for index, entry in enumerate(take_list(table, "scores", "rating_2026.toml")):
-        where = f"rating_2026.toml: scores[{index}]"
-        name = take_text(entry, "name", where)
-        if name not in TOTAL_SCORES:
+    for index, score in enumerate(table.scores):
+        if score.name not in TOTAL_SCORES:
             raise InputError(
-                where, Unquoted(f"{name!r}, unknown to the installed {RATING}"), "a score of it"
+                f"{where}: scores[{index}]",
+                Unquoted(f"{score.name!r}, unknown to the installed {RATING}"),
+                "a score of it",
             )
-        key = (tuple(take_list(entry, "cases", where)), take_text(entry, "weather", where))
-        points[key] = float(sum(part or 0.0 for part in TOTAL_SCORES[name].values()))
+        points[score.cases, score.weather] = float(
+            sum(part or 0.0 for part in TOTAL_SCORES[score.name].values())
+        )
     return points
 
 

@@ -86,7 +86,7 @@ class StraightPath:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TurnPath:
-    """A vehicle's way straight on, round a turn and straight on for ever.
+    """A vehicle's way: straight on, round a turn, and straight on without end.
 
     Distances are those of the front axle's centre, which follows the line: the protocol's control
     point. The rear axle is dragged behind it and never slips sideways.

@@ -11,7 +11,7 @@ from scipy.constants import kmh
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.files import load_toml, take, take_number
+from geometry.files import load_toml, read_table
 from geometry.footprints import footprint_corners
 from geometry.junction import (
     Arm,
@@ -49,8 +49,8 @@ class _Rules:
 
 @cache
 def _load_rules() -> _Rules:
-    table = take(load_toml(files(__package__) / "data" / "laying.toml"), "vut", "laying.toml")
-    return _Rules(**{key: take_number(table, key, "laying.toml: vut") for key in _Rules.__slots__})
+    table = load_toml(files(__package__) / "data" / "laying.toml")
+    return read_table(table["vut"], _Rules, "laying.toml: vut")
 
 
 def stage_by_protocol(

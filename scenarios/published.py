@@ -3,22 +3,15 @@
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from scipy.constants import kmh
 
 from geometry.actors import Actor, PlacedActor, park_row, pick_actor
-from geometry.arrays import FloatArray, float_array
+from geometry.arrays import FloatArray, Point2
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    Table,
-    load_toml,
-    pick,
-    take_list,
-    take_number,
-    take_text,
-)
+from geometry.files import Text, load_toml, pick, read_table
 from geometry.frames import from_carla_points, from_carla_yaw
 
 from .cases import Case, load_cases
@@ -28,7 +21,6 @@ from .staging import Staging, impact_offset_m
 
 _ON_LINE_TOLERANCE_M = 0.05
 _ANGLE_TOLERANCE_DEG = 1.0
-_FILES = ("town05_runs.toml",)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,23 +52,49 @@ class CasePlacement:
     obstruction: tuple[PlacedActor, ...]
 
 
+class _Row(Struct, frozen=True, kw_only=True):
+    """Bodies parked nose to tail, in CARLA's frame."""
+
+    first_m: Point2
+    yaw_deg: float
+    gap_m: float
+    actors: tuple[str, ...]
+
+
+class _Entry(Struct, frozen=True, kw_only=True):
+    """A case on an approach, in CARLA's frame."""
+
+    case: Text
+    approach: Text
+    vut_start_m: Point2
+    vut_yaw_deg: float
+    vru_start_m: Point2
+    vru_yaw_deg: float
+    collision_point_m: Point2
+
+
+class _File(Struct, frozen=True, kw_only=True):
+    """``data/town05_runs.toml``."""
+
+    scene: Text
+    placements: tuple[_Entry, ...]
+    parked_rows: tuple[_Row, ...] = ()
+
+
 @cache
 def load_placements() -> tuple[CasePlacement, ...]:
     """Where the study's cases are driven at its junction, from ``data/town05_runs.toml``."""
-    placements: list[CasePlacement] = []
-    for name in _FILES:
-        table = load_toml(files(__package__) / "data" / name)
-        scene_name = take_text(table, "scene", name)
-        parked = tuple(
-            body
-            for index, row in enumerate(table.get("parked_rows", []))
-            for body in _build_row(row, f"{name}: parked_rows[{index}]")
-        )
-        placements += [
-            _build_placement(entry, f"{name}: placements[{index}]", scene_name, parked)
-            for index, entry in enumerate(take_list(table, "placements", name))
-        ]
-    return tuple(placements)
+    where = "town05_runs.toml"
+    table = read_table(load_toml(files(__package__) / "data" / where), _File, where)
+    parked = tuple(
+        body
+        for index, row in enumerate(table.parked_rows)
+        for body in _build_row(row, f"{where}: parked_rows[{index}]")
+    )
+    return tuple(
+        _build_placement(entry, f"{where}: placements[{index}]", table.scene, parked)
+        for index, entry in enumerate(table.placements)
+    )
 
 
 def find_placement(scene_name: str, case: Case, approach: str) -> CasePlacement | None:
@@ -121,14 +139,12 @@ def _crossing_sign(placement: CasePlacement) -> float:
 
 
 def _build_placement(
-    entry: Table, where: str, scene_name: str, parked: tuple[PlacedActor, ...]
+    entry: _Entry, where: str, scene_name: str, parked: tuple[PlacedActor, ...]
 ) -> CasePlacement:
-    case = pick(load_cases(), take_text(entry, "case", where), f"{where}.case")
-    approach = take_text(entry, "approach", where)
-    vut_path = _build_path(entry, "vut", where)
-    vru_path = _build_path(entry, "vru", where)
-    point = take_list(entry, "collision_point_m", where)
-    collision = from_carla_points(float_array(point, (2,), f"{where}.collision_point_m"))
+    case = pick(load_cases(), entry.case, f"{where}.case")
+    vut_path = _build_path(entry.vut_start_m, entry.vut_yaw_deg)
+    vru_path = _build_path(entry.vru_start_m, entry.vru_yaw_deg)
+    collision = from_carla_points(entry.collision_point_m)
     if case.kind == "crossing":
         vut_meeting, vru_meeting = _crossing_distances(vut_path, vru_path, where)
     else:
@@ -144,6 +160,7 @@ def _build_placement(
     east, north = collision - met_m
     beside_m = abs(vut_path.direction[0] * north - vut_path.direction[1] * east)
     if beside_m > _ON_LINE_TOLERANCE_M:
+        point = entry.collision_point_m.tolist()
         raise InputError(f"{where}.collision_point_m", point, "a point on the VUT's path")
     if not (vut_meeting > 0.0 and vru_meeting > 0.0):
         raise InputError(
@@ -152,7 +169,7 @@ def _build_placement(
     return CasePlacement(
         scene_name=scene_name,
         case=case,
-        approach=approach,
+        approach=entry.approach,
         vut_path=vut_path,
         vru_path=vru_path,
         vut_meeting_m=vut_meeting,
@@ -161,12 +178,8 @@ def _build_placement(
     )
 
 
-def _build_path(entry: Table, body: str, where: str) -> StraightPath:
-    start = take_list(entry, f"{body}_start_m", where)
-    return StraightPath(
-        start_m=from_carla_points(float_array(start, (2,), f"{where}.{body}_start_m")),
-        yaw_deg=float(from_carla_yaw(take_number(entry, f"{body}_yaw_deg", where))),
-    )
+def _build_path(start_m: FloatArray, yaw_deg: float) -> StraightPath:
+    return StraightPath(start_m=from_carla_points(start_m), yaw_deg=float(from_carla_yaw(yaw_deg)))
 
 
 def _crossing_distances(a: StraightPath, b: StraightPath, where: str) -> tuple[float, float]:
@@ -182,14 +195,10 @@ def _crossing_distances(a: StraightPath, b: StraightPath, where: str) -> tuple[f
     return float(distances[0]), float(distances[1])
 
 
-def _build_row(row: dict[str, Any], where: str) -> tuple[PlacedActor, ...]:
-    first: FloatArray = float_array(take_list(row, "first_m", where), (2,), f"{where}.first_m")
+def _build_row(row: _Row, where: str) -> tuple[PlacedActor, ...]:
     return park_row(
-        [
-            pick_actor(name, f"{where}.actors[{index}]")
-            for index, name in enumerate(take_list(row, "actors", where))
-        ],
-        first_bumper_m=from_carla_points(first),
-        yaw_deg=float(from_carla_yaw(take_number(row, "yaw_deg", where))),
-        gap_m=take_number(row, "gap_m", where),
+        [pick_actor(name, f"{where}.actors[{index}]") for index, name in enumerate(row.actors)],
+        first_bumper_m=from_carla_points(row.first_m),
+        yaw_deg=float(from_carla_yaw(row.yaw_deg)),
+        gap_m=row.gap_m,
     )

@@ -3,19 +3,16 @@
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
+from typing import Literal
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import fresnel
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.files import (
-    load_toml,
-    pick,
-    take_number,
-    take_text,
-)
+from geometry.files import load_toml, pick, read_tables
 
 LEFT, RIGHT = 1, -1
 _SIDES = {"far": LEFT, "near": RIGHT}  # right-hand traffic
@@ -163,21 +160,31 @@ class TurnAtSpeed:
     speed_kmh: float
 
 
+class _TurnEntry(Struct, frozen=True, kw_only=True):
+    """A turn in ``data/turning_paths.toml``."""
+
+    turn: Literal["far", "near"]
+    speed_kmh: float
+    first_radius_m: float
+    radius_m: float
+    clothoid_deg: float
+    arc_deg: float
+
+
 @cache
 def load_turns() -> dict[str, TurnAtSpeed]:
     """The protocol's turns by name, such as "far_10", from ``data/turning_paths.toml``."""
     table = load_toml(files(__package__) / "data" / "turning_paths.toml")
     turns = {}
-    for name, entry in table.items():
-        where = f"turning_paths.toml: {name}"
+    for name, entry in read_tables(table, _TurnEntry, "turning_paths.toml").items():
         turn = Turn(
-            side=pick(_SIDES, take_text(entry, "turn", where), f"{where}.turn"),
-            **{
-                key: take_number(entry, key, where)
-                for key in ("first_radius_m", "radius_m", "clothoid_deg", "arc_deg")
-            },
+            first_radius_m=entry.first_radius_m,
+            radius_m=entry.radius_m,
+            clothoid_deg=entry.clothoid_deg,
+            arc_deg=entry.arc_deg,
+            side=_SIDES[entry.turn],
         )
-        turns[name] = TurnAtSpeed(turn=turn, speed_kmh=take_number(entry, "speed_kmh", where))
+        turns[name] = TurnAtSpeed(turn=turn, speed_kmh=entry.speed_kmh)
     return turns
 
 

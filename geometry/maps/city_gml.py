@@ -104,7 +104,7 @@ class _Document:
                     yield child
                 elif name in _OTHER_TYPES:
                     left_out[name] += 1
-                    continue  # and what lies in it: rooms, bridge parts
+                    continue  # with its content: rooms, bridge parts
                 stack.append(child)
 
     def city_object(self, feature: Element, empty: Counter[str]) -> CityObject | None:

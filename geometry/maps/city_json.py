@@ -19,7 +19,6 @@ from .source_map import MAX_TRIANGLES, Skipped, SourceMap, Thing, counted, short
 from .thing_kinds import kind_from_name, kind_of_class, thing_defaults
 
 _VERSIONS = ("1.0", "1.1", "2.0")
-_MAX_BYTES = 300_000_000
 _MAX_RING = 100_000
 _SURFACES_AT = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2}
 _SURFACES_AT |= {"CompositeSolid": 2}
@@ -27,7 +26,7 @@ _HEIGHTS = ("measuredHeight", "height", "Height", "Hoehe")
 _WORDS = ("name", "class", "function", "usage", "type")
 _MAX_NAME = 80  # characters
 
-# Of city models: what kind of object is what class of thing.
+# Class of thing by the type of an object.
 CLASS_OF_TYPE = {
     "Building": "building",
     "BuildingPart": "building",
@@ -130,7 +129,9 @@ def _vectors(values: Any, where: str) -> FloatArray:
     try:
         array: FloatArray = np.array(values, dtype=np.float64).reshape(len(values), 3)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(where, Unquoted("what is no list of points"), "x, y, z each") from None
+        raise InputError(
+            where, Unquoted("something other than a list of points"), "x, y, z each"
+        ) from None
     if not np.isfinite(array).all():
         raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
     return array
@@ -285,7 +286,7 @@ def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygo
 
 def _list(value: Any, where: str) -> list[Any]:
     if not isinstance(value, list):
-        raise InputError(f"{where}.boundaries", value, "lists as deep as its type asks for")
+        raise InputError(f"{where}.boundaries", value, "lists nested as its type demands")
     return value
 
 

@@ -17,9 +17,9 @@ from .thing_kinds import build_pole_body
 
 _LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
 _SAME_LEVEL_M = 3.0
-_AT_OUTLINE_M = 2.0  # what ends here without belonging to the junction would look like an arm
+_AT_OUTLINE_M = 2.0  # other roads that end here would look like an arm
 _CROSSWALK_WITHIN_M = 25.0
-_LOWEST_M = 0.2  # what is lower hides nobody
+_LOWEST_M = 0.2  # lower things hide nobody
 _DRIVEN = ("driving", "parking")
 
 
@@ -67,7 +67,9 @@ def cut_out(
         low: Counter[str] = Counter()
         for thing in near:
             if thing.class_name == "ground":
-                skipped.append(Skipped(what=f"ground {thing.id}", why="the road is a plane here"))
+                skipped.append(
+                    Skipped(what=f"ground {thing.id}", why="the road of a scene is a plane")
+                )
                 continue
             vertices = thing.vertices_m - [0.0, 0.0, ground]
             if vertices[:, 2].max() < _LOWEST_M:
@@ -263,4 +265,4 @@ def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
         if candidate not in taken and candidate != "ground":
             taken.add(candidate)
             return candidate
-    raise InputError(source.name, Unquoted(f"{name} too often"), "ids that differ")
+    raise InputError(source.name, Unquoted(f"{name} too often"), "unique ids")

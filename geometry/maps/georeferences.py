@@ -127,10 +127,10 @@ class Georeference:
             array[:, :2] = transform(array[:, :2], self.source_crs, self.crs)
         if array.shape[1] > 2:
             array[:, 2] *= self.z_m
-        if not (np.abs(array) < _MAX_M).all():  # also of what is not finite
+        if not (np.abs(array) < _MAX_M).all():  # also if a coordinate is not finite
             raise InputError(
                 where,
-                Unquoted("coordinates that are no place on earth"),
+                Unquoted("coordinates that are not on earth"),
                 f"coordinates in {self.source_crs or 'metres'}",
             )
         return array
@@ -184,7 +184,7 @@ def georeference(
                 break
         else:
             area = crs.area_of_use.name if crs.area_of_use else "its area"
-            why = f"the coordinates lie outside {area}: taken as metres from nowhere"
+            why = f"the coordinates lie outside {area}: taken as metres without a place on earth"
             note = Skipped(what=f"coordinate reference system {name}", why=why)
             return Georeference(crs="", source_crs="", z_m=z_m, note=note)
         if _is_in_metres(crs, middle):
@@ -243,7 +243,7 @@ def _unknown(declared: "str | CRS | None") -> Skipped | None:
         return None
     return Skipped(
         what=f"coordinate reference system {str(declared).strip()[:80]}",
-        why="not known as one of the plane: taken as metres from nowhere",
+        why="not a known horizontal one: taken as metres without a place on earth",
     )
 
 

@@ -94,11 +94,15 @@ def choose_junction(
         return _by_name(surveyed, name)
     if at is None:
         return surveyed[0]
-    point = _point_of_map(source, at)
+    point = _in_map(source, at)
+    if not np.isfinite(point).all():
+        raise InputError(
+            "--at", Unquoted(f"{at[0]:g},{at[1]:g}"), f"a point in {source.source_crs}"
+        )
     distance = [float(np.hypot(*(one.junction.position_m - point))) for one in surveyed]
     nearest = int(np.argmin(distance))
     if not distance[nearest] <= _NEAR_M:
-        exchanged = _point_or_far(source, (at[1], at[0]))
+        exchanged = _in_map(source, (at[1], at[0]))
         if min(np.hypot(*(one.junction.position_m - exchanged)) for one in surveyed) <= _NEAR_M:
             order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
             raise InputError(
@@ -137,24 +141,11 @@ def _listed(surveyed: Sequence[Surveyed]) -> str:
     return ", ".join(words) + (f" and {left} more: place-rsus scene show FILE" if left else "")
 
 
-def _point_or_far(source: SourceMap, at: tuple[float, float]) -> FloatArray:
-    """A point in the map's coordinates; infinitely far if it is nowhere on earth."""
-    try:
-        return _point_of_map(source, at)
-    except InputError:
-        return np.full(2, np.inf)
-
-
-def _point_of_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
-    """A point in the coordinates that the map has been read into."""
+def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
+    """A point in the map's coordinates; infinite if it is nowhere on earth."""
     if not source.crs or source.source_crs in ("", source.crs):
         return np.array(at)
-    point = transform(np.array(at), source.source_crs, source.crs)
-    if not np.isfinite(point).all():
-        raise InputError(
-            "--at", Unquoted(f"{at[0]:g},{at[1]:g}"), f"a point in {source.source_crs}"
-        )
-    return point
+    return transform(np.array(at), source.source_crs, source.crs)
 
 
 def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) -> Surveyed:

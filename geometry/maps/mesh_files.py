@@ -181,9 +181,9 @@ def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, 
         raise InputError(
             where, Unquoted("a vertex that is not finite (NaN or infinite)"), "finite numbers"
         )
-    triangles = triangles.reshape(-1, 3).astype(np.int32)
+    corners = triangles.reshape(-1, 3).astype(np.int32)
     is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
-    return placed, triangles[:, ::-1] if is_mirrored else triangles
+    return placed, corners[:, ::-1] if is_mirrored else corners
 
 
 def _outwards(vertices: FloatArray, triangles: NDArray[np.int32]) -> NDArray[np.int32]:

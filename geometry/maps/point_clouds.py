@@ -109,13 +109,13 @@ _MAX_VOXEL_M = 2.0
 _MAX_VOXELS = 30_000_000
 _MAX_THINGS = 20_000
 _MIDDLE = 1 << 19  # cell of the origin, on every axis
-_GROUND_M = 0.3  # what is lower above the ground is ground: grass, kerbs, noise
-_MIN_HEIGHT_M = 0.5  # what ends lower hides nobody
+_GROUND_M = 0.3  # lower points are ground: grass, kerbs, noise
+_MIN_HEIGHT_M = 0.5  # lower things hide nobody
 _MIN_VOXELS = 4
 _MIN_NEIGHBOURS = 6.0  # of 8 in a surface: with fewer, one hole in a hundred is not bridged
 _MIN_ROOF_M2, _MIN_FLAT_SHARE = 10.0, 0.8
 
-# Classes of LAS 1.4: what a point lies on. What is not here is of the class that the caller names.
+# Classes of LAS 1.4: the surface of a point. Others are of the class that the caller names.
 _GROUND = (2,)
 _VEGETATION = (3, 4, 5)
 _BUILDING = (6,)
@@ -167,7 +167,7 @@ def read_point_cloud(
     heights, voxel_m, notes = _above_ground(scan)
     things, small = _things(heights, voxel_m, scan, class_name)
     if not things:
-        raise InputError(where, Unquoted("only ground"), "points on something that stands on it")
+        raise InputError(where, Unquoted("only ground"), "points on something above the ground")
     if scan.place.note is not None:
         notes.insert(0, scan.place.note)
     notes += counted(scan.left_out, "points of a class that hides nothing here")

@@ -186,7 +186,7 @@ def _chunks(reader: Any, where: str) -> Iterator[Points]:
             yield xyz, np.asarray(points.classification, dtype=np.uint8)
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
-    except BaseException as error:  # laspy raises anything, and lazrs what is no Exception
+    except BaseException as error:  # laspy raises anything, lazrs even others than Exception
         raise InputError(where, Unquoted(_one_line(error)), "undamaged points") from None
 
 

@@ -340,7 +340,7 @@ def _listed(
         told.append(Skipped(what=f"{n_far} sites in {path.name}", why=why))
     dark = sum(wish.has_power is False or wish.has_fibre is False for wish in wishes)
     if dark:
-        why = "it counts only as far as cost_eur says it"
+        why = "only what cost_eur states is counted"
         told.append(Skipped(what=f"power or fibre that {dark} sites lack", why=why))
     return tuple(wishes), told
 

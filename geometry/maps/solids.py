@@ -137,7 +137,7 @@ def extrude(
         raise InputError(f"{where}: height", top_m - bottom_m, "metres, > 0")
     outer = float_array(outer_m, (-1, 2), where)
     if len(np.unique(outer, axis=0)) < 3:
-        raise InputError(where, Unquoted(f"{len(outer)} points"), "three different ones or more")
+        raise InputError(where, Unquoted(f"{len(outer)} points"), "at least three different points")
     shape = make_valid(Polygon(outer, [float_array(hole, (-1, 2), where) for hole in holes_m]))
     parts = [
         part

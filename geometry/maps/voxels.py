@@ -92,7 +92,7 @@ def filled(keys: IntArray, floor: int) -> IntArray:
     stands = bool((cells[:, 2] <= floor + 1).any())
     dense = np.zeros(tuple(shape + [0, 0, 1]), dtype=np.bool_)
     dense[tuple((cells - low + [0, 0, 1]).T)] = True
-    dense[:, :, 0] = stands  # the ground closes what stands on it
+    dense[:, :, 0] = stands  # the ground closes clusters that stand on it
     dense = binary_fill_holes(dense)[:, :, 1:]
     return np.sort(to_keys(np.argwhere(dense).astype(np.int64) + low))
 

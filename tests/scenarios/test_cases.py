@@ -85,7 +85,7 @@ def test_a_single_speed_is_allowed(monkeypatch):
         ),
         (
             {"vru_from": "ahead"},
-            "cases.toml: X.vru_from: got 'ahead'; expected one of near, far",
+            "cases.toml: X.vru_from: got 'ahead'; expected one of far, near",
         ),
         (
             {"impact_percent": 120.0},

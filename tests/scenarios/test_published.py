@@ -9,6 +9,7 @@ from oracles import separation_m
 
 from geometry.actors import PlacedActor
 from geometry.errors import InputError
+from geometry.files import read_table
 from geometry.frames import to_carla_points, to_carla_yaw
 from scenarios import published
 from scenarios.published import stage_published
@@ -191,4 +192,9 @@ def test_a_longitudinal_case_needs_one_heading():
         "collision_point_m": [-40.0, 0.0],
     }
     with pytest.raises(InputError, match="expected one heading for VUT and VRU"):
-        published._build_placement(entry, "runs.toml: placements[0]", "town05", ())
+        published._build_placement(
+            read_table(entry, published._Entry, "runs.toml"),
+            "runs.toml: placements[0]",
+            "town05",
+            (),
+        )

@@ -18,7 +18,7 @@ from ..source_map import Omissions
 
 MAX_MAGNITUDE = 1.0e12  # beyond it cubes of arc lengths leave what floats can hold
 MAX_SIZE_M = 1.0e4
-_UNSET = ("", "none", "undefined", "nan")  # what exporters write where they know nothing
+_UNSET = ("", "none", "undefined", "nan")  # written by exporters for unknown values
 
 
 def take_number(element: Element, key: str, where: str) -> float:

@@ -16,8 +16,8 @@ from .roads import NO_JUNCTION, Road, RoadLink
 
 _WITHOUT_SURFACE = {
     "direct": "its roads join without connecting roads: it has no surface of its own",
-    "virtual": "it lies on a road that goes on: no lane ends at it",
-    "crossing": "its roads cross without a way from one to the other",
+    "virtual": "it lies on a continuous road: no lane ends at it",
+    "crossing": "its roads cross without a connection",
 }
 
 
@@ -75,7 +75,7 @@ def find_road_ends(
         known = {"junction": junctions, "road": roads}.get(link.kind, {})
         if link.kind and link.id not in known:
             omissions.add(
-                "links to what there is not",
+                "links to missing roads or junctions",
                 f"road {road.id}, link to {link.kind[:20]} {link.id[:40]}",
                 "the file has no such road or junction",
             )
@@ -104,8 +104,8 @@ def junction_name(record: JunctionRecord, roads: Mapping[str, Road]) -> str:
 
 
 # ---------- outlines
-_ARM_KINDS = ("driving", "parking")  # where a car parked at the corner hides who crosses
-_AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; what follows may move it by a little
+_ARM_KINDS = ("driving", "parking")  # a car parked at the corner hides who crosses
+_AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; later steps may move it slightly
 _MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction
 _MOUTH_M = 15.0  # of a lane, which is no part of the junction
 _WAY_WIDTH_M = 1.0  # to a lane's end outside: other ends that it passes stay at the outline

@@ -316,7 +316,7 @@ def _runs(
             continue
         mean_width_m = float((0.5 * (width[1:] + width[:-1]) * steps).sum()) / length_m
         is_new = np.append(True, steps > _SAME_POINT_M)
-        is_new[-1] = True  # the very end stays, what is too close before it goes
+        is_new[-1] = True  # the end stays, and a point too close before it goes
         if steps[-1] <= _SAME_POINT_M and len(is_new) > 2:
             is_new[-2] = False
         is_new[0] = True

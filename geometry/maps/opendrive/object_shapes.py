@@ -23,7 +23,7 @@ from .roads import Road
 
 _SIZES = ("length", "width", "height", "radius")
 _MAX_COPIES = 20_000  # of one <repeat>
-_STEP_M = 2.0  # along what is swept
+_STEP_M = 2.0  # along a sweep
 _BEYOND_M = 1.0
 
 
@@ -239,9 +239,9 @@ def box_corners(copy: Copy, turn_rad: float) -> FloatArray | None:
 
 
 # ---------- solids
-_FLAT_M = 0.05  # slopes that nobody sees round
+_FLAT_M = 0.05  # lower slopes are levelled
 _STRAIGHT_M = 0.02
-_N_ROUND = 12  # corners of what is round
+_N_ROUND = 12  # corners of a cylinder
 
 
 def build_prism(

@@ -1,6 +1,7 @@
 """Objects on and beside the roads: buildings, trees, crosswalks, parking spaces."""
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -12,7 +13,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
 from ..source_map import POLE_KINDS, MapLane, Omissions, Pole, Thing
-from .attributes import load_facts, numbered, take_number_or
+from .attributes import load_facts, take_number_or
 from .junctions import JunctionRecord
 from .object_shapes import (
     Copy,
@@ -24,7 +25,7 @@ from .object_shapes import (
     read_outlines,
     read_places,
 )
-from .roads import Road
+from .roads import Road, RoadElement
 
 _MAX_CHARACTERS = 100  # of a name that is looked at
 _MAX_WORDS = 3  # that are read as one
@@ -280,15 +281,6 @@ class Found:
     spaces: dict[str, list[Space]] = field(default_factory=dict)  # parking spaces by id of the road
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Object:
-    element: Element
-    road: Road
-    kind: str
-    name: str
-    where: str
-
-
 def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
     """Objects of all roads; what is left out is noted in `omissions`.
 
@@ -297,7 +289,7 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
     """
     found = Found()
     n_places = n_vertices = n_counted = 0
-    for one in _taken_objects(roads, omissions):
+    for kind, one in _taken_objects(roads, omissions):
         places = list(islice(read_places(one.element, one.road, one.where), _MAX_PLACES + 1))
         n_places += len(places)
         if not places:
@@ -307,8 +299,8 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
             raise InputError(one.where, got, "a smaller file: cut it out first")
         for index, spot in enumerate(places):
             name = one.name if len(places) == 1 else f"{one.name}/{index}"
-            if not _take(one, spot, name, found):
-                omissions.add(f"objects ({one.kind}) without size", name, _NO_SIZE)
+            if not _take(kind, one, spot, name, found):
+                omissions.add(f"objects ({kind}) without size", name, _NO_SIZE)
             n_vertices += sum(len(thing.vertices_m) for thing in found.things[n_counted:])
             n_counted = len(found.things)
             if n_vertices > _MAX_VERTICES:
@@ -317,10 +309,12 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
     return found
 
 
-def _taken_objects(roads: Mapping[str, Road], omissions: Omissions) -> "list[_Object]":
+def _taken_objects(
+    roads: Mapping[str, Road], omissions: Omissions
+) -> list[tuple[str, RoadElement]]:
     """Objects of a kind that matters; the others are noted."""
     objects = []
-    names: dict[str, int] = {}
+    names: Counter[str] = Counter()
     for road in roads.values():
         parent = road.element.find("objects")
         for tag, why in _NOT_TAKEN.items():
@@ -329,56 +323,49 @@ def _taken_objects(roads: Mapping[str, Road], omissions: Omissions) -> "list[_Ob
                 omissions.add(f"{tag}s", name, why)
         if road.element.find("railroad/switch") is not None:
             omissions.add("railroads", f"road {road.id} railroad", "no road users go there")
-        for index, (element, _) in enumerate(numbered(parent, "object", road.where)):
-            label = f"object {element.get('id', f'[{index}]')[:60]}"
-            name = f"road {road.id} {label}"
-            names[name] = names.get(name, 0) + 1  # ids need not be unique in what people write
-            name = name if names[name] == 1 else f"{name} #{names[name]}"
-            kind = object_kind(element)
+        for one in road.listed("object", names):
+            kind = object_kind(one.element)
             if kind is None:
-                said = element.get("type", "") or element.get("name", "") or "no type"
+                said = one.element.get("type", "") or one.element.get("name", "") or "no type"
                 why = "its kind hides nothing and carries nothing"
-                omissions.add(f"objects ({said[:40]})", name, why)
-                continue
-            where = f"{road.where} {label}"
-            objects.append(_Object(element=element, road=road, kind=kind, name=name, where=where))
+                omissions.add(f"objects ({said[:40]})", one.name, why)
+            else:
+                objects.append((kind, one))
     return objects
 
 
-def _take(one: _Object, spot: Copy | Sweep, name: str, found: Found) -> bool:
+def _take(kind: str, one: RoadElement, spot: Copy | Sweep, name: str, found: Found) -> bool:
     """Add an object at one of its places to `found`; False: it has no size."""
-    if one.kind in POLE_KINDS:
-        found.poles.append(_build_pole(one, spot, name))
+    if kind in POLE_KINDS:
+        found.poles.append(_build_pole(kind, one.road, spot, name))
         return True
     outlines = (
         [] if isinstance(spot, Sweep) else read_outlines(one.element, one.road, spot, one.where)
     )
     turn_rad = take_number_or(one.element, "hdg", one.where, 0.0)
-    if one.kind == "crosswalk":
+    if kind == "crosswalk":
         line = crosswalk_line(one.road, spot, outlines, turn_rad)
         if line is not None:
             found.crosswalks_m.append(line)
         return line is not None
-    if one.kind == "parking space":
+    if kind == "parking space":
         space = read_space(spot, outlines, turn_rad)
         if space is not None:
             found.spaces.setdefault(one.road.id, []).append(space)
         return space is not None
     try:
         with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
-            body = build_body(
-                one.road, one.kind, spot, outlines, turn_rad=turn_rad, where=one.where
-            )
+            body = build_body(one.road, kind, spot, outlines, turn_rad=turn_rad, where=one.where)
     except InputError:  # its outline surrounds nothing
         return False
     if body is None:
         return False
-    (vertices_m, triangles), is_assumed = body
+    (vertices, triangles), is_assumed = body
     found.things.append(
         Thing(
             id=name,
-            class_name=_CLASSES.get(one.kind, one.kind),
-            vertices_m=vertices_m,
+            class_name=_CLASSES.get(kind, kind),
+            vertices_m=vertices,
             triangles=triangles,
             is_height_assumed=is_assumed,
         )
@@ -386,8 +373,8 @@ def _take(one: _Object, spot: Copy | Sweep, name: str, found: Found) -> bool:
     return True
 
 
-def _build_pole(one: _Object, spot: Copy | Sweep, name: str) -> Pole:
+def _build_pole(kind: str, road: Road, spot: Copy | Sweep, name: str) -> Pole:
     copy = spot.start if isinstance(spot, Sweep) else spot
-    foot, _ = place(one.road, copy)
+    foot, _ = place(road, copy)
     top_m = 0.0 if copy.height_m is None else copy.z_m + copy.height_m
-    return Pole(id=name, kind=one.kind, position_m=foot, height_m=top_m if top_m > 0.0 else None)
+    return Pole(id=name, kind=kind, position_m=foot, height_m=top_m if top_m > 0.0 else None)

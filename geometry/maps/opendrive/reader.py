@@ -63,7 +63,7 @@ def read_opendrive(path: Path) -> SourceMap:
     ]
     poles, painted = read_signals(roads, sampled, offset, omissions)
     crosswalks = [*found.crosswalks_m, *painted, *cross_paths(records, roads)]
-    _note_what_is_not_followed(root, roads, omissions)
+    _note_ignored(root, roads, omissions)
     return SourceMap(
         name=where,
         crs=crs,
@@ -117,9 +117,7 @@ def _keeps_left(roads: Mapping[str, Road], omissions: Omissions) -> bool:
     return 2 * n_left > len(roads)
 
 
-def _note_what_is_not_followed(
-    root: Element, roads: Mapping[str, Road], omissions: Omissions
-) -> None:
+def _note_ignored(root: Element, roads: Mapping[str, Road], omissions: Omissions) -> None:
     for road in roads.values():
         if road.is_banked:
             omissions.add(

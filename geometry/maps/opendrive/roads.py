@@ -1,5 +1,7 @@
 """Roads as a file has them: reference line, elevation, lane sections, links."""
 
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
@@ -63,8 +65,8 @@ class Road:
     base_m: float  # the header's offset in height
     offset: PiecewiseCubic  # of the lanes to the left of the reference line
     sections: tuple[LaneSection, ...]
-    before: RoadLink  # what it begins at
-    after: RoadLink  # what it ends at
+    before: RoadLink  # at its begin
+    after: RoadLink  # at its end
     is_banked: bool  # it has a superelevation or a shape, which are ignored
     element: Element  # for objects and signals
 
@@ -79,6 +81,30 @@ class Road:
         points, heading = self.line.at(s_m)
         left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
         return np.column_stack([points + t_m[:, None] * left, self.height_at(s_m)]), heading
+
+    def listed(self, tag: str, names: Counter[str]) -> Iterator["RoadElement"]:
+        """Its objects or signals; `names` counts names over all roads, to make them unique."""
+        parent = self.element.find(f"{tag}s")
+        for index, (element, _) in enumerate(numbered(parent, tag, self.where)):
+            label = f"{tag} {element.get('id', f'[{index}]')[:60]}"
+            name = f"road {self.id} {label}"
+            names[name] += 1  # ids are not unique in some files
+            yield RoadElement(
+                element=element,
+                road=self,
+                name=name if names[name] == 1 else f"{name} #{names[name]}",
+                where=f"{self.where} {label}",
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RoadElement:
+    """An object or signal of a road."""
+
+    element: Element
+    road: Road
+    name: str  # unique in the file
+    where: str  # for messages
 
 
 def read_road(element: Element, where: str, offset: Offset) -> Road:

@@ -1,9 +1,9 @@
 """Signals beside the roads: traffic lights, signs, painted crosswalks, and poles below signals."""
 
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from ..source_map import Omissions, Pole
 from .attributes import (
     Offset,
     load_facts,
-    numbered,
     take_number,
     take_number_or,
     take_size,
@@ -20,19 +19,9 @@ from .attributes import (
 from .lanes import SampledSection, lane_kind
 from .object_shapes import is_on
 from .objects import signal_crosswalk, signal_kind
-from .roads import Road
+from .roads import Road, RoadElement
 
 _PAINT = "paint on the road, or nothing above it"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Signal:
-    element: Element
-    road: Road
-    name: str
-    where: str
-    s_m: float
-    t_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,21 +48,23 @@ def read_signals(
     """
     poles: list[Pole] = []
     crosswalks: list[FloatArray] = []
-    for one in _listed_signals(roads):
+    names: Counter[str] = Counter()
+    for one in (one for road in roads.values() for one in road.listed("signal", names)):
+        s_m, t_m = (take_number(one.element, key, one.where) for key in "st")
         kind = signal_kind(one.element)
-        if not is_on(one.road, one.s_m):
+        if not is_on(one.road, s_m):
             omissions.add("signals beyond their road's end", one.name, "beyond its road's end")
         elif kind == "crosswalk":
             across_m = take_size(one.element, "width", one.where)
-            length_m = across_m or _road_width_m(sampled[one.road.id], one.s_m)
+            length_m = across_m or _road_width_m(sampled[one.road.id], s_m)
             if length_m:
                 crosswalks.append(
-                    signal_crosswalk(one.element, one.road, one.s_m, one.t_m, length_m, one.where)
+                    signal_crosswalk(one.element, one.road, s_m, t_m, length_m, one.where)
                 )
         elif kind is None:
             omissions.add("painted signals", one.name, _PAINT)
         else:
-            position = _find_position(one, roads, offset)
+            position = _find_position(one, s_m, t_m, roads, offset)
             why = _why_no_pole(kind, position, sampled)
             if why:
                 omissions.add(f"signals ({kind})", one.name, why)
@@ -82,28 +73,12 @@ def read_signals(
     return poles, crosswalks
 
 
-def _listed_signals(roads: Mapping[str, Road]) -> Iterator[_Signal]:
-    names: dict[str, int] = {}
-    for road in roads.values():
-        parent = road.element.find("signals")
-        for index, (element, _) in enumerate(numbered(parent, "signal", road.where)):
-            label = f"signal {element.get('id', f'[{index}]')[:60]}"
-            name, where = f"road {road.id} {label}", f"{road.where} {label}"
-            names[name] = names.get(name, 0) + 1  # ids need not be unique in what people write
-            yield _Signal(
-                element=element,
-                road=road,
-                name=name if names[name] == 1 else f"{name} #{names[name]}",
-                where=where,
-                s_m=take_number(element, "s", where),
-                t_m=take_number(element, "t", where),
-            )
-
-
-def _find_position(one: _Signal, roads: Mapping[str, Road], offset: Offset) -> _Position:
+def _find_position(
+    one: RoadElement, s_m: float, t_m: float, roads: Mapping[str, Road], offset: Offset
+) -> _Position:
     """Position of a signal, which may be given apart from the place where it applies."""
     height_m = take_size(one.element, "height", one.where) or 0.0
-    road, s_m, t_m = one.road, one.s_m, one.t_m
+    road = one.road
     z_m = take_number_or(one.element, "zOffset", one.where, 0.0)
     on_road = one.element.find("positionRoad")
     if on_road is not None and on_road.get("roadId", "") in roads:
@@ -167,7 +142,12 @@ def _road_width_m(sections: Sequence[SampledSection], s_m: float) -> float:
 
 # ---------- poles
 _CELL_M = 0.05
-_KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")  # what a pole with several is
+_KIND_ORDER = (
+    "traffic light",
+    "lamp post",
+    "sign",
+    "pole",
+)  # the kind of a pole with several signals is the first of these
 
 
 def merge_poles(poles: Sequence[Pole]) -> list[Pole]:

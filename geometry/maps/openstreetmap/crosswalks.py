@@ -10,6 +10,7 @@ from ..source_map import Omissions
 from .elements import DEFAULTS, Elements
 from .network import Network, known_runs
 
+_FOOTWAYS = ("footway", "path", "pedestrian")
 _PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
 
 
@@ -44,9 +45,6 @@ def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) 
             continue
         taken.add(_across(network, row, at_row[row], limits["beyond_kerb_m"]))
     return np.array(taken.lines).reshape(-1, 2, 2)
-
-
-_FOOTWAYS = ("footway", "path", "pedestrian")
 
 
 def _edges_at(network: Network) -> dict[int, tuple[int, int]]:

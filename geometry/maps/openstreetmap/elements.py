@@ -1,4 +1,4 @@
-"""Nodes, ways, relations and areas of a file, and omissions on what is left out."""
+"""Nodes, ways, relations, areas and tags of a file of OpenStreetMap data."""
 
 import bz2
 import gzip
@@ -194,7 +194,7 @@ def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> No
 
 def _place(location: Any) -> str:
     lat_deg, lon_deg = location.lat_without_check(), location.lon_without_check()
-    if max(abs(lat_deg), abs(lon_deg)) > 214.0:  # what osmium keeps where there is nothing
+    if max(abs(lat_deg), abs(lon_deg)) > 214.0:  # osmium's value for a missing one
         return "no coordinates"
     return f"latitude {lat_deg}, longitude {lon_deg}"
 
@@ -274,7 +274,7 @@ def find_areas(
         if way.id in used or not any(key in way.tags for key in keys):
             continue
         if not way.is_closed or (way.rows < 0).any():
-            omissions.add("outlines", f"way {way.id}", "an outline that is not whole")
+            omissions.add("outlines", f"way {way.id}", "its outline is not closed, or misses nodes")
             continue
         yield Area(id=f"w{way.id}", tags=way.tags, outer_m=positions_m[way.rows])
 
@@ -295,7 +295,9 @@ def _multipolygon(
         rows, is_whole = join_rings(ways)
         rings[is_inner] = [positions_m[ring] for ring in rows]
         if len(ways) < len(members) or not is_whole:
-            omissions.add("outlines", f"relation {relation.id}", "an outline that is not whole")
+            omissions.add(
+                "outlines", f"relation {relation.id}", "its outline is not closed, or misses nodes"
+            )
     holes: dict[int, list[FloatArray]] = defaultdict(list)
     outers = [make_valid(Polygon(ring)) for ring in rings[False]]
     if outers and rings[True]:
@@ -371,7 +373,7 @@ _NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
 _LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
 _FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
 _RANGE = re.compile(rf"{_NUMBER}\s*(?:-|\.\.|;|to)\s*{_NUMBER}\s*([a-z]*)")
-_OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward": "forward"}
+OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward": "forward"}
 
 
 def parse_length_m(text: str) -> float | None:
@@ -442,8 +444,8 @@ def turned_round(tags: Tags) -> Tags:
     {'sidewalk': 'right', 'lanes:backward': '2'}
     """
     return {
-        ":".join(_OPPOSITE.get(word, word) for word in key.split(":")): (
-            _OPPOSITE.get(value, value) if key == "sidewalk" else value
+        ":".join(OPPOSITE.get(word, word) for word in key.split(":")): (
+            OPPOSITE.get(value, value) if key == "sidewalk" else value
         )
         for key, value in tags.items()
     }

@@ -1,10 +1,14 @@
 """Lanes of a road from its tags: number per direction, widths, and strips beside them."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from ..source_map import Omissions
-from .elements import DEFAULTS, Tags, is_yes, parse_count, parse_length_m, side_value
+from .elements import DEFAULTS, OPPOSITE, Tags, is_yes, parse_count, parse_length_m, side_value
+
+Note = Callable[[str], None]  # says that a tag of the way at hand is not followed, and why
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +37,7 @@ def runs_backward(tags: Tags) -> bool:
     return tags.get("oneway", "").strip().lower() in ("-1", "reverse")
 
 
-def count_lanes(tags: Tags, *, element: str, omissions: Omissions) -> LaneCounts:
+def count_lanes(tags: Tags, note: Note) -> LaneCounts:
     """Lanes of a road in each direction; senseless tags are noted.
 
     If it is a one-way road, its tags must be turned so that cars drive in the order of its nodes.
@@ -46,7 +50,7 @@ def count_lanes(tags: Tags, *, element: str, omissions: Omissions) -> LaneCounts
             return None
         count = parse_count(tags[key], highest=at_most)
         if count is None and tags[key].strip() != "0":
-            omissions.add("ways", element, f"{key} makes no sense; the usual number of lanes taken")
+            note(f"{key} makes no sense; the usual number of lanes taken")
         return count
 
     def listed(key: str) -> int | None:
@@ -74,7 +78,7 @@ def count_lanes(tags: Tags, *, element: str, omissions: Omissions) -> LaneCounts
         rest = max(total - (forward or backward or 0), 1)
         forward, backward = forward or rest, backward or rest
     elif total is not None and forward is None:
-        # An odd lane is somebody's turning lane; nothing says whose.
+        # An odd lane is a turning lane of an unknown direction.
         forward, backward = total - total // 2, total // 2
     if not is_counted and tags.get("lane_markings") == "no":
         forward = backward = 1
@@ -94,6 +98,7 @@ Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way do
 _ON_CARRIAGEWAY = ("lane", "half_on_kerb", "shoulder", "yes")
 _BESIDE_CARRIAGEWAY = ("street_side", "on_kerb")
 _OLD_ORIENTATIONS = ("parallel", "diagonal", "perpendicular")
+_OLD_POSITIONS = {"street_side": "street_side", "on_kerb": "on_kerb", "lay_by": "street_side"}
 _CYCLE_LANES = ("lane", "opposite_lane")
 _CYCLE_TRACKS = ("track", "opposite_track")
 
@@ -106,9 +111,7 @@ class Roadside:
     outer: tuple[Part, ...]  # behind the kerb
 
 
-def roadside_strips(
-    tags: Tags, *, side: str, keeps_left: bool, element: str, omissions: Omissions
-) -> Roadside:
+def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> Roadside:
     """Parked cars, cyclists and pedestrians on a side of a road, "left" or "right"."""
     is_near = side == ("left" if keeps_left else "right")  # the side of traffic along the way
     is_forward = is_near or is_oneway(tags)
@@ -122,7 +125,7 @@ def roadside_strips(
             return usual_m
         width_m = parse_length_m(text)
         if width_m is None or not 0.5 <= width_m <= 15.0:
-            omissions.add("ways", element, f"{key} width makes no sense; the usual one taken")
+            note(f"{key} width makes no sense; the usual one taken")
             return usual_m
         return width_m
 
@@ -161,24 +164,17 @@ def _parking(tags: Tags, side: str) -> tuple[str, str]:
     """Position and orientation of parked cars on a side."""
     position = side_value(tags, "parking", side)
     if position is not None:
-        restriction = tags.get(
-            f"parking:{side}:restriction", tags.get("parking:both:restriction", "")
+        restriction, orientation = (
+            tags.get(f"parking:{side}:{key}", tags.get(f"parking:both:{key}", default))
+            for key, default in (("restriction", ""), ("orientation", "parallel"))
         )
         if restriction in ("no_stopping", "no_parking", "no_standing"):
             return "no", ""
-        orientation = tags.get(
-            f"parking:{side}:orientation", tags.get("parking:both:orientation", "parallel")
-        )
         return position, orientation
     old = side_value(tags, "parking:lane", side) or ""
     if old in _OLD_ORIENTATIONS:
         where = tags.get(f"parking:lane:{side}:{old}", tags.get(f"parking:lane:both:{old}", ""))
-        old_positions = {
-            "street_side": "street_side",
-            "on_kerb": "on_kerb",
-            "lay_by": "street_side",
-        }
-        return old_positions.get(where, "lane"), old
+        return _OLD_POSITIONS.get(where, "lane"), old
     return "no", ""
 
 
@@ -219,16 +215,13 @@ class CrossSection:
         strips = tuple(
             replace(
                 strip,
-                place=_OPPOSITE[strip.place],
+                place=OPPOSITE[strip.place],
                 left_m=-strip.left_m,
                 is_forward=not strip.is_forward,
             )
             for strip in self.strips[::-1]
         )
         return replace(self, strips=strips)
-
-
-_OPPOSITE = {"forward": "backward", "backward": "forward", "left": "right", "right": "left"}
 
 
 def build_cross_section(
@@ -239,36 +232,34 @@ def build_cross_section(
     If it is a one-way road, its tags must be turned so that cars drive in the order of its nodes.
     """
     limits = DEFAULTS["cross_section"]
+    note = partial(omissions.add, "ways", element)
     left, right = (
-        roadside_strips(
-            tags, side=side, keeps_left=keeps_left, element=element, omissions=omissions
-        )
-        for side in ("left", "right")
+        roadside_strips(tags, note, side=side, keeps_left=keeps_left) for side in ("left", "right")
     )
-    counts = count_lanes(tags, element=element, omissions=omissions)
+    counts = count_lanes(tags, note)
     beside_m = sum(width for _, width, _ in (*left.inner, *right.inner))
-    widths, counts = _lane_widths(tags, counts, beside_m, element=element, omissions=omissions)
+    widths, counts = _lane_widths(tags, counts, beside_m, note)
     driving = _driving(widths, counts, keeps_left=keeps_left)
-    # From the left kerb to the right one, then what lies behind the kerbs.
-    driving_m = sum(width for _, _, width in driving)
-    carriageway_m = driving_m + beside_m
+    carriageway_m = sum(width for _, _, width in driving) + beside_m
     strips: list[Strip] = []
-    for side, parts in (("left", left), ("right", right)):
-        sign = 1.0 if side == "left" else -1.0
-        edge_m = 0.5 * carriageway_m
-        numbers: dict[str, int] = {}
-        # The kerb first, then inwards; then from the kerb outwards.
-        inwards = edge_m
-        for kind, width_m, is_forward in reversed(parts.inner):
-            strips.append(
-                _strip(kind, side, numbers, width_m, sign * (inwards - 0.5 * width_m), is_forward)
-            )
-            inwards -= width_m
-        for kind, width_m, is_forward in parts.outer:
-            strips.append(
-                _strip(kind, side, numbers, width_m, sign * (edge_m + 0.5 * width_m), is_forward)
-            )
-            edge_m += width_m
+    for side, sign, parts in (("left", 1.0, left), ("right", -1.0, right)):
+        numbers: Counter[str] = Counter()
+        # From the kerb inwards, then from the kerb outwards.
+        for step, found in ((-1.0, parts.inner[::-1]), (1.0, parts.outer)):
+            edge_m = 0.5 * carriageway_m
+            for kind, width_m, is_forward in found:
+                strips.append(
+                    Strip(
+                        kind=kind,
+                        place=side,
+                        number=numbers[kind],
+                        width_m=width_m,
+                        left_m=sign * (edge_m + step * 0.5 * width_m),
+                        is_forward=is_forward,
+                    )
+                )
+                numbers[kind] += 1
+                edge_m += step * width_m
     at_m = 0.5 * carriageway_m - sum(width for _, width, _ in left.inner)
     for place, number, width_m in driving:
         middle_m = at_m - 0.5 * width_m
@@ -292,20 +283,6 @@ def build_cross_section(
             )
     strips.sort(key=lambda strip: -strip.left_m)
     return CrossSection(strips=tuple(strips), width_m=carriageway_m)
-
-
-def _strip(
-    kind: str, side: str, numbers: dict[str, int], width_m: float, left_m: float, is_forward: bool
-) -> Strip:
-    numbers[kind] = numbers.get(kind, -1) + 1
-    return Strip(
-        kind=kind,
-        place=side,
-        number=numbers[kind],
-        width_m=width_m,
-        left_m=left_m,
-        is_forward=is_forward,
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,7 +312,7 @@ def _driving(
 
 
 def _lane_widths(
-    tags: Tags, counts: LaneCounts, beside_m: float, *, element: str, omissions: Omissions
+    tags: Tags, counts: LaneCounts, beside_m: float, note: Note
 ) -> tuple[_Widths, LaneCounts]:
     limits = DEFAULTS["cross_section"]
     narrow_m, wide_m = limits["min_lane_width_m"], limits["max_lane_width_m"]
@@ -345,7 +322,7 @@ def _lane_widths(
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
         return _Widths(forward, backward, centre_m), counts
-    total_m = _total_width_m(tags, element=element, omissions=omissions)
+    total_m = _total_width_m(tags, note)
     if total_m is not None:
         free_m = total_m - beside_m - centre_m
         fitting = counts
@@ -355,7 +332,7 @@ def _lane_widths(
         n_lanes = 1 if fitting.is_shared else counts.n_forward + counts.n_backward
         if narrow_m <= free_m / n_lanes <= wide_m:
             return _even(free_m / n_lanes, centre_m, fitting), fitting
-        omissions.add("ways", element, "its width does not fit its lanes; usual widths taken")
+        note("its width does not fit its lanes; usual widths taken")
     return _even(usual_m, centre_m, counts), counts
 
 
@@ -380,11 +357,11 @@ def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) ->
     return known if len(known) == len(widths) == count else None
 
 
-def _total_width_m(tags: Tags, *, element: str, omissions: Omissions) -> float | None:
+def _total_width_m(tags: Tags, note: Note) -> float | None:
     for key in ("width:carriageway", "width", "est_width"):
         if key in tags:
             width_m = parse_length_m(tags[key])
             if width_m is not None and 1.0 < width_m < 100.0:
                 return width_m
-            omissions.add("ways", element, f"{key} makes no sense; usual widths taken")
+            note(f"{key} makes no sense; usual widths taken")
     return None

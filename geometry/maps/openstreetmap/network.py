@@ -91,7 +91,7 @@ class Network:
         return float(np.degrees(np.arctan2(north, east)))
 
 
-_ACCESS = ("motorcar", "motor_vehicle", "vehicle", "access")  # what is more special goes first
+_ACCESS = ("motorcar", "motor_vehicle", "vehicle", "access")  # the most specific first
 
 
 def is_for_cars(tags: Tags) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ...arrays import FloatArray, float_array
 from ...errors import InputError, MissingExtraError, Unquoted
 from ...files import write_atomically
-from ..georeferences import local_crs, transform
+from ..georeferences import WGS84, local_crs, transform
 from ..source_map import Omissions, Skipped, SourceMap
 from .crosswalks import find_crosswalks
 from .elements import DEFAULTS, Elements, Way, read_elements
@@ -33,7 +33,9 @@ def find_driving_side(elements: Elements, positions_m: FloatArray) -> tuple[bool
     """
     ways = [way for way in elements.ways if is_for_cars(way.tags)]
     tagged = Counter(
-        way.tags["driving_side"] for way in ways if way.tags.get("driving_side") in _SIDES
+        way.tags["driving_side"]
+        for way in ways
+        if way.tags.get("driving_side") in ("left", "right")
     )
     if tagged:
         return tagged["left"] > tagged["right"], "its tag"
@@ -46,9 +48,6 @@ def find_driving_side(elements: Elements, positions_m: FloatArray) -> tuple[bool
             if n_votes and votes[keeps_left] >= _CLEAR * n_votes:
                 return keeps_left, how
     return False, ""
-
-
-_SIDES = ("left", "right")
 
 
 def _points(way: Way, positions_m: FloatArray) -> list[FloatArray]:
@@ -103,7 +102,6 @@ def _carriageways(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
 
 
 # ---------- files
-_WGS84 = "EPSG:4326"
 
 
 def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
@@ -154,13 +152,13 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
     if side == "nothing":
         assumed = Skipped(
             what="side of the road",
-            why="nothing shows it - tag, roundabout, carriageways -: taken to keep right",
+            why="no tag, roundabout or pair of carriageways shows it: taken to keep right",
         )
         skipped = (assumed, *skipped)
     return SourceMap(
         name=path.name,
         crs=crs,
-        source_crs=_WGS84,
+        source_crs=WGS84,
         heights="above ground",
         lanes=lanes,
         junctions=tuple(junctions),
@@ -186,11 +184,11 @@ def _project(elements: Elements, rows: np.ndarray, path: Path) -> tuple[FloatArr
             ),
             f"a map of a place, at most {limit_deg:g} degree wide; cut it out first",
         )
-    crs = local_crs(0.5 * (low + high), _WGS84, where=str(path))
-    # Far from the roads the projection ends; nobody needs what is there.
+    crs = local_crs(0.5 * (low + high), WGS84, where=str(path))
+    # Far from the roads the projection ends, and nothing is needed there.
     is_near = (np.abs(elements.lon_lat_deg - 0.5 * (low + high)) <= 2.0 * limit_deg).all(axis=1)
     positions = np.full((len(is_near), 2), np.inf)
-    positions[is_near] = transform(elements.lon_lat_deg[is_near], _WGS84, crs)
+    positions[is_near] = transform(elements.lon_lat_deg[is_near], WGS84, crs)
     return positions, crs
 
 

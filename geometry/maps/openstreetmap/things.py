@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import shapely
@@ -25,6 +25,7 @@ from .elements import (
     parse_number,
 )
 from .junctions import Reach
+from .lanes import Note
 from .network import Network, known_runs, points_beside
 
 _ON_STILTS = ("roof", "carport", "canopy")
@@ -253,13 +254,23 @@ def _size_m(
 ) -> tuple[float, bool]:
     """Height or thickness in metres, and whether it is assumed."""
     limits = DEFAULTS["barrier"]
-    for key in (name, "width") if name == "thickness" else (name, "est_height"):
+    keys = (name, "width") if name == "thickness" else (name, "est_height")
+    bounds_m = 0.01, limits[f"max_{name}_m"]
+    size_m = _tagged_m(tags, keys, bounds_m, partial(omissions.add, "barriers", element))
+    return (float(limits[kind][f"{name}_m"]), True) if size_m is None else (size_m, False)
+
+
+def _tagged_m(
+    tags: Tags, keys: Sequence[str], bounds_m: tuple[float, float], note: Note
+) -> float | None:
+    """First length of some tags within bounds; the others are noted."""
+    for key in keys:
         if key in tags:
             size_m = parse_length_m(tags[key])
-            if size_m is not None and 0.01 <= size_m <= limits[f"max_{name}_m"]:
-                return size_m, False
-            omissions.add("barriers", element, f"{key} makes no sense; the usual one taken")
-    return float(limits[kind][f"{name}_m"]), True
+            if size_m is not None and bounds_m[0] <= size_m <= bounds_m[1]:
+                return size_m
+            note(f"{key} makes no sense; the usual one taken")
+    return None
 
 
 # ---------- trees
@@ -291,7 +302,7 @@ def find_trees(
 
 def _note_wood(tags: Tags, element: str, omissions: Omissions) -> None:
     if any(tags.get(key) == value for key, value in _WOODS):
-        omissions.add("woods", element, "nothing says where in it trees and bushes stand")
+        omissions.add("woods", element, "the positions of its trees and bushes are unknown")
 
 
 def _along(line_m: FloatArray) -> FloatArray:
@@ -309,21 +320,15 @@ def _along(line_m: FloatArray) -> FloatArray:
 def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Omissions) -> Thing:
     usual = DEFAULTS["tree"]
 
-    def size_m(keys: tuple[str, ...], highest_m: float, usual_m: float) -> tuple[float, bool]:
-        for key in keys:
-            if key in tags:
-                size = parse_length_m(tags[key])
-                if size is not None and 0.05 <= size <= highest_m:
-                    return size, False
-                omissions.add("trees", element, f"{key} makes no sense; the usual one taken")
-        return usual_m, True
+    def size_m(keys: Sequence[str], highest_m: float) -> float | None:
+        note = partial(omissions.add, "trees", element)
+        return _tagged_m(tags, keys, (0.05, highest_m), note)
 
-    height_m, is_assumed = size_m(
-        ("height", "est_height"), usual["max_height_m"], usual["height_m"]
-    )
-    crown_m, _ = size_m(("diameter_crown",), usual["max_crown_m"], usual["crown_diameter_m"])
-    girth_m, has_no_girth = size_m(("circumference",), np.pi * usual["max_trunk_m"], 0.0)
-    trunk_m = usual["trunk_diameter_m"] if has_no_girth else girth_m / np.pi
+    tagged_m = size_m(("height", "est_height"), usual["max_height_m"])
+    height_m = usual["height_m"] if tagged_m is None else tagged_m
+    crown_m = size_m(("diameter_crown",), usual["max_crown_m"]) or usual["crown_diameter_m"]
+    girth_m = size_m(("circumference",), np.pi * usual["max_trunk_m"])
+    trunk_m = usual["trunk_diameter_m"] if girth_m is None else girth_m / np.pi
     trunk_m = min(trunk_m, crown_m)
     base_m = min(usual["crown_base_m"], usual["crown_base_share"] * height_m)
     ball, ball_faces = unit_ball()
@@ -337,7 +342,7 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Om
         class_name="vegetation",
         vertices_m=vertices + np.append(foot_m, 0.0),
         triangles=triangles,
-        is_height_assumed=is_assumed,
+        is_height_assumed=tagged_m is None,
     )
 
 
@@ -354,6 +359,7 @@ def _prism() -> Mesh:
 
 # ---------- poles
 _POLES = ("mast", "utility_pole", "pole")
+_NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
 _NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
 
 
@@ -468,7 +474,7 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
     text = text or tags.get("direction", "")
     if text in ("forward", "backward"):
         # Along the way as mapped; one-way roads that run against it have been turned round.
-        is_way = (text == "forward") == (edge.tags.get(_TURNED) != "yes")
+        is_way = (text == "forward") == (edge.tags.get("oneway:turned") != "yes")
         return [one for one in driven if one == (is_way == is_along)]
     if text == "both" or len(driven) < 2:
         return driven
@@ -477,7 +483,3 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
     if min(to_begin, to_end) > _NEAR_JUNCTION_M:
         return driven
     return [bool(to_end <= to_begin)]
-
-
-_NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
-_TURNED = "oneway:turned"

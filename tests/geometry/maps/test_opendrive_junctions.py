@@ -124,7 +124,7 @@ def test_links_to_what_there_is_not_are_noted(tmp_path):
     link = to_junction("predecessor", "77") + to_road("successor", "78", "start")
     source = read_text(tmp_path, document(road(link=link)))
     assert [note.what for note in source.skipped] == [
-        "2 links to what there is not, such as road 1, link to junction 77 "
+        "2 links to missing roads or junctions, such as road 1, link to junction 77 "
         "and road 1, link to road 78"
     ]
     assert len(source.lanes) == 2
