@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from geometry.errors import InputError
-
 
 class Progress(Protocol):
     """Whoever is told how far a computation is."""
@@ -23,6 +21,8 @@ def check_whole(where: str, value: Any, *, least: int) -> None:
     """Raise InputError unless `value` is a whole number of at least `least`."""
     is_whole = isinstance(value, int) and not isinstance(value, bool)
     if not (is_whole and value >= least):
+        from geometry.errors import InputError  # geometry loads numpy, which is rarely needed here
+
         raise InputError(where, value, f"a whole number, at least {least}")
 
 

@@ -400,11 +400,8 @@ class Question:
     ] = None
 
     phase: str = "aligned"
-    stage_weights: str = ""
     no_look_price: float = 0.0
     study_poses: bool = True
-    milp_solver: str = "HIGHS"
-    pool_tolerance: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

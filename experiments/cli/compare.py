@@ -10,7 +10,7 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
-from .evaluate import TOGETHER, additions, apr_lines, as_result, written
+from .evaluate import TOGETHER, additions, apr_lines, written
 from .options import (
     JUDGED,
     SectionedCommand,
@@ -75,7 +75,7 @@ def compare(
     begin(progress, quiet=quiet)
     from ..jobs import placement
 
-    summary = placement.run_comparison(
+    result = placement.run_comparison(
         question,
         layouts=found,
         samples=question.samples,
@@ -86,7 +86,7 @@ def compare(
         command=command_line(),
         progress=progress,
     )
-    print_result(summary, progress, as_json, lambda: comparison_text(as_result(summary), out))
+    print_result(result, progress, as_json, lambda: comparison_text(result, out))
 
 
 def comparison_text(result: "Result", out: Path | None) -> str:

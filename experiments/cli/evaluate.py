@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import msgspec
 from msgspec import UNSET
 
 from placement.compute import Compute
@@ -82,7 +81,7 @@ def evaluate(
     begin(progress, quiet=quiet)
     from ..jobs import placement
 
-    summary = placement.run_evaluation(
+    result = placement.run_evaluation(
         question,
         layout=layout,
         no_look=question.no_look,
@@ -92,19 +91,11 @@ def evaluate(
         progress=progress,
     )
     print_result(
-        summary,
+        result,
         progress,
         as_json,
-        lambda: evaluation_text(as_result(summary), out),
+        lambda: evaluation_text(result, out),
     )
-
-
-def as_result(summary: Any) -> "Result":
-    """The record of a summary."""  # border
-    from ..export.json import to_json_text
-    from ..results.result import Result
-
-    return msgspec.json.decode(to_json_text(summary), type=Result)
 
 
 def evaluation_text(result: "Result", out: Path | None) -> str:
@@ -189,8 +180,9 @@ def additions(result: "Result") -> list[str]:
     from ..report.explanation import explanation_text
     from ..report.refinement import refinement_sentences
     from ..report.sampled_worlds import uncertainty_text
+    from ..results.record import to_plain
 
-    plain = msgspec.to_builtins(result)  # border
+    plain = to_plain(result)  # border
     parts: list[list[str]] = []
     if result.front is not UNSET:
         said = sentences(*result.front.sentences, indent=2, hanging=2)

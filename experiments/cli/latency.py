@@ -1,6 +1,9 @@
 """``place-rsus latency``: what a layout prevents, however long it takes from sight to braking."""
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -8,6 +11,7 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
+from ..results.numbers import percent
 from .options import (
     JUDGED,
     SectionedCommand,
@@ -19,6 +23,7 @@ from .options import (
     quiet_option,
 )
 from .running import begin, load_one_layout, print_result
+from .terminal import sentences, table
 
 
 @click.command(
@@ -84,7 +89,7 @@ def latency(
     """
     layout = load_one_layout(layout_names)
     begin(progress, quiet=quiet)
-    from ..jobs.latency import latency_text, run_latency
+    from ..jobs.latency import run_latency
 
     summary = run_latency(
         question,
@@ -97,3 +102,92 @@ def latency(
         progress=progress,
     )
     print_result(summary, progress, as_json, lambda: latency_text(summary, out))
+
+
+_COLUMNS = {"rsu_all": "RSUs, fused", "vut_and_rsus": "VUT and RSUs", "vut": "VUT alone"}
+_OTHERS = {"vam": "VAM alone", "all_sources": "all and VAM"}
+_NOTE = (
+    "expected: over all latencies of the budget, not at the mean one; fused: in each frame, any of "
+    "the units may detect. A run counts as avoided if its last moment to brake is not over."
+)
+
+
+def latency_text(summary: Mapping[str, Any], out: Path | None) -> str:
+    """APR at some latencies, the latencies that leave some APR, and what the budget does."""
+    parties, budget = summary["parties"], summary["budget"]
+    at = [
+        [_ms(entry["latency_s"]), *(percent(parties[name]["at"][row]["apr"]) for name in _COLUMNS)]
+        for row, entry in enumerate(parties["rsu_all"]["at"])
+    ]
+    longest = [
+        [
+            f"{100.0 * entry['apr']:g} %",
+            *(_longest(parties[name]["longest"][row]["latency_s"]) for name in _COLUMNS),
+        ]
+        for row, entry in enumerate(parties["rsu_all"]["longest"])
+    ]
+    lines = [
+        *sentences(f"{summary['name']} on {summary['runs']} runs:"),
+        *table(["APR at a latency of", *_COLUMNS.values()], at),
+        "",
+        *table(["longest latency that leaves an APR of", *_COLUMNS.values()], longest),
+        "",
+        *_budget_lines(budget),
+        "",
+        *_party_lines(parties),
+        *sentences(_NOTE + _own_latencies(summary), indent=2),
+    ]
+    if out is not None:
+        lines += ["", f"Written to {out}: latency.csv and latency.png."]
+    return "\n".join(lines)
+
+
+def _ms(latency_s: float) -> str:
+    return f"{1000.0 * latency_s:.4g} ms"
+
+
+def _longest(latency_s: float) -> str:
+    if math.isinf(latency_s):
+        return "any" if latency_s > 0.0 else "none"
+    # Rounded down: with what is printed the APR still holds.
+    return f"{math.floor(10000.0 * latency_s + 1.0e-5) / 10.0:.1f} ms"
+
+
+def _budget_lines(budget: Mapping[str, Any]) -> list[str]:
+    rows = [
+        [
+            part["name"] + (" (assumption)" if part["is_assumption"] else ""),
+            _ms(part["low_s"]),
+            _ms(0.5 * (part["low_s"] + part["high_s"])),
+            _ms(part["high_s"]),
+        ]
+        for part in budget["parts"]
+    ]
+    if len(rows) > 1:
+        times_s = (budget["best_s"], budget["mean_s"], budget["worst_s"])
+        rows.append(["all together", *map(_ms, times_s)])
+    return table(["latency budget " + budget["name"], "least", "mean", "most"], rows)
+
+
+def _party_lines(parties: Mapping[str, Any]) -> list[str]:
+    names = {
+        **_COLUMNS,
+        **{name: name for name in parties if name not in (*_COLUMNS, *_OTHERS)},
+        **{name: words for name, words in _OTHERS.items() if name in parties},
+    }
+    rows = [
+        [words, *(percent(parties[name][key]) for key in ("expected", "at_mean", "at_worst"))]
+        for name, words in names.items()
+    ]
+    return table(["APR within the budget", "expected", "at the mean", "at the worst"], rows)
+
+
+def _own_latencies(summary: Mapping[str, Any]) -> str:
+    own = {unit["id"]: unit["latency_s"] for unit in summary["layout"] if "latency_s" in unit}
+    if summary["vut_latency_s"] is not None:
+        own["the VUT"] = summary["vut_latency_s"]
+    note = "" if "the VUT" in own else " The VUT's own sensors take as long; see --vut-latency."
+    if not own:
+        return note
+    words = ", ".join(f"{name} {_ms(latency_s)}" for name, latency_s in own.items())
+    return f"{note} Kept at every latency, as their own: {words}."

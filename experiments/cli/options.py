@@ -189,7 +189,10 @@ def field_option(field: Answerable, default: Any = None) -> Decorator:
 
 
 def question_options(
-    *names: str, defaults: dict[str, Any] | None = None, has_file: bool = True
+    *names: str,
+    defaults: dict[str, Any] | None = None,
+    named_apart: Sequence[str] = (),
+    has_file: bool = True,
 ) -> Decorator:
     """Options of a command that asks something; the command gets them as one `question`.
 
@@ -200,6 +203,8 @@ def question_options(
         a question file gives them: one file serves every command.
     defaults : dict, optional
         In place of the fields' own.
+    named_apart : sequence of str
+        Fields whose parameters the command adds itself.
     has_file : bool
         Whether there are ``--question`` and ``--save-question``.
     """
@@ -215,7 +220,7 @@ def question_options(
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def with_question(*args: Any, save_question_to: Path | None = None, **values: Any) -> Any:
-            question = Question(**{name: values.pop(name) for name in known if name in values})
+            question = Question(**{name: values.pop(name) for name in (*names, *named_apart)})
             if save_question_to is not None:
                 save_question(save_question_to, question)
             return command(*args, question=question, **values)
@@ -241,9 +246,9 @@ def one_run_options() -> Decorator:
             help="Of the VUT.",
         ),
     )
+    apart = ("cases", "approaches", "speeds")
     others = question_options(
-        *(name for name in ONLY_DRIVEN if name not in ("cases", "approaches", "speeds")),
-        has_file=False,
+        *(name for name in ONLY_DRIVEN if name not in apart), named_apart=apart, has_file=False
     )
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -410,7 +415,7 @@ def _write_sections(
     shows_all = ctx.meta.get(_show_all.__qualname__, False)
     sections: dict[str, list[tuple[str, str]]] = {title: [] for title in ("", *SECTIONS, PROGRAM)}
     for param in command.get_params(ctx):
-        record = param.get_help_record(ctx)
+        record = param.get_help_record(ctx) if isinstance(param, click.Option) else None
         if record is not None and (shows_all or getattr(param, "is_common", True)):
             sections[getattr(param, "section", PROGRAM)].append(record)
     for title, records in sections.items():

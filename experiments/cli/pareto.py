@@ -1,6 +1,8 @@
 """``place-rsus pareto``: what each further unit, or more money, buys."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -8,6 +10,7 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
+from ..results.numbers import percent
 from .options import (
     ASKED,
     JUDGED,
@@ -21,6 +24,7 @@ from .options import (
     quiet_option,
 )
 from .running import begin, command_line, print_result
+from .terminal import sentences, table
 
 _TIME_LIMIT_S = 60.0
 FRONT_SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
@@ -89,7 +93,7 @@ def pareto(
     accidents prevented (APR), and the highest that is left when any one unit fails.
     """
     begin(progress, quiet=quiet)
-    from ..jobs.pareto import front_text, run_pareto
+    from ..jobs.pareto import run_pareto
 
     summary = run_pareto(
         question,
@@ -102,3 +106,62 @@ def pareto(
         progress=progress,
     )
     print_result(summary, progress, as_json, lambda: front_text(summary, out))
+
+
+_ONE_FAILS = "One fails: APR that is left when the most needed unit fails"
+_NOTES = {
+    ("units", True): f"{_ONE_FAILS}; smallest, mean: time to spare in the runs avoided.",
+    ("units", False): "* of this layout; not optimised: --all-stages does. "
+    f"{_ONE_FAILS}; smallest, mean: time to spare in the runs avoided.",
+    ("cost", False): "* of this layout; not optimised: --all-stages does. "
+    f"{_ONE_FAILS}; each EUR is the least that buys this.",
+}
+_NOTES["cost", True] = _NOTES["units", True]
+
+
+def front_text(summary: Mapping[str, Any], out: Path | None) -> str:
+    """A front: a row per layout, and what each unit, or more money, buys."""
+    by, is_all = summary["by"], summary["optimised"] == "all"
+    star = "" if is_all else "*"
+    rows = [
+        [
+            str(point["units"]),
+            percent(point["apr"]),
+            percent(point["apr_one_failed"]),
+            f"{point['smallest_margin_s']:.3f} s",
+            f"{point['mean_margin_s']:.3f} s",
+            f"{point['cost_eur']:,.0f}",
+            _proof(point),
+        ]
+        for point in summary["points"]
+    ]
+    eur = "EUR" + star if by == "units" else "EUR"
+    heads = ["units", "APR", "one fails", "smallest" + star, "mean" + star, eur, "proof"]
+    buys = "money buys" if by == "cost" else "units buy"
+    lines = [
+        *sentences(
+            f"The best of {summary['candidates']} poses on {summary['runs']} runs (fusion "
+            f"{summary['fusion']}), and what more {buys}:"
+        ),
+        "",
+        *table(heads, rows, n_left=0),
+        *sentences(_NOTES[by, is_all], indent=2, hanging=2),
+        "",
+        *sentences(*summary["sentences"], indent=2, hanging=2),
+    ]
+    if out is not None:
+        lines += ["", f"Written to {out}: pareto.csv, pareto.json and pareto.png."]
+    return "\n".join(lines)
+
+
+def _proof(point: Mapping[str, Any]) -> str:
+    if point["is_proven"]:
+        return "proven"
+    stage = next(stage for stage in point["stages"] if stage["gap"] != 0.0)
+    name, bound = stage["name"], stage["bound"]
+    what = {"apr": "APR", "apr_one_failed": "left", "cost_eur": "EUR"}.get(name, "s")
+    if name.startswith("apr"):
+        shown = f"{100.0 * bound:.2f} %"
+    else:
+        shown = f"{bound:,.0f}" if bound >= 100.0 else f"{bound:.3f}"
+    return f"{what} {'>=' if name == 'cost_eur' else '<='} {shown}"

@@ -1,5 +1,6 @@
 """``place-rsus``: the best layout, proven, evaluated, compared with the study's, reported."""
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,6 @@ from .evaluate import (
     additions,
     announced,
     apr_lines,
-    as_result,
     cost_line,
     unit_lines,
 )
@@ -140,10 +140,10 @@ def cli(
     begin(progress, quiet=quiet)
     from ..jobs import placement
 
-    summary = placement.run_placement(
+    result = placement.run_placement(
         question, out=out, compute=compute, command=command_line(), progress=progress
     )
-    print_result(summary, progress, as_json, lambda: placement_text(as_result(summary), out))
+    print_result(result, progress, as_json, lambda: placement_text(result, out))
 
 
 def placement_text(result: "Result", out: Path) -> str:
@@ -209,7 +209,7 @@ def _value(objective: str, value: float | None) -> str:
 
 
 def _gap(gap: float | None) -> str:
-    return "open" if gap is None else f"{100.0 * gap:.2f} %"
+    return "open" if gap is None or not math.isfinite(gap) else f"{100.0 * gap:.2f} %"
 
 
 def _disagreements(disagreements: "Sequence[DisagreementRecord]") -> list[str]:

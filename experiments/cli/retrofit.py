@@ -1,6 +1,9 @@
 """``place-rsus retrofit``: what to remove, re-aim or add where units hang already."""
 
+import textwrap
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -8,6 +11,7 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
+from ..results.numbers import percent, several
 from .options import (
     JUDGED,
     MOUNTED,
@@ -22,6 +26,7 @@ from .options import (
 )
 from .pareto import FRONT_SOUGHT
 from .running import begin, command_line, load_one_layout, print_result
+from .terminal import sentences, table
 
 _TIME_LIMIT_S = 60.0
 # What hangs there is --layout; what is added is asked for by money alone.
@@ -74,7 +79,7 @@ def retrofit(
     """
     layout = load_one_layout(layout_names)
     begin(progress, quiet=quiet)
-    from ..jobs.retrofit import retrofit_text, run_retrofit
+    from ..jobs.retrofit import run_retrofit
 
     summary = run_retrofit(
         question,
@@ -86,3 +91,63 @@ def retrofit(
         progress=progress,
     )
     print_result(summary, progress, as_json, lambda: retrofit_text(summary, out))
+
+
+_WORDS_WIDTH = 32
+
+
+def retrofit_text(summary: Mapping[str, Any], out: Path | None) -> str:
+    """What can be changed: a row per change, in groups, then the best of each in sentences."""
+    labour = summary["labour"]
+    rows = [_row("as it is", 0.0, summary["before"])]
+    for head, changes in (
+        ("remove:", summary["removals"]),
+        ("re-aim:", summary["re_aims"]),
+        ("add:", [summary["addition"]]),
+        ("together:", [summary["combination"]]),
+    ):
+        known = [change for change in changes if change is not None]
+        if known:
+            rows.append([head] + [""] * 5)
+        for change in known:
+            rows += _change_rows(change)
+    lines = [
+        *sentences(
+            f"What to change about {summary['name']} "
+            f"({several(len(summary['layout']), 'unit', 'units')}) on {summary['runs']} runs, on "
+            f"the detection table (fusion {summary['fusion']}):"
+        ),
+        "",
+        *table(["", "EUR", "APR", "one fails", "gained", "lost"], rows),
+        "",
+        *sentences(
+            *summary["sentences"],
+            "One fails: APR that is left when the most needed unit fails. A visit costs "
+            f"{labour['re_aim_eur']:,.0f} EUR: {labour['source']}.",
+            indent=2,
+            hanging=2,
+        ),
+    ]
+    if out is not None:
+        lines += ["", f"Written to {out}: retrofit.csv and retrofit.json."]
+    return "\n".join(lines)
+
+
+def _change_rows(change: Mapping[str, Any]) -> list[list[str]]:
+    """A row with the numbers, and the words that do not fit into it below."""
+    words = [
+        line
+        for action in change["actions"]
+        for line in textwrap.wrap(action["words"], _WORDS_WIDTH)
+    ]
+    first, *others = words
+    gained, lost = str(len(change["gained"])), str(len(change["lost"]))
+    row = _row(f"  {first}", change["price_eur"], change, gained, lost)
+    return [row, *([f"  {line}"] + [""] * 5 for line in others)]
+
+
+def _row(
+    words: str, price_eur: float, values: Mapping[str, Any], gained: str = "", lost: str = ""
+) -> list[str]:
+    shares = (percent(values["apr"]), percent(values["apr_one_failed"]))
+    return [words, f"{price_eur:,.0f}", *shares, gained, lost]

@@ -1,6 +1,8 @@
 """``place-rsus sheet``: the mounting sheet of a layout."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -19,6 +21,7 @@ from .options import (
     quiet_option,
 )
 from .running import begin, load_one_layout, print_result
+from .terminal import sentences, table
 
 
 @click.command(
@@ -52,7 +55,27 @@ def sheet(
     """
     layout = load_one_layout(layout_names)
     begin(progress, quiet=quiet)
-    from ..jobs.sheet import run_sheet, sheet_text
+    from ..jobs.sheet import run_sheet
 
     summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)
     print_result(summary, progress, as_json, lambda: sheet_text(summary))
+
+
+def sheet_text(summary: Mapping[str, Any]) -> str:
+    """How far each unit may be off before a run is lost."""
+    rows = []
+    for unit in summary["units"]:
+        (right, left), (down, up) = unit["yaw_deg"], unit["pitch_deg"]
+        lower_m, higher_m = unit["height_m"]
+        degrees = [f"{value:g}\N{DEGREE SIGN}" for value in (left, right, up, down)]
+        rows.append(
+            [unit["unit_id"], *degrees, f"{100 * higher_m:.0f} cm", f"{100 * lower_m:.0f} cm"]
+        )
+    lines = [
+        *sentences(f"What the units of {summary['layout']} may be off before a run is lost:"),
+        *table(["unit", "left", "right", "up", "down", "higher", "lower"], rows),
+        "  One thing at a time; the largest of the steps tried.",
+        "",
+        f"Written to {summary['written']}.",
+    ]
+    return "\n".join(lines)

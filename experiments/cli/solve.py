@@ -1,12 +1,16 @@
 """``place-rsus solve``: covering instances from files, solved and proven."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
 from ..progress import StageProgress
+from ..results.numbers import percent
 from .options import SectionedCommand, is_given, json_option, option, quiet_option
 from .running import print_result, unwritable
+from .terminal import sentences
 
 _QUESTIONS = {
     "budget_units": "--budget",
@@ -146,7 +150,7 @@ def solve(
             gap=gap,
             progress=progress,
         )
-        print_result(summary, progress, as_json, lambda: solve.window_text(summary))
+        print_result(summary, progress, as_json, lambda: window_text(summary))
         return
     try:
         summary = solve.run_solve(
@@ -165,7 +169,7 @@ def solve(
         if out is None:
             raise
         raise unwritable(out, error) from None
-    print_result(summary, progress, as_json, lambda: solve.solution_text(summary))
+    print_result(summary, progress, as_json, lambda: solution_text(summary))
 
 
 def _check_one_question() -> None:
@@ -173,3 +177,74 @@ def _check_one_question() -> None:
     if len(given) > 1:
         known = ", ".join(_QUESTIONS.values())
         raise click.UsageError(f"{given[1]}: got it beside {given[0]}; expected one of {known}")
+
+
+def solution_text(summary: Mapping[str, Any]) -> str:
+    """The answer to a covering problem."""
+    names = summary["chosen_names"] or [str(column) for column in summary["chosen"]]
+    gap = "proven" if summary["is_proven"] else f"gap {_percent(summary['gap'])}"
+    chosen = f"{len(names)} of {summary['columns']} columns"
+    is_cost = summary["problem"] == "set covering"
+    entries = {
+        "cost" if is_cost else "covered": _number(summary["objective"]),
+        "bound": f"{_number(summary['bound'])}, {gap}",
+        "chosen": f"{chosen}: {', '.join(names)}" if names else "none",
+        **_other_side(summary, is_cost=is_cost),
+        "presolve": summary["presolve_effect"],
+        "solver": f"{summary['solver']}; {summary['seconds']:.2f} s",
+    }
+    lines = sentences(f"{summary['file']}: {_question_words(summary)}")
+    for head, text in entries.items():
+        lines += sentences(text, head=f"{head:<12}", indent=2, hanging=12)
+    return "\n".join(lines)
+
+
+def window_text(summary: Mapping[str, Any]) -> str:
+    """The answer to a placement problem, with its frames and windows."""
+    lines = [f"{summary['file']}: {summary['goal']} layout, fusion {summary['fusion']}"]
+    for stage in summary["stages"]:
+        is_share = stage["name"].startswith("apr")
+        objective, bound = (
+            percent(stage[key]) if is_share else f"{stage[key]:.6g}"
+            for key in ("objective", "bound")
+        )
+        proof = "proven" if stage["gap"] == 0.0 else f"bound {bound}"
+        lines.append(f"  {stage['name']:<18}{objective:>12}  {proof}")
+    lines += [f"  chosen            {name}" for name in summary["chosen_names"]]
+    lines += [
+        f"  presolve          {summary['presolve_effect']}",
+        f"  solver            {summary['solver']}; {summary['seconds']:.2f} s",
+    ]
+    return "\n".join(lines)
+
+
+def _question_words(summary: Mapping[str, Any]) -> str:
+    if summary["budget"] is not None:
+        return f"the most that {summary['budget']} columns cover (maximal covering)"
+    if summary["budget_cost"] is not None:
+        return f"the most that {_number(summary['budget_cost'])} buys (maximal covering)"
+    if summary["target"] is not None:
+        return f"the least cost that covers {_percent(summary['target'])} (set covering)"
+    return "the least cost that covers all that can be covered (set covering)"
+
+
+def _other_side(summary: Mapping[str, Any], *, is_cost: bool) -> dict[str, str]:
+    """Cost where the objective is coverage, coverage where it is cost."""
+    total, coverable = summary["total_weight"], summary["coverable_weight"]
+    if not is_cost:
+        return {
+            "of": f"{_number(total)}, {_number(coverable)} coverable",
+            "costs": _number(summary["cost"]),
+        }
+    covered = f"{_number(summary['covered_weight'])} of {_number(total)}"
+    if coverable < total:
+        covered += f"; {_number(total - coverable)} cannot be covered"
+    return {"covers": covered}
+
+
+def _number(value: float) -> str:
+    return f"{value:.10g}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.4g} %" if share < float("inf") else "open"

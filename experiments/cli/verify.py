@@ -1,13 +1,16 @@
 """``place-rsus verify``: check a result without the optimiser."""
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
 from ..progress import StageProgress
 from .options import json_option, quiet_option
 from .running import print_result
+from .terminal import sentences
 
 _EXIT_FAILED = 1
 
@@ -34,9 +37,30 @@ def verify(progress: StageProgress, *, folder: Path, as_json: bool, quiet: bool)
     elsewhere they rest on the solver that the certificate names, and this says so.
     """
     progress.start(quiet=quiet)
-    from ..jobs.verify import run_verification, verification_table
+    from ..jobs.verify import run_verification
 
     summary = run_verification(folder, progress=progress)
-    print_result(summary, progress, as_json, lambda: verification_table(summary))
+    print_result(summary, progress, as_json, lambda: verification_text(summary))
     if not summary["is_verified"]:
         sys.exit(_EXIT_FAILED)
+
+
+def verification_text(summary: Mapping[str, Any]) -> str:
+    """A line per check, then what was proven again and what was not."""
+    checks, stages = summary["checks"], summary["stages"]
+    n_failed = sum(not check["passed"] for check in checks)
+    lines = [f"Checked {summary['folder']}:"]
+    for check in checks:
+        head = f"{'OK' if check['passed'] else 'FAILED':<6} "
+        text = f"{check['name']}: {check['detail']}"
+        lines += sentences(text, head=head, indent=2, hanging=len(head))
+    again = [stage for stage in stages if stage.get("is_proven_again")]
+    if again:
+        told = (f"{stage['name']}: {stage['reason']}" for stage in again)
+        lines += ["", "Proven again, without a solver:", *sentences(*told, indent=2, hanging=2)]
+    open_stages = [stage["name"] for stage in stages if stage["gap"] != 0.0]
+    if open_stages:
+        lines += ["", *sentences(f"Not claimed to be best: {', '.join(open_stages)}.")]
+    lines += ["", "Not checked here:", *sentences(*summary["not_checked"], indent=2, hanging=2)]
+    end = f"{n_failed} FAILED" if n_failed else "all OK"
+    return "\n".join([*lines, "", f"{len(checks)} checks: {end}."])

@@ -1,6 +1,5 @@
 """What ``place-rsus retrofit`` does: the best change of every kind, priced."""
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -35,11 +34,9 @@ from ..results.record import to_plain
 from .planning import build_plan, grid_of
 from .writing import check_folder, write_files
 
-# ---------- what can be done about a layout that hangs, as sentences and as a table for a terminal
+# ---------- what can be done about a layout that hangs, in sentences
 
 
-_WIDTH = 80
-_FIRST = 34
 _MAX_RUNS = 8
 
 
@@ -58,60 +55,6 @@ def describe_retrofit(summary: Mapping[str, Any]) -> list[str]:
     if summary["budget_eur"] is not None:
         sentences.append(_combination(summary["combination"], summary["budget_eur"]))
     return sentences
-
-
-def retrofit_text(summary: Mapping[str, Any], out: Path | None) -> str:
-    """The result of :func:`experiments.jobs.retrofit.run_retrofit` for a terminal."""
-    before = summary["before"]
-    n_units = len(summary["layout"])
-    lines = textwrap.wrap(
-        f"What to change about {summary['name']} ({n_units} unit{'' if n_units == 1 else 's'}) on "
-        f"{summary['runs']} runs, on the detection table (fusion {summary['fusion']}):",
-        _WIDTH,
-    )
-    lines += [
-        "",
-        f"  {'':<{_FIRST}} {'EUR':>7} {'APR':>8} {'one fails':>10} {'gained':>6} {'lost':>5}",
-        _row("as it is", 0.0, before, ("", "")),
-    ]
-    for head, changes in (
-        ("remove", summary["removals"]),
-        ("re-aim", summary["re_aims"]),
-        ("add", [summary["addition"]]),
-        ("together", [summary["combination"]]),
-    ):
-        known = [change for change in changes if change is not None]
-        if known:
-            lines.append(f"  {head}:")
-        for change in known:
-            lines += _rows(change)
-    lines.append("")
-    for sentence in summary["sentences"]:
-        lines += _wrapped(sentence)
-    lines += _wrapped(
-        "One fails: APR that is left when the most needed unit fails. A visit costs "
-        f"{summary['labour']['re_aim_eur']:,.0f} EUR: {summary['labour']['source']}."
-    )
-    if out is not None:
-        lines += ["", f"Written to {out}: retrofit.csv and retrofit.json."]
-    return "\n".join(lines)
-
-
-def _rows(change: Mapping[str, Any]) -> list[str]:
-    words = [action["words"] for action in change["actions"]]
-    lines = [line for word in words for line in textwrap.wrap(word, _FIRST - 2)]
-    runs = (str(len(change["gained"])), str(len(change["lost"])))
-    return [
-        _row("  " + lines[0], change["price_eur"], change, runs),
-        *(f"    {line}" for line in lines[1:]),
-    ]
-
-
-def _row(words: str, price_eur: float, values: Mapping[str, Any], runs: tuple[str, str]) -> str:
-    return (
-        f"  {words:<{_FIRST}} {price_eur:7,.0f} {percent(values['apr']):>8} "
-        f"{percent(values['apr_one_failed']):>10} {runs[0]:>6} {runs[1]:>5}"
-    ).rstrip()
 
 
 def _removal(removals: Sequence[Mapping[str, Any]]) -> str:
@@ -200,12 +143,6 @@ def _ids(runs: Sequence[str]) -> str:
 
 def _euros(amount: float) -> str:
     return f"{amount:,.0f} EUR"
-
-
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(
-        text, _WIDTH, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False
-    )
 
 
 # ---------- what ``place-rsus retrofit`` does: the best change of every kind, priced

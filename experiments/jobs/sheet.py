@@ -356,21 +356,3 @@ def run_sheet(
         "units": [asdict(tolerance) for tolerance in tolerances],
         "seconds": progress.finish(),
     }
-
-
-def sheet_text(summary: dict[str, Any]) -> str:
-    """The same for a terminal, at most 80 columns wide."""
-    lines = [f"What the units of {summary['layout']} may be off before a run is lost:"]
-    heads = f"{'left':>6} {'right':>6} {'up':>6} {'down':>6} {'higher':>8} {'lower':>7}"
-    lines.append(f"  {'unit':<20} {heads}")
-    for unit in summary["units"]:
-        (right, left), (down, up), (lower, higher) = (
-            unit[key] for key in ("yaw_deg", "pitch_deg", "height_m")
-        )
-        lines.append(
-            f"  {unit['unit_id'][:20]:<20} {left:>5g}\N{DEGREE SIGN} {right:>5g}\N{DEGREE SIGN} "
-            f"{up:>5g}\N{DEGREE SIGN} {down:>5g}\N{DEGREE SIGN} {100 * higher:>5.0f} cm "
-            f"{100 * lower:>4.0f} cm"
-        )
-    lines += ["  One thing at a time; the largest of the steps tried.", ""]
-    return "\n".join([*lines, f"Written to {summary['written']}."])

@@ -1,6 +1,5 @@
 """What ``place-rsus solve`` does: read an instance, solve and prove it, tell what was found."""
 
-import textwrap
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -30,12 +29,8 @@ from placement.optimiser.milp import SolverName
 from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress
-from ..results.numbers import percent
 
 # ---------- what ``place-rsus solve`` does
-
-
-_WIDTH, _COLUMN = 80, 12
 
 
 def run_solve(
@@ -138,67 +133,6 @@ def _summary(
     }
 
 
-def solution_text(summary: Mapping[str, Any]) -> str:
-    """What :func:`run_solve` found, for a terminal."""
-    names = summary["chosen_names"] or [str(column) for column in summary["chosen"]]
-    gap = "proven" if summary["is_proven"] else f"gap {_percent(summary['gap'])}"
-    chosen = f"{len(names)} of {summary['columns']} columns"
-    entries = {
-        _objective_words(summary): _number(summary["objective"]),
-        "bound": f"{_number(summary['bound'])}, {gap}",
-        "chosen": f"{chosen}: {', '.join(names)}" if names else "none",
-        **_other_side(summary),
-        "presolve": summary["presolve_effect"],
-        "solver": f"{summary['solver']}; {summary['seconds']:.2f} s",
-    }
-    lines = textwrap.wrap(f"{summary['file']}: {_question_words(summary)}", _WIDTH)
-    for head, text in entries.items():
-        lines += textwrap.wrap(
-            text,
-            _WIDTH,
-            initial_indent=f"  {head:<{_COLUMN}}",
-            subsequent_indent=" " * (_COLUMN + 2),
-            break_on_hyphens=False,
-        )
-    return "\n".join(lines)
-
-
-def _question_words(summary: Mapping[str, Any]) -> str:
-    if summary["budget"] is not None:
-        return f"the most that {summary['budget']} columns cover (maximal covering)"
-    if summary["budget_cost"] is not None:
-        return f"the most that {_number(summary['budget_cost'])} buys (maximal covering)"
-    if summary["target"] is not None:
-        return f"the least cost that covers {_percent(summary['target'])} (set covering)"
-    return "the least cost that covers all that can be covered (set covering)"
-
-
-def _objective_words(summary: Mapping[str, Any]) -> str:
-    return "cost" if summary["problem"] == "set covering" else "covered"
-
-
-def _other_side(summary: Mapping[str, Any]) -> dict[str, str]:
-    """Cost where the objective is coverage, coverage where it is cost."""
-    total, coverable = summary["total_weight"], summary["coverable_weight"]
-    covered = f"{_number(summary['covered_weight'])} of {_number(total)}"
-    if coverable < total:
-        covered += f"; {_number(total - coverable)} cannot be covered"
-    if _objective_words(summary) == "cost":
-        return {"covers": covered}
-    return {
-        "of": f"{_number(total)}, {_number(coverable)} coverable",
-        "costs": _number(summary["cost"]),
-    }
-
-
-def _number(value: float) -> str:
-    return f"{value:.10g}"
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.4g} %" if share < float("inf") else "open"
-
-
 # ---------- ``place-rsus solve`` on a whole placement problem, with its frames and windows
 
 
@@ -279,25 +213,6 @@ def run_solve_windows(
         "rows": problem.table.axis.n_frames,
         "presolve_effect": str(solution.presolve),
     }
-
-
-def window_text(summary: dict[str, Any]) -> str:
-    """What :func:`run_solve_windows` found, for a terminal."""
-    lines = [f"{summary['file']}: {summary['goal']} layout, fusion {summary['fusion']}"]
-    for stage in summary["stages"]:
-        is_share = stage["name"].startswith("apr")
-        objective, bound = (
-            percent(stage[key]) if is_share else f"{stage[key]:.6g}"
-            for key in ("objective", "bound")
-        )
-        proof = "proven" if stage["gap"] == 0.0 else f"bound {bound}"
-        lines.append(f"  {stage['name']:<18}{objective:>12}  {proof}")
-    lines += [f"  chosen            {name}" for name in summary["chosen_names"]]
-    lines += [
-        f"  presolve          {summary['presolve_effect']}",
-        f"  solver            {summary['solver']}; {summary['seconds']:.2f} s",
-    ]
-    return "\n".join(lines)
 
 
 def _asked(

@@ -11,7 +11,7 @@ from matplotlib.text import Text
 from experiments.figures.evaluation import MAX_HEATMAP_UNITS, plot_heatmap, units_in_heatmap
 from experiments.figures.plan import MAX_LABELLED_UNITS, plot_plan
 from experiments.report.tables import MAX_UNIT_COLUMNS, unit_apr_table
-from experiments.results.text import evaluation_table, percent
+from experiments.results.numbers import percent
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import apr

@@ -81,7 +81,6 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
         (["--brake-build-up", "-1"], "--brake-build-up: got '-1'; expected seconds, at least 0"),
         (["--latency", "inf"], "--latency: got 'inf'; expected seconds, at least 0"),
         (["--confirmations", "0"], "--confirmations: got '0'; expected a number of frames, at le"),
-        (["--phase", "best"], "--phase: got 'best'; expected one of aligned, worst"),
     ],
 )
 @pytest.mark.parametrize(

@@ -8,10 +8,12 @@ import subprocess
 import click
 import pytest
 from click.shell_completion import ShellComplete
+from click.testing import CliRunner
 
 from experiments.cli.main import cli
-from experiments.cli.options import _SECTIONS
+from experiments.cli.options import PROGRAM
 from experiments.progress import StderrLog
+from placement.question import SECTIONS
 
 
 def _commands(group=cli, path=()):
@@ -20,11 +22,8 @@ def _commands(group=cli, path=()):
         yield from _commands(command, (*path, name))
 
 
-def _help_of(path, command):
-    context = click.Context(cli, info_name="place-rsus")
-    for name in path:
-        context = click.Context(command, parent=context, info_name=name)
-    return command.get_help(click.Context(command, info_name=" ".join(("place-rsus", *path))))
+def _help_of(path, command, option="--help"):
+    return CliRunner().invoke(cli, [*path, option], prog_name="place-rsus").output
 
 
 @pytest.mark.parametrize(("path", "command"), list(_commands()), ids=lambda value: str(value)[:30])
@@ -36,14 +35,29 @@ def test_every_help_fits_80_columns_and_shows_examples(path, command):
     assert command.help
 
 
+def _shown(text):
+    return re.findall(r"^  (?:-\w, )?(--[-\w]+)", text, flags=re.M)
+
+
 def test_sections_hold_every_option_once():
-    text = _help_of((), cli)
+    text = _help_of((), cli, "--help-all")
     for param in cli.params:
         assert len(re.findall(rf"^  {max(param.opts, key=len)}(?![-\w])", text, flags=re.M)) == 1
     assert text.index("Commands:") < text.index("What is asked:") < text.index("--budget N")
-    known = {str(param.name) for _, command in _commands() for param in command.params}
-    named = {name for names in _SECTIONS.values() for name in names}
-    assert named - known - {"_click_default_help"} == set()
+    known = {getattr(param, "section", PROGRAM) for _, one in _commands() for param in one.params}
+    assert known == {"", *SECTIONS, PROGRAM}
+    assert all(f"\n{title}:\n" in text for title in (*SECTIONS, PROGRAM))
+
+
+@pytest.mark.parametrize(("path", "command"), list(_commands()), ids=lambda value: str(value)[:30])
+def test_the_short_help_shows_at_most_25_options_and_all_of_them_elsewhere(path, command):
+    short = _shown(_help_of(path, command))
+    assert len(short) <= 25
+    if "--help-all" in short:
+        every = _shown(_help_of(path, command, "--help-all"))
+        assert set(short) < set(every)
+        options = [param for param in command.params if isinstance(param, click.Option)]
+        assert len(every) == len(options) + 1  # --help
 
 
 def test_help_of_a_command_is_that_of_its_option(run):
@@ -93,7 +107,11 @@ def test_completion_scripts_are_what_their_shell_reads(run, shell):
     assert (checked.returncode, checked.stderr) == (0, "")
 
 
-def test_verbose_tells_sizes_bounds_and_seconds(run, small_study, without_figures, caplog):
+def test_verbose_tells_sizes_bounds_and_seconds(
+    run, small_study, without_figures, caplog, monkeypatch
+):
+    # A machine may lack the libraries of Open3D, which is told at every call.
+    monkeypatch.setattr("geometry.raycast.open3d_problem", lambda: None)
     code, out, _ = run("--budget", 1, "--verbose", "--json", "--out", "found")
     assert code == 0
     assert out.startswith("{")

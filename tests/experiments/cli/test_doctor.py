@@ -23,7 +23,9 @@ def test_what_is_missing_is_told_with_what_it_costs(tmp_path, monkeypatch):
     real = doctor._version
     gone = ("requests", "cvxpy")
     monkeypatch.setattr(doctor, "_version", lambda name: None if name in gone else real(name))
-    monkeypatch.setattr(doctor, "open3d_problem", lambda: "Open3D cannot load: libusb " * 4)
+    monkeypatch.setattr(
+        "geometry.raycast.open3d_problem", lambda: "Open3D cannot load: libusb " * 4
+    )
     (tmp_path / "table-1.npz").write_bytes(b"x" * 2**20)
     summary = examine(tmp_path)
     assert not summary["is_well"]

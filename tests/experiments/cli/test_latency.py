@@ -16,20 +16,15 @@ from click.testing import CliRunner
 from PIL import Image
 
 from experiments.cli import main
-from experiments.cli.latency import (
-    LATENCY_MODES,
-    apply_latency_budget,
-    latency,
-    latency_budget_options,
-)
-from experiments.cli.options import question_options
+from experiments.cli.latency import latency, latency_text
+from experiments.cli.options import JUDGED, question_options
 from experiments.figures.latency import plot_latency
 from experiments.jobs import latency as latency_job
-from experiments.jobs.latency import latency_table, latency_text
+from experiments.jobs.latency import latency_table
 from geometry.errors import InputError
-from placement import latency as budgets
 from placement.latency import LatencyCurve, load_latency_budget
 from placement.question import Question
+from placement.setting import build_rule
 
 UNIT = {
     "site": "",
@@ -170,10 +165,6 @@ def test_one_number_is_a_budget_too(run_latency):
         (("--latency", "25"), "--latency: got 25.0; expected at most 10 seconds"),
         (("--max", "0"), "--max: got '0'; expected seconds, more than 0"),
         (("--vut-latency", "-1"), "--vut-latency: got '-1'; expected seconds, at least 0"),
-        (
-            ("--phase", "worst"),
-            "--phase: got 'worst'; expected aligned: every latency is looked at on the same frames",
-        ),
         (("--layout", "carlancap-12"), "--layout: got 2 layouts; expected it once"),
         (
             ("--out", "mine.txt"),
@@ -211,7 +202,6 @@ def test_nothing_heavy_is_imported_before_it_is_used():
     code = f"import sys, experiments.cli.latency; print([m for m in {HEAVY} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
-    assert LATENCY_MODES == budgets.LATENCY_MODES
 
 
 # Table, text, figure
@@ -310,34 +300,23 @@ def _short(latency_s):
 
 
 @click.command()
-@question_options()
-@latency_budget_options()
+@question_options(*JUDGED)
 def _plain(*, question):
-    click.echo(f"{_short(question.latency_s)} {question.speeds}")
-
-
-@click.command()
-@question_options()
-@latency_budget_options(may_sample=True)
-def _sampling(*, question, latency_draws):
-    click.echo(f"{_short(question.latency_s)} {latency_draws and latency_draws.name}")
+    click.echo(f"{_short(build_rule(question).latency_s)} {question.speeds}")
 
 
 @pytest.mark.parametrize(
-    ("command", "arguments", "expected"),
+    ("arguments", "expected"),
     [
-        (_plain, "--speeds 30", "None 30"),
-        (_plain, "--latency 0.05", "0.05 "),
-        (_plain, "--latency-budget study", "0.025 "),
-        (_plain, "--latency-budget cpm-100ms --speeds 30", "0.1135 30"),
-        (_plain, "--latency-budget cpm-100ms --latency-mode worst", "0.185 "),
-        (_sampling, "", "None None"),
-        (_sampling, "--latency-budget cpm-50ms --latency-mode mean", "0.0885 None"),
-        (_sampling, "--latency-budget cpm-50ms --latency-mode sampled", "0.0885 cpm-50ms"),
+        ("--speeds 30", "0.025 30"),
+        ("--latency 0.05", "0.05 "),
+        ("--latency-budget study", "0.025 "),
+        ("--latency-budget cpm-100ms --speeds 30", "0.1135 30"),
+        ("--latency-budget cpm-50ms", "0.0885 "),
     ],
 )
-def test_a_command_gets_the_latency_of_the_budget(command, arguments, expected):
-    done = CliRunner().invoke(command, arguments.split(), catch_exceptions=False)
+def test_a_command_gets_the_latency_of_the_budget(arguments, expected):
+    done = CliRunner().invoke(_plain, arguments.split(), catch_exceptions=False)
     assert (done.exit_code, done.output) == (0, expected + "\n")
 
 
@@ -347,19 +326,6 @@ def test_a_command_gets_the_latency_of_the_budget(command, arguments, expected):
         (
             "--latency-budget study --latency 0.05",
             "--latency: got it beside --latency-budget; expected one of them",
-        ),
-        (
-            "--latency-mode worst",
-            "--latency-mode: got it without --latency-budget; expected both",
-        ),
-        (
-            "--latency-budget study --latency-mode sampled",
-            "--latency-mode: got 'sampled'; expected mean or worst: this command draws no "
-            "latencies",
-        ),
-        (
-            "--latency-budget study --latency-mode best",
-            "--latency-mode: got 'best'; expected one of mean, worst, sampled",
         ),
         (
             "--latency-budget 25ms",
@@ -374,6 +340,5 @@ def test_a_budget_that_a_command_cannot_take_is_told(arguments, message):
     assert str(done.exception) == message
 
 
-def test_without_a_budget_a_question_stays_as_it_is():
-    question = Question(latency_s=0.3)
-    assert apply_latency_budget(question, None, None) == (question, None)
+def test_without_a_budget_a_question_brakes_as_it_says():
+    assert build_rule(Question(latency_s=0.3)).latency_s == 0.3

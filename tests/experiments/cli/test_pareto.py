@@ -16,10 +16,10 @@ from PIL import Image
 from small_tables import avoiding_problem
 
 from experiments.cli import main
-from experiments.cli.pareto import leave_out, pareto
+from experiments.cli.pareto import front_text, pareto
 from experiments.figures.front import plot_front
 from experiments.jobs import pareto as pareto_job
-from experiments.jobs.pareto import describe_front, front_table, front_text
+from experiments.jobs.pareto import describe_front, front_table
 from experiments.results.record import to_plain
 from placement.layout import layout_from_records
 from placement.optimiser.cost_front import cost_front
@@ -135,7 +135,7 @@ def test_help_has_an_example_and_is_narrow(run_pareto):
     assert re.search(r"^ +place-rsus pareto .*--max", out, re.MULTILINE)
     assert max(map(len, out.splitlines())) <= 80
     assert "--time-limit" in out
-    assert "--stage-weights" not in out
+    assert "--survive" not in out
 
 
 def test_nothing_heavy_is_imported_before_it_is_used():
@@ -149,12 +149,11 @@ def test_options_that_are_left_out_do_not_reach_other_commands():
     from experiments.cli.retrofit import retrofit
 
     names = {param.name for param in main.cli.params}
-    assert {"budget", "target", "stage_weights", "keep"} <= names
+    assert {"budget", "target", "survive", "keep"} <= names
     (limit,) = (param for param in main.cli.params if param.name == "time_limit_s")
     assert limit.default == 20.0
     assert "keep" in {param.name for param in pareto.params}
     assert "keep" not in {param.name for param in retrofit.params}
-    assert callable(leave_out)
 
 
 # Text, table, figure

@@ -111,11 +111,9 @@ def test_braking_and_confidence_are_heard(run, recording):
         ("evaluate --cases CBNA", f"--cases: {BESIDE}"),
         ("evaluate --weather night", f"--weather: {BESIDE}"),
         ("evaluate --weights case", f"--weights: {BESIDE}"),
-        ("evaluate --phase worst", f"--phase: {BESIDE}"),
         ("evaluate --workers 1", f"--workers: {BESIDE}"),
         ("--budget 1 --cases CBNA", f"--cases: {BESIDE}"),
         ("--budget 1 --seed 1", f"--seed: {BESIDE}"),
-        ("--budget 1 --no-study-poses", f"--study-poses: {BESIDE}"),
         ("--budget 1 --no-cache", f"--cache: {BESIDE}"),
         ("--budget 3", "--budget: got 3; expected at most 2, the units recorded"),
         (

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from experiments.cli import main
-from experiments.cli.retrofit import retrofit
+from experiments.cli.retrofit import retrofit, retrofit_text
 from experiments.jobs import retrofit as retrofit_job
-from experiments.jobs.retrofit import describe_retrofit, retrofit_text
+from experiments.jobs.retrofit import describe_retrofit
 from placement.layout import layout_from_records
 from placement.retrofit import load_labour
 

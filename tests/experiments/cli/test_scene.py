@@ -13,10 +13,10 @@ from osm_text import OsmText
 from osm_text import crossing as crossing_streets
 from PIL import Image
 
+from experiments.cli.scene import scene_text
 from experiments.figures.axes import to_png
 from experiments.figures.scene import plot_scene_plan, plot_scene_view
 from experiments.jobs import planning
-from experiments.jobs.scene import scene_text
 from geometry.scene_files import load_study_scene
 from geometry.scene_folders import load_scene_folder
 from placement.candidates import load_candidate_grid

@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import pytest
 
+from experiments.cli.sheet import sheet_text
 from experiments.jobs import sheet
-from experiments.jobs.sheet import sheet_text
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oracles import naive_confirmed
 
-from experiments.cli.tables import recorded_placement_table, recording_table
+from experiments.cli.recording import recorded_placement_table, recording_table
 from experiments.jobs.recording import run_recorded_placement, run_recording
 from experiments.jobs.verify import run_verification
 from experiments.progress import StageProgress

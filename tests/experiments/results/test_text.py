@@ -3,7 +3,6 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-
 from experiments.results.text import (
     comparison_table,
     evaluation_table,
