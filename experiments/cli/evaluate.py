@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 from msgspec import UNSET
@@ -178,35 +178,20 @@ def written(out: Path | None) -> list[str]:
 def additions(result: "Result") -> list[str]:
     """What a result has beside layout, proof and evaluation, each part before an empty line."""
     from ..report.explanation import explanation_text
+    from ..report.private_ground import result_private_sentences
     from ..report.refinement import refinement_sentences
     from ..report.sampled_worlds import uncertainty_text
-    from ..results.record import to_plain
 
-    plain = to_plain(result)  # border
     parts: list[list[str]] = []
     if result.front is not UNSET:
         said = sentences(*result.front.sentences, indent=2, hanging=2)
         parts.append(["What each unit buys:", *said])
     if result.explained is not UNSET:
-        parts.append([explanation_text(plain["explained"])])
+        parts.append([explanation_text(result.explained)])
     if result.private_ground is not UNSET:
-        parts.append(sentences(*_private_sentences(plain)))
+        parts.append(sentences(*result_private_sentences(result)))
     if result.refinement is not UNSET:
-        parts.append(sentences(*refinement_sentences(plain["refinement"])))
+        parts.append(sentences(*refinement_sentences(result.refinement)))
     if result.sampled is not UNSET:
-        parts.append([uncertainty_text(plain["sampled"])])
+        parts.append([uncertainty_text(result.sampled)])
     return [line for part in parts for line in (*part, "")]
-
-
-def _private_sentences(result: Mapping[str, Any]) -> list[str]:
-    """What cameras see of private ground; of each layout where several are compared."""
-    from ..report.private_ground import private_sentences
-
-    return [
-        *private_sentences(result["private_ground"]),
-        *(
-            f"{other['name']}: {sentence}"
-            for other in result.get("compared", ())
-            for sentence in private_sentences(other["private_ground"])
-        ),
-    ]

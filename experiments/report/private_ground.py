@@ -1,10 +1,11 @@
-"""What each unit sees of private ground, as a table."""
+"""Private ground: read from a file, and what units see of it."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import UnsetType
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
@@ -13,26 +14,18 @@ from geometry.maps.gis_files import read_features
 from geometry.scene import Scene
 from placement.private_ground import PrivateGround, build_private_ground
 
+from ..results.explanations import PrivateGroundRecord
 from ..results.numbers import percent
-
-# ---------- ``--no-look FILE``: private ground from a planner's polygons, and what units see of it
+from ..results.result import Result
+from .section import Section, Table
 
 
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     """Private ground from a file of polygons.
 
-    Parameters
-    ----------
-    path : Path
-        GeoJSON, GeoPackage or Shapefile; a column "name" or "id" names an area.
-    scene : Scene
-        Into whose world frame.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or has no polygon, or the scene does not say where on earth it lies
-        while the file does.
+    GeoJSON, GeoPackage or Shapefile; a column "name" or "id" names an area. Raises InputError if
+    the file cannot be read or has no polygon, or says where on earth it lies and the scene does
+    not.
     """
     import shapely
 
@@ -67,17 +60,8 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
 def is_decent(shares: FloatArray, *, most: float) -> BoolArray:
     """Which candidates see no more than a share of any private area.
 
-    Parameters
-    ----------
-    shares : (n_candidates, n_areas) float
-        See :func:`placement.private_ground.private_shares`.
-    most : float
-        How much they may see, 0 .. 1.
-
-    Raises
-    ------
-    InputError
-        None is.
+    `shares` is (n_candidates, n_areas), see :func:`placement.private_ground.private_shares`. Raises
+    InputError if all of them see more.
     """
     share = shares.max(axis=1)
     kept: BoolArray = share <= most
@@ -90,28 +74,42 @@ def is_decent(shares: FloatArray, *, most: float) -> BoolArray:
     return kept
 
 
-def private_sentences(summary: dict[str, Any]) -> list[str]:
-    """The same in a sentence or two."""
+def private_sentences(found: PrivateGroundRecord) -> list[str]:
+    """What each unit sees of private ground, in a sentence or two."""
     seen = [
         f"{unit} sees {percent(share)} of {name}"
-        for unit, shares in summary["units"].items()
+        for unit, shares in found.units.items()
         for name, share in shares.items()
         if share > 0.0
     ]
-    n_areas = len(summary["areas"])
+    n_areas = len(found.areas)
     what = "the private area" if n_areas == 1 else f"any of the {n_areas} private areas"
     if not seen:
         return [f"No camera has {what} in its picture."]
-    sentences = [f"Of private ground, {'; '.join(seen)}."]
-    if summary["price_eur"]:
-        sentences.append(
-            f"That is in the cost with {summary['price_eur']:,.0f} EUR, "
-            f"{summary['eur_per_m2']:g} EUR a square metre: no money is paid for it."
-        )
+    return [f"Of private ground, {'; '.join(seen)}.", *_price_sentences(found)]
+
+
+def result_private_sentences(result: Result) -> list[str]:
+    """The same of a result; of each layout where several are compared."""
+    if not result.private_ground:
+        return []
+    sentences = private_sentences(result.private_ground)
+    for other in result.compared or ():
+        if other.private_ground:
+            sentences += [f"{other.name}: {one}" for one in private_sentences(other.private_ground)]
     return sentences
 
 
-# ---------- what each unit sees of private ground, as a table
+def _price_sentences(found: PrivateGroundRecord) -> list[str]:
+    if not found.price_eur:
+        return []
+    return [
+        f"That is in the cost with {found.price_eur:,.0f} EUR, "
+        f"{found.eur_per_m2:g} EUR a square metre: no money is paid for it."
+    ]
+
+
+# ---------- the section of the report
 
 
 MAX_UNITS, MAX_AREAS = 12, 60
@@ -119,34 +117,23 @@ MAX_UNITS, MAX_AREAS = 12, 60
 _MAX_NAMED = 6  # pairs of unit and area in a sentence
 
 
-def private_ground_part(
-    private_ground: Mapping[str, Any] | None, labels: Mapping[str, str]
-) -> dict[str, Any] | None:
-    """What ``templates/private_ground.html.j2`` shows.
+def private_ground_section(
+    found: PrivateGroundRecord | UnsetType, labels: Mapping[str, str]
+) -> Section | None:
+    """What units see of private ground: areas that are seen the most first; None without any.
 
-    Parameters
-    ----------
-    private_ground : mapping or None
-        By :func:`.summarise_private_ground`; None: nobody has named any.
-    labels : mapping of str to str
-        Short names of the units, by id.
-
-    Returns
-    -------
-    part : dict or None
-        Sentences, caption, columns and rows: one per area, those seen the most first.
+    `labels` are short names of the units, by id.
     """
-    if private_ground is None:
+    if not found:
         return None
-    units: Mapping[str, Mapping[str, float]] = private_ground["units"]
-    areas = private_ground["areas"]
+    units, areas = found.units, found.areas
     most_seen = {
-        area["name"]: max((shares[area["name"]] for shares in units.values()), default=0.0)
+        area.name: max((shares[area.name] for shares in units.values()), default=0.0)
         for area in areas
     }
     seeing = sorted(units, key=lambda unit_id: -max(units[unit_id].values(), default=0.0))
     shown = [unit_id for unit_id in units if unit_id in set(seeing[:MAX_UNITS])]
-    rows = sorted(areas, key=lambda area: -most_seen[area["name"]])[:MAX_AREAS]
+    rows = sorted(areas, key=lambda area: -most_seen[area.name])[:MAX_AREAS]
     caption = "Share of each private area that a unit sees"
     for n_shown, n_all, what in (
         (len(shown), len(units), "units"),
@@ -154,37 +141,42 @@ def private_ground_part(
     ):
         if n_shown < n_all:
             caption += f"; of {n_all} {what} the {n_shown} that matter most"
-    return {
-        "sentences": _sentences(private_ground, most_seen),
-        "caption": caption,
-        "columns": [
+    table = Table(
+        caption=caption,
+        columns=[
             "area",
             "size (m\N{SUPERSCRIPT TWO})",
             "most, by one unit",
             *(labels.get(unit_id, unit_id) for unit_id in shown),
         ],
-        "rows": [
+        rows=[
             [
-                area["name"],
-                f"{area['area_m2']:.0f}",
-                percent(most_seen[area["name"]]),
-                *(percent(units[unit_id][area["name"]]) for unit_id in shown),
+                area.name,
+                f"{area.area_m2:.0f}",
+                percent(most_seen[area.name]),
+                *(percent(units[unit_id][area.name]) for unit_id in shown),
             ]
             for area in rows
         ],
-    }
+        numeric=range(1, 3 + len(shown)),
+    )
+    note = (
+        "Seen is what lies in a camera's picture with nothing in between, at the height of "
+        "people's eyes. LiDARs take no pictures."
+    )
+    blocks = [" ".join(_short_sentences(found, most_seen)), table, note]
+    return Section("private-ground", "Private ground", blocks)
 
 
-def _sentences(private_ground: Mapping[str, Any], most_seen: Mapping[str, float]) -> list[str]:
-    """Short where few are seen; where many are, only how many."""
+def _short_sentences(found: PrivateGroundRecord, most_seen: Mapping[str, float]) -> list[str]:
+    """Who sees what, where few do; where many do, only how many."""
     n_seen = sum(share > 0.0 for share in most_seen.values())
-    n_seeing = sum(max(shares.values()) > 0.0 for shares in private_ground["units"].values())
-    of_each, *of_price = private_sentences(dict(private_ground))
+    n_seeing = sum(max(shares.values()) > 0.0 for shares in found.units.values())
     if n_seen * n_seeing <= _MAX_NAMED:
-        return [of_each, *of_price]
+        return private_sentences(found)
     worst = max(most_seen, key=lambda name: most_seen[name])
     return [
-        f"{n_seeing} of {len(private_ground['units'])} units see something of {n_seen} of "
+        f"{n_seeing} of {len(found.units)} units see something of {n_seen} of "
         f"{len(most_seen)} private areas; the most is {percent(most_seen[worst])} of {worst}.",
-        *of_price,
+        *_price_sentences(found),
     ]

@@ -61,10 +61,7 @@ def find_baseline(scene: Scene) -> Layout | None:
 def find_layout(name: str, option: str) -> Layout:
     """A layout by its name, or from a file.
 
-    Raises
-    ------
-    InputError
-        There is no such file, or it is no layout.
+    Raises InputError if there is no such file, or it is no layout.
     """
     if name == BASELINE_NAME:
         return load_carlancap_layout()

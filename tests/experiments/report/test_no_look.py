@@ -13,7 +13,6 @@ from experiments.report.private_ground import (
     private_sentences,
 )
 from experiments.results.explanations import build_private_ground_record
-from experiments.results.record import to_plain
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.frames import to_geographic
@@ -24,7 +23,7 @@ from placement.wishes import build_limits
 
 
 def summarise(*given, **options):
-    return to_plain(build_private_ground_record(*given, **options))
+    return build_private_ground_record(*given, **options)
 
 
 @pytest.fixture
@@ -87,7 +86,7 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
     summary = summarise(units, scene, ground)
     (sentence,) = private_sentences(summary)
     for unit, share in zip(units, shares, strict=True):
-        assert summary["units"][unit.id] == {"garden": share}
+        assert summary.units[unit.id] == {"garden": share}
         assert (f"{unit.id} sees " in sentence) == (share > 0.0)
     watching = [unit for unit, share in zip(units, shares, strict=True) if share > 0.0]
     assert watching
@@ -111,8 +110,8 @@ def test_a_price_forbids_nothing_and_counts_every_square_metre(garden, scene):
     assert len(build_plan(both, scene).candidates) < len(everything.candidates)
     units = load_carlancap_layout().units
     summary = summarise(units, scene, plan.private, eur_per_m2=30.0)
-    assert summary["price_eur"] == pytest.approx(sum(prices.get(unit.id, 0.0) for unit in units))
-    assert f"{summary['price_eur']:,.0f} EUR, 30 EUR a square" in private_sentences(summary)[1]
+    assert summary.price_eur == pytest.approx(sum(prices.get(unit.id, 0.0) for unit in units))
+    assert f"{summary.price_eur:,.0f} EUR, 30 EUR a square" in private_sentences(summary)[1]
 
 
 def test_the_cheapest_layout_looks_away_from_what_has_a_price(garden, run, small_study):
