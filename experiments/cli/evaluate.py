@@ -27,7 +27,8 @@ from .running import begin, command_line, load_one_layout, print_result
 from .terminal import sentences, table, wide_table
 
 if TYPE_CHECKING:
-    from ..results.result import EvaluationRecord, PartyAprRecord, Result, UnitRecord
+    from ..results.record import UnitRecord
+    from ..results.result import EvaluationRecord, PartyAprRecord, Result
 
 _MAX_ID_WIDTH, _MAX_SITE_WIDTH = 22, 11
 _MAX_UNITS = 24

@@ -5,7 +5,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from result_records import as_result
+from partial_pages import build_result
 
 from experiments.cli.compare import comparison_text
 from experiments.cli.evaluate import evaluation_text
@@ -37,15 +37,15 @@ def unit(unit_id):
 
 
 def placement_table(summary, out):
-    return placement_text(as_result(summary), out)
+    return placement_text(build_result(**summary), out)
 
 
 def evaluation_table(summary, out):
-    return evaluation_text(as_result(summary), out)
+    return evaluation_text(build_result(**summary), out)
 
 
 def comparison_table(summary, out):
-    return comparison_text(as_result(summary), out)
+    return comparison_text(build_result(**summary), out)
 
 
 def evaluation_summary(n_cases, ids, name="mine"):
@@ -79,7 +79,13 @@ def comparison_summary(n_cases, name="mine", other="carlancap-12", gained=(), lo
         "baseline_name": other,
         "baseline": baseline,
         "compared": [
-            {"name": other, "evaluation": baseline, "layout": [], "cost_eur": 0.0, **runs}
+            {
+                "name": other,
+                "evaluation": baseline,
+                "layout": [unit("RSU0")],
+                "cost_eur": 0.0,
+                **runs,
+            }
         ],
     }
 
@@ -98,7 +104,7 @@ def placement_summary(n_cases, ids=("U1", "U2", "U3"), gap=0.0):
                 ("mean_margin_s", 6.718, 6.756, gap),
             )
         ],
-        "greedy": {"layout": [], **comparison_summary(n_cases)["baseline"]}
+        "greedy": {"layout": [unit("U1")], **comparison_summary(n_cases)["baseline"]}
         | {"rsu_all": ratios(n_cases, 0.7)},
         "surrogate_disagreement": 0.0004,
         "disagreements": [],
