@@ -1,22 +1,67 @@
-"""The report's partial templates by themselves, within the macros that they use."""
+"""Sections of the report by themselves, as the page shows them."""
 
-from typing import Any
-
+import msgspec
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-REPORT = "report.html.j2"
+from experiments.report.section import Bullets, Picture, Section, Table
+from experiments.results.result import Result
 
 
-def render_partial(name: str, **context: Any) -> str:
-    """A partial as the report includes it: escaped, and every variable must be there."""
-    loader = PackageLoader("experiments.report")
+def render_section(section: Section | None) -> str:
+    """A section as the report has it: escaped; empty where there is none."""
+    if section is None:
+        return ""
     environment = Environment(
-        loader=loader,
+        loader=PackageLoader("experiments.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    source, _, _ = loader.get_source(environment, REPORT)
-    macros = source[: source.index("<!DOCTYPE")]
-    return environment.from_string(f'{macros}{{% include "{name}" %}}').render(**context)
+    source = '{% from "blocks.html.j2" import show_section %}{{ show_section(section) }}'
+    return environment.from_string(source).render(section=section)
+
+
+def tables_of(section: Section) -> list[Table]:
+    """Its tables."""
+    return [block for block in section.blocks if isinstance(block, Table)]
+
+
+def pictures_of(section: Section) -> list[Picture]:
+    """Its figures."""
+    return [block for block in section.blocks if isinstance(block, Picture)]
+
+
+def bullets_of(section: Section) -> list[str]:
+    """The sentences of its lists."""
+    blocks = [block for block in section.blocks if isinstance(block, Bullets)]
+    return [sentence for block in blocks for sentence in block.sentences]
+
+
+def build_result(name, layout=(), **changes) -> Result:
+    """A result that says little: an evaluation, without what `changes` say."""
+    party = {"all": None, "by_case": {}}
+    parties = dict.fromkeys(("vut", "rsu_all", "vut_and_rsus"), party)
+    plain = {
+        "schema": "place-rsus/result/1",
+        "name": name,
+        "layout": list(layout),
+        "cost_eur": 0.0,
+        "budget": None,
+        "fusion": "any",
+        "runs": 1,
+        **dict.fromkeys(("apr", "bound", "gap", "apr_without_worst_unit")),
+        "evaluation": {**parties, "units": {}, "apr_without_worst_unit": None},
+        "baseline": None,
+        "surrogate_disagreement": None,
+        "seconds": {},
+        "versions": {},
+        "cases": [],
+        "weathers": [],
+        "detector": "any",
+        "vut_sensors": [],
+        "packet_loss": 0.0,
+        "vam_rate": 0.0,
+        "not_driven": [],
+    }
+    return msgspec.convert(plain | changes, Result)

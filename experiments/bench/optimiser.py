@@ -142,19 +142,7 @@ def build_synthetic_instance(
 ) -> SyntheticInstance:
     """Make an instance, pole by pole, directly as bits.
 
-    Parameters
-    ----------
-    size : SyntheticSize, optional
-        How large.
-    seed : int
-        Of everything random.
-    workers : int
-        Threads; the instance does not depend on it.
-
-    Returns
-    -------
-    instance : SyntheticInstance
-        The default size takes 1.25 GB.
+    The default size takes 1.25 GB.
     """
     size = SyntheticSize() if size is None else size
     axis, frames = _drive(size, np.random.default_rng([seed, 0]))
@@ -332,17 +320,7 @@ _LARGE_UNITS, _LARGE_GAP, _LARGE_TIME_S = 6, 0.01, 300.0
 def measure_optimiser(
     setting: Setting, candidates: Sequence[CandidatePose], budget: int
 ) -> dict[str, Any]:
-    """Presolve and all stages, fronts, and maximal covering against HiGHS alone.
-
-    Parameters
-    ----------
-    setting : Setting
-        What is driven.
-    candidates : sequence of CandidatePose
-        Poses to choose from.
-    budget : int
-        Units.
-    """
+    """Presolve and all stages, fronts, and maximal covering against HiGHS alone."""
     table = build_detection_table(
         setting.scene,
         candidates,

@@ -164,14 +164,7 @@ def bare_embree(
 ) -> Callable[[], object]:
     """The library's own query, with everything prepared that can be.
 
-    Parameters
-    ----------
-    vertices_m, triangles
-        Mesh.
-    rays : list of pair of (n, 3) float32
-        Origins and vectors; all are cast in one call.
-    query : str
-        Whether anything is hit on the way, or where the first hit is.
+    `rays` are pairs of origins and vectors, (n, 3) float32; all are cast in one call.
     """
     origins = np.concatenate([origin for origin, _ in rays])
     vectors = np.concatenate([vector for _, vector in rays])

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 from msgspec import UNSET
@@ -27,7 +27,8 @@ from .running import begin, command_line, load_one_layout, print_result
 from .terminal import sentences, table, wide_table
 
 if TYPE_CHECKING:
-    from ..results.result import EvaluationRecord, PartyAprRecord, Result, UnitRecord
+    from ..results.record import UnitRecord
+    from ..results.result import EvaluationRecord, PartyAprRecord, Result
 
 _MAX_ID_WIDTH, _MAX_SITE_WIDTH = 22, 11
 _MAX_UNITS = 24
@@ -178,34 +179,20 @@ def written(out: Path | None) -> list[str]:
 def additions(result: "Result") -> list[str]:
     """What a result has beside layout, proof and evaluation, each part before an empty line."""
     from ..report.explanation import explanation_text
+    from ..report.private_ground import private_ground_sentences
     from ..report.refinement import refinement_sentences
     from ..report.sampled_worlds import uncertainty_text
-    from ..results.record import to_plain
 
-    plain = to_plain(result)  # border
     parts: list[list[str]] = []
     if result.front is not UNSET:
         said = sentences(*result.front.sentences, indent=2, hanging=2)
         parts.append(["What each unit buys:", *said])
     if result.explained is not UNSET:
-        parts.append([explanation_text(plain["explained"])])
+        parts.append([explanation_text(result.explained)])
     if result.private_ground is not UNSET:
-        parts.append(sentences(*_private_sentences(plain)))
+        parts.append(sentences(*private_ground_sentences(result)))
     if result.refinement is not UNSET:
-        parts.append(sentences(*refinement_sentences(plain["refinement"])))
+        parts.append(sentences(*refinement_sentences(result.refinement)))
     if result.sampled is not UNSET:
-        parts.append([uncertainty_text(plain["sampled"])])
+        parts.append([uncertainty_text(result.sampled)])
     return [line for part in parts for line in (*part, "")]
-
-
-def _private_sentences(result: Mapping[str, Any]) -> list[str]:
-    """What cameras see of private ground; of each layout where several are compared."""
-    from ..report.private_ground import private_ground_sentence
-
-    return [
-        private_ground_sentence(result["private_ground"]),
-        *(
-            f"{other['name']}: {private_ground_sentence(other['private_ground'])}"
-            for other in result.get("compared", ())
-        ),
-    ]

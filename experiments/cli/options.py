@@ -160,7 +160,7 @@ def field_option(field: Answerable, default: Any = None) -> Decorator:
     """
     default = field.default if default is None else default
     kind, *limits = get_args(field.kind) if get_origin(field.kind) is Annotated else [field.kind]
-    limit = limits[0] if limits else Meta()
+    limit: Any = limits[0] if limits else Meta()
     settings: dict[str, Any] = {
         "default": default,
         "show_default": bool(default),

@@ -7,14 +7,12 @@ from typing import Any
 import click
 
 from placement.compute import Compute
-from placement.question import Question
+from placement.question import ASKED, MOUNTED, Question
 
 from ..progress import StageProgress
 from ..results.numbers import percent
 from .options import (
-    ASKED,
     JUDGED,
-    MOUNTED,
     SectionedCommand,
     compute_options,
     fields_in,

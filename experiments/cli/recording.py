@@ -6,8 +6,10 @@ from typing import Any
 
 import click
 
+from placement.question import SEEN
+
 from ..results.numbers import percent
-from .options import SEEN, is_given, option, option_name
+from .options import is_given, option, option_name
 from .terminal import sentences, table, wide_table
 
 _WITH_RECORDING = frozenset(

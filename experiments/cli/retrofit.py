@@ -8,13 +8,12 @@ from typing import Any
 import click
 
 from placement.compute import Compute
-from placement.question import Question
+from placement.question import MOUNTED, Question
 
 from ..progress import StageProgress
 from ..results.numbers import percent, several
 from .options import (
     JUDGED,
-    MOUNTED,
     SectionedCommand,
     compute_options,
     fields_in,

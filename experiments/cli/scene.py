@@ -79,9 +79,10 @@ def _reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         reading["keeps_left"] = None if traffic is None else traffic == "left"
         return command(*args, reading=reading, **values)
 
+    decorated: Callable[..., Any] = with_reading
     for add in reversed(_READING_OPTIONS):
-        with_reading = add(with_reading)
-    return with_reading
+        decorated = add(decorated)
+    return decorated
 
 
 @click.group()

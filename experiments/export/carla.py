@@ -15,16 +15,8 @@ from .json import to_json_text
 def to_carla(layout: Layout) -> str:
     """Layout as a JSON list of sensors to spawn in CARLA.
 
-    Parameters
-    ----------
-    layout : Layout
-        What to write.
-
-    Returns
-    -------
-    text : str
-        Per unit: id, blueprint, its attributes as text (as ``ActorBlueprint.set_attribute`` takes
-        them) and the transform. CARLA's left-handed frame, in metres and degrees.
+    Per unit: id, blueprint, its attributes as text (as ``ActorBlueprint.set_attribute`` takes them)
+    and the transform. CARLA's left-handed frame, in metres and degrees.
     """
     return to_json_text([_carla_record(unit) for unit in layout.units])
 

@@ -35,30 +35,14 @@ _SLACK = 1.0e-6  # of a unit: what rounding may add before it counts as the next
 def to_cpm(layout: Layout, scene: Scene) -> str:
     """Layout as sensor information containers, a station (RSU) per site.
 
-    Parameters
-    ----------
-    layout : Layout
-        What to write. Units of one site are one station's sensors; one without a site is a
-        station of its own.
-    scene : Scene
-        Where it hangs.
-
-    Returns
-    -------
-    text : str
-        JSON: {"standard", "stations": [{"site", "units", "payload"}]}. A payload has the standard's
-        names and units and what a layout says: the reference position (WGS 84, 0.1
-        microdegrees; on the road in the middle of the station's units; no altitude, for z = 0 is
-        the road), the RSU's container and that of its sensors. A sensor's id is its place in
-        "units". Its region is a radial shape: reference point east, north, up of the reference
-        position [0.01 m], range [0.1 m], horizontal opening clockwise from north and vertical
-        opening upwards from the horizon [0.1 degrees]. What a station adds when it sends
-        (reference time, confidences) is not in it.
-
-    Raises
-    ------
-    InputError
-        The scene has no crs; a site carries more than 128 units, or units too far apart.
+    JSON: {"standard", "stations": [{"site", "units", "payload"}]}. A payload has the standard's
+    names and units and what a layout says: the reference position (WGS 84, 0.1 microdegrees; on the
+    road in the middle of the station's units; no altitude, for z = 0 is the road), the RSU's
+    container and that of its sensors. A sensor's id is its place in "units". Its region is a radial
+    shape: reference point east, north, up of the reference position [0.01 m], range [0.1 m],
+    horizontal opening clockwise from north and vertical opening upwards from the horizon [0.1
+    degrees]. What a station adds when it sends (reference time, confidences) is not in it. Raises
+    InputError if the scene has no crs; a site carries more than 128 units, or units too far apart.
 
     Notes
     -----

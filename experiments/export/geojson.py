@@ -11,25 +11,9 @@ from .places import longitude_latitude, placed_records, positions_m, require_crs
 def to_geojson(layout: Layout, crs: str, scene: Scene | None = None) -> str:
     """Layout as GeoJSON: points in WGS 84, with the fields of the layout as properties.
 
-    Parameters
-    ----------
-    layout : Layout
-        What to write.
-    crs : str
-        Coordinate reference system of the world frame, for pyproj.
-    scene : Scene, optional
-        See :func:`experiments.export.places.placed_records`.
-
-    Returns
-    -------
-    text : str
-        A FeatureCollection. Coordinates are longitude, latitude [deg] and the height above the
-        road [m]; x_m and y_m among the properties stay in the world frame.
-
-    Raises
-    ------
-    InputError
-        pyproj does not know `crs`, or the layout lies outside of where it is defined.
+    A FeatureCollection. Coordinates are longitude, latitude [deg] and the height above the road
+    [m]; x_m and y_m among the properties stay in the world frame. Raises InputError if pyproj does
+    not know `crs`, or the layout lies outside of where it is defined.
 
     References
     ----------

@@ -14,23 +14,9 @@ _LAYER = "units"
 def to_geopackage(layout: Layout, scene: Scene) -> bytes:
     """Layout as a GeoPackage: points in the coordinates of the map that the scene was made from.
 
-    Parameters
-    ----------
-    layout : Layout
-        What to write.
-    scene : Scene
-        Where it hangs.
-
-    Returns
-    -------
-    content : bytes
-        A SQLite database with the layer "units": points with the height above the road as z, and
-        the fields of the layout; x_m and y_m among them stay in the world frame.
-
-    Raises
-    ------
-    InputError
-        The scene has no crs, or one that pyproj does not know.
+    A SQLite database with the layer "units": points with the height above the road as z, and the
+    fields of the layout; x_m and y_m among them stay in the world frame. Raises InputError if the
+    scene has no crs, or one that pyproj does not know.
 
     References
     ----------

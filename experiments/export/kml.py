@@ -16,23 +16,9 @@ _NAMESPACE = "http://www.opengis.net/kml/2.2"
 def to_kml(layout: Layout, scene: Scene) -> str:
     """Layout as KML: a placemark per unit, at its height above ground, with a pole below it.
 
-    Parameters
-    ----------
-    layout : Layout
-        What to write.
-    scene : Scene
-        Where it hangs.
-
-    Returns
-    -------
-    text : str
-        An XML document. Every field of the layout is in the placemark's ExtendedData; the
-        placemark's camera looks from where the unit hangs along its optical axis.
-
-    Raises
-    ------
-    InputError
-        The scene has no crs, or one that pyproj does not know; a name is not printable.
+    An XML document. Every field of the layout is in the placemark's ExtendedData; the placemark's
+    camera looks from where the unit hangs along its optical axis. Raises InputError if
+    the scene has no crs, or one that pyproj does not know, or if a name is not printable.
 
     References
     ----------

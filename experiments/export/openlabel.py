@@ -19,20 +19,12 @@ SCHEMA_VERSION = "1.0.0"
 def to_openlabel(layout: Layout) -> str:
     """Layout as an OpenLABEL document without annotations.
 
-    Parameters
-    ----------
-    layout : Layout
-        What to write.
-
-    Returns
-    -------
-    text : str
-        A coordinate system for the world (x east, y north, z up, metres) and one per unit, with its
-        pose as quaternion (x, y, z, w) and translation from the unit to the world; and a stream per
-        unit of the same name. A camera's frame is x right, y down, z ahead, its stream has
-        intrinsics_pinhole (the middle of the first pixel is (0, 0)); a LiDAR's frame is x ahead,
-        y left, z up, its stream has the scan pattern in intrinsics_custom. Its uri is
-        empty: nothing has been recorded.
+    A coordinate system for the world (x east, y north, z up, metres) and one per unit, with its
+    pose as quaternion (x, y, z, w) and translation from the unit to the world; and a stream per
+    unit of the same name. A camera's frame is x right, y down, z ahead, its stream has
+    intrinsics_pinhole (the middle of the first pixel is (0, 0)); a LiDAR's frame is x ahead, y
+    left, z up, its stream has the scan pattern in intrinsics_custom. Its uri is empty: nothing has
+    been recorded.
 
     References
     ----------

@@ -39,10 +39,7 @@ TABLE = "openscenario.toml"
 def load_xosc() -> Any:
     """The library's module for OpenSCENARIO.
 
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
+    Raises MissingExtraError if it is not installed.
     """
     try:
         return importlib.import_module("scenariogeneration.xosc")
@@ -80,33 +77,16 @@ def _axles_m(actor: Actor) -> tuple[float, float]:
 def reference_ahead_m(actor: Actor) -> float:
     """How far a body's point of reference is ahead of the middle of its box.
 
-    Parameters
-    ----------
-    actor : Actor
-        The body.
-
-    Returns
-    -------
-    ahead_m : float
-        The rear axle of cars and bicycles; 0, the middle itself, of pedestrians and walls. [m]
-
-    Raises
-    ------
-    InputError
-        ``data/openscenario.toml`` knows neither its name nor its class, or a car has no axles.
+    The rear axle of cars and bicycles; 0, the middle itself, of pedestrians and walls. [m] Raises
+    InputError if ``data/openscenario.toml`` knows neither its name nor its class, or a car has no
+    axles.
     """
     body, _ = _body(actor)
     return _axles_m(actor)[1] if body["entity"] == "Vehicle" else 0.0
 
 
 def build_entity(actor: Actor) -> Any:
-    """Vehicle, Pedestrian or MiscObject of the library.
-
-    Raises
-    ------
-    InputError
-        See :func:`reference_ahead_m`.
-    """
+    """Vehicle, Pedestrian or MiscObject of the library."""
     xosc = load_xosc()
     body, where = _body(actor)
     entity, category = take_text(body, "entity", where), take_text(body, "category", where)
@@ -188,28 +168,11 @@ class _Track:
 def to_openscenario(run: Run, *, road_network: str) -> str:
     """Run as an OpenSCENARIO 1.3 file: nobody brakes, and the file ends at the impact.
 
-    Parameters
-    ----------
-    run : Run
-        What is driven.
-    road_network : str
-        OpenDRIVE file of the map, as the simulator shall find it: "Town05.xodr". Its frame must be
-        the run's world frame, as that of CARLA's maps is the study's.
-
-    Returns
-    -------
-    text : str
-        XML. Scenario time 0 is the run's first frame. The entities "vut" and "vru" follow the
-        run's frames; "obstruction-1" .. stand. The header's properties say what the run is; the
-        parameters "impact_time_s" and, unless no braking avoids, "last_brake_time_s" are scenario
-        times. The same run gives the same text.
-
-    Raises
-    ------
-    InputError
-        There is no road network, or the standard's schema rejects the result.
-    MissingExtraError
-        scenariogeneration is not installed.
+    XML. Scenario time 0 is the run's first frame. The entities "vut" and "vru" follow the run's
+    frames; "obstruction-1" .. stand. The header's properties say what the run is; the parameters
+    "impact_time_s" and, unless no braking avoids, "last_brake_time_s" are scenario times. The same
+    run gives the same text. Raises InputError if there is no road network, or the standard's schema
+    rejects the result. Raises MissingExtraError if scenariogeneration is not installed.
 
     Notes
     -----
@@ -241,12 +204,8 @@ def to_openscenario(run: Run, *, road_network: str) -> str:
 def validate_openscenario(text: str) -> None:
     """Check a file against the schema of OpenSCENARIO 1.3.1, which comes with scenariogeneration.
 
-    Raises
-    ------
-    InputError
-        It is not XML, or the schema rejects it; says where and why.
-    MissingExtraError
-        scenariogeneration is not installed.
+    Raises InputError if it is not XML, or the schema rejects it; says where and why. Raises
+    MissingExtraError if scenariogeneration is not installed.
     """
     expected = f"XML that {_SCHEMA} accepts"
     try:

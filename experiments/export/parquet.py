@@ -12,17 +12,7 @@ from .places import longitude_latitude, placed_records, positions_m
 def to_parquet(layout: Layout, scene: Scene) -> bytes:
     """Layout as an Apache Parquet file: one row per unit.
 
-    Parameters
-    ----------
-    layout : Layout
-        What to write.
-    scene : Scene
-        Where it hangs; without a crs there are no longitudes and latitudes.
-
-    Returns
-    -------
-    content : bytes
-        Columns as in CSV; with a crs longitude_deg and latitude_deg (WGS 84), too.
+    Columns as in CSV; with a crs longitude_deg and latitude_deg (WGS 84), too.
     """
     import pandas as pd
 

@@ -20,19 +20,9 @@ def positions_m(layout: Layout) -> FloatArray:
 def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
     """Units as records, with their place in the map that a scene was made from.
 
-    Parameters
-    ----------
-    layout : Layout
-        The units.
-    scene : Scene or None
-        Where they hang; None, or one that was not made from a map: nothing is added.
-
-    Returns
-    -------
-    records : list of dict
-        As :func:`placement.layout.layout_records`; beside these map_x, map_y (longitude and
-        latitude where the map has degrees) and map_crs, which is empty if the map does not say
-        where on earth it lies.
+    As :func:`placement.layout.layout_records`; beside these map_x, map_y (longitude and latitude
+    where the map has degrees) and map_crs, which is empty if the map does not say where on earth it
+    lies.
     """
     records = layout_records(layout)
     if scene is None or not (scene.source_crs or scene.source_origin_m.any()):
@@ -50,17 +40,8 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
 def map_positions(layout: Layout, scene: Scene) -> FloatArray:
     """Units in the coordinates of the scene's map.
 
-    Parameters
-    ----------
-    layout : Layout
-        The units.
-    scene : Scene
-        One that has a crs.
-
-    Returns
-    -------
-    positions : (n_units, 2) float
-        In ``scene.source_crs``, or ``scene.crs`` where that is empty; east or longitude first.
+    Shape (n_units, 2), in ``scene.source_crs``, or ``scene.crs`` where that is empty; east or
+    longitude first.
     """
     position = positions_m(layout)[:, :2]
     if not scene.source_crs:
@@ -71,10 +52,7 @@ def map_positions(layout: Layout, scene: Scene) -> FloatArray:
 def require_crs(crs: str, format_name: str) -> None:
     """Refuse a scene that does not say where on earth it lies.
 
-    Raises
-    ------
-    InputError
-        `crs` is empty.
+    Raises InputError if `crs` is empty.
     """
     if not crs:
         raise InputError(
@@ -85,22 +63,8 @@ def require_crs(crs: str, format_name: str) -> None:
 def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
     """Points of the world frame in WGS 84.
 
-    Parameters
-    ----------
-    points_m : (n, 2) or (n, 3) float
-        World frame. [m]
-    crs : str
-        In which it lies.
-
-    Returns
-    -------
-    lon_lat_deg : (n, 2) float
-        Longitude, latitude. [deg]
-
-    Raises
-    ------
-    InputError
-        pyproj does not know `crs`, or the points lie outside of where it is defined.
+    From (n, 2) or (n, 3) metres to longitude and latitude, (n, 2) degrees. Raises
+    InputError if pyproj does not know `crs`, or the points lie outside of where it is defined.
     """
     from pyproj.exceptions import CRSError, ProjError
 

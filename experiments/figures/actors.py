@@ -41,17 +41,7 @@ def main(out: Path) -> None:
 def plot_bodies(actors: Mapping[str, Actor], *, pixels_per_view: int = 144) -> list[Axes]:
     """Bodies from eight sides, one per row, the gait running on along the row.
 
-    Parameters
-    ----------
-    actors : mapping of str to Actor
-        By name.
-    pixels_per_view : int
-        Width of one view. [px]
-
-    Returns
-    -------
-    axes : list of Axes
-        A row each: parallel projection, shaded from the right; rows have scales of their own.
+    A row each: parallel projection, shaded from the right; rows have scales of their own.
     """
     strips = {
         name: np.hstack(
@@ -98,21 +88,8 @@ def shade_view(
 ) -> FloatArray:
     """One view in greys, lit from the right and above.
 
-    Parameters
-    ----------
-    shape : Shape
-        What is seen.
-    side_deg : float
-        Where the viewer stands, counter-clockwise from ahead of the body. [deg]
-    size_m : tuple of float
-        Width and height of the view. [m]
-    width_px : int
-        Width of the image. [px]
-
-    Returns
-    -------
-    grey : (height_px, width_px) float
-        0 black, 1 white (also where nothing is).
+    Shape (height_px, width_px): 0 black, 1 white (also where nothing is). The viewer stands at
+    `side_deg`, counter-clockwise from ahead of the body; `size_m` is the view's width and height.
     """
     depth_m = cast_view(shape, side_deg, size_m=size_m, width_px=width_px)
     step_m = size_m[0] / width_px
@@ -132,16 +109,8 @@ def cast_view(
 ) -> FloatArray:
     """Depth of a body in parallel projection.
 
-    Parameters
-    ----------
-    shape, side_deg, size_m, width_px
-        As for :func:`shade_view`.
-
-    Returns
-    -------
-    depth_m : (height_px, width_px) float
-        From a plane far before the body; infinite where nothing is. The road is the lower edge,
-        but for a margin. [m]
+    Shape (height_px, width_px), from a plane far before the body; infinite where nothing is. The
+    road is the lower edge, but for a margin. [m]
     """
     step_m = size_m[0] / width_px
     height_px = round(size_m[1] / step_m)

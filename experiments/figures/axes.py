@@ -59,7 +59,8 @@ def finish_axes(
     if grid is not None:
         axes.grid(axis=grid, color="#dddddd", linewidth=0.6)  # type: ignore[arg-type]
         axes.set_axisbelow(True)
-    axes.spines[list(hidden)].set_visible(False)
+    for side in hidden:
+        axes.spines[side].set_visible(False)
 
 
 def show_square(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:

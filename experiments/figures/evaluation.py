@@ -47,18 +47,8 @@ MAX_HEATMAP_UNITS = 24
 def units_in_heatmap(evaluation: Evaluation, run_indices: Sequence[int]) -> list[str]:
     """Ids of the units that have a row in a heatmap of runs.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of a layout.
-    run_indices : sequence of int
-        The runs.
-
-    Returns
-    -------
-    unit_ids : list of str
-        All, in the layout's order; or, of more than ``MAX_HEATMAP_UNITS``, so many: those that
-        confirm first in any of the runs, and then those that detect in the most frames.
+    All, in the layout's order; or, of more than ``MAX_HEATMAP_UNITS``, so many: those that confirm
+    first in any of the runs, and then those that detect in the most frames.
     """
     units = evaluation.units
     if len(units) <= MAX_HEATMAP_UNITS:
@@ -78,19 +68,9 @@ def units_in_heatmap(evaluation: Evaluation, run_indices: Sequence[int]) -> list
 def pick_heatmap_runs(setting: Setting, evaluation: Evaluation) -> tuple[str, ...]:
     """Runs whose heatmaps are worth drawing.
 
-    Parameters
-    ----------
-    setting : Setting
-        Runs and braking rule.
-    evaluation : Evaluation
-        Of the layout that is reported.
-
-    Returns
-    -------
-    run_ids : tuple of str
-        At most three, of different cases: the study's own, at the speeds at which it shows them
-        or near, where they are driven; then of the hardest other cases the run that counts and
-        has the least time to spare.
+    At most three, of different cases: the study's own, at the speeds at which it shows them or
+    near, where they are driven; then of the hardest other cases the run that counts and has the
+    least time to spare.
     """
     axis = evaluation.axis
     picked = {
@@ -214,19 +194,7 @@ def plot_heatmap(
     width_in: float = WIDTH_IN,
     axes: Axes | None = None,
 ) -> Axes:
-    """Who detects the VRU when, in one run; see :func:`plot_heatmaps`.
-
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of a layout.
-    run_index : int
-        Which run.
-    width_in : float
-        Of a new figure. [inch]
-    axes : Axes, optional
-        Where to draw; by default in a new figure, with a legend below.
-    """
+    """Who detects the VRU when, in one run; see :func:`plot_heatmaps`."""
     if axes is None:
         return plot_heatmaps(evaluation, [run_index], width_in=width_in)[0]
     _draw_heatmap(axes, evaluation, _heatmap_rows(evaluation, [run_index]), run_index)

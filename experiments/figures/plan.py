@@ -53,15 +53,7 @@ HALO = withStroke(linewidth=3.0, foreground="white")
 
 
 def label_units(axes: Axes, layout: Layout) -> None:
-    """Write beside each camera its short name; or, of many units, how many there are at a place.
-
-    Parameters
-    ----------
-    axes : Axes
-        A plan, in metres.
-    layout : Layout
-        Whose units.
-    """
+    """Write beside each camera its short name; or, of many units, how many there are at a place."""
     if len(layout.units) <= MAX_LABELLED_UNITS:
         _draw_labels(axes, layout)
     else:
@@ -218,19 +210,9 @@ _MAX_NAME = 18  # letters that the legend has room for
 def ground_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
     """What a unit's image shows of the road plane, if nothing stood on it.
 
-    Parameters
-    ----------
-    unit : CandidatePose
-        Camera and pose.
-    max_range_m : float
-        No farther than this from the foot of the camera. [m]
-
-    Returns
-    -------
-    corners_m : (n, 2) float
-        A convex polygon, counter-clockwise; empty if the camera sees no ground there. Of a LiDAR
-        that opens half a turn or more the outer one of :func:`round_views.ground_rings`. World
-        frame. [m]
+    A convex polygon, (n, 2), counter-clockwise, up to `max_range_m` from the foot of the camera;
+    empty if it sees no ground there. Of a LiDAR that opens half a turn or more it is the outer one
+    of :func:`.sensors.ground_rings`. World frame. [m]
     """
     if is_wide(unit):
         return ground_rings(unit, max_range_m=max_range_m)[0]

@@ -34,20 +34,10 @@ def is_wide(unit: CandidatePose) -> bool:
 def ground_rings(unit: CandidatePose, *, max_range_m: float) -> tuple[FloatArray, FloatArray]:
     """Outlines of the road plane that a wide LiDAR's beams meet, if nothing stood on it.
 
-    Parameters
-    ----------
-    unit : CandidatePose
-        LiDAR and pose.
-    max_range_m : float
-        No farther than this from the foot of the LiDAR. [m]
-
-    Returns
-    -------
-    outer_m, inner_m : (n, 2) float
-        Where the ground ends that it meets, and where that begins: below lies what the lowest beams
-        pass over. Both counter-clockwise around the foot, to a tenth of a metre; empty where there
-        is none, and the inner one is the foot itself to the sides where no ground is met. World
-        frame. [m]
+    Where the ground ends that it meets, and where that begins, each (n, 2): below lies what the
+    lowest beams pass over. Both counter-clockwise around the foot, to a tenth of a metre; empty
+    where there is none, and the inner one is the foot itself to the sides where no ground is met.
+    World frame. [m]
     """
     foot = unit.pose.position_m[:2]
     angles = np.linspace(0.0, 2.0 * np.pi, _N_BEARINGS, endpoint=False)
@@ -69,17 +59,8 @@ def ground_rings(unit: CandidatePose, *, max_range_m: float) -> tuple[FloatArray
 def blind_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
     """Ground around the foot of a wide LiDAR that its lowest beams pass over.
 
-    Parameters
-    ----------
-    unit : CandidatePose
-        Sensor and pose.
-    max_range_m : float
-        See :func:`ground_rings`. [m]
-
-    Returns
-    -------
-    corners_m : (n, 2) float
-        Empty if there is none, and of every other sensor: its outline says where it sees. [m]
+    Shape (n, 2). Empty if there is none, and of every other sensor: its outline says where it sees.
+    [m]
     """
     if not is_wide(unit):
         return np.empty((0, 2))
@@ -89,15 +70,7 @@ def blind_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
 def ring_path(*outlines_m: FloatArray) -> Path:
     """Outlines as one shape to draw: what is inside the second one is a hole in the first.
 
-    Parameters
-    ----------
-    outlines_m : (n, 2) float
-        Counter-clockwise, not closed. [m]
-
-    Returns
-    -------
-    path : matplotlib.path.Path
-        Closed.
+    Outlines are (n, 2), counter-clockwise, not closed. [m]
     """
     rings = [
         Path(np.vstack([corners, corners[:1]])[:: -1 if index else 1], closed=True)

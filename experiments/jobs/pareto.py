@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pandas as pd
 
 from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
-from placement.optimiser import Fusion, PlacementProblem
+from placement.optimiser import PlacementProblem
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import Front, StageChoice
 from placement.optimiser.units_front import pareto_front
@@ -97,7 +97,7 @@ def run_pareto(
         plan.candidates,
         compute=compute,
     )
-    fusion = cast(Fusion, question.fusion)
+    fusion = question.fusion
     problem = build_problem(setting, plan.candidates, table, wishes=wishes, fusion=fusion)
     progress("front", 0, 0)
     n_kept = 0 if plan.kept is None else len(plan.kept.units)

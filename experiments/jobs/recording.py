@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -118,7 +118,7 @@ def run_recorded_placement(
     rule = build_rule(question)
     recording, everything = _evaluate(folder, rule, min_confidence, out, progress)
     n_units = len(recording.units)
-    budget_units, fusion = question.budget, cast(Fusion, question.fusion)
+    budget_units, fusion = question.budget, question.fusion
     if budget_units is None:
         raise InputError("--budget", Unquoted("nothing"), "units, beside a recording")
     if budget_units > n_units:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pandas as pd
 
@@ -11,7 +11,7 @@ from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.layout import Layout, check_layout, layout_records
-from placement.optimiser import Fusion, PlacementValue, is_better
+from placement.optimiser import PlacementValue, is_better
 from placement.pipeline import obtain_table
 from placement.planning import build_grid, build_plan
 from placement.question import Question
@@ -213,7 +213,7 @@ def run_retrofit(
         poses.candidates,
         table,
         wishes=wishes,
-        fusion=cast(Fusion, question.fusion),
+        fusion=question.fusion,
     )
     labour = load_labour() if visit_eur is None else _at_price(visit_eur)
     retrofit = find_retrofit(

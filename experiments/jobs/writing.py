@@ -29,7 +29,6 @@ from ..report import bill_of_materials
 from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from ..report.page import write_report
 from ..results.reading import MARKER
-from ..results.record import to_plain
 from ..results.result import Result
 from ..results.tables import apr_table, runs_table
 
@@ -213,7 +212,6 @@ def write_results(
     progress(WRITING, 0, 0)
     result = msgspec.structs.replace(result, seconds=progress.seconds.copy())
     subject = next(iter(evaluations.values()))
-    known = {key: value for key, value in to_plain(result).items() if value is not None}  # border
     with new_result_folder(folder) as new:
         layout = replace(subject.layout, scene_name=setting.scene.name)
         _write_text(new / "layout.json", to_json(layout))
@@ -238,7 +236,7 @@ def write_results(
         runs_table(evaluations).to_parquet(new / "runs.parquet")
         write_report(
             new,
-            known,
+            result,
             setting,
             evaluations,
             command=command,

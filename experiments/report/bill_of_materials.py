@@ -5,11 +5,13 @@ import io
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from geometry.catalogue import sensor_kind
 from geometry.scene import Scene
 from placement.layout import Layout
+
+from ..results.numbers import several
+from .section import Bullets, Section, Table
 
 UNKNOWN = "unknown"
 FILE_NAME = "bill_of_materials.csv"
@@ -87,16 +89,8 @@ def build_bill(
 ) -> BillOfMaterials:
     """What a layout takes.
 
-    Parameters
-    ----------
-    layout : Layout
-        What is mounted.
-    scene : Scene
-        Its sites and their costs. A cost or price of 0 has never been told: it is unknown.
-    site_cost_eur : float, optional
-        What was said instead for every site, 0 included. [EUR]
-    kept_ids : collection of str
-        Units that hang there already: neither they nor their sites are paid for.
+    A cost or price of 0 has never been told: it is unknown, unless `site_cost_eur` was said for
+    every site. Units of `kept_ids` hang there already: neither they nor their sites are paid for.
     """
     to_buy = Counter(unit.sensor.name for unit in layout.units if unit.id not in kept_ids)
     of_model = Counter(unit.sensor.name for unit in layout.units)
@@ -151,7 +145,7 @@ def _told(price_eur: float) -> float | None:
     return price_eur if price_eur > 0.0 else None
 
 
-# ---------------------------------------------------------------- as a file
+# ---------- as a file
 
 
 def bill_of_materials_csv(bill: BillOfMaterials) -> str:
@@ -176,7 +170,7 @@ def bill_of_materials_csv(bill: BillOfMaterials) -> str:
     return file.getvalue()
 
 
-# ---------------------------------------------------------------- in the report
+# ---------- in the report
 
 
 def bill_sentences(bill: BillOfMaterials) -> list[str]:
@@ -189,7 +183,7 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
     if len(unknown) == len(items):
         return ["No price is known."]
     what = " and ".join(
-        f"{count} {one if count == 1 else many}"
+        several(count, one, many)
         for count, one, many in (
             (sum(item.part == "sensor" for item in unknown), "sensor model", "sensor models"),
             (
@@ -206,71 +200,80 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
     ]
 
 
-def bill_tables(bill: BillOfMaterials) -> list[dict[str, Any]]:
-    """Sensors by model, and sites: caption, columns, rows, and which columns are numbers."""
+def bill_tables(bill: BillOfMaterials) -> list[Table]:
+    """Sensors by model, and sites; each with a row for all together."""
     has_kept = any(item.count < item.n_units for item in bill.sensors)
-    return [
-        {
-            "caption": "Sensors",
-            "columns": [
-                "model",
-                "kind",
-                "units",
-                *(["to buy"] if has_kept else []),
-                "price of one (EUR)",
-                "sum (EUR)",
-            ],
-            "rows": [
-                *(
-                    [
-                        item.name,
-                        item.kind,
-                        str(item.n_units),
-                        *([str(item.count)] if has_kept else []),
-                        _or_unknown(item.price_eur),
-                        _or_unknown(item.sum_eur),
-                    ]
-                    for item in bill.sensors
-                ),
+
+    def to_buy(count: int) -> list[str]:
+        return [str(count)] if has_kept else []
+
+    sensors = Table(
+        caption="Sensors",
+        columns=[
+            "model",
+            "kind",
+            "units",
+            *(["to buy"] if has_kept else []),
+            "price of one (EUR)",
+            "sum (EUR)",
+        ],
+        rows=[
+            *(
                 [
-                    "all",
-                    "",
-                    str(sum(item.n_units for item in bill.sensors)),
-                    *([str(sum(item.count for item in bill.sensors))] if has_kept else []),
-                    "",
-                    _total([item.sum_eur for item in bill.sensors]),
-                ],
+                    item.name,
+                    item.kind,
+                    str(item.n_units),
+                    *to_buy(item.count),
+                    _or_unknown(item.price_eur),
+                    _or_unknown(item.sum_eur),
+                ]
+                for item in bill.sensors
+            ),
+            [
+                "all",
+                "",
+                str(sum(item.n_units for item in bill.sensors)),
+                *to_buy(sum(item.count for item in bill.sensors)),
+                "",
+                _total([item.sum_eur for item in bill.sensors]),
             ],
-            "numeric": range(2, 6),
-        },
-        {
-            "caption": "Sites",
-            "columns": ["site", "kind", "units", "making it ready (EUR)"],
-            "rows": [
-                *(
-                    [
-                        item.name,
-                        item.kind,
-                        str(item.n_units),
-                        "there already" if item.count == 0 else _or_unknown(item.sum_eur),
-                    ]
-                    for item in bill.sites
-                ),
+        ],
+        numeric=range(2, 6),
+    )
+    sites = Table(
+        caption="Sites",
+        columns=["site", "kind", "units", "making it ready (EUR)"],
+        rows=[
+            *(
                 [
-                    "all",
-                    "",
-                    str(sum(item.n_units for item in bill.sites)),
-                    _total([item.sum_eur for item in bill.sites]),
-                ],
+                    item.name,
+                    item.kind,
+                    str(item.n_units),
+                    "there already" if item.count == 0 else _or_unknown(item.sum_eur),
+                ]
+                for item in bill.sites
+            ),
+            [
+                "all",
+                "",
+                str(sum(item.n_units for item in bill.sites)),
+                _total([item.sum_eur for item in bill.sites]),
             ],
-            "numeric": range(2, 4),
-        },
-    ]
+        ],
+        numeric=range(2, 4),
+    )
+    return [sensors, sites]
 
 
-def bill_part(bill: BillOfMaterials) -> dict[str, Any]:
-    """What ``templates/bill_of_materials.html.j2`` shows."""
-    return {"sentences": bill_sentences(bill), "tables": bill_tables(bill), "not_in_it": NOT_IN_IT}
+def bill_section(bill: BillOfMaterials) -> Section:
+    """What has to be bought, as far as it is known, and what is not in the bill."""
+    note = (
+        "Prices are those of the sensor catalogue, for one outdoor unit with its housing; what "
+        "comes with this program are orders of magnitude. “Unknown” has not been told to this "
+        "program; it is not zero. Not in the bill:"
+    )
+    blocks = [" ".join(bill_sentences(bill)), *bill_tables(bill), note, Bullets(NOT_IN_IT)]
+    return Section("bill", "Bill of materials", blocks)
 
 
 def _total(values: Sequence[float | None]) -> str:

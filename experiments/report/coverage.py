@@ -7,13 +7,15 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
+from geometry.junction import COMPASS
 from geometry.scene import Scene
-from placement.ground_coverage import BANDS, GroundCoverage
+from placement.ground_coverage import BANDS, GroundCoverage, find_ground_coverage
 from placement.layout import Layout
 
-from ..figures.axes import WIDTH_IN, new_axes
+from ..figures.axes import WIDTH_IN, finish_axes, new_axes
 from ..figures.plan import CLASS_STYLES, draw_scene
-from ..results.numbers import percent
+from ..results.numbers import NOTHING, percent
+from .section import Section, Table, build_picture
 
 # One hue from light to dark: in greyscale the order stays.
 _SHADES = ("#ffffff", "#f1eef6", "#d0d1e6", "#a6bddb", "#67a9cf", "#3690c0", "#016c59", "#014636")
@@ -57,8 +59,7 @@ def plot_coverage(
     axes.set_xlim(extent[0], extent[1])
     axes.set_ylim(extent[2], extent[3])
     axes.set_aspect("equal")
-    axes.set_xlabel("east (m); north is up", fontsize=9)
-    axes.tick_params(labelsize=8)
+    finish_axes(axes, x="east (m); north is up", size=9, hidden=())
     names = ["unseen", "coarser", *(name for name, _ in reversed(BANDS))]
     lows = ["", "", *(f", from {least:g} px/m" for _, least in reversed(BANDS))]
     axes.legend(
@@ -79,11 +80,37 @@ def plot_coverage(
     return axes
 
 
+def coverage_section(scene: Scene, layout: Layout) -> Section:
+    """What the cameras see of the roads: a sentence, a table, a map."""
+    coverage = find_ground_coverage(scene, layout.units)
+    sentence, rows = coverage_sentence(coverage), coverage_rows(coverage.shares())
+    table = Table(
+        caption="Share of the road within 45 m, by what its pixels would allow in surveillance",
+        columns=["band", "at least", "share"],
+        rows=rows,
+        numeric=range(1, 3),
+    )
+    picture = build_picture(
+        plot_coverage(coverage, scene, layout),
+        title="Pixel density on the road",
+        caption="Of the camera that sees a place most finely, one metre above the road; "
+        "nothing parks or drives. Bands of EN IEC 62676-4. Triangles: cameras.",
+        alt=f"Map of the roads by pixel density. {sentence} "
+        + "; ".join(f"{name}: {share}" for name, _, share in rows)
+        + ".",
+    )
+    note = (
+        f"{sentence} How finely a place is seen does not decide who is saved: the detections above "
+        "do."
+    )
+    return Section("road", "What the cameras see of the road", [note, table, picture])
+
+
 def coverage_rows(shares: Mapping[str, float]) -> list[list[str]]:
     """A row per band that has any ground: name, least density, share of the road."""
     least = dict(BANDS)
     return [
-        [name, f"{least[name]:g} px/m" if name in least else "\N{EN DASH}", percent(share)]
+        [name, f"{least[name]:g} px/m" if name in least else NOTHING, percent(share)]
         for name, share in shares.items()
         if share > 0.0
     ]
@@ -102,8 +129,6 @@ def coverage_sentence(coverage: GroundCoverage) -> str:
 
 def _largest_blind_spot(coverage: GroundCoverage) -> tuple[float, str] | None:
     from scipy.ndimage import label
-
-    from geometry.junction import COMPASS
 
     unseen = coverage.is_road & (coverage.density == 0.0)
     regions, n_regions = label(unseen)

@@ -1,17 +1,27 @@
-"""Why these poses, what they miss, what else would do: as tables, and in short for a terminal."""
+"""Why these poses, what they miss, what else would do: in sentences, tables and sections."""
 
 import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-from ..results.numbers import NOTHING, count_runs, number, percent
-from .answer import STAGES
+from msgspec import UnsetType
 
-# ---------- why these poses, what they miss, what else would do: in sentences
+from placement.optimiser.objectives import Objective
+
+from ..results.explanations import (
+    ContributionRecord,
+    ExplainedRecord,
+    MissedReasonRecord,
+    MissedRunRecord,
+    PoolRecord,
+)
+from ..results.numbers import NOTHING, count_runs, first_of, number, percent
+from .section import Block, Section, Table
+
+# ---------- in sentences
 
 
-OUTCOMES: Mapping[str, str] = {
+OUTCOMES = {
     "hopeless": "too short for any unit",
     "never seen": "never seen",
     "never confirmed": "seen, but never long enough",
@@ -28,20 +38,14 @@ _CAUSES = {
 }
 
 
-def contribution_sentences(explained: Mapping[str, Any]) -> list[str]:
-    """Which units something hangs on, in sentences.
-
-    Parameters
-    ----------
-    explained : mapping
-        By :func:`.summarise_explanations`.
-    """
-    parts = explained["contributions"]
+def contribution_sentences(explained: ExplainedRecord) -> list[str]:
+    """Which units something hangs on, in sentences."""
+    parts = explained.contributions
     if is_nothing_avoided(parts):
         return [f"{'This unit avoids' if len(parts) == 1 else 'These units avoid'} nothing."]
     if len(parts) == 1:
         return ["Everything that is avoided hangs on this one unit."]
-    needed = [part for part in parts if part["only_runs"]]
+    needed = [part for part in parts if part.only_runs]
     if not needed:
         others = "the other avoids" if len(parts) == 2 else "the others avoid"
         return [
@@ -54,33 +58,19 @@ def contribution_sentences(explained: Mapping[str, Any]) -> list[str]:
     return [f"Of {len(parts)} units, {len(needed)} {verb} runs that no other one saves."]
 
 
-def is_nothing_avoided(parts: Sequence[Mapping[str, Any]]) -> bool:
+def is_nothing_avoided(parts: Sequence[ContributionRecord]) -> bool:
     """Whether units avoid nothing together."""
-    return all(part["without"]["apr"] + part["marginal_apr"] <= 0.0 for part in parts)
+    return all(part.without.apr + part.marginal_apr <= 0.0 for part in parts)
 
 
-def missed_sentences(explained: Mapping[str, Any]) -> list[str]:
-    """How many runs are not avoided, and what is most often in the way.
-
-    Parameters
-    ----------
-    explained : mapping
-        By :func:`.summarise_explanations`.
-    """
-    return [*missed_counts(explained), *_causes_and_remedies(explained["not_avoided"])]
+def missed_sentences(explained: ExplainedRecord) -> list[str]:
+    """How many runs are not avoided, and what is most often in the way."""
+    return [*missed_counts(explained), *_causes_and_remedies(explained.not_avoided)]
 
 
-def missed_counts(explained: Mapping[str, Any], *, with_outcomes: bool = True) -> list[str]:
-    """How many runs are not avoided, and how many are left out.
-
-    Parameters
-    ----------
-    explained : mapping
-        By :func:`.summarise_explanations`.
-    with_outcomes : bool
-        Say what became of them, too.
-    """
-    missed, n_without = explained["not_avoided"], explained["runs_without_weight"]
+def missed_counts(explained: ExplainedRecord, *, with_outcomes: bool = True) -> list[str]:
+    """How many runs are not avoided, what became of them, and how many are left out."""
+    missed, n_without = explained.not_avoided, explained.runs_without_weight
     which = "every run that counts" if n_without else "every run"
     sentences = [f"On the detection table, {which} is avoided."]
     if missed:
@@ -94,24 +84,24 @@ def missed_counts(explained: Mapping[str, Any], *, with_outcomes: bool = True) -
     return sentences
 
 
-def _outcomes(missed: Sequence[Mapping[str, Any]]) -> str:
-    counts = Counter(entry["outcome"] for entry in missed)
+def _outcomes(missed: Sequence[MissedRunRecord]) -> str:
+    counts = Counter(entry.outcome for entry in missed)
     if len(counts) == 1:
-        words = OUTCOMES[missed[0]["outcome"]]
+        words = OUTCOMES[missed[0].outcome]
         return words if len(missed) == 1 else f"all {words}"
     return ", ".join(f"{count} {OUTCOMES[outcome]}" for outcome, count in counts.most_common())
 
 
-def _causes_and_remedies(missed: Sequence[Mapping[str, Any]]) -> list[str]:
+def _causes_and_remedies(missed: Sequence[MissedRunRecord]) -> list[str]:
     sentences = []
-    causes = Counter(cause(entry["reasons"][0]) for entry in missed if entry["reasons"])
+    causes = Counter(cause(entry.reasons[0]) for entry in missed if entry.reasons)
     if causes:
         words, n_runs = causes.most_common(1)[0]
         if len(missed) == 1:
             sentences.append(f"The main cause: {words}.")
         elif len(causes) == 1 or n_runs > 1:  # else each run has a cause of its own
             sentences.append(f"The most frequent cause: {words}, in {count_runs(n_runs)}.")
-    n_saved = sum(entry["rescue"] is not None for entry in missed)
+    n_saved = sum(entry.rescue is not None for entry in missed)
     if n_saved:
         which = f"{count_runs(n_saved)} could{' each' if n_saved > 1 else ''}"
         if len(missed) == 1:
@@ -122,43 +112,31 @@ def _causes_and_remedies(missed: Sequence[Mapping[str, Any]]) -> list[str]:
     return sentences
 
 
-def cause(reason: Mapping[str, Any]) -> str:
-    """Why a unit does not detect the road user, in words.
-
-    Parameters
-    ----------
-    reason : mapping
-        ``{"cause", "thing", "frames"}`` of :func:`.summarise_explanations`.
-    """
-    if reason["cause"] == "hidden":
-        return f"hidden by {reason['thing']}"
-    return _CAUSES[reason["cause"]]
+def cause(reason: MissedReasonRecord) -> str:
+    """Why a unit does not detect the road user, in words."""
+    if reason.cause == "hidden":
+        return f"hidden by {reason.thing}"
+    return _CAUSES[reason.cause]
 
 
-def pool_sentences(explained: Mapping[str, Any]) -> list[str]:
-    """How much there is to choose from; nothing where nobody has looked.
-
-    Parameters
-    ----------
-    explained : mapping
-        By :func:`.summarise_explanations`.
-    """
-    pool = explained["pool"]
+def pool_sentences(explained: ExplainedRecord) -> list[str]:
+    """How much there is to choose from; nothing where nobody has looked."""
+    pool = explained.pool
     if pool is None:
         return []
-    stage, within = STAGES.get(pool["stage"], pool["stage"]), pool["within"]
+    stage, within = Objective(pool.stage).label, pool.within
     worth = f"the best {stage}"
-    if pool["stage"] in ("units", "cost_eur"):
+    if pool.stage in ("units", "cost_eur"):
         worth = f"the least {stage}"
-    if not pool["is_complete"]:
+    if not pool.is_complete:
         return [
             f"Found by exchanging units one for one: {count_layouts(within)} with {worth}. There "
             "may be more, and better ones among them in what comes after."
         ]
     sentences = [f"All choices were gone through: {count_layouts(within)} with {worth}."]
-    if within > len(pool["sets"]):
-        sentences.append(_listed(len(pool["sets"])))
-    always = [site["site"] for site in pool["sites"] if site["share"] == 1.0]
+    if within > len(pool.sets):
+        sentences.append(_listed(len(pool.sets)))
+    always = [site.site for site in pool.sites if site.share == 1.0]
     if always and within > 1:
         sentences.append(f"Each of them has a unit at {', '.join(always)}.")
     return sentences
@@ -173,36 +151,22 @@ def count_layouts(count: int) -> str:
     return "1 layout" if count == 1 else f"{count:,} layouts"
 
 
-# ---------- why these poses
+# ---------- in tables
 
 
 _WIDTH = 80
 _MAX_RUNS, _MAX_MISSED, _MAX_SETS, _MAX_SITES = 3, 8, 5, 8
 _MAX_REASONS = 2
-
-# ---------------------------------------------------------------- why these
+_MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
 
 
 def contribution_table(
-    explained: Mapping[str, Any], labels: Mapping[str, str] | None = None
-) -> dict[str, Any]:
-    """What each unit is there for: a row each.
-
-    Parameters
-    ----------
-    explained : mapping
-        By :func:`.summarise_explanations`.
-    labels : mapping of str to str, optional
-        Short names of the units, by id.
-
-    Returns
-    -------
-    table : dict
-        Caption, columns and rows.
-    """
-    return {
-        "caption": "What each unit is there for, on the detection table",
-        "columns": [
+    explained: ExplainedRecord, labels: Mapping[str, str] | None = None
+) -> Table:
+    """What each unit is there for: a row each; `labels` are short names of the units, by id."""
+    return Table(
+        caption="What each unit is there for, on the detection table",
+        columns=[
             "unit",
             "runs that only it saves",
             "APR it adds",
@@ -213,99 +177,75 @@ def contribution_table(
             "later, at most (s)",
             "its part in first confirmations",
         ],
-        "rows": [
+        rows=[
             [
-                (labels or {}).get(part["unit"], part["unit"]),
-                str(len(part["only_runs"])),
-                percent(part["marginal_apr"]),
-                percent(part["without"]["apr"]),
-                _of_others(part, part["without"]["smallest_margin_s"]),
-                _of_others(part, part["without"]["mean_margin_s"]),
-                _of_others(part, part["mean_delay_s"]),
-                _of_others(part, part["max_delay_s"]),
-                percent(part["first_share"]),
+                (labels or {}).get(part.unit, part.unit),
+                str(len(part.only_runs)),
+                percent(part.marginal_apr),
+                percent(part.without.apr),
+                _of_others(part, part.without.smallest_margin_s),
+                _of_others(part, part.without.mean_margin_s),
+                _of_others(part, part.mean_delay_s),
+                _of_others(part, part.max_delay_s),
+                percent(part.first_share),
             ]
-            for part in explained["contributions"]
+            for part in explained.contributions
         ],
-    }
+        numeric=range(1, 9),
+    )
 
 
-def _of_others(part: Mapping[str, Any], value_s: float) -> str:
+def _of_others(part: ContributionRecord, value_s: float) -> str:
     """A time of what the others avoid; there is none where they avoid nothing."""
-    return number(value_s) if part["without"]["apr"] > 0.0 else NOTHING
+    return number(value_s) if part.without.apr > 0.0 else NOTHING
 
 
-# ---------------------------------------------------------------- what they miss
-
-
-def missed_table(explained: Mapping[str, Any]) -> dict[str, Any]:
-    """Runs that are not avoided, why, and what would save them: a row each.
-
-    Parameters
-    ----------
-    explained : mapping
-        By :func:`.summarise_explanations`.
-
-    Returns
-    -------
-    table : dict
-        Caption, columns and rows.
-    """
-    return {
-        "caption": "Runs that are not avoided, on the detection table",
-        "columns": ["run", "outcome", "why", "nearest further unit that would save it"],
-        "rows": [
-            [entry["run"], _outcome(entry), _why(entry), _rescue(entry)]
-            for entry in explained["not_avoided"]
+def missed_table(explained: ExplainedRecord) -> Table:
+    """Runs that are not avoided, why, and what would save them: a row each, to unfold."""
+    n_runs = len(explained.not_avoided)
+    return Table(
+        caption="Runs that are not avoided, on the detection table",
+        columns=["run", "outcome", "why", "nearest further unit that would save it"],
+        rows=[
+            [entry.run, _outcome(entry), _why(entry), _rescue(entry)]
+            for entry in explained.not_avoided
         ],
-    }
+        summary=f"{count_runs(n_runs)}: why, and what would save {'it' if n_runs == 1 else 'them'}",
+        is_open=n_runs <= _MAX_UNFOLDED,
+    )
 
 
-def _outcome(entry: Mapping[str, Any]) -> str:
-    words: str = OUTCOMES[entry["outcome"]]
-    if entry["outcome"] != "too late":
+def _outcome(entry: MissedRunRecord) -> str:
+    words: str = OUTCOMES[entry.outcome]
+    if entry.outcome != "too late":
         return words
-    return f"{words}, by {number(entry['late_s'])} s"
+    return f"{words}, by {number(entry.late_s)} s"
 
 
-def _why(entry: Mapping[str, Any]) -> str:
-    if entry["outcome"] == "hopeless":
+def _why(entry: MissedRunRecord) -> str:
+    if entry.outcome == "hopeless":
         return "the road user is there too late for any confirmation in time"
     reasons = "; ".join(
-        f"{cause(reason)} in {reason['frames']} of {entry['frames_in_time']} frames"
-        for reason in entry["reasons"][:_MAX_REASONS]
+        f"{cause(reason)} in {reason.frames} of {entry.frames_in_time} frames"
+        for reason in entry.reasons[:_MAX_REASONS]
     )
-    return f"for {entry['unit']}: {reasons}" if reasons else "seen, but with gaps"
+    return f"for {entry.unit}: {reasons}" if reasons else "seen, but with gaps"
 
 
-def _rescue(entry: Mapping[str, Any]) -> str:
-    rescue = entry["rescue"]
+def _rescue(entry: MissedRunRecord) -> str:
+    rescue = entry.rescue
     if rescue is None:
         return NOTHING
-    away = rescue["distance_m"]
+    away = rescue.distance_m
     where = "at the same mount" if away == 0.0 else f"{number(away, 1)} m away"
-    return f"{rescue['unit']}, {where}, {number(rescue['margin_s'])} s to spare"
+    return f"{rescue.unit}, {where}, {number(rescue.margin_s)} s to spare"
 
 
-# ---------------------------------------------------------------- what else would do
-
-
-def pool_table(explained: Mapping[str, Any]) -> dict[str, Any]:
-    """Layouts that are as good, or nearly: a row each, the best first.
-
-    Parameters
-    ----------
-    explained : mapping
-        By :func:`.summarise_explanations`; its pool is there.
-
-    Returns
-    -------
-    table : dict
-        Caption, columns and rows.
-    """
-    return {
-        "caption": "Layouts as good, the best first",
-        "columns": [
+def pool_table(pool: PoolRecord) -> Table:
+    """Layouts that are as good: a row each, the best first."""
+    return Table(
+        caption="Layouts as good, the best first",
+        columns=[
             "layout",
             "APR",
             "if the most needed unit fails",
@@ -313,46 +253,40 @@ def pool_table(explained: Mapping[str, Any]) -> dict[str, Any]:
             "mean time to spare (s)",
             "cost (EUR)",
         ],
-        "rows": [
+        rows=[
             [
-                " + ".join(entry["units"]),
-                percent(entry["apr"]),
-                percent(entry["apr_one_failed"]),
-                number(entry["smallest_margin_s"]),
-                number(entry["mean_margin_s"]),
-                f"{entry['cost_eur']:,.0f}",
+                " + ".join(entry.units),
+                percent(entry.apr),
+                percent(entry.apr_one_failed),
+                number(entry.smallest_margin_s),
+                number(entry.mean_margin_s),
+                f"{entry.cost_eur:,.0f}",
             ]
-            for entry in explained["pool"]["sets"]
+            for entry in pool.sets
         ],
-    }
+        numeric=range(1, 6),
+    )
 
 
-def site_table(explained: Mapping[str, Any]) -> dict[str, Any]:
-    """How often each site appears in the layouts that are as good: a row each."""
-    pool = explained["pool"]
-    whole = "all " if pool["is_complete"] else "the listed "
-    if pool["within"] == 1:
+def site_table(pool: PoolRecord) -> Table:
+    """How often each site carries a unit in the layouts that are as good: a row each."""
+    whole = "all " if pool.is_complete else "the listed "
+    if pool.within == 1:
         whole = ""
-    layouts = f"{whole}{count_layouts(pool['within'])}"
-    return {
-        "caption": f"How often each site carries a unit, of {layouts}",
-        "columns": ["site", "share of the layouts"],
-        "rows": [[site["site"], percent(site["share"])] for site in pool["sites"]],
-    }
+    return Table(
+        caption=f"How often each site carries a unit, of {whole}{count_layouts(pool.within)}",
+        columns=["site", "share of the layouts"],
+        rows=[[site.site, percent(site.share)] for site in pool.sites],
+        numeric=[1],
+    )
 
 
-# ---------------------------------------------------------------- for a terminal
+# ---------- for a terminal
 
 
-def explanation_text(explained: Mapping[str, Any]) -> str:
-    """All of it in short, at most 80 columns wide.
-
-    Parameters
-    ----------
-    explained : mapping
-        By :func:`.summarise_explanations`.
-    """
-    parts = explained["contributions"]
+def explanation_text(explained: ExplainedRecord) -> str:
+    """All of it in short, at most 80 columns wide."""
+    parts = explained.contributions
     these = "this unit" if len(parts) == 1 else "these units"
     lines = [f"Why {these}, on the detection table:"]
     if is_nothing_avoided(parts):
@@ -360,7 +294,7 @@ def explanation_text(explained: Mapping[str, Any]) -> str:
     else:
         for part in parts:
             lines += _wrapped(_in_short(part, n_units=len(parts)))
-    groups = _alike(explained["not_avoided"])
+    groups = _alike(explained.not_avoided)
     told = missed_sentences(explained)
     if len(groups) == 1:  # the line about them says it all: once is enough
         told = missed_counts(explained, with_outcomes=False)
@@ -368,62 +302,55 @@ def explanation_text(explained: Mapping[str, Any]) -> str:
     for group in groups[:_MAX_MISSED]:
         lines += _wrapped(_missed_in_short(group))
     lines += _and_more(sum(map(len, groups[_MAX_MISSED:])))
-    if explained["pool"] is not None:
+    if explained.pool is not None:
         lines += ["", *_wrapped(" ".join(pool_sentences(explained)), indent="")]
-        sets = explained["pool"]["sets"]
+        sets = explained.pool.sets
         for entry in sets[:_MAX_SETS]:
             lines += _wrapped(
-                f"{' + '.join(entry['units'])}: APR {percent(entry['apr'])}, if one fails "
-                f"{percent(entry['apr_one_failed'])}, {entry['smallest_margin_s']:.2f} s to spare"
+                f"{' + '.join(entry.units)}: APR {percent(entry.apr)}, if one fails "
+                f"{percent(entry.apr_one_failed)}, {entry.smallest_margin_s:.2f} s to spare"
             )
         lines += _and_more(len(sets) - _MAX_SETS)
         sites = ", ".join(
-            f"{site['site']} {percent(site['share'])}"
-            for site in explained["pool"]["sites"][:_MAX_SITES]
+            f"{site.site} {percent(site.share)}" for site in explained.pool.sites[:_MAX_SITES]
         )
         lines += _wrapped(f"sites: {sites}")
     return "\n".join(lines)
 
 
-def _alike(missed: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]]:
+def _alike(missed: Sequence[MissedRunRecord]) -> list[list[MissedRunRecord]]:
     """Runs that have the same said of them, but for numbers; the largest group first."""
-    groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
+    groups: dict[tuple[str, ...], list[MissedRunRecord]] = {}
     for entry in missed:
-        because = cause(entry["reasons"][0]) if entry["reasons"] else ""
-        rescue = entry["rescue"]["unit"] if entry["rescue"] else ""
-        groups.setdefault((entry["outcome"], entry["unit"], because, rescue), []).append(entry)
+        because = cause(entry.reasons[0]) if entry.reasons else ""
+        rescue = entry.rescue.unit if entry.rescue else ""
+        groups.setdefault((entry.outcome, entry.unit, because, rescue), []).append(entry)
     return sorted(groups.values(), key=len, reverse=True)
 
 
-def _missed_in_short(group: Sequence[Mapping[str, Any]]) -> str:
+def _missed_in_short(group: Sequence[MissedRunRecord]) -> str:
     first = group[0]
-    runs = _first_runs([entry["run"] for entry in group])
-    words = f"{runs}: {OUTCOMES[first['outcome']]}"
-    if first["reasons"]:
-        words += f"; for {first['unit']} {cause(first['reasons'][0])}"
-    rescue = first["rescue"]
-    return words if rescue is None else f"{words}; would be saved by {rescue['unit']}"
+    runs = first_of([entry.run for entry in group], _MAX_RUNS)
+    words = f"{runs}: {OUTCOMES[first.outcome]}"
+    if first.reasons:
+        words += f"; for {first.unit} {cause(first.reasons[0])}"
+    rescue = first.rescue
+    return words if rescue is None else f"{words}; would be saved by {rescue.unit}"
 
 
-def _first_runs(runs: Sequence[str]) -> str:
-    listed = ", ".join(runs[:_MAX_RUNS])
-    left = len(runs) - _MAX_RUNS
-    return f"{listed} and {left} more" if left > 0 else listed
-
-
-def _in_short(part: Mapping[str, Any], *, n_units: int) -> str:
-    unit, runs = part["unit"], part["only_runs"]
-    saved = f"{count_runs(len(runs))} ({_first_runs(runs)})"
+def _in_short(part: ContributionRecord, *, n_units: int) -> str:
+    unit, runs = part.unit, part.only_runs
+    saved = f"{count_runs(len(runs))} ({first_of(runs, _MAX_RUNS)})"
     if n_units == 1:
-        return f"{unit}: saves {saved}, an APR of {percent(part['marginal_apr'])}"
+        return f"{unit}: saves {saved}, an APR of {percent(part.marginal_apr)}"
     words = f"{unit}: no run hangs on it alone"
     if runs:
-        points = number(100.0 * part["marginal_apr"], 1)
+        points = number(100.0 * part.marginal_apr, 1)
         words = f"{unit}: only it saves {saved}, {points} points of the APR"
-    if part["without"]["apr"] == 0.0:
+    if part.without.apr == 0.0:
         return words
     what = "the other saves" if n_units == 2 else "the others save"
-    delay = number(part["mean_delay_s"])
+    delay = number(part.mean_delay_s)
     when = "as early" if delay == number(0.0) else f"{delay} s later on average"
     return f"{words}; without it what {what} is confirmed {when}"
 
@@ -442,32 +369,44 @@ def _and_more(count: int) -> list[str]:
     return [f"  and {count} more in summary.json"] if count > 0 else []
 
 
-def report_part(
-    explained: Mapping[str, Any] | None, labels: Mapping[str, str]
-) -> dict[str, Any] | None:
-    """What ``templates/explanations.html.j2`` shows.
+# ---------- sections of the report
 
-    Parameters
-    ----------
-    explained : mapping or None
-        By :func:`.summarise_explanations`; None: nothing is explained.
-    labels : mapping of str to str
-        Short names of the layout's units, by id.
+
+def explanation_sections(
+    explained: ExplainedRecord | UnsetType, labels: Mapping[str, str]
+) -> list[Section]:
+    """Why these poses, what they miss, what else would do; none where nothing was optimised.
+
+    `labels` are short names of the layout's units, by id.
     """
-    if explained is None:
-        return None
-    has_pool = explained["pool"] is not None
-    return {
-        "why": contribution_sentences(explained),
-        "contributions": contribution_table(explained, labels),
-        "missed_text": missed_sentences(explained),
-        "missed": missed_table(explained),
-        "missed_summary": _missed_summary(len(explained["not_avoided"])),
-        "pool_text": pool_sentences(explained),
-        "pool": pool_table(explained) if has_pool else None,
-        "sites": site_table(explained) if has_pool else None,
-    }
-
-
-def _missed_summary(n_runs: int) -> str:
-    return f"{count_runs(n_runs)}: why, and what would save {'it' if n_runs == 1 else 'them'}"
+    if not explained:
+        return []
+    reasons = ["Each unit is taken away in turn, on the detection table."]
+    sections = [
+        Section(
+            "why",
+            "Why these poses",
+            [
+                " ".join([*reasons, *contribution_sentences(explained)]),
+                contribution_table(explained, labels),
+                "A unit's part in first confirmations: each frame of the window that confirms a "
+                "road user first is shared by the units that detect in it.",
+            ],
+        )
+    ]
+    missed: list[Block] = [" ".join(missed_sentences(explained))]
+    if explained.not_avoided:
+        missed += [
+            missed_table(explained),
+            "Told of the unit nearest to the road user that looks there, for the frames from which "
+            "braking in time could follow. “Hidden by” names what most of the blocked rays meet "
+            "first; without it the road user would be detected. A further unit is one of the "
+            "candidate poses, mounted beside these; its price is not asked for.",
+        ]
+    sections.append(Section("missed", "Runs that are not avoided", missed))
+    if explained.pool is not None:
+        pool = [" ".join(pool_sentences(explained)), pool_table(explained.pool)]
+        sections.append(
+            Section("pool", "Other layouts as good", [*pool, site_table(explained.pool)])
+        )
+    return sections

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from placement.evaluation import Evaluation
 from placement.explain.failures import (
@@ -13,25 +12,17 @@ from placement.explain.failures import (
 )
 from scenarios.aeb import AebRule
 
-from ..results.numbers import NOTHING, count_runs, number, percent
+from ..results.numbers import NOTHING, count_runs, first_of, milliseconds, number, percent
+from .section import Section, Table
 
 MAX_ROWS = 12
 """Rows of a table: beyond, only the worst are shown."""
 
 _MAX_RUNS = 4
-_MS = 1000.0
 
 
 def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
-    """What the failure of any one unit, and of any two, leaves.
-
-    Parameters
-    ----------
-    failures : Failures
-        Of a layout.
-    labels : mapping of str to str
-        Short names of the units, by id.
-    """
+    """What the failure of any one unit, and of any two, leaves; `labels` are short names by id."""
     whole, n_units = failures.none_failed, len(failures.one_failed)
     if n_units == 1:
         return [
@@ -53,7 +44,7 @@ def _one_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
         least_s = min(item.smallest_margin_s for item in failures.one_failed)
         if math.isnan(least_s):  # there is no such run
             return [f"{text}."]
-        return [f"{text}; the least time to spare is then {_ms(least_s)}."]
+        return [f"{text}; the least time to spare is then {milliseconds(least_s)}."]
     text = (
         f"If {_names(worst, labels)} fails, the others still prevent {percent(worst.apr)}; "
         f"{count_runs(len(worst.lost_run_ids))} {_verb(len(worst.lost_run_ids))} lost. "
@@ -82,91 +73,60 @@ def _two_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
 
 def failure_table(
     failures: Sequence[Failure], labels: Mapping[str, str], *, n_together: int
-) -> dict[str, Any]:
-    """A row per failure, the worst first.
+) -> Table:
+    """A row per failure of one unit, or of two at once, the worst first.
 
-    Parameters
-    ----------
-    failures : sequence of Failure
-        Of one unit each, or of two.
-    labels : mapping of str to str
-        Short names of the units, by id.
-    n_together : int
-        1 or 2: how many units fail at once.
-
-    Returns
-    -------
-    table : dict
-        Caption, columns and rows, at most ``MAX_ROWS``; the caption says what is left out.
+    It has at most ``MAX_ROWS`` rows; the caption says what is left out.
     """
     what, many = ("one unit fails", "units") if n_together == 1 else ("two units fail", "pairs")
     caption = f"If {what}"
     if len(failures) > MAX_ROWS:
         caption += f": the {MAX_ROWS} worst of {len(failures)} {many}"
-    return {
-        "caption": caption,
-        "columns": [
+    return Table(
+        caption=caption,
+        columns=[
             "fails" if n_together == 1 else "fail",
             "APR of the rest",
             "smallest margin of the rest (ms)",
             "runs lost",
             "which",
         ],
-        "rows": [
+        rows=[
             [
                 _names(item, labels),
                 percent(item.apr),
-                number(item.smallest_margin_s * _MS, 0),
+                number(1000.0 * item.smallest_margin_s, 0),
                 str(len(item.lost_run_ids)),
-                _first_runs(item.lost_run_ids),
+                first_of(item.lost_run_ids, _MAX_RUNS) or NOTHING,
             ]
             for item in failures[:MAX_ROWS]
         ],
-    }
+        numeric=range(1, 4),
+    )
 
 
-def failures_part(
-    evaluation: Evaluation, rule: AebRule, labels: Mapping[str, str]
-) -> dict[str, Any]:
-    """What ``templates/failures.html.j2`` shows.
+def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str, str]) -> Section:
+    """What is left if a unit fails, or two.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of the layout that is reported.
-    rule : AebRule
-        Confirmation and latency.
-    labels : mapping of str to str
-        Short names of its units, by id.
-
-    Returns
-    -------
-    part : dict
-        Sentences, and tables of single failures and of pairs; none of pairs where they say nothing
-        new or are not looked at.
+    There is no table of pairs where it says nothing new, or where pairs are not looked at. `labels`
+    are short names of the units, by id.
     """
     failures = find_failures(evaluation, rule)
     tables = [failure_table(failures.one_failed, labels, n_together=1)]
     if len(failures.two_failed) > 1:
         tables.append(failure_table(failures.two_failed, labels, n_together=2))
-    return {"sentences": failure_sentences(failures, labels), "tables": tables}
+    note = (
+        "Roadside units only, from what the evaluator sees with each; what the car sees by itself "
+        "comes on top. A run is lost if all units together avoid it and those that are left do "
+        "not; the fastest ones are named first."
+    )
+    sentences = " ".join(failure_sentences(failures, labels))
+    return Section("failures", "If a unit fails", [sentences, *tables, note])
 
 
 def _names(failure: Failure, labels: Mapping[str, str]) -> str:
     return " and ".join(labels.get(unit_id, unit_id) for unit_id in failure.unit_ids)
 
 
-def _first_runs(run_ids: Sequence[str]) -> str:
-    if not run_ids:
-        return NOTHING
-    listed = ", ".join(run_ids[:_MAX_RUNS])
-    n_left = len(run_ids) - _MAX_RUNS
-    return f"{listed} and {n_left} more" if n_left > 0 else listed
-
-
 def _verb(count: int) -> str:
     return "is" if count == 1 else "are"
-
-
-def _ms(seconds: float) -> str:
-    return f"{number(seconds * _MS, 0)}\N{NO-BREAK SPACE}ms"

@@ -1,21 +1,20 @@
 """The front that ends with the layout of a report: what each further unit buys, and its proof."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, Literal, cast
+
+from msgspec import UnsetType
 
 from placement.layout import Certificate, Stage
 from placement.optimiser import PlacementValue
-from placement.optimiser.front import Front, FrontPoint, StageChoice
+from placement.optimiser.front import Front, FrontPoint
 from placement.optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE
 
 from ..figures.front import plot_front
+from ..results.fronts import FrontPointRecord, FrontRecord
 from ..results.numbers import NOTHING, number, percent
-from .pictures import build_picture
-
-# ---------- the front that ends with the layout of a report
-
+from .section import Bullets, Section, Table, build_picture
 
 _VALUES = PlacementValue._fields
 _SHARES = ("apr", "apr_one_failed")
@@ -28,35 +27,35 @@ _COLUMNS = {
 }
 
 
-def read_front(summary: Mapping[str, Any]) -> Front:
-    """A front from its plain object, without the rows of the detection table.
-
-    Parameters
-    ----------
-    summary : mapping
-        By :func:`experiments.jobs.pareto.summarise_front`, as it is or read back from JSON.
-    """
+def read_front(record: FrontRecord) -> Front:
+    """A front from its record, without the rows of the detection table."""
     return Front(
-        by=cast(Literal["units", "cost"], summary["by"]),
-        points=tuple(_read_point(point) for point in summary["points"]),
-        stages=cast(StageChoice, summary["optimised"]),
-        settled=summary["settled"],
-        refused=tuple((entry["units"], entry["reason"]) for entry in summary["refused"]),
+        by=record.by,
+        points=tuple(_read_point(point) for point in record.points),
+        stages=record.optimised,
+        settled=record.settled,
+        refused=tuple((entry.units, entry.reason) for entry in record.refused),
         presolve=None,
     )
 
 
-def _read_point(point: Mapping[str, Any]) -> FrontPoint:
+def _read_point(point: FrontPointRecord) -> FrontPoint:
     return FrontPoint(
-        units=point["units"],
-        pose_index=tuple(range(len(point["pose_ids"]))),
-        value=PlacementValue(*(point[name] for name in _VALUES)),
+        units=point.units,
+        pose_index=tuple(range(len(point.pose_ids))),
+        value=PlacementValue(*(getattr(point, name) for name in _VALUES)),
         certificate=Certificate(
             stages=tuple(
-                Stage(**{**stage, "bound": _known(stage["bound"]), "gap": _known(stage["gap"])})
-                for stage in point["stages"]
+                Stage(
+                    name=stage.name,
+                    objective=stage.objective,
+                    bound=_known(stage.bound),
+                    gap=_known(stage.gap),
+                    seconds=stage.seconds,
+                )
+                for stage in point.stages
             ),
-            solver=point["solver"],
+            solver=point.solver,
         ),
     )
 
@@ -69,15 +68,7 @@ def _known(value: float | None) -> float:
 def front_rows(front: Front) -> list[list[str]]:
     """A row for each point: what its layout is worth, and whether more is ruled out.
 
-    Parameters
-    ----------
-    front : Front
-        By units or by cost.
-
-    Returns
-    -------
-    rows : list of list of str
-        Units; the fields of :class:`placement.optimiser.PlacementValue`; the proof.
+    Units; the fields of :class:`placement.optimiser.PlacementValue`; the proof.
     """
     return [
         [
@@ -108,13 +99,7 @@ def _proof(point: FrontPoint, front: Front) -> str:
 
 
 def proof_sentences(front: Front) -> list[str]:
-    """What is proven of a front, and what is not.
-
-    Parameters
-    ----------
-    front : Front
-        By units or by cost.
-    """
+    """What is proven of a front, and what is not."""
     n_points, n_proven = len(front.points), sum(point.is_proven for point in front.points)
     objectives = (
         "in APR, then in what is left when the most needed unit fails, then in time to spare and "
@@ -147,56 +132,56 @@ def proof_sentences(front: Front) -> list[str]:
     return sentences
 
 
-def front_part(summary: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """What ``templates/front.html.j2`` shows.
-
-    Parameters
-    ----------
-    summary : mapping or None
-        By :func:`experiments.jobs.pareto.summarise_front`, of
-        :func:`.front_below`; None: the best was not what was asked for.
-    """
-    if summary is None:
+def front_section(record: FrontRecord | UnsetType) -> Section | None:
+    """What each unit buys; None where the best was not what was asked for."""
+    if not record:
         return None
-    front = read_front(summary)
-    rows = front_rows(front)
-    proof = proof_sentences(front)
-    return {
-        "sentences": list(summary["sentences"]),
-        "proof": proof,
-        "table": {
-            "caption": "The best layout for each number of units",
-            "columns": ["units", *(_COLUMNS[name] for name in _VALUES), "proof"],
-            "rows": rows,
-        },
-        "poses": [
-            [str(point["units"]), _listed(point["pose_ids"]), _listed(_sites(point))]
-            for point in summary["points"]
+    front = read_front(record)
+    rows, proof = front_rows(front), " ".join(proof_sentences(front))
+    picture = build_picture(
+        plot_front(front),
+        title="What each further unit buys",
+        caption="Every point is the best layout found for as many units; open markers and "
+        f"bars: what is not yet ruled out. {proof}",
+        alt="Curves over the number of units. "
+        + "; ".join(
+            f"{row[0]}: APR {row[1]}, {row[2]} if one fails, {row[3]} s to spare, {row[6]}"
+            for row in rows
+        )
+        + ".",
+    )
+    table = Table(
+        caption="The best layout for each number of units",
+        columns=["units", *(_COLUMNS[name] for name in _VALUES), "proof"],
+        rows=rows,
+        numeric=range(1, 6),
+    )
+    poses = Table(
+        caption="Candidate poses of each point, and their sites",
+        columns=["units", "poses", "sites"],
+        rows=[
+            [
+                str(point.units),
+                _listed(point.pose_ids),
+                _listed([unit.site or NOTHING for unit in point.layout]),
+            ]
+            for point in record.points
         ],
-        "figure": build_picture(
-            plot_front(front),
-            title="What each further unit buys",
-            caption="Every point is the best layout found for as many units; open markers and "
-            "bars: what is not yet ruled out. " + " ".join(proof),
-            alt="Curves over the number of units. "
-            + "; ".join(
-                f"{row[0]}: APR {row[1]}, {row[2]} if one fails, {row[3]} s to spare, {row[6]}"
-                for row in rows
-            )
-            + ".",
-        ),
-    }
+        summary="Which poses",
+    )
+    proof += (
+        " Each number of units has the best layout of its own; the units of one are not always "
+        "among those of the next."
+    )
+    blocks = [Bullets(record.sentences), picture, table, proof, poses]
+    return Section("front", "What each unit buys", blocks)
 
 
-def _sites(point: Mapping[str, Any]) -> list[str]:
-    return [unit["site"] or NOTHING for unit in point["layout"]]
-
-
-def _listed(names: list[str]) -> str:
+def _listed(names: Sequence[str]) -> str:
     return ", ".join(names) or NOTHING
 
 
-# ---------- what each further unit
+# ---------- what each further unit, or more money, buys
 
 
 _ORDINALS = (
@@ -208,23 +193,9 @@ _ORDINALS = (
 def describe_units(front: Front, *, n_kept: int = 0) -> list[str]:
     """What each further unit buys.
 
-    Parameters
-    ----------
-    front : Front
-        By units.
-    n_kept : int
-        Units that hang there already, and count.
-
-    Returns
-    -------
-    sentences : list of str
-        One for the first point, one for each that differs from the one before, one for what
-        follows.
-
-    Examples
-    --------
-    Of the default question: "The first unit reaches an APR of 100.0 %.", "The second unit adds no
-    APR; the layout then survives any single failure.", "From K = 2 on nothing grows, ..".
+    A sentence for the first point, one for each that differs from the one before, one for what
+    follows; such as "The second unit adds no APR; the layout then survives any single failure."
+    `n_kept` units hang there already, and count.
     """
     points = front.points
     sentences = [_first_units(points[0], n_kept)]
@@ -248,18 +219,7 @@ def describe_units(front: Front, *, n_kept: int = 0) -> list[str]:
 
 
 def describe_money(front: Front) -> list[str]:
-    """What more money buys.
-
-    Parameters
-    ----------
-    front : Front
-        By cost.
-
-    Returns
-    -------
-    sentences : list of str
-        One for every point, and one for what follows.
-    """
+    """What more money buys: a sentence for every point, and one for what follows."""
     first = front.points[0]
     sentences = [
         f"{_euros(first.value.cost_eur)} buy an APR of {percent(first.value.apr)}"

@@ -27,7 +27,7 @@ from ..figures.axes import (
     new_axes,
     new_figure,
 )
-from ..results.numbers import NOTHING, count_runs, number
+from ..results.numbers import NOTHING, count_runs, milliseconds, number
 from ..results.tables import (
     RunGroup,
     groups_by_case,
@@ -35,9 +35,9 @@ from ..results.tables import (
     groups_by_speed,
     margin_s,
 )
-from .pictures import build_picture
+from .section import Bullets, Section, Table, build_picture
 
-# ---------- strips of margins to the last moment: a mark for each run, in a row for each case
+# ---------- the figure: a mark for each run, in a row for each case
 
 
 MAX_COLUMNS = 4
@@ -67,19 +67,7 @@ def plot_margins(
 ) -> tuple[Axes, ...]:
     """Margins of several parties side by side.
 
-    Parameters
-    ----------
-    parties : sequence of (str, Verdict)
-        Display name and verdict, on the same runs; at least one, at most ``MAX_COLUMNS``.
-    axis : FrameAxis
-        Runs.
-    axes : sequence of Axes, optional
-        One per party, to draw into; by default those of a new figure.
-
-    Returns
-    -------
-    axes : tuple of Axes
-        One per party; see :func:`plot_margin_strip`. All have the same scale.
+    One per party; see :func:`plot_margin_strip`. All have the same scale.
     """
     if axes is None:
         axes = _build_panels(len(parties), axis)
@@ -102,20 +90,8 @@ def plot_margins(
 def plot_margin_strip(verdict: Verdict, axis: FrameAxis, *, axes: Axes | None = None) -> Axes:
     """Margins of one party: a mark for each run that counts, in a row for each case.
 
-    Parameters
-    ----------
-    verdict : Verdict
-        Whose.
-    axis : FrameAxis
-        Runs.
-    axes : Axes, optional
-        To draw into; by default those of a new figure.
-
-    Returns
-    -------
-    axes : Axes
-        Right of zero: time to spare; left: too late, at the edge: never. A marker and a lane per
-        approach; filled where the run is avoided.
+    Right of zero: time to spare; left: too late, at the edge: never. A marker and a lane per
+    approach; filled where the run is avoided.
     """
     cases, approaches = _words(axis)
     if axes is None:
@@ -221,30 +197,32 @@ def _thousands(value: float) -> str:
     return f"{value:.0f}".replace("-", "\N{MINUS SIGN}")
 
 
-# ---------- margins to the last moment by case, speed and direction, in milliseconds and in metres
+# ---------- in milliseconds and in metres
 
 
 VUT_NAME = "VUT alone"
-_MS, _MPS_PER_KMH = 1000.0, 1.0 / 3.6
-_NUMBER_COLUMNS = range(2, 11)
+_MPS_PER_KMH = 1.0 / 3.6
+_MAX_UNFOLDED = 16  # rows of a table that is unfolded from the start
+_COLUMNS = (
+    "who",
+    "runs",
+    "smallest (ms)",
+    "smallest (m)",
+    "median (ms)",
+    "median (m)",
+    "not avoided",
+    "of these never confirmed",
+    "worst too late by (ms)",
+    "worst too late by (m)",
+)
 
 
 def margin_m(verdict: Verdict, axis: FrameAxis) -> FloatArray:
     """How much farther from the collision the VUT still is than it may be when it begins to brake.
 
-    Parameters
-    ----------
-    verdict : Verdict
-        Whose.
-    axis : FrameAxis
-        Runs.
-
-    Returns
-    -------
-    margin_m : (n_runs,) float
-        Along the VUT's path, from where braking sets in to where it must set in at the latest.
-        Negative: it is past that place by so much. Minus infinity: never confirmed, or no braking
-        avoids. [m]
+    Shape (n_runs,), along the VUT's path, from where braking sets in to where it must set in at the
+    latest. Negative: it is past that place by so much. Minus infinity: never confirmed, or no
+    braking avoids. [m]
 
     Notes
     -----
@@ -298,14 +276,7 @@ def summarise_margins(
 ) -> MarginSummary:
     """Margins of some runs.
 
-    Parameters
-    ----------
-    verdict : Verdict
-        Whose.
-    axis : FrameAxis
-        Runs.
-    run_mask : (n_runs,) bool, optional
-        Look at these only. Runs of weight 0 are left out in any case.
+    `run_mask`, (n_runs,) bool, says which; runs of weight 0 are left out in any case.
     """
     mask = axis.weight > 0.0
     if run_mask is not None:
@@ -333,7 +304,7 @@ def _of(measure: Callable[[FloatArray], Any], values: FloatArray) -> float:
     return float(measure(values)) if len(values) else math.nan
 
 
-# ---------------------------------------------------------------- groups
+# ---------- groups
 
 
 def _groupings(axis: FrameAxis) -> list[tuple[str, str, list[RunGroup]]]:
@@ -354,49 +325,34 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Verdict]]
     ]
 
 
-def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[dict[str, Any]]:
-    """Margins by case, by speed and by direction.
+def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
+    """Margins by case, by speed and by direction, to unfold.
 
-    Parameters
-    ----------
-    evaluations : mapping of str to Evaluation
-        By display name, on the same runs; the first one is the subject.
-
-    Returns
-    -------
-    tables : list of dict
-        Caption, columns, rows, and which columns are numbers. In each, a row per group and layout,
-        and one for the car alone; the first group is all runs.
+    In each, a row per group and layout, and one for the car alone; the first group is all runs.
     """
     axis = next(iter(evaluations.values())).axis
     everything = ("all runs", np.ones(axis.n_runs, dtype=bool))
     parties = _parties(evaluations)
-    return [
-        {
-            "caption": f"Margins to the last moment {words}",
-            "columns": [
-                head,
-                "who",
-                "runs",
-                "smallest (ms)",
-                "smallest (m)",
-                "median (ms)",
-                "median (m)",
-                "not avoided",
-                "of these never confirmed",
-                "worst too late by (ms)",
-                "worst too late by (m)",
-            ],
-            "rows": [
-                [group, name, *_cells(summarise_margins(verdict, axis, mask))]
-                for group, mask in (everything, *groups)
-                if (mask & (axis.weight > 0.0)).any()
-                for name, verdict in parties
-            ],
-            "numeric": _NUMBER_COLUMNS,
-        }
-        for words, head, groups in _groupings(axis)
-    ]
+    tables = []
+    for words, head, groups in _groupings(axis):
+        caption = f"Margins to the last moment {words}"
+        rows = [
+            [group, name, *_cells(summarise_margins(verdict, axis, mask))]
+            for group, mask in (everything, *groups)
+            if (mask & (axis.weight > 0.0)).any()
+            for name, verdict in parties
+        ]
+        tables.append(
+            Table(
+                caption=caption,
+                columns=[head, *_COLUMNS],
+                rows=rows,
+                numeric=range(2, 11),
+                summary=caption,
+                is_open=len(rows) <= _MAX_UNFOLDED,
+            )
+        )
+    return tables
 
 
 def _cells(summary: MarginSummary) -> list[str]:
@@ -413,7 +369,7 @@ def _cells(summary: MarginSummary) -> list[str]:
     ]
 
 
-# ---------------------------------------------------------------- sentences
+# ---------- sentences
 
 
 def margin_sentences(evaluations: Mapping[str, Evaluation]) -> list[str]:
@@ -434,12 +390,13 @@ def _sentence(subject: str, verdict: Verdict, axis: FrameAxis) -> str:
     metres = number(float(margin_m(verdict, axis)[tightest]), 1)
     words = (
         f"{subject}: in the tightest run that is avoided, {describe_run(axis, tightest)}, "
-        f"{_ms(summary.smallest_s)} are to spare, {metres}\N{NO-BREAK SPACE}m at that speed"
+        f"{milliseconds(summary.smallest_s)} are to spare, {metres}\N{NO-BREAK SPACE}m at that "
+        "speed"
     )
     if summary.n_avoided > 1:
         words += (
             f"; in half of the {count_runs(summary.n_avoided)} avoided at least "
-            f"{_ms(summary.median_s)}"
+            f"{milliseconds(summary.median_s)}"
         )
     text = f"{words}."
     return f"{text} {_missed_words(summary)}" if summary.n_not_avoided else text
@@ -459,12 +416,8 @@ def _missed_words(summary: MarginSummary) -> str:
         return text
     return (
         f"{text} The worst of those confirmed too late misses the last moment by "
-        f"{_ms(summary.worst_late_s)}."
+        f"{milliseconds(summary.worst_late_s)}."
     )
-
-
-def _ms(seconds: float) -> str:
-    return f"{number(seconds * _MS, 0)}\N{NO-BREAK SPACE}ms"
 
 
 def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:
@@ -492,37 +445,37 @@ def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:
     return notes
 
 
-def margins_part(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
-    """What ``templates/margins.html.j2`` shows.
-
-    Parameters
-    ----------
-    evaluations : mapping of str to Evaluation
-        By display name, on the same runs; the first one is the subject.
-
-    Returns
-    -------
-    part : dict
-        Sentences, notes, tables, figure.
-    """
+def margins_section(evaluations: Mapping[str, Evaluation]) -> Section:
+    """Time and distance to spare of every layout; the first evaluation is the subject."""
     axis = next(iter(evaluations.values())).axis
     parties = _parties(evaluations)
     # The car has the last column, whatever does not fit.
     shown = [*parties[:-1][: MAX_COLUMNS - 1], parties[-1]]
-    panels = plot_margins(shown, axis)
     sentences = margin_sentences(evaluations)
     n_left = len(parties) - len(shown)
-    return {
-        "sentences": sentences,
-        "notes": margin_notes(evaluations),
-        "tables": margin_tables(evaluations),
-        "figure": build_picture(
-            panels[0],
-            title="Margins to the last moment",
-            caption="A mark for each run. Right of zero there is time to spare, left of it braking "
-            "comes too late, by how much; at the left edge it never comes, or none avoids. Filled: "
-            "avoided. The scale is logarithmic beyond 500 ms."
-            + (f" {n_left} more layouts are in the tables." if n_left else ""),
-            alt="Strips of marks, one per run, in a row for each case. " + " ".join(sentences),
-        ),
-    }
+    picture = build_picture(
+        plot_margins(shown, axis)[0],
+        title="Margins to the last moment",
+        caption="A mark for each run. Right of zero there is time to spare, left of it braking "
+        "comes too late, by how much; at the left edge it never comes, or none avoids. Filled: "
+        "avoided. The scale is logarithmic beyond 500 ms."
+        + (f" {n_left} more layouts are in the tables." if n_left else ""),
+        alt="Strips of marks, one per run, in a row for each case. " + " ".join(sentences),
+    )
+    meaning = (
+        "The margin is the time from the onset of braking to the last moment at which braking "
+        "still avoids the impact. In metres it is the way that the car covers in that time at its "
+        "speed: by so much farther from the collision, along its own path, it still is than it may "
+        "be when it begins to brake. It is not the gap that is left once the car stands."
+    )
+    notes = [
+        "Smallest and median are those of the runs that are avoided; the smallest in milliseconds "
+        "and the smallest in metres may be of different runs. “Worst too late by” is told of the "
+        "runs in which the road user is confirmed, but too late.",
+        *margin_notes(evaluations),
+    ]
+    return Section(
+        "margins",
+        "Time and distance to spare",
+        [meaning, Bullets(sentences), picture, " ".join(notes), *margin_tables(evaluations)],
+    )

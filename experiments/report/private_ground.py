@@ -1,29 +1,45 @@
-"""What each unit sees of private ground, as a table."""
+"""What units see of private ground: in a sentence, and as a section of the report."""
 
 from collections.abc import Mapping
-from typing import Any
 
+from msgspec import UnsetType
+
+from ..results.explanations import PrivateGroundRecord
 from ..results.numbers import percent
+from ..results.result import Result
+from .section import Section, Table
 
-# ---------- ``--no-look FILE``: private ground from a planner's polygons, and what units see of it
 
-
-def private_ground_sentence(summary: Mapping[str, Any]) -> str:
+def private_ground_sentence(found: PrivateGroundRecord) -> str:
     """Which unit sees how much of which area."""
     seen = [
         f"{unit} sees {percent(share)} of {name}"
-        for unit, shares in summary["units"].items()
+        for unit, shares in found.units.items()
         for name, share in shares.items()
         if share > 0.0
     ]
-    n_areas = len(summary["areas"])
+    n_areas = len(found.areas)
     what = "the private area" if n_areas == 1 else f"any of the {n_areas} private areas"
     if not seen:
         return f"No camera has {what} in its picture."
     return f"Of private ground, {'; '.join(seen)}."
 
 
-# ---------- what each unit sees of private ground, as a table
+def private_ground_sentences(result: Result) -> list[str]:
+    """The same of a result; of each layout where several are compared."""
+    if not result.private_ground:
+        return []
+    return [
+        private_ground_sentence(result.private_ground),
+        *(
+            f"{other.name}: {private_ground_sentence(other.private_ground)}"
+            for other in result.compared or ()
+            if other.private_ground
+        ),
+    ]
+
+
+# ---------- the section of the report
 
 
 MAX_UNITS, MAX_AREAS = 12, 60
@@ -31,34 +47,23 @@ MAX_UNITS, MAX_AREAS = 12, 60
 _MAX_NAMED = 6  # pairs of unit and area in a sentence
 
 
-def private_ground_part(
-    private_ground: Mapping[str, Any] | None, labels: Mapping[str, str]
-) -> dict[str, Any] | None:
-    """What ``templates/private_ground.html.j2`` shows.
+def private_ground_section(
+    found: PrivateGroundRecord | UnsetType, labels: Mapping[str, str]
+) -> Section | None:
+    """What units see of private ground: areas that are seen the most first; None without any.
 
-    Parameters
-    ----------
-    private_ground : mapping or None
-        By :func:`.summarise_private_ground`; None: nobody has named any.
-    labels : mapping of str to str
-        Short names of the units, by id.
-
-    Returns
-    -------
-    part : dict or None
-        Sentence, caption, columns and rows: one per area, those seen the most first.
+    `labels` are short names of the units, by id.
     """
-    if private_ground is None:
+    if not found:
         return None
-    units: Mapping[str, Mapping[str, float]] = private_ground["units"]
-    areas = private_ground["areas"]
+    units, areas = found.units, found.areas
     most_seen = {
-        area["name"]: max((shares[area["name"]] for shares in units.values()), default=0.0)
+        area.name: max((shares[area.name] for shares in units.values()), default=0.0)
         for area in areas
     }
     seeing = sorted(units, key=lambda unit_id: -max(units[unit_id].values(), default=0.0))
     shown = [unit_id for unit_id in units if unit_id in set(seeing[:MAX_UNITS])]
-    rows = sorted(areas, key=lambda area: -most_seen[area["name"]])[:MAX_AREAS]
+    rows = sorted(areas, key=lambda area: -most_seen[area.name])[:MAX_AREAS]
     caption = "Share of each private area that a unit sees"
     for n_shown, n_all, what in (
         (len(shown), len(units), "units"),
@@ -66,35 +71,41 @@ def private_ground_part(
     ):
         if n_shown < n_all:
             caption += f"; of {n_all} {what} the {n_shown} that matter most"
-    return {
-        "sentence": _short_sentence(private_ground, most_seen),
-        "caption": caption,
-        "columns": [
+    table = Table(
+        caption=caption,
+        columns=[
             "area",
             "size (m\N{SUPERSCRIPT TWO})",
             "most, by one unit",
             *(labels.get(unit_id, unit_id) for unit_id in shown),
         ],
-        "rows": [
+        rows=[
             [
-                area["name"],
-                f"{area['area_m2']:.0f}",
-                percent(most_seen[area["name"]]),
-                *(percent(units[unit_id][area["name"]]) for unit_id in shown),
+                area.name,
+                f"{area.area_m2:.0f}",
+                percent(most_seen[area.name]),
+                *(percent(units[unit_id][area.name]) for unit_id in shown),
             ]
             for area in rows
         ],
-    }
+        numeric=range(1, 3 + len(shown)),
+    )
+    note = (
+        "Seen is what lies in a camera's picture with nothing in between, at the height of "
+        "people's eyes. LiDARs take no pictures."
+    )
+    blocks = [_short_sentence(found, most_seen), table, note]
+    return Section("private-ground", "Private ground", blocks)
 
 
-def _short_sentence(private_ground: Mapping[str, Any], most_seen: Mapping[str, float]) -> str:
-    """Each unit and area where few are seen; where many are, only how many."""
+def _short_sentence(found: PrivateGroundRecord, most_seen: Mapping[str, float]) -> str:
+    """Who sees what, where few do; where many do, only how many."""
     n_seen = sum(share > 0.0 for share in most_seen.values())
-    n_seeing = sum(max(shares.values()) > 0.0 for shares in private_ground["units"].values())
+    n_seeing = sum(max(shares.values()) > 0.0 for shares in found.units.values())
     if n_seen * n_seeing <= _MAX_NAMED:
-        return private_ground_sentence(private_ground)
+        return private_ground_sentence(found)
     worst = max(most_seen, key=lambda name: most_seen[name])
     return (
-        f"{n_seeing} of {len(private_ground['units'])} units see something of {n_seen} of "
+        f"{n_seeing} of {len(found.units)} units see something of {n_seen} of "
         f"{len(most_seen)} private areas; the most is {percent(most_seen[worst])} of {worst}."
     )

@@ -1,19 +1,26 @@
-"""What layouts are worth in sampled worlds: as one plain object, in sentences, as text, drawn."""
+"""What layouts are worth in sampled worlds: in sentences, as text for a terminal, drawn."""
 
-import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from geometry.errors import InputError, Unquoted
 from placement.sampling import (
     SampledApr,
 )
 
-from ..figures.axes import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, literal, new_axes
-from ..results.numbers import percent
+from ..figures.axes import BLUE, GREEN, PINK, VERMILION, WIDTH_IN, finish_axes, literal, new_axes
+from ..results.numbers import or_nan, percent, shortened
+from ..results.sampled_worlds import (
+    SampledGainRecord,
+    SampledLayoutRecord,
+    SampledPairRecord,
+    SampledRecord,
+)
+from .section import Picture, Section, build_picture
 
 # ---------- what layouts are worth in sampled worlds
 
@@ -21,112 +28,128 @@ from ..results.numbers import percent
 _NAME_WIDTH = 20
 
 
-def uncertainty_sentences(summary: Mapping[str, Any]) -> list[str]:
-    """What the sampled worlds say, in sentences.
-
-    Parameters
-    ----------
-    summary : mapping
-        By :func:`summarise_uncertainty`.
-    """
-    subject = summary["layouts"][0]
-    n_samples = summary["samples"]
-    planned = subject["planned"]
+def uncertainty_sentences(found: SampledRecord) -> list[str]:
+    """What the sampled worlds say, in sentences."""
+    subject = found.layouts[0]
+    n_samples = found.samples
+    planned = subject.planned
     sentences = [
-        f"In {n_samples} fresh sampled {_worlds(n_samples)} ({what_is_uncertain(summary)}), "
-        f"{subject['name']} avoids {percent(subject['mean'])} of the accidents on average "
+        f"In {n_samples} fresh sampled {_worlds(n_samples)} ({what_is_uncertain(found)}), "
+        f"{subject.name} avoids {percent(subject.mean)} of the accidents on average "
         f"({_interval(subject)})" + ("" if planned is None else f"; as planned {percent(planned)}")
     ]
-    chosen = subject["in_sample"]
+    chosen = subject.in_sample
     if chosen is not None:
         sentences.append(
             f"In the worlds that it was chosen in, it avoids {percent(chosen)}: "
             "a choice looks better where it was made"
-            if chosen > subject["mean"]
+            if chosen > or_nan(subject.mean)
             else f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
         )
-    if summary["tail"] < 1.0:
+    if found.tail < 1.0:
         sentences.append(
-            f"In the worst {percent(summary['tail'])} of these worlds it avoids "
-            f"{percent(subject['cvar'])} on average, in the very worst {percent(subject['worst'])}"
+            f"In the worst {percent(found.tail)} of these worlds it avoids "
+            f"{percent(subject.cvar)} on average, in the very worst {percent(subject.worst)}"
         )
     else:
-        sentences.append(f"In the worst of these worlds it avoids {percent(subject['worst'])}")
-    for gain in summary["gains"]:
-        sentences.append(_gain(subject["name"], gain))
-    unsure = subject["least_sure_runs"]
+        sentences.append(f"In the worst of these worlds it avoids {percent(subject.worst)}")
+    for gain in found.gains:
+        sentences.append(_gain(subject.name, gain))
+    unsure = subject.least_sure_runs
     if unsure:
-        listed = ", ".join(f"{run['run']} ({percent(run['avoided_share'])})" for run in unsure)
+        listed = ", ".join(f"{run.run} ({percent(run.avoided_share)})" for run in unsure)
         sentences.append(f"Least sure, with the share of worlds that avoid them: {listed}")
     return [f"{sentence}." for sentence in sentences]
 
 
-def uncertainty_text(summary: Mapping[str, Any]) -> str:
+def uncertainty_text(found: SampledRecord) -> str:
     """A small table for a terminal, at most 80 columns wide."""
-    has_tail = summary["tail"] < 1.0  # the mean of all is there already
-    tail = f"worst {100.0 * summary['tail']:g} %"
+    has_tail = found.tail < 1.0  # the mean of all is there already
+    tail = f"worst {100.0 * found.tail:g} %"
     head = f"  {'layout':<{_NAME_WIDTH}} {'planned':>8} {'mean':>8} {'95 % interval':>18}"
     lines = [
-        f"APR in {summary['samples']} fresh sampled {_worlds(summary['samples'])}, "
-        f"uncertainty {summary['uncertainty']['name']}",
+        f"APR in {found.samples} fresh sampled {_worlds(found.samples)}, "
+        f"uncertainty {found.uncertainty.name}",
         head + (f" {tail:>10}" if has_tail else "") + f" {'worst':>8}",
     ]
-    for layout in summary["layouts"]:
-        name = layout["name"]
-        if len(name) > _NAME_WIDTH:
-            name = name[: _NAME_WIDTH - 1] + "\N{HORIZONTAL ELLIPSIS}"
-        planned = math.nan if layout["planned"] is None else layout["planned"]
-        interval = f"{percent(layout['low'])} .. {percent(layout['high'])}"
+    for layout in found.layouts:
+        name = shortened(layout.name, _NAME_WIDTH)
+        interval = f"{percent(layout.low)} .. {percent(layout.high)}"
         lines.append(
-            f"  {name:<{_NAME_WIDTH}} {percent(planned):>8} {percent(layout['mean']):>8} "
+            f"  {name:<{_NAME_WIDTH}} {percent(layout.planned):>8} {percent(layout.mean):>8} "
             + f"{interval:>18}"
-            + (f" {percent(layout['cvar']):>10}" if has_tail else "")
-            + f" {percent(layout['worst']):>8}"
+            + (f" {percent(layout.cvar):>10}" if has_tail else "")
+            + f" {percent(layout.worst):>8}"
         )
     return "\n".join(lines)
 
 
-def what_is_uncertain(summary: Mapping[str, Any]) -> str:
+def what_is_uncertain(found: SampledRecord) -> str:
     """What is drawn in the sampled worlds, in words."""
-    record = summary["uncertainty"]
-    mounting, latency, traffic = record["mounting"], record["latency"], record["traffic"]
+    record = found.uncertainty
+    mounting, latency, traffic = record.mounting, record.latency, record.traffic
     parts = []
-    if any(mounting.values()):
+    if any(msgspec.structs.astuple(mounting)):
         parts.append(
-            f"units off by {mounting['yaw_sd_deg']:g}\N{DEGREE SIGN} in yaw, "
-            f"{mounting['pitch_sd_deg']:g}\N{DEGREE SIGN} in pitch and "
-            f"{100.0 * mounting['height_sd_m']:g} cm in height"
+            f"units off by {mounting.yaw_sd_deg:g}\N{DEGREE SIGN} in yaw, "
+            f"{mounting.pitch_sd_deg:g}\N{DEGREE SIGN} in pitch and "
+            f"{100.0 * mounting.height_sd_m:g} cm in height"
         )
-    if "budget" in latency:
-        parts.append(f"latency drawn from the budget {latency['budget']}")
-    elif latency["mean_s"] > 0.0:
-        parts.append(f"messages {1000.0 * latency['mean_s']:g} ms later on average")
-    if record["messages"]["packet_loss"] > 0.0:
-        parts.append(f"{percent(record['messages']['packet_loss'])} of the messages lost")
-    if record["detector"]["is_drawn"]:
+    if latency.budget:
+        parts.append(f"latency drawn from the budget {latency.budget}")
+    elif latency.mean_s:
+        parts.append(f"messages {1000.0 * latency.mean_s:g} ms later on average")
+    if record.messages.packet_loss > 0.0:
+        parts.append(f"{percent(record.messages.packet_loss)} of the messages lost")
+    if record.detector.is_drawn:
         parts.append("detections drawn where the detector gives a probability")
-    if traffic["taken_share"] > 0.0:
-        parts.append(f"{percent(traffic['taken_share'])} of the parking places taken")
-    if traffic["waiting_share"] > 0.0:
-        parts.append(f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes")
+    if traffic.taken_share > 0.0:
+        parts.append(f"{percent(traffic.taken_share)} of the parking places taken")
+    if traffic.waiting_share > 0.0:
+        parts.append(f"vehicles waiting in {percent(traffic.waiting_share)} of the lanes")
     return ", ".join(parts) or "nothing is uncertain"
 
 
-def _gain(name: str, gain: Mapping[str, Any]) -> str:
-    points, low, high = (100.0 * gain[key] for key in ("mean", "low", "high"))
+def _gain(name: str, gain: SampledGainRecord) -> str:
+    points, low, high = (100.0 * or_nan(share) for share in (gain.mean, gain.low, gain.high))
     where = f"95 % interval {low:.1f} to {high:.1f}".replace("-", "\N{MINUS SIGN}")
-    if gain["low"] <= 0.0 <= gain["high"]:
-        return f"Between {name} and {gain['over']} there is no sure difference ({where} points)"
+    if is_open(gain):
+        return f"Between {name} and {gain.over} there is no sure difference ({where} points)"
     more = "more" if points > 0.0 else "less"
-    return f"{name} avoids {abs(points):.1f} points {more} than {gain['over']} ({where})"
+    return f"{name} avoids {abs(points):.1f} points {more} than {gain.over} ({where})"
 
 
-def _interval(layout: Mapping[str, Any]) -> str:
-    return f"{layout['method']}: {percent(layout['low'])} to {percent(layout['high'])}"
+def is_open(difference: SampledGainRecord | SampledPairRecord) -> bool:
+    """Whether the 95 % interval of a difference holds zero: nobody knows who avoids more."""
+    return or_nan(difference.low) <= 0.0 <= or_nan(difference.high)
+
+
+def _interval(layout: SampledLayoutRecord) -> str:
+    return f"{layout.method}: {percent(layout.low)} to {percent(layout.high)}"
 
 
 def _worlds(count: int) -> str:
     return "world" if count == 1 else "worlds"
+
+
+# ---------- the section of the report
+
+
+def sampled_picture(found: SampledRecord, figure: Axes | Figure) -> Picture:
+    """What the layouts avoid in sampled worlds, as drawn by :func:`plot_sampled_apr`."""
+    kind = "Staircases" if len(found.layouts) <= MAX_STAIRCASES else "Intervals"
+    return build_picture(
+        figure,
+        title="APR in sampled worlds",
+        caption="Worlds that were not used for the choice. Drawn at random: "
+        f"{what_is_uncertain(found)}.",
+        alt=f"{kind}. {' '.join(uncertainty_sentences(found))}",
+    )
+
+
+def sampled_section(picture: Picture) -> Section:
+    """What becomes of the layouts in sampled worlds."""
+    return Section("sampled", "If the world is not as planned", [picture])
 
 
 # ---------- figures of layouts in sampled worlds: staircases, intervals of means and of differences
@@ -147,22 +170,11 @@ _LEAST_SPAN_POINTS = 1.0
 
 
 def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) -> Axes:
-    """What layouts avoid in sampled worlds, any number of them.
+    """What layouts avoid in sampled worlds, at least one of them.
 
-    Parameters
-    ----------
-    judged : sequence of SampledApr
-        At least one. Up to ``MAX_STAIRCASES`` have a staircase each: in what share of the worlds
-        the layout avoids at most how much; line styles and marks tell them apart without colour,
-        and below the staircases a mark stands at each mean, with its 95 % confidence interval. Of
-        more: see :func:`plot_intervals`.
-    axes : Axes, optional
-        Where to draw; by default in a figure of their own.
-
-    Raises
-    ------
-    InputError
-        There is none.
+    Up to ``MAX_STAIRCASES`` have a staircase each: in what share of the worlds the layout avoids at
+    most how much; line styles and marks tell them apart without colour, and below the staircases a
+    mark stands at each mean, with its 95 % confidence interval. Of more: :func:`plot_intervals`.
     """
     if not judged:
         raise InputError("layouts", Unquoted("none"), "at least one")
@@ -191,12 +203,15 @@ def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) 
     axes.axhline(0.0, color="#999999", linewidth=0.8)
     axes.set_ylim(-_STRIP * (len(judged) + 1), 1.02)
     axes.set_yticks(np.linspace(0.0, 1.0, 6))
-    axes.set_xlabel("share of the accidents avoided (APR)", fontsize=9)
-    axes.set_ylabel("share of the sampled worlds\nwith at most this APR", fontsize=9)
     axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:.4g} %")
     axes.yaxis.set_major_formatter(lambda value, _: f"{100.0 * value:.0f} %")
-    _tidy(axes)
-    axes.grid(color="#dddddd", linewidth=0.6)
+    finish_axes(
+        axes,
+        x="share of the accidents avoided (APR)",
+        y="share of the sampled worlds\nwith at most this APR",
+        size=9,
+        grid="both",
+    )
     axes.legend(fontsize=8, loc="upper left")
     return axes
 
@@ -204,18 +219,8 @@ def plot_sampled_apr(judged: Sequence[SampledApr], *, axes: Axes | None = None) 
 def plot_intervals(judged: Sequence[SampledApr], *, axes: Axes | None = None) -> Axes:
     """A row per layout: its mean, the interval of the mean, and its worst and best world.
 
-    Parameters
-    ----------
-    judged : sequence of SampledApr
-        The first one on top.
-    axes : Axes, optional
-        Where to draw; by default in a figure of their own.
-
-    Returns
-    -------
-    axes : Axes
-        Dot: mean; whisker with caps: its 95 % confidence interval; thin line: from the worst to
-        the best world.
+    Dot: mean; whisker with caps: its 95 % confidence interval; thin line: from the worst to the
+    best world.
     """
     if axes is None:
         axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(judged))
@@ -232,57 +237,43 @@ def plot_intervals(judged: Sequence[SampledApr], *, axes: Axes | None = None) ->
         )  # fmt: skip
     axes.set_yticks(range(len(judged)), [_name(item.layout.name) for item in judged], fontsize=8)
     axes.set_ylim(len(judged) - 0.5, -0.5)
-    axes.set_xlabel(
+    words = (
         "share of the accidents avoided, APR (%)\nmean and its 95 % interval; dotted: "
-        "from the worst to the best world",
-        fontsize=8,
+        "from the worst to the best world"
     )
-    _tidy(axes)
-    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
+    finish_axes(axes, x=words, grid="x")
     return axes
 
 
-def plot_differences(pairs: Sequence[Mapping[str, Any]], *, axes: Axes | None = None) -> Axes:
+def plot_differences(pairs: Sequence[SampledPairRecord], *, axes: Axes | None = None) -> Axes:
     """A row per pair of layouts: the mean difference in the same worlds, with its interval.
 
-    Parameters
-    ----------
-    pairs : sequence of mapping
-        "pairs" of :func:`experiments.report.sampled_worlds.summarise_uncertainty`.
-    axes : Axes, optional
-        Where to draw; by default in a figure of their own.
-
-    Returns
-    -------
-    axes : Axes
-        Filled dot: the interval leaves out zero; open: it does not, there is no sure difference.
+    Filled dot: the interval leaves out zero; open: it does not, there is no sure difference.
     """
     if axes is None:
         axes = new_axes(WIDTH_IN, 1.0 + _PAIR_ROW_IN * max(len(pairs), 1))
     for row, pair in enumerate(pairs):
         _whisker(
-            axes, row, pair["mean"], pair["low"], pair["high"],
-            is_open=pair["low"] <= 0.0 <= pair["high"],
+            axes, row, or_nan(pair.mean), or_nan(pair.low), or_nan(pair.high),
+            is_hollow=is_open(pair),
         )  # fmt: skip
     axes.axvline(0.0, color="black", linewidth=1.2, zorder=1)
-    names = [f"{_name(pair['first'])}\nminus {_name(pair['second'])}" for pair in pairs]
+    names = [f"{_name(pair.first)}\nminus {_name(pair.second)}" for pair in pairs]
     axes.set_yticks(range(len(pairs)), names, fontsize=8)
     axes.set_ylim(len(pairs) - 0.5, -0.5)
     low, high = axes.get_xlim()
     middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN_POINTS)
     axes.set_xlim(middle - half, middle + half)
-    axes.set_xlabel(
+    words = (
         "difference of the APR in the same worlds (points)\n"
-        "with its 95 % interval; open: may be zero",
-        fontsize=8,
+        "with its 95 % interval; open: may be zero"
     )
-    _tidy(axes)
-    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
+    finish_axes(axes, x=words, grid="x")
     return axes
 
 
 def _whisker(
-    axes: Axes, row: int, mean: float, low: float, high: float, *, is_open: bool = False
+    axes: Axes, row: int, mean: float, low: float, high: float, *, is_hollow: bool = False
 ) -> None:
     axes.errorbar(
         [100.0 * mean],
@@ -291,7 +282,7 @@ def _whisker(
         color=BLUE,
         marker="o",
         markersize=6.0,
-        markerfacecolor="white" if is_open else BLUE,
+        markerfacecolor="white" if is_hollow else BLUE,
         markeredgecolor=BLUE,
         linestyle="none",
         elinewidth=1.6,
@@ -301,13 +292,4 @@ def _whisker(
 
 
 def _name(name: str) -> str:
-    short = name
-    if len(name) > _MAX_NAME_LENGTH:
-        short = name[: _MAX_NAME_LENGTH - 1] + "\N{HORIZONTAL ELLIPSIS}"
-    return literal(short)
-
-
-def _tidy(axes: Axes) -> None:
-    axes.tick_params(labelsize=8)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    return literal(shortened(name, _MAX_NAME_LENGTH))

@@ -1,15 +1,21 @@
-"""What if an assumption is wrong: as one plain object, in sentences, as tables of the report."""
+"""What if an assumption is wrong: in sentences, tables, figures, and as a section."""
 
-from collections.abc import Mapping
-from typing import Any
+from operator import attrgetter
 
 from matplotlib.axes import Axes
+from msgspec import UnsetType
 
 from geometry.errors import InputError
 
-from ..figures.axes import BLUE, VERMILION, WIDTH_IN, new_axes
-from ..results.numbers import NOTHING, count_runs, number, percent
-from .pictures import build_picture
+from ..figures.axes import BLUE, VERMILION, WIDTH_IN, finish_axes, new_axes
+from ..results.explanations import (
+    AssumptionRecord,
+    PlannedOutcomeRecord,
+    SensitivityRecord,
+    VariedAssumptionRecord,
+)
+from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
+from .section import Block, Section, Table, build_picture
 
 # ---------- assumptions and their values in words, for tables and figures alike
 
@@ -44,13 +50,6 @@ _MINUS = "\N{MINUS SIGN}"
 def value_text(name: str, value: float) -> str:
     """A value of an assumption, with its unit.
 
-    Parameters
-    ----------
-    name : str
-        One of :data:`placement.explain.sensitivity.RANGES`.
-    value : float
-        In the unit that the name ends in.
-
     Examples
     --------
     >>> value_text("latency_s", 0.3), value_text("packet_loss", 0.05), value_text("height_m", 0.25)
@@ -83,7 +82,7 @@ def phrase(name: str, value: float) -> str:
     return _PHRASES[name].format(value_text(name, value))
 
 
-# ---------- tornado: how far each assumption moves a layout's worth, the widest bar on top
+# ---------- the figure, a tornado: how far each assumption moves a layout's worth, the most on top
 
 
 # By name: in words, and how many of the axis' units one of ours is.
@@ -101,69 +100,53 @@ _ROOM = 0.22  # for the values beside the bars, of the span
 
 
 def plot_sensitivity(
-    summary: Mapping[str, Any], *, quantity: str = "apr", axes: Axes | None = None
+    found: SensitivityRecord, *, quantity: str = "apr", axes: Axes | None = None
 ) -> Axes:
     """A bar for each assumption, from the worst to the best that its values lead to.
 
-    Parameters
-    ----------
-    summary : mapping
-        By :func:`experiments.report.sensitivity.summarise_sensitivity`.
-    quantity : {"apr", "smallest_margin_s"}
-        What is drawn.
-    axes : Axes, optional
-        Where to; by default in a figure of their own.
-
-    Returns
-    -------
-    axes : Axes
-        Worse than planned: to the left of the line, hatched; better: to the right, plain. The
-        values stand at the ends of the bars. What moves nothing has no bar.
-
-    Raises
-    ------
-    InputError
-        There is no such quantity.
+    Worse than planned: to the left of the line, hatched; better: to the right, plain. The values
+    stand at the ends of the bars. What moves nothing has no bar. `quantity` is one of
+    ``QUANTITIES``.
     """
     if quantity not in QUANTITIES:
         raise InputError("quantity", quantity, "one of " + ", ".join(QUANTITIES))
     scale = QUANTITIES[quantity][1]
-    planned = scale * (summary["planned"][quantity] or 0.0)
-    rows = [one for one in summary["assumptions"] if one["varied"]]
-    ends = {one["name"]: _ends(one, quantity, scale) for one in rows}
+    planned = scale * (getattr(found.planned, quantity) or 0.0)
+    rows = [one for one in found.assumptions if one.varied]
+    ends = {one.name: _ends(one, quantity, scale) for one in rows}
     # The widest on top; where nothing is known, at the bottom.
-    rows.sort(key=lambda one: _span(ends[one["name"]], planned))
+    rows.sort(key=lambda one: _span(ends[one.name], planned))
     if axes is None:
         axes = new_axes(WIDTH_IN, 0.9 + 0.3 * max(len(rows), 1))
     for row, one in enumerate(rows):
-        _draw_row(axes, row, one["name"], ends[one["name"]], planned)
+        _draw_row(axes, row, one.name, ends[one.name], planned)
     axes.axvline(planned, color="black", linewidth=1.2, zorder=4, gid="planned")
-    axes.set_yticks(range(len(rows)), [TITLES[one["name"]] for one in rows], fontsize=8)
+    axes.set_yticks(range(len(rows)), [TITLES[one.name] for one in rows], fontsize=8)
     axes.set_ylim(-0.6, len(rows) - 0.4)
     reached = [planned, *(end[0] for pair in ends.values() for end in pair)]
     span = max(max(reached) - min(reached), _LEAST_SPAN[quantity])
     axes.set_xlim(min(reached) - _ROOM * span, max(reached) + _ROOM * span)
-    axes.set_xlabel(_AXIS_LABELS[quantity] + "; line: as planned", fontsize=8)
-    axes.tick_params(labelsize=8)
     axes.tick_params(axis="y", length=0)
-    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right", "left"]].set_visible(False)
+    words = _AXIS_LABELS[quantity] + "; line: as planned"
+    finish_axes(axes, x=words, grid="x", hidden=("top", "right", "left"))
     return axes
 
 
-def _ends(one: Mapping[str, Any], quantity: str, scale: float) -> list[tuple[float, str]]:
+def _ends(one: AssumptionRecord, quantity: str, scale: float) -> list[tuple[float, str]]:
     """The worst and the best of an assumption's values, with what they are; none if unknown."""
-    known = [value for value in one["varied"] if value[quantity] is not None]
-    if not known:
-        return []
-    worst = min(known, key=lambda value: float(value[quantity]))
-    best = max(known, key=lambda value: float(value[quantity]))
     found = []
-    for value in (worst, best):
-        star = "*" if quantity != "apr" and value["lost_runs"] else ""
-        found.append((scale * value[quantity], value_text(one["name"], value["value"]) + star))
+    for value in _worst_and_best(one, quantity):
+        star = "*" if quantity != "apr" and value.lost_runs else ""
+        reached = scale * getattr(value, quantity)
+        found.append((reached, value_text(one.name, value.value) + star))
     return found
+
+
+def _worst_and_best(one: AssumptionRecord, quantity: str) -> list[VariedAssumptionRecord]:
+    """The values that lead to the least and to the most; none where that is not known."""
+    of = attrgetter(quantity)
+    known = [value for value in one.varied if of(value) is not None]
+    return [min(known, key=of), max(known, key=of)] if known else []
 
 
 def _span(ends: list[tuple[float, str]], planned: float) -> float:
@@ -221,55 +204,49 @@ def _note(axes: Axes, planned: float, row: int, text: str) -> None:
     )
 
 
-# ---------- what if an assumption is wrong
+# ---------- sentences, tables, and the section of the report
 
 
 _MAX_NAMED = 3
 _SAME = 1.0e-9
 
 
-def sensitivity_sentences(summary: Mapping[str, Any]) -> list[str]:
-    """What the layout's worth hangs on, in sentences.
-
-    Parameters
-    ----------
-    summary : mapping
-        By :func:`summarise_sensitivity`.
-    """
-    planned = summary["planned"]
-    varied = [one for one in summary["assumptions"] if one["varied"]]
+def sensitivity_sentences(found: SensitivityRecord) -> list[str]:
+    """What the layout's worth hangs on, in sentences."""
+    planned = found.planned
+    varied = [one for one in found.assumptions if one.varied]
     if not varied:
         return ["No assumption was varied."]
-    worst = [(min(one["varied"], key=lambda value: value["apr"]), one) for one in varied]
+    worst = [(min(one.varied, key=lambda value: or_nan(value.apr)), one) for one in varied]
     hits = sorted(
-        (pair for pair in worst if pair[0]["apr"] < planned["apr"] - _SAME),
-        key=lambda pair: pair[0]["apr"],
+        (pair for pair in worst if or_nan(pair[0].apr) < or_nan(planned.apr) - _SAME),
+        key=lambda pair: or_nan(pair[0].apr),
     )
     if not hits:
         sentences = [
             f"Of {_count(len(varied))} assumptions, varied one at a time, none lowers the APR "
-            f"below the {percent(planned['apr'])} as planned."
+            f"below the {percent(planned.apr)} as planned."
         ]
     else:
         named = "; ".join(
-            f"{phrase(one['name'], value['value'])} ({percent(value['apr'])})"
+            f"{phrase(one.name, value.value)} ({percent(value.apr)})"
             for value, one in hits[:_MAX_NAMED]
         )
         lowers = "lowers" if len(hits) == 1 else "lower"
         most = f", most of all {named}" if len(hits) > _MAX_NAMED else f": {named}"
         sentences = [
             f"Of {_count(len(varied))} assumptions, varied one at a time, {_count(len(hits))} "
-            f"{lowers} the APR of {percent(planned['apr'])} as planned{most}."
+            f"{lowers} the APR of {percent(planned.apr)} as planned{most}."
         ]
-    tightest = _tightest(summary)
+    tightest = _tightest(found)
     if tightest is not None:
         value, one = tightest
         sentences.append(
             f"The smallest time to spare in the runs that are avoided, "
-            f"{number(planned['smallest_margin_s'])} s as planned, shrinks most with "
-            f"{phrase(one['name'], value['value'])}: to {number(value['smallest_margin_s'])} s."
+            f"{number(planned.smallest_margin_s)} s as planned, shrinks most with "
+            f"{phrase(one.name, value.value)}: to {number(value.smallest_margin_s)} s."
         )
-    stuck = sorted({unit for one in varied for value in one["varied"] for unit in value["unmoved"]})
+    stuck = sorted({unit for one in varied for value in one.varied for unit in value.unmoved})
     if stuck:
         sentences.append(
             "Left where they are, since they would be inside something: " + ", ".join(stuck) + "."
@@ -277,54 +254,43 @@ def sensitivity_sentences(summary: Mapping[str, Any]) -> list[str]:
     return sentences
 
 
-def _tightest(summary: Mapping[str, Any]) -> tuple[Mapping[str, Any], Mapping[str, Any]] | None:
+def _tightest(found: SensitivityRecord) -> tuple[VariedAssumptionRecord, AssumptionRecord] | None:
     """The value, and its assumption, with the least time to spare; None if none has less."""
-    planned = summary["planned"]["smallest_margin_s"]
+    planned = found.planned.smallest_margin_s
     pairs = [
         (value, one)
-        for one in summary["assumptions"]
-        for value in one["varied"]
-        if value["smallest_margin_s"] is not None
+        for one in found.assumptions
+        for value in one.varied
+        if value.smallest_margin_s is not None
     ]
     if planned is None or not pairs:
         return None
-    value, one = min(pairs, key=lambda pair: float(pair[0]["smallest_margin_s"]))
-    return (value, one) if value["smallest_margin_s"] < planned - _SAME else None
+    value, one = min(pairs, key=lambda pair: or_nan(pair[0].smallest_margin_s))
+    return (value, one) if or_nan(value.smallest_margin_s) < planned - _SAME else None
 
 
-def sensitivity_table(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """A row for the plan, and one for every value of every assumption.
-
-    Parameters
-    ----------
-    summary : mapping
-        By :func:`summarise_sensitivity`.
-
-    Returns
-    -------
-    table : dict
-        Caption, columns and rows of text.
-    """
-    rows = [["all as planned", NOTHING, NOTHING, *_worth(summary["planned"], False), NOTHING]]
-    for one in summary["assumptions"]:
-        planned = one["planned_value"]
-        before = NOTHING if planned is None else value_text(one["name"], planned)
-        if not one["varied"]:
-            rows.append([_title(one), before, one["left_out"], *[NOTHING] * 4])
-        for value in one["varied"]:
-            is_chance = one["name"] == "packet_loss"
+def sensitivity_table(found: SensitivityRecord) -> Table:
+    """A row for the plan, and one for every value of every assumption."""
+    rows = [["all as planned", NOTHING, NOTHING, *_worth(found.planned, False), NOTHING]]
+    for one in found.assumptions:
+        planned = one.planned_value
+        before = NOTHING if planned is None else value_text(one.name, planned)
+        if not one.varied:
+            rows.append([_title(one), before, one.left_out, *[NOTHING] * 4])
+        for value in one.varied:
+            is_chance = one.name == "packet_loss"
             rows.append(
                 [
                     _title(one),
                     before,
-                    value_text(one["name"], value["value"]),
+                    value_text(one.name, value.value),
                     *_worth(value, is_chance),
-                    str(len(value["lost_runs"])),
+                    str(len(value.lost_runs)),
                 ]
             )
-    return {
-        "caption": "One assumption at a time, all others as planned",
-        "columns": [
+    return Table(
+        caption="One assumption at a time, all others as planned",
+        columns=[
             "assumption",
             "as planned",
             "instead",
@@ -333,57 +299,69 @@ def sensitivity_table(summary: Mapping[str, Any]) -> dict[str, Any]:
             "smallest time to spare (s)",
             "runs lost",
         ],
-        "rows": rows,
-    }
+        rows=rows,
+        numeric=range(3, 7),
+    )
 
 
-def _worth(value: Mapping[str, Any], is_chance: bool) -> list[str]:
-    margin = value["smallest_margin_s"]
-    return [
-        percent(value["apr"]),
-        percent(value["apr_one_failed"]),
-        "by chance" if is_chance else number(margin),
-    ]
+def _worth(value: PlannedOutcomeRecord | VariedAssumptionRecord, is_chance: bool) -> list[str]:
+    margin = "by chance" if is_chance else number(value.smallest_margin_s)
+    return [percent(value.apr), percent(value.apr_one_failed), margin]
 
 
-def reason_rows(summary: Mapping[str, Any]) -> list[list[str]]:
+def reason_rows(found: SensitivityRecord) -> list[list[str]]:
     """Why each assumption is varied so far: name, reason, and who says so."""
     return [
-        [_title(one), one["reason"], "our assumption" if one["is_ours"] else "source"]
-        for one in summary["assumptions"]
+        [_title(one), one.reason, "our assumption" if one.is_ours else "source"]
+        for one in found.assumptions
     ]
 
 
-def sensitivity_part(summary: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """What ``templates/sensitivity.html.j2`` shows.
-
-    Parameters
-    ----------
-    summary : mapping or None
-        By :func:`summarise_sensitivity`; None: nothing was varied.
-    """
-    if summary is None:
+def sensitivity_section(found: SensitivityRecord | UnsetType) -> Section | None:
+    """What becomes of the layout if an assumption is wrong; None where nothing was varied."""
+    if not found:
         return None
-    figures = []
-    for quantity, (words, _) in QUANTITIES.items():
-        if any(one["varied"] for one in summary["assumptions"]):
-            figures.append(
-                build_picture(
-                    plot_sensitivity(summary, quantity=quantity),
-                    title=f"What moves the {words}",
-                    caption="Plain bars to the right of the line: better than planned; hatched "
-                    "ones to the left: worse. The values are those at the ends."
-                    + _margin_note(quantity),
-                    alt=_alt(summary, quantity, words),
-                )
+    blocks: list[Block] = [" ".join(sensitivity_sentences(found))]
+    if any(one.varied for one in found.assumptions):
+        blocks += [
+            build_picture(
+                plot_sensitivity(found, quantity=quantity),
+                title=f"What moves the {words}",
+                caption="Plain bars to the right of the line: better than planned; hatched "
+                "ones to the left: worse. The values are those at the ends."
+                + _margin_note(quantity),
+                alt=_alt(found, quantity, words),
             )
-    return {
-        "sentences": sensitivity_sentences(summary),
-        "figures": figures,
-        "table": sensitivity_table(summary),
-        "reasons": reason_rows(summary),
-        "lost": lost_runs_rows(summary),
-    }
+            for quantity, (words, _) in QUANTITIES.items()
+        ]
+    blocks += [
+        sensitivity_table(found),
+        "On the detection table of these units, on which no message is lost. Mounting errors are "
+        "common to all units: each is turned (counter-clockwise), tilted (up), lifted or moved "
+        "ahead alike. Where messages are lost, shares are expected values, and a run counts as "
+        "lost if it is avoided in less than 99 % of the drives. The smallest time to spare is that "
+        "of the runs still avoided: a run that is lost no longer counts. Units with a latency of "
+        "their own keep it.",
+    ]
+    lost = lost_runs_rows(found)
+    if lost:
+        blocks.append(
+            Table(
+                caption="Runs that are avoided as planned, and then no longer",
+                columns=["if", "how many", "which"],
+                rows=lost,
+                summary="Which runs are lost",
+            )
+        )
+    blocks.append(
+        Table(
+            caption="How far each assumption is varied, and why",
+            columns=["assumption", "reason", "whose"],
+            rows=reason_rows(found),
+            summary="Why these values",
+        )
+    )
+    return Section("sensitivity", "What if an assumption is wrong?", blocks)
 
 
 def _margin_note(quantity: str) -> str:
@@ -392,41 +370,38 @@ def _margin_note(quantity: str) -> str:
     return " A star: runs are lost there, which no longer count, so that the rest looks better."
 
 
-def _alt(summary: Mapping[str, Any], quantity: str, words: str) -> str:
-    show = percent if quantity == "apr" else _seconds
-    planned = summary["planned"][quantity]
-    parts = []
-    for one in summary["assumptions"]:
-        values = [value for value in one["varied"] if value[quantity] is not None]
-        if values:
-            low = min(values, key=lambda value: float(value[quantity]))
-            high = max(values, key=lambda value: float(value[quantity]))
-            parts.append(f"{_title(one)} {show(low[quantity])} to {show(high[quantity])}")
+def _alt(found: SensitivityRecord, quantity: str, words: str) -> str:
+    def show(value: float | None) -> str:
+        return percent(value) if quantity == "apr" else f"{number(value)} s"
+
+    of = attrgetter(quantity)
+    planned = of(found.planned)
+    parts = [
+        f"{_title(one)} {show(of(ends[0]))} to {show(of(ends[1]))}"
+        for one in found.assumptions
+        if (ends := _worst_and_best(one, quantity))
+    ]
     shown = NOTHING if planned is None else show(planned)
     return f"Bars of the {words}, {shown} as planned. " + "; ".join(parts) + "."
 
 
-def _seconds(value_s: float) -> str:
-    return f"{number(value_s)} s"
-
-
-def _title(one: Mapping[str, Any]) -> str:
-    return TITLES[one["name"]]
+def _title(one: AssumptionRecord) -> str:
+    return TITLES[one.name]
 
 
 def _count(n: int) -> str:
     return "one" if n == 1 else str(n)
 
 
-def lost_runs_rows(summary: Mapping[str, Any]) -> list[list[str]]:
+def lost_runs_rows(found: SensitivityRecord) -> list[list[str]]:
     """Which runs each value loses: a row for each that loses any, for the details of the report."""
     return [
         [
-            phrase(one["name"], value["value"]),
-            count_runs(len(value["lost_runs"])),
-            ", ".join(value["lost_runs"]),
+            phrase(one.name, value.value),
+            count_runs(len(value.lost_runs)),
+            ", ".join(value.lost_runs),
         ]
-        for one in summary["assumptions"]
-        for value in one["varied"]
-        if value["lost_runs"]
+        for one in found.assumptions
+        for value in one.varied
+        if value.lost_runs
     ]

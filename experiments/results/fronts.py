@@ -17,8 +17,8 @@ from .record import (
     BeforeAfter,
     Record,
     Share,
-    StageName,
     StageRecord,
+    StageValues,
     UnitRecord,
     build_stage_records,
     build_unit_records,
@@ -108,8 +108,8 @@ class RefinementRecord(Record, frozen=True, kw_only=True):
     """Search between the poses of the grid."""
 
     is_improved: Annotated[bool, says("Whether it found anything better.")]
-    before: Annotated[dict[StageName, float], says("Of the best layout of the grid.")]
-    after: Annotated[dict[StageName, float], says("Of the refined layout.")]
+    before: Annotated[StageValues, says("Of the best layout of the grid.")]
+    after: Annotated[StageValues, says("Of the refined layout.")]
     moves: Annotated[tuple[MoveRecord, ...], says("What became of the units that changed.")]
     grid_candidates: Annotated[int, says("Candidate poses of the grid.", ge=0)]
     grid_is_proven: Annotated[bool, says("Whether the grid's layout is proven best.")]

@@ -34,6 +34,11 @@ def number(value: float | None, digits: int = 2) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")
 
 
+def or_nan(value: float | None) -> float:
+    """A number as records have it: NaN where there is none."""
+    return math.nan if value is None else value
+
+
 def milliseconds(time_s: float) -> str:
     """A time in seconds as whole milliseconds, with the unit."""
     return f"{number(1000.0 * time_s, 0)}\N{NO-BREAK SPACE}ms"

@@ -1,21 +1,22 @@
 """A folder of results read back: summary, layout, and the tables of runs and of ratios.
 
-What the keys of ``summary.json`` mean says ``data/result.schema.json``. Here only its version is
-checked, and what is used: that the files are whole and belong together.
+Files are checked to be whole, of this version, and to belong together.
 """
 
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_string_dtype
 
 from geometry.errors import InputError, Unquoted
+from geometry.files import read_table
 from placement.layout import RESULT_SCHEMA, Layout, load_layout
+
+from .result import Result
 
 MARKER = "summary.json"
 LAYOUT_FILE = "layout.json"
@@ -53,15 +54,15 @@ _A_WHOLE = "a whole file, as place-rsus has written it"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Result:
+class StoredResult:
     """What a placement, an evaluation or a comparison has written to a folder.
 
     Attributes
     ----------
     folder : Path
         Where it was read from.
-    summary : mapping
-        The numbers; keys as in ``data/result.schema.json``.
+    summary : Result
+        The numbers of ``summary.json``.
     layout : Layout
         What was found or evaluated; of a comparison the first one.
     runs : DataFrame
@@ -72,16 +73,16 @@ class Result:
     """
 
     folder: Path
-    summary: Mapping[str, Any]
+    summary: Result
     layout: Layout
     runs: pd.DataFrame
     apr: pd.DataFrame
 
     def __repr__(self) -> str:
-        return f"Result({self.layout.name!r}, {self.summary['runs']} runs, {str(self.folder)!r})"
+        return f"Result({self.layout.name!r}, {self.summary.runs} runs, {str(self.folder)!r})"
 
 
-def load_result(folder: Path | str) -> Result:
+def load_result(folder: Path | str) -> StoredResult:
     """Results from the folder that ``--out`` names.
 
     Parameters
@@ -91,7 +92,7 @@ def load_result(folder: Path | str) -> Result:
 
     Returns
     -------
-    result : Result
+    result : StoredResult
         All of it, checked to be whole and to belong together.
 
     Raises
@@ -110,7 +111,7 @@ def load_result(folder: Path | str) -> Result:
         raise InputError(str(folder), Unquoted("no folder"), "a folder of results")
     summary = _load_summary(folder / MARKER)
     layout = load_layout(folder / LAYOUT_FILE)
-    ids, expected = [unit.id for unit in layout.units], _unit_ids(summary, folder / MARKER)
+    ids, expected = [unit.id for unit in layout.units], [unit.id for unit in summary.layout]
     if ids != expected:
         raise InputError(
             str(folder / LAYOUT_FILE),
@@ -119,19 +120,16 @@ def load_result(folder: Path | str) -> Result:
         )
     runs = _load_runs(folder / RUNS_FILE, summary)
     apr = _load_apr(folder / APR_FILE, runs)
-    return Result(folder=folder, summary=summary, layout=layout, runs=runs, apr=apr)
+    return StoredResult(folder=folder, summary=summary, layout=layout, runs=runs, apr=apr)
 
 
-# ---------------------------------------------------------------- summary
-
-
-def _load_summary(path: Path) -> dict[str, Any]:
+def _load_summary(path: Path) -> Result:
     data = _read(path)
     try:
-        summary = json.loads(data.decode("utf-8"))
+        summary = msgspec.json.decode(data.decode("utf-8"))
     except RecursionError:
         raise InputError(str(path), Unquoted("JSON nested too deep"), _A_WHOLE) from None
-    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(str(path), Unquoted(_first_line(error)), _A_WHOLE) from None
     if not isinstance(summary, dict):
         raise InputError(
@@ -142,28 +140,10 @@ def _load_summary(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path}: schema", schema, f'"{RESULT_SCHEMA}": a placement, evaluation or comparison'
         )
-    name, n_runs = summary.get("name"), summary.get("runs")
-    if not isinstance(name, str):
-        raise InputError(f"{path}: name", name, "text")
-    if not isinstance(n_runs, int) or isinstance(n_runs, bool) or n_runs < 1:
-        raise InputError(f"{path}: runs", n_runs, "a whole number of runs, at least 1")
-    return summary
+    return read_table(summary, Result, str(path))
 
 
-def _unit_ids(summary: Mapping[str, Any], path: Path) -> list[str]:
-    units = summary.get("layout")
-    if not isinstance(units, list) or not units:
-        raise InputError(f"{path}: layout", units, "a list of units")
-    ids = [unit.get("id") if isinstance(unit, dict) else None for unit in units]
-    if not all(isinstance(name, str) for name in ids):
-        raise InputError(f"{path}: layout", Unquoted("a unit without an id"), "units with ids")
-    return [str(name) for name in ids]
-
-
-# ---------------------------------------------------------------- tables
-
-
-def _load_runs(path: Path, summary: Mapping[str, Any]) -> pd.DataFrame:
+def _load_runs(path: Path, summary: Result) -> pd.DataFrame:
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -174,11 +154,11 @@ def _load_runs(path: Path, summary: Mapping[str, Any]) -> pd.DataFrame:
     except (OSError, ValueError, pa.ArrowException) as error:
         raise InputError(str(path), Unquoted(_first_line(error)), _A_WHOLE) from None
     _check_columns(runs, _RUNS_COLUMNS, path)
-    if summary["name"] not in set(runs["layout"]):
+    if summary.name not in set(runs["layout"]):
         raise InputError(
-            f"{path}: layout", Unquoted(f"no run of {summary['name']}"), f"those of {MARKER}"
+            f"{path}: layout", Unquoted(f"no run of {summary.name}"), f"those of {MARKER}"
         )
-    n_runs, names = summary["runs"], set(runs["run"])
+    n_runs, names = summary.runs, set(runs["run"])
     for (layout, party), of_party in runs.groupby(["layout", "party"], sort=False):
         if len(of_party) != n_runs or set(of_party["run"]) != names or len(names) != n_runs:
             raise InputError(
@@ -231,9 +211,6 @@ def _check_columns(table: pd.DataFrame, columns: Mapping[str, str], path: Path) 
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names)
-
-
-# ---------------------------------------------------------------- files
 
 
 def _read(path: Path) -> bytes:

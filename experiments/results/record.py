@@ -1,7 +1,7 @@
 """Records: frozen values of which results are made, with their JSON and the schema of it."""
 
 from dataclasses import asdict
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -29,10 +29,11 @@ def says(
     le: float | None = None,
     min_length: int | None = None,
 ) -> Meta:
-    """Description of a field, and limits of its value."""
+    """Description of a field for the schema, and limits of its value."""
+    extra = {"description": description}
     if min_length is not None:
-        return Meta(description=description, min_length=min_length)
-    return Meta(description=description, ge=ge, le=le)
+        return Meta(extra=extra, min_length=min_length)
+    return Meta(extra=extra, ge=ge, le=le)
 
 
 Share = Annotated[
@@ -51,6 +52,11 @@ StageName = Literal[
 ]
 """Objectives: number of units; cost in EUR; APR that is left when any units fail; APR; APR if the
 most needed unit fails; smallest and mean time to spare in seconds."""
+StageValues = Annotated[
+    dict[StageName, float],
+    Meta(extra_json_schema={"propertyNames": {"enum": list(get_args(StageName))}}),
+]
+"""Value of each stage, in the unit that its name ends in."""
 BeforeAfter = tuple[Annotated[int, Meta(ge=0)], Annotated[int, Meta(ge=0)]]
 """Before presolve, after it."""
 

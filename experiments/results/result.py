@@ -85,7 +85,7 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
 class GreedyLayoutRecord(Record, frozen=True, kw_only=True):
     """Units chosen one by one, by the evaluator."""
 
-    layout: Annotated[tuple[UnitRecord, ...], says("The units.")]
+    layout: Annotated[tuple[UnitRecord, ...], says("The units.", min_length=1)]
     vut: Annotated[PartyAprRecord, says("The vehicle under test by itself.")]
     rsu_all: Annotated[
         PartyAprRecord, says("All units together: in each frame, any of them may detect.")
@@ -129,7 +129,7 @@ class ComparedRecord(Record, frozen=True, kw_only=True):
     """Another layout on the same runs."""
 
     name: Annotated[str, says("Of the layout.")]
-    layout: Annotated[tuple[UnitRecord, ...], says("Its units.")]
+    layout: Annotated[tuple[UnitRecord, ...], says("Its units.", min_length=1)]
     cost_eur: Annotated[
         float, says("Price of its units by the catalogue, in EUR, without poles or mounting.", ge=0)
     ]
@@ -199,7 +199,7 @@ class Result(Record, frozen=True, kw_only=True):
     name: Annotated[str, says("Of the layout.")]
     layout: Annotated[
         tuple[UnitRecord, ...],
-        says("The units of the layout found, evaluated, or compared with others."),
+        says("The units of the layout found, evaluated, or compared with others.", min_length=1),
     ]
     cost_eur: Annotated[
         float, says("Price of the units by the catalogue, in EUR, without poles or mounting.", ge=0)
@@ -273,7 +273,9 @@ class Result(Record, frozen=True, kw_only=True):
     baseline_name: (
         Annotated[str | None, says("Name of the layout to compare with; null: none.")] | UnsetType
     ) = UNSET
-    baseline_layout: Annotated[tuple[UnitRecord, ...], says("Its units.")] | UnsetType = UNSET
+    baseline_layout: (
+        Annotated[tuple[UnitRecord, ...], says("Its units.", min_length=1)] | UnsetType
+    ) = UNSET
     runs_gained: (
         Annotated[tuple[RunId, ...], says("Runs that the layout avoids and the baseline does not.")]
         | UnsetType

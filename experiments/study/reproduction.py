@@ -105,19 +105,9 @@ def _move_walls(setting: Setting, by_m: float) -> Setting:
 
 
 def move_walls(scene: Scene, by_m: float) -> Scene:
-    """Move every wall towards the middle of a junction.
+    """Move every wall towards the middle of a junction, by so much along both roads. [m].
 
-    Parameters
-    ----------
-    scene : Scene
-        The junction.
-    by_m : float
-        East or west, and as much north or south. [m]
-
-    Returns
-    -------
-    scene : Scene
-        All else stands where it stood.
+    All else stands where it stood.
     """
     vertices = scene.vertices_m.copy()
     middle = scene.outline_m.mean(axis=0)
@@ -223,15 +213,7 @@ def load_published() -> tuple[PublishedFigure, ...]:
 def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
     """What the study publishes or leaves open, as shares of 1.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of the study's layout.
-
-    Returns
-    -------
-    quantities : dict
-        From quantity and case to its value.
+    By quantity and case.
     """
     axis = evaluation.axis
     parties: dict[str, Verdict] = {
@@ -249,15 +231,7 @@ def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
 
 
 def write_reproduction(folder: Path, *, compute: Compute) -> None:
-    """Evaluate all variants and weathers, and write ``reproduction.md`` with its heatmaps.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to.
-    compute : Compute
-        Threads and progress.
-    """
+    """Evaluate all variants and weathers, and write ``reproduction.md`` with its heatmaps."""
     variants = build_variants()
     n_steps = len(variants) + len(DETECTORS)
     evaluations = []

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from interactive_pages import build_evaluation, build_layout
 from matplotlib.text import Text
+from partial_pages import build_result
 
+from experiments.cli.evaluate import evaluation_text
 from experiments.figures.evaluation import MAX_HEATMAP_UNITS, plot_heatmap, units_in_heatmap
 from experiments.figures.plan import MAX_LABELLED_UNITS, plot_plan
-from experiments.report.tables import MAX_UNIT_COLUMNS, unit_apr_table
+from experiments.report.accidents import MAX_UNIT_COLUMNS, unit_apr_table
 from experiments.results.numbers import percent
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
@@ -49,46 +51,47 @@ def test_a_heatmap_of_many_units_has_those_that_confirm_first(evaluation, few):
 
 def test_of_many_units_each_is_a_row_and_the_best_come_first(evaluation, few):
     table, narrow = unit_apr_table("many", evaluation), unit_apr_table("few", few)
-    assert table["caption"] == "APR of each unit of many by itself, best first"
-    assert len(narrow["columns"]) == MAX_UNIT_COLUMNS + 1
-    assert table["columns"] == ["unit", *(row[0] for row in narrow["rows"])]
-    assert sorted(row[0] for row in table["rows"]) == sorted(evaluation.units)
-    shares = [float(row[1].removesuffix(" %")) for row in table["rows"]]
+    assert table.caption == "APR of each unit of many by itself, best first"
+    assert len(narrow.columns) == MAX_UNIT_COLUMNS + 1
+    assert table.columns == ["unit", *(row[0] for row in narrow.rows)]
+    assert sorted(row[0] for row in table.rows) == sorted(evaluation.units)
+    shares = [float(row[1].removesuffix(" %")) for row in table.rows]
     assert shares == sorted(shares, reverse=True)
     best = max(apr(unit, evaluation.axis) for unit in evaluation.units.values())
     assert shares[0] == pytest.approx(100.0 * best, abs=0.05)
-    rows = {row[0]: row for row in table["rows"]}
+    rows = {row[0]: row for row in table.rows}
     for unit_id, unit in evaluation.units.items():
         assert rows[unit_id][1] == percent(apr(unit, evaluation.axis))
 
 
-def summary_of(n_units):
+def result_of(n_units):
     """APR of units that rises with their number, but is the same for pairs of them."""
     ratio = {"all": 0.9, "by_case": {"CBNA": 0.9}}
     ids = [f"unit/{index}" for index in range(n_units)]
-    return {
-        "name": "mine",
-        "runs": 6,
-        "cost_eur": 1000.0,
-        "layout": [
+    return build_result(
+        "mine",
+        [
             {"id": key, "site": "s", **dict.fromkeys(("x_m", "y_m", "z_m"), 1.0)}
             | {"yaw_deg": 0.0, "pitch_deg": 0.0}
             for key in ids
         ],
-        "evaluation": {
+        runs=6,
+        cost_eur=1000.0,
+        evaluation={
             "units": {
                 key: {"all": index // 2 / N, "by_case": {"CBNA": index // 2 / N}}
                 for index, key in enumerate(ids)
             },
             **dict.fromkeys(("rsu_all", "vut_and_rsus", "vut"), ratio),
+            "apr_without_worst_unit": None,
         },
-    }
+    )
 
 
 @pytest.mark.parametrize(("n_units", "n_left"), [(24, 0), (26, 2), (200, 176)])
 @pytest.mark.parametrize("out", [Path("out"), None])
 def test_a_terminal_shows_the_units_of_the_highest_apr_and_counts_the_rest(n_units, n_left, out):
-    text = evaluation_table(summary_of(n_units), out)
+    text = evaluation_text(result_of(n_units), out)
     units = set(re.findall(r"unit/\d+", text))
     assert units == {f"unit/{index}" for index in range(n_units - 24, n_units)}
     assert (f"and {n_left} more units" in text) == (n_left > 0)

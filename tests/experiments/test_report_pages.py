@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from browser_pages import open_page, start_browser
 from interactive_pages import EVIL, build_evaluation, build_layout, with_evil_names
+from partial_pages import build_result
 
 from experiments.jobs import placement
 from experiments.progress import StageProgress
@@ -64,9 +65,9 @@ def addresses(small_setting, tmp_path_factory):
     setting = with_evil_names(small_setting)
     layout = build_layout(200, name=name, ids=[f"{name}{index}" for index in range(200)])
     evaluation = build_evaluation(setting, layout, share=0.05)
-    summary = {"name": name, "layout": layout_records(layout), "runs": len(setting.runs)}
+    result = build_result(name, layout_records(layout), runs=len(setting.runs))
     (folder / "many").mkdir()
-    write_report(folder / "many", summary, setting, {name: evaluation}, command=EVIL)
+    write_report(folder / "many", result, setting, {name: evaluation}, command=EVIL)
     return {kind: folder / kind / "report.html" for kind in KINDS}
 
 

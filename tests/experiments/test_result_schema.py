@@ -12,9 +12,10 @@ import jsonschema
 import numpy as np
 import pytest
 
-from experiments.export.json import to_json
+from experiments.export.json import to_json, to_json_text
 from experiments.jobs import placement
 from experiments.results.reading import load_result
+from experiments.results.schema import SCHEMA_FILE, schema_text
 from experiments.study.layout import load_carlancap_layout
 from geometry.frames import to_geographic
 from geometry.scene_files import load_study_scene
@@ -34,6 +35,11 @@ def messages(summary):
     return [f"{error.json_path}: {error.message}" for error in VALIDATOR.iter_errors(summary)]
 
 
+def plain(result):
+    """As JSON has it."""
+    return json.loads(to_json_text(result))
+
+
 def parts(node, where="$"):
     """Every object of a schema that says what it is for, and where it stands."""
     if isinstance(node, dict):
@@ -46,6 +52,11 @@ def parts(node, where="$"):
 
 
 # ---------------------------------------------------------------- the schema itself
+
+
+def test_the_schema_is_that_of_the_types():
+    """Else: python -m experiments.results.schema."""
+    assert SCHEMA_FILE.read_text(encoding="utf-8") == schema_text()
 
 
 def test_the_schema_is_one_and_leaves_nothing_open_or_unsaid():
@@ -162,7 +173,7 @@ def test_placements_are_as_the_schema_says(kind, small_study, without_figures, r
     assert messages(summary) == []
     assert expected <= set(summary)
     assert summary["schema"] == RESULT_SCHEMA
-    assert load_result(tmp_path / "out").summary == summary
+    assert plain(load_result(tmp_path / "out").summary) == summary
 
 
 def test_private_ground_is_in_the_schema(
@@ -226,7 +237,7 @@ def test_what_is_changed_in_a_summary_is_noticed(small_study, without_figures, r
     options = ("--budget", 2, "--samples", 2, "--pool", 2)
     summary = written(run, tmp_path / "out", *options)
     assert messages(summary) == []
-    assert load_result(tmp_path / "out").summary == summary
+    assert plain(load_result(tmp_path / "out").summary) == summary
     optional = {"front", "private_ground", "refinement", "sampled", "sensitivity"}
     for key in summary:
         less = {name: value for name, value in summary.items() if name != key}

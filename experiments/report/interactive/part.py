@@ -39,26 +39,10 @@ def choose_runs(
 ) -> list[tuple[int, str]]:
     """Runs for the player, and why each is there.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of the layout that is reported.
-    first_runs : sequence of str
-        Ids of runs that come first; unknown ones are left out.
-    max_runs : int
-        At most so many.
-
-    Returns
-    -------
-    chosen : list of pair of int and str
-        Index of the run, and one of ``SHOWN_ABOVE``, ``LEAST_TIME``, ``NOT_AVOIDED`` and
-        ``ONE_PER_CASE``, in this order. Each of the last three gets a third of what is left, or
-        more where the others do not need theirs.
-
-    Raises
-    ------
-    InputError
-        Less than one run is asked for.
+    Pairs of the index of a run, and one of ``SHOWN_ABOVE``, ``LEAST_TIME``, ``NOT_AVOIDED`` and
+    ``ONE_PER_CASE``, in this order. Each of the last three gets a third of what is left, or more
+    where the others do not need theirs. `first_runs` are ids
+    of runs that come first; unknown ones are left out. Raises InputError if `max_runs` is below 1.
     """
     if max_runs < 1:
         raise InputError("max_runs", max_runs, "at least 1")
@@ -123,29 +107,13 @@ def interactive_part(
 ) -> dict[str, Any] | None:
     """Values for ``templates/interactive.html.j2``.
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene and runs.
-    evaluations : mapping of str to Evaluation
-        By display name; the first one is the subject. Of the others, all units together are a row
-        of the heatmap, and sensors are in the 3-D view.
-    max_runs : int
-        At most so many runs stand out in the list; all others follow as long as they fit.
-    first_runs : sequence of str
-        Ids of runs that come first, as those whose heatmaps the page shows.
+    The first evaluation is the subject. Of the others, all units together are a row of the heatmap,
+    and sensors are in the 3-D view. At most `max_runs` runs stand out in the list; all others
+    follow as long as they fit.
 
-    Returns
-    -------
-    part : dict or None
-        "runs" (their number), "player_json", "view_json", "note" (what the 3-D view leaves out),
-        "plotly_gzip" (empty where the package plotly is missing: no 3-D view). None if no run has
-        the frames that were evaluated.
-
-    Raises
-    ------
-    InputError
-        There is no evaluation, or `max_runs` is not positive.
+    "n_runs", "player_json", "view_json", "note" (what the 3-D view leaves out), "plotly_gzip"
+    (empty where the package plotly is missing: no 3-D view). None if no run has the frames that
+    were evaluated. Raises InputError if there is no evaluation, or `max_runs` is not positive.
     """
     if not evaluations:
         raise InputError("evaluations", Unquoted("none"), "at least one")

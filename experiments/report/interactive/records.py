@@ -34,16 +34,8 @@ _ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
 def to_script_json(value: Any) -> str:
     r"""A value as JSON that no name in it can break out of.
 
-    Parameters
-    ----------
-    value : dict, list, str, int, float, bool or None
-        Whatever JSON can say; no infinities.
-
-    Returns
-    -------
-    text : str
-        ASCII without ``<``, ``>`` and ``&``: U+2028, U+2029 and halves of surrogate pairs are
-        escaped, too.
+    ASCII without ``<``, ``>`` and ``&``: U+2028, U+2029 and halves of surrogate pairs are escaped,
+    too.
 
     References
     ----------
@@ -68,12 +60,7 @@ def to_base64(array: NDArray[Any]) -> str:
 def to_plotly_array(values: ArrayLike, kind: str) -> dict[str, str]:
     """An array as plotly.js reads it: kind and little-endian bytes in base64.
 
-    Parameters
-    ----------
-    values : (n,) array
-        Numbers.
-    kind : str
-        "f4", "u2", "u4" and so on.
+    `kind` is "f4", "u2", "u4" and so on.
     """
     return {"dtype": kind, "bdata": to_base64(np.asarray(values).astype(f"<{kind}"))}
 
@@ -81,10 +68,7 @@ def to_plotly_array(values: ArrayLike, kind: str) -> dict[str, str]:
 def pack_bits(bits: ArrayLike) -> str:
     """Rows of bits, each padded to whole bytes, the first bit highest, in base64.
 
-    Parameters
-    ----------
-    bits : (n_rows, n) bool
-        What :func:`unpack_bits` and the player's script give back.
+    `bits` is (n_rows, n); :func:`unpack_bits` and the player's script give it back.
     """
     return to_base64(np.packbits(np.asarray(bits, dtype=bool), axis=1))
 
@@ -110,15 +94,8 @@ _PARTY_NAMES = {
 def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]:
     """Who may detect, in the order of the bits of :func:`run_record`.
 
-    Parameters
-    ----------
-    evaluations : mapping of str to Evaluation
-        By display name; the first one is the subject, of the others only all units together count.
-
-    Returns
-    -------
-    records : list of dict
-        name, kind: "vut", "unit", "rsu_all" (the subject's) or "other".
+    Each has a name and a kind: "vut", "unit", "rsu_all" (the subject's) or "other". Of other
+    layouts than the subject, the first one, only all units together count.
     """
     subject_name, subject = next(iter(evaluations.items()))
     labels = unit_labels(subject.layout)
@@ -139,20 +116,8 @@ def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]
 def run_record(run: Run, evaluations: Mapping[str, Evaluation], *, group: str) -> dict[str, Any]:
     """A run with what every party detects.
 
-    Parameters
-    ----------
-    run : Run
-        One that all evaluations have.
-    evaluations : mapping of str to Evaluation
-        As for :func:`party_records`.
-    group : str
-        Why the run is shown.
-
-    Returns
-    -------
-    record : dict
-        Times in milliseconds (None: never), positions in centimetres, headings in tenths of a
-        degree. "bits": see :func:`.script_text.pack_bits`, a row per party.
+    Times in milliseconds (None: never), positions in centimetres, headings in tenths of a degree.
+    "bits": see :func:`pack_bits`, a row per party.
     """
     subject, *others = evaluations.values()
     axis = subject.axis
@@ -297,18 +262,9 @@ def describe_unit(label: str, unit: CandidatePose) -> str:
 def field_lines(unit: CandidatePose, *, max_range_m: float) -> list[FloatArray]:
     """Lines that show a unit's field of view.
 
-    Parameters
-    ----------
-    unit : CandidatePose
-        Sensor and pose.
-    max_range_m : float
-        How far. [m]
-
-    Returns
-    -------
-    lines : list of (n, 3) float
-        The border, and the edges from the sensor to its corners. Of a LiDAR that scans all round:
-        where on the road its scan ends and begins, and four of its lowest beams. World frame. [m]
+    Each is (n, 3), in metres, world frame: the border, and the edges from the sensor to its
+    corners. Of a LiDAR that scans all round: where on the road its scan ends and begins, and four
+    of its lowest beams. World frame. [m]
     """
     rings = ground_rings(unit, max_range_m=max_range_m) if is_ring(unit.sensor) else ()
     borders = [np.insert(ring, 2, _ABOVE_ROAD_M, axis=1) for ring in rings if len(ring)]
@@ -323,17 +279,8 @@ def field_lines(unit: CandidatePose, *, max_range_m: float) -> list[FloatArray]:
 def view_border(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
     """Where the rays through the border of a sensor's field of view end.
 
-    Parameters
-    ----------
-    unit : CandidatePose
-        Sensor and pose.
-    max_range_m : float
-        Rays end here, or on the road plane. [m]
-
-    Returns
-    -------
-    ends_m : (32, 3) float
-        In order around the border; every eighth is a corner. World frame. [m]
+    Shape (32, 3), in order around the border; every eighth is a corner. Rays end at `max_range_m`,
+    or on the road plane. World frame. [m]
     """
     directions = _border_directions(unit.sensor) @ (
         body_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg).T
@@ -398,18 +345,9 @@ _LABEL_SHARE = 0.86
 def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
     """The still part of the player's plan.
 
-    Parameters
-    ----------
-    scene : Scene
-        What is drawn.
-    unit_positions_m : (n, 2) float
-        The window holds these, too, unless they are very far. World frame. [m]
-
-    Returns
-    -------
-    record : dict
-        "middle" and "half" of the window, "classes" (name, colour, path), "sites", "crosswalks",
-        "arms" (name, place). Centimetres.
+    The window holds the units, at `unit_positions_m`, (n, 2), too, unless they are very far.
+    "middle" and "half" of the window, "classes" (name, colour, path), "sites", "crosswalks", "arms"
+    (name, place). Centimetres.
     """
     import shapely
 

@@ -42,21 +42,9 @@ _MAX_STYLES = 12  # of units: as many pairs of colour and dash as there are
 def view_record(scene: Scene, layout: Layout, others: Sequence[Layout] = ()) -> dict[str, Any]:
     """Traces and layout of the 3-D view.
 
-    Parameters
-    ----------
-    scene : Scene
-        What stands there.
-    layout : Layout
-        Units with fields of view.
-    others : sequence of Layout
-        Units as small open marks.
-
-    Returns
-    -------
-    record : dict
-        "traces" for plotly.js; a mesh's "names" and "nameIndex" (of each vertex) are for the
-        script, which makes hover texts of them. "middle" and "half" of the part that is shown and
-        its "top". [m] "note": what is left out, or an empty text.
+    "traces" for plotly.js; a mesh's "names" and "nameIndex" (of each vertex) are for the script,
+    which makes hover texts of them. "middle" and "half" of the part that is shown and its "top".
+    [m] "note": what is left out, or an empty text.
     """
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     kept = nearest_triangles(scene, middle, MAX_TRIANGLES)
@@ -103,19 +91,7 @@ def _top_m(
 def nearest_triangles(scene: Scene, middle_m: FloatArray, max_triangles: int) -> IntArray:
     """Triangles nearest to a point, in ascending order of their index.
 
-    Parameters
-    ----------
-    scene : Scene
-        Whose.
-    middle_m : (2,) float
-        The point. World frame. [m]
-    max_triangles : int
-        At most so many; how far a triangle is, is told by the box around it.
-
-    Returns
-    -------
-    index : (n,) int
-        Into ``scene.triangles``.
+    Indices into ``scene.triangles``; how far a triangle is, is told by the box around it.
     """
     n_triangles = len(scene.triangles)
     if n_triangles <= max_triangles:
@@ -229,17 +205,7 @@ def _lines(name: str, lines: Iterable[FloatArray], *, colour: str, width: float)
 def dashes(line_m: FloatArray, pattern_m: Sequence[float]) -> list[FloatArray]:
     """Pieces of a line that a dash pattern leaves; plotly.js dashes by the eye's distance.
 
-    Parameters
-    ----------
-    line_m : (n, 3) float
-        Corners. [m]
-    pattern_m : sequence of float
-        Lengths of dash and gap by turns; empty: the whole line. [m]
-
-    Returns
-    -------
-    pieces_m : list of (n, 3) float
-        Corners of each piece. [m]
+    A line and its pieces are (n, 3) corners; `pattern_m` has lengths of dash and gap by turns. [m]
     """
     steps = np.linalg.norm(np.diff(line_m, axis=0), axis=1)
     along = np.append(0.0, np.cumsum(steps))

@@ -1,8 +1,9 @@
 from dataclasses import replace
 
 import pytest
+from partial_pages import build_result
 
-from experiments.report.answer import assumptions
+from experiments.report.assumptions import assumptions
 from experiments.study.layout import load_carlancap_layout
 from placement.layout import Layout
 
@@ -40,4 +41,4 @@ def layout(*latencies_s):
     ],
 )
 def test_latency_names_the_units_that_have_another_of_their_own(small_setting, layouts, text):
-    assert dict(assumptions({}, small_setting, layouts))["Latency"] == text
+    assert dict(assumptions(build_result("any"), small_setting, layouts))["Latency"] == text

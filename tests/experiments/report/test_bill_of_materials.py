@@ -3,11 +3,12 @@ import io
 from dataclasses import replace
 
 import pytest
-from partial_pages import render_partial
+from partial_pages import render_section
 
 from experiments.report.bill_of_materials import (
+    NOT_IN_IT,
     bill_of_materials_csv,
-    bill_part,
+    bill_section,
     bill_sentences,
     bill_tables,
     build_bill,
@@ -70,18 +71,18 @@ def test_sensors_are_counted_by_model_and_sites_are_paid_once(build, scene):
         "and comes on top."
     ]
     sensors, sites = bill_tables(bill)
-    assert sensors["rows"][-1] == ["all", "", "3", "", "7,000"]
-    assert sites["rows"][-1] == ["all", "", "3", "≥ 800"]
-    assert {len(row) for row in sensors["rows"]} == {len(sensors["columns"])}
-    assert {len(row) for row in sites["rows"]} == {len(sites["columns"])}
+    assert sensors.rows[-1] == ["all", "", "3", "", "7,000"]
+    assert sites.rows[-1] == ["all", "", "3", "≥ 800"]
+    assert {len(row) for row in sensors.rows} == {len(sensors.columns)}
+    assert {len(row) for row in sites.rows} == {len(sites.columns)}
 
 
 def test_what_is_unknown_is_never_zero(build, scene):
     bill = build_bill(build((1, "own"), (None, "own")), scene)
     assert bill_sentences(bill) == ["No price is known."]
     sensors, sites = bill_tables(bill)
-    assert sensors["rows"][0][3:] == ["unknown"] * 2
-    assert [row[3] for row in sites["rows"]] == ["unknown"] * 3
+    assert sensors.rows[0][3:] == ["unknown"] * 2
+    assert [row[3] for row in sites.rows] == ["unknown"] * 3
     rows = list(csv.DictReader(io.StringIO(bill_of_materials_csv(bill))))
     assert all(row["price_eur"] == row["sum_eur"] == "" for row in rows)
 
@@ -102,8 +103,8 @@ def test_what_hangs_there_already_is_not_paid_for(build, scene):
     assert (camera.n_units, camera.count, camera.sum_eur) == (3, 2, 3000.0)
     assert [site.sum_eur for site in bill.sites] == [0.0, 100.0]
     sensors, sites = bill_tables(bill)
-    assert sensors["columns"][2:4] == ["units", "to buy"]
-    assert sites["rows"][0][3] == "there already"
+    assert sensors.columns[2:4] == ["units", "to buy"]
+    assert sites.rows[0][3] == "there already"
 
 
 def test_the_file_has_the_same_items(build, scene):
@@ -118,8 +119,8 @@ def test_the_file_has_the_same_items(build, scene):
 
 
 def test_the_part_renders_escaped_and_says_what_is_not_in_it(build, scene):
-    part = bill_part(build_bill(build((0, "own")), scene))
-    page = render_partial("bill_of_materials.html.j2", bill=part)
+    part = bill_section(build_bill(build((0, "own")), scene))
+    page = render_section(part)
     assert "<b>" not in page
     assert "=own&lt;b&gt;" in page
-    assert page.count("<li>") == len(part["not_in_it"])
+    assert page.count("<li>") == len(NOT_IN_IT)

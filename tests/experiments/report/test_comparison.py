@@ -4,11 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from partial_pages import render_partial
+from msgspec import UNSET
+from msgspec.structs import replace as replace_fields
+from partial_pages import pictures_of, render_section, tables_of
 
 from experiments.export.json import to_json_text
 from experiments.report.comparison import (
-    comparison_part,
+    comparison_section,
     difference_matrix,
     difference_rows,
     significance_sentences,
@@ -25,13 +27,8 @@ from placement.sampling import SampledApr, load_uncertainty
 from placement.setting import Links
 
 
-def plain(record):
-    """As JSON has it."""
-    return json.loads(to_json_text(record))
-
-
 def differences(evaluations):
-    return plain(build_difference_records(evaluations))
+    return build_difference_records(evaluations)
 
 
 def compare(axis, rule, first, *others):
@@ -43,7 +40,7 @@ def compare(axis, rule, first, *others):
         vut_sensors=(),
         links=Links(),
     )
-    return plain(build_comparison_result(setting, first, others))
+    return build_comparison_result(setting, first, others)
 
 
 NAMES = ("a $1_", "<b>", "c")
@@ -99,7 +96,7 @@ def sampled_of(evaluations, *aprs):
         )
         for item, apr in zip(evaluations.values(), aprs, strict=True)
     ]
-    return plain(build_sampled_record(judged, load_uncertainty(), tail=1.0, seed=0))
+    return build_sampled_record(judged, load_uncertainty(), tail=1.0, seed=0)
 
 
 @pytest.fixture
@@ -110,7 +107,7 @@ def sampled(evaluations):
 
 def test_of_any_two_layouts_the_runs_that_only_one_avoids_are_named(evaluations):
     found = differences(evaluations)
-    assert json.loads(json.dumps(found)) == found
+    found = json.loads(to_json_text(found))
     assert [(one["first"], one["second"]) for one in found] == [
         ("a $1_", "<b>"), ("a $1_", "c"), ("<b>", "c"),
     ]  # fmt: skip
@@ -123,7 +120,7 @@ def test_of_any_two_layouts_the_runs_that_only_one_avoids_are_named(evaluations)
 def test_the_matrix_counts_row_not_column(evaluations):
     table = difference_matrix(NAMES, differences(evaluations))
     avoided = {name: item.rsu_all.is_avoided for name, item in evaluations.items()}
-    for row, name in zip(table["rows"], NAMES, strict=True):
+    for row, name in zip(table.rows, NAMES, strict=True):
         assert row[0] == name
         for cell, other in zip(row[1:], NAMES, strict=True):
             expected = int((avoided[name] & ~avoided[other]).sum())
@@ -132,7 +129,7 @@ def test_the_matrix_counts_row_not_column(evaluations):
 
 
 def test_side_by_side_every_layout_has_its_own_numbers(summary, evaluations):
-    rows = comparison_part(summary, evaluations)["table"]["rows"]
+    rows = tables_of(comparison_section(summary, evaluations))[0].rows
     assert [row[0] for row in rows] == list(NAMES)
     assert [row[1] for row in rows] == ["1", "2", "3"]
     price = next(iter(evaluations.values())).layout.units[0].sensor.price_eur
@@ -143,7 +140,7 @@ def test_side_by_side_every_layout_has_its_own_numbers(summary, evaluations):
 
 
 def test_the_better_one_comes_first_in_the_table(sampled):
-    rows = significance_table(sampled)["rows"]
+    rows = significance_table(sampled).rows
     pairs = {(row[0], row[1]): row for row in rows}
     assert ("<b>", "a $1_") in pairs
     row = pairs["<b>", "a $1_"]
@@ -165,19 +162,19 @@ def test_what_is_sure_is_said_in_words(evaluations):
     )
     assert any("Between a $1_ and c there is no sure difference" in one for one in sentences)
     assert any(one.startswith("Paired on the same worlds") for one in sentences)
-    rows = {(row[0], row[1]): row[7] for row in significance_table(sampled)["rows"]}
+    rows = {(row[0], row[1]): row[7] for row in significance_table(sampled).rows}
     assert rows["<b>", "a $1_"] == "yes"
     assert rows["a $1_", "c"] == "no sure difference"
 
 
 def test_the_section_shows_all_and_escapes_names(summary, evaluations, sampled):
-    part = comparison_part({**summary, "sampled": sampled}, evaluations)
-    page = render_partial("comparison.html.j2", comparison=part)
+    part = comparison_section(replace_fields(summary, sampled=sampled), evaluations)
+    page = render_section(part)
     assert "&lt;b&gt;" in page
     assert "<b>" not in page
     assert page.count("<img") == 1
     assert 'alt="Dots with whiskers.' in page
-    plain = render_partial("comparison.html.j2", comparison=comparison_part(summary, evaluations))
+    plain = render_section(comparison_section(summary, evaluations))
     assert "Which runs differ" in plain
     assert "<img" not in plain
 
@@ -185,10 +182,11 @@ def test_the_section_shows_all_and_escapes_names(summary, evaluations, sampled):
 def test_layouts_that_agree_and_a_layout_alone(evaluation_of, frame_axis, rule):
     twins = {name: evaluation_of(name, [1, 0, 0]) for name in ("x", "y")}
     first, second = twins.values()
-    part = comparison_part(compare(frame_axis, rule, first, second), twins)
-    page = render_partial("comparison.html.j2", comparison=part)
+    part = comparison_section(compare(frame_axis, rule, first, second), twins)
+    page = render_section(part)
     assert "All layouts avoid the same runs." in page
-    assert comparison_part({"name": "x"}, {"x": first}) is None
+    alone = replace_fields(compare(frame_axis, rule, first, second), compared=UNSET)
+    assert comparison_section(alone, {"x": first}) is None
 
 
 def test_of_many_layouts_the_table_alone_is_shown(evaluation_of, frame_axis, rule):
@@ -196,7 +194,7 @@ def test_of_many_layouts_the_table_alone_is_shown(evaluation_of, frame_axis, rul
     first, *others = many.values()
     generator = np.random.default_rng(0)
     sampled = sampled_of(many, *generator.uniform(0.2, 0.9, size=(9, 5)))
-    summary = compare(frame_axis, rule, first, *others) | {"sampled": sampled}
-    part = comparison_part(summary, many)["sampled"]
-    assert len(part["table"]["rows"]) == 36
-    assert part["figure"] is None
+    summary = replace_fields(compare(frame_axis, rule, first, *others), sampled=sampled)
+    part = comparison_section(summary, many)
+    assert len(tables_of(part)[-1].rows) == 36
+    assert pictures_of(part) == []

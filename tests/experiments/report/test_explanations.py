@@ -21,7 +21,7 @@ from placement.wishes import Wishes
 
 
 def explain(*given, **options):
-    return to_plain(build_explained_record(*given, **options))
+    return build_explained_record(*given, **options)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def placement(small_setting, candidates):
 
 @pytest.fixture(scope="module")
 def summary(placement, small_setting, candidates):
-    found = explain(placement, small_setting, candidates, n_pool=4)
+    found = to_plain(explain(placement, small_setting, candidates, n_pool=4))
     return json.loads(json.dumps(found, allow_nan=False))
 
 
@@ -69,19 +69,19 @@ def test_the_summary_says_what_the_library_found(summary, placement, small_setti
 def test_what_one_unit_misses_is_explained_run_by_run(small_setting, candidates):
     placement = place(small_setting, candidates[8:9], wishes=Wishes(budget_units=1))
     found = explain(placement, small_setting, candidates[8:9])
-    assert found["pool"] is None
-    assert len(found["not_avoided"]) > 0
-    for entry in found["not_avoided"]:
-        assert entry["unit"] == candidates[8].id
-        assert sum(r["frames"] for r in entry["reasons"]) == (
-            entry["frames_in_time"] - entry["frames_seen"]
+    assert found.pool is None
+    assert len(found.not_avoided) > 0
+    for entry in found.not_avoided:
+        assert entry.unit == candidates[8].id
+        assert sum(reason.frames for reason in entry.reasons) == (
+            entry.frames_in_time - entry.frames_seen
         )
-        assert entry["rescue"] is None  # there is no other candidate
+        assert entry.rescue is None  # there is no other candidate
     assert pool_sentences(found) == []
     table = missed_table(found)
-    assert len(table["rows"]) == len(found["not_avoided"])
+    assert len(table.rows) == len(found.not_avoided)
     text = explanation_text(found)
-    assert f"{len(found['not_avoided'])} runs are not avoided" in " ".join(text.split())
+    assert f"{len(found.not_avoided)} runs are not avoided" in " ".join(text.split())
 
 
 def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
@@ -89,9 +89,9 @@ def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
     poses = candidates[8:9]
     everything = place(small_setting, poses, wishes=Wishes(budget_units=1))
     found = explain(everything, small_setting, poses)
-    assert found["runs_without_weight"] == 0
-    missed_runs = {entry["run"] for entry in found["not_avoided"]}
-    saved_runs = set(found["contributions"][0]["only_runs"])
+    assert found.runs_without_weight == 0
+    missed_runs = {entry.run for entry in found.not_avoided}
+    saved_runs = set(found.contributions[0].only_runs)
     axis = small_setting.axis
     assert missed_runs | saved_runs == set(axis.run_ids)
     assert missed_runs
@@ -101,10 +101,11 @@ def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
     weighted = replace(small_setting, axis=replace(axis, weight=weight / weight.sum()))
     placement = place(weighted, poses, wishes=Wishes(budget_units=1))
     found = explain(placement, weighted, poses)
-    assert found["not_avoided"] == missed_table(found)["rows"] == []
-    assert set(found["contributions"][0]["only_runs"]) == saved_runs - out
-    assert found["contributions"][0]["marginal_apr"] == pytest.approx(1.0)
-    assert found["runs_without_weight"] == len(out)
+    assert found.not_avoided == ()
+    assert missed_table(found).rows == []
+    assert set(found.contributions[0].only_runs) == saved_runs - out
+    assert found.contributions[0].marginal_apr == pytest.approx(1.0)
+    assert found.runs_without_weight == len(out)
     assert "not avoided" not in explanation_text(found)
 
 
@@ -120,6 +121,6 @@ def test_sampled_worlds_are_explained_in_the_world_as_planned(placement, small_s
     )
     sampled = replace(placement, nominal=nominal, nominal_index=tuple(range(len(alone))))
     found = explain(sampled, small_setting, candidates)
-    assert {entry["run"] for entry in found["not_avoided"]} == set(table.axis.run_ids)
-    assert all(entry["rescue"] is None for entry in found["not_avoided"])
-    assert [part["unit"] for part in found["contributions"]] == [table.pose_ids[c] for c in alone]
+    assert {entry.run for entry in found.not_avoided} == set(table.axis.run_ids)
+    assert all(entry.rescue is None for entry in found.not_avoided)
+    assert [part.unit for part in found.contributions] == [table.pose_ids[c] for c in alone]

@@ -3,13 +3,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from partial_pages import render_partial
+from partial_pages import render_section, tables_of
 
 from experiments.report.failures import (
     MAX_ROWS,
     failure_sentences,
     failure_table,
-    failures_part,
+    failures_section,
 )
 from experiments.results.numbers import NOTHING
 from geometry.poses import Pose
@@ -82,8 +82,8 @@ def test_a_table_lists_the_first_runs_and_says_how_many_are_left_out():
         LABELS,
         n_together=1,
     )
-    assert table["caption"] == "If one unit fails"
-    assert table["rows"] == [
+    assert table.caption == "If one unit fails"
+    assert table.rows == [
         ["#1", "50.0 %", "250", "6", "run0, run1, run2, run3 and 2 more"],
         ["#2", "0.0 %", NOTHING, "0", NOTHING],
     ]
@@ -92,10 +92,10 @@ def test_a_table_lists_the_first_runs_and_says_how_many_are_left_out():
 def test_of_many_failures_the_worst_are_shown_and_it_is_told():
     units = [left([f"U{index}"], index / 200.0) for index in range(200)]
     table = failure_table(units, {}, n_together=1)
-    assert table["caption"] == f"If one unit fails: the {MAX_ROWS} worst of 200 units"
-    assert [row[0] for row in table["rows"]] == [f"U{index}" for index in range(MAX_ROWS)]
+    assert table.caption == f"If one unit fails: the {MAX_ROWS} worst of 200 units"
+    assert [row[0] for row in table.rows] == [f"U{index}" for index in range(MAX_ROWS)]
     pairs = [left(["a", "b"], 0.5)] * 13
-    assert failure_table(pairs, {}, n_together=2)["caption"].endswith("12 worst of 13 pairs")
+    assert failure_table(pairs, {}, n_together=2).caption.endswith("12 worst of 13 pairs")
     assert any(
         "up to 12 units; there are 200" in sentence
         for sentence in failure_sentences(build_failures(units), {})
@@ -138,13 +138,14 @@ def build(frame_axis, camera):
 def test_the_part_has_a_table_of_pairs_where_it_says_something(build, rule, n_units, n_tables):
     ids = [f"<b>{index}" for index in range(n_units)]
     evaluation = build(ids)
-    part = failures_part(evaluation, rule, {})
-    assert len(part["tables"]) == n_tables
+    part = failures_section(evaluation, rule, {})
+    tables = tables_of(part)
+    assert len(tables) == n_tables
     if n_units == 3:
         expected = {" and ".join(pair) for pair in combinations(ids, 2)}
-        assert {row[0] for row in part["tables"][1]["rows"]} == expected
-    assert part["sentences"] == failure_sentences(find_failures(evaluation, rule), {})
-    page = render_partial("failures.html.j2", failures=part)
+        assert {row[0] for row in tables[1].rows} == expected
+    assert part.blocks[0] == " ".join(failure_sentences(find_failures(evaluation, rule), {}))
+    page = render_section(part)
     assert "<b>" not in page
     assert page.count("<table>") == n_tables
     assert "&lt;b&gt;0" in page

@@ -2,25 +2,33 @@ import json
 import math
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
-from partial_pages import render_partial
+from msgspec import UNSET
+from partial_pages import bullets_of, render_section, tables_of
 from small_tables import avoiding_problem
 
 from experiments.export.json import to_json_text
 from experiments.figures.front import plot_front
 from experiments.jobs.pareto import describe_front
 from experiments.report.front import (
-    front_part,
     front_rows,
+    front_section,
     proof_sentences,
     read_front,
 )
+from experiments.results.fronts import FrontRecord
 from experiments.results.record import to_plain
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.optimiser import solve_placement
 from placement.optimiser.units_front import front_below, pareto_front
+
+
+def record_of(summary):
+    """Read back from JSON."""
+    return msgspec.convert(json.loads(to_json_text(summary)), FrontRecord)
 
 
 @pytest.fixture
@@ -43,23 +51,22 @@ def front_of(n_units):
 def test_any_number_of_points_is_shown_with_its_proof(n_units, candidates):
     problem, front = front_of(n_units)
     summary = to_plain(describe_front(front, problem, candidates))
-    part = front_part(json.loads(to_json_text(summary)))
-    assert [row[0] for row in part["table"]["rows"]] == [str(n + 1) for n in range(n_units)]
-    assert [row[1] for row in part["table"]["rows"]] == [
-        f"{12.5 * (n + 1):.1f} %" for n in range(n_units)
-    ]
-    assert {row[-1] for row in part["table"]["rows"]} == {"proven"}
-    assert "roven" in part["proof"][0]
-    page = render_partial("front.html.j2", front=part)
+    part = front_section(record_of(summary))
+    table, _ = tables_of(part)
+    assert [row[0] for row in table.rows] == [str(n + 1) for n in range(n_units)]
+    assert [row[1] for row in table.rows] == [f"{12.5 * (n + 1):.1f} %" for n in range(n_units)]
+    assert {row[-1] for row in table.rows} == {"proven"}
+    assert "roven" in part.blocks[3]
+    page = render_section(part)
     assert page.count("<img") == 1
     assert "p&lt;0&gt;" in page
     for sentence in summary["sentences"]:
-        assert sentence in part["sentences"]
+        assert sentence in bullets_of(part)
 
 
 def test_a_front_survives_its_plain_object(candidates):
     problem, front = front_of(3)
-    back = read_front(json.loads(to_json_text(describe_front(front, problem, candidates))))
+    back = read_front(record_of(describe_front(front, problem, candidates)))
     assert [point.value for point in back.points] == [point.value for point in front.points]
     assert [point.certificate for point in back.points] == [
         point.certificate for point in front.points
@@ -90,8 +97,9 @@ def test_what_is_open_is_said_and_never_called_proven(candidates):
     assert proof_sentences(none)[0].startswith("None of the 2 points is proven")
     assert front_rows(none)[0][-1] == "open: cost (EUR) no less than 10.000"
     unknown = loosened(front, 1, 1, math.inf)
-    part = front_part(json.loads(to_json_text(describe_front(unknown, problem, candidates))))
-    assert part["table"]["rows"][1][-1].startswith("open: nothing is proven of the APR if")
+    part = front_section(record_of(describe_front(unknown, problem, candidates)))
+    table, _ = tables_of(part)
+    assert table.rows[1][-1].startswith("open: nothing is proven of the APR if")
     _, single = front_of(1)
     assert proof_sentences(loosened(single, 0, 0, 1.0))[0].startswith("Not proven")
 
@@ -113,4 +121,4 @@ def test_given_axes_get_the_shares_alone(candidates):
 
 
 def test_without_a_front_there_is_no_section():
-    assert render_partial("front.html.j2", front=front_part(None)).strip() == ""
+    assert front_section(UNSET) is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from partial_pages import render_partial
+from partial_pages import pictures_of, render_section, tables_of
 from strategies import frame_axes
 
 from experiments.report.margins import (
@@ -14,7 +14,7 @@ from experiments.report.margins import (
     margin_notes,
     margin_sentences,
     margin_tables,
-    margins_part,
+    margins_section,
     summarise_margins,
 )
 from experiments.results.numbers import NOTHING
@@ -138,19 +138,19 @@ def test_tables_tell_groups_layouts_and_the_car_apart(build):
     found = build("mine", [-0.6, -0.3, 0.0], [0.0, np.inf, np.inf])
     other = build("VUT alone", [-0.2, -0.2, np.inf], [0.0, np.inf, np.inf])
     by_case, by_speed, by_direction = margin_tables({"mine": found, "VUT alone": other})
-    assert [row[:2] for row in by_case["rows"]] == [
+    assert [row[:2] for row in by_case.rows] == [
         [group, name]
         for group in ("all runs", "A", "B")
         for name in ("mine", "VUT alone", "VUT alone")
     ]
-    assert [row[0] for row in by_speed["rows"][3::3]] == ["36", "72"]
-    assert [row[0] for row in by_direction["rows"][3::3]] == ["north", "<i>south</i>"]
-    assert by_case["rows"][0][2:] == ["3", "100", "2.0", "300", "3.5", "1", "0", "1000", "10.0"]
-    car = by_case["rows"][2][2:]
+    assert [row[0] for row in by_speed.rows[3::3]] == ["36", "72"]
+    assert [row[0] for row in by_direction.rows[3::3]] == ["north", "<i>south</i>"]
+    assert by_case.rows[0][2:] == ["3", "100", "2.0", "300", "3.5", "1", "0", "1000", "10.0"]
+    car = by_case.rows[2][2:]
     assert car == ["3", NOTHING, NOTHING, NOTHING, NOTHING, "3", "2", "100", "1.0"]
-    nothing_late = by_speed["rows"][3 + 3][2:]
+    nothing_late = by_speed.rows[3 + 3][2:]
     assert nothing_late == ["1", "100", "2.0", "100", "2.0", "0", NOTHING, NOTHING, NOTHING]
-    assert {len(row) for row in by_case["rows"]} == {len(by_case["columns"])}
+    assert {len(row) for row in by_case.rows} == {len(by_case.columns)}
 
 
 def test_sentences_name_the_tightest_run_and_what_is_missed(build):
@@ -192,15 +192,16 @@ def test_the_part_renders_with_names_escaped_and_a_table_behind_the_figure(build
         name: build(name, [-0.6, -0.3, 0.0], [0.0, np.inf, -2.0])
         for name in ("<script>$x$", "b", "c", "d", "e")
     }
-    part = margins_part(evaluations)
-    assert "2 more layouts are in the tables" in part["figure"].caption
-    assert "<script>$x$: in the tightest run" in part["figure"].alt
-    page = render_partial("margins.html.j2", margins=part)
+    part = margins_section(evaluations)
+    (picture,) = pictures_of(part)
+    assert "2 more layouts are in the tables" in picture.caption
+    assert "<script>$x$: in the tightest run" in picture.alt
+    page = render_section(part)
     assert "<script>" not in page
     assert "<i>south" not in page
     assert page.count("<table>") == 3
     assert page.count("&lt;script&gt;$x$</td>") == sum(
-        row[1] == "<script>$x$" for table in part["tables"] for row in table["rows"]
+        row[1] == "<script>$x$" for table in tables_of(part) for row in table.rows
     )
 
 

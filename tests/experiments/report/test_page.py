@@ -5,12 +5,16 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_fields
+from partial_pages import build_result
 
 from experiments.figures.evaluation import pick_heatmap_runs
 from experiments.report.page import render_report, write_report
 from experiments.results.numbers import percent
+from experiments.results.record import StageRecord
 from experiments.results.tables import margin_s
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
@@ -121,57 +125,58 @@ def evaluations(setting):
     }
 
 
-def plain_summary(evaluation):
-    return {
-        "name": evaluation.layout.name,
-        "layout": layout_records(evaluation.layout),
+def plain_result(evaluation, **changes):
+    parts = {
         "runs": evaluation.axis.n_runs,
         "seconds": {"evaluation": 1.25},
         "versions": {"place-rsus": "0.1.0"},
     }
+    layout = evaluation.layout
+    return build_result(layout.name, layout_records(layout), **(parts | changes))
 
 
 @pytest.fixture(scope="module")
-def placement_summary(evaluations):
-    return plain_summary(evaluations["found"]) | {
-        "budget": 2,
-        "fusion": "any",
-        "candidates": 4032,
-        "apr": 0.97,
-        "bound": 0.97,
-        "gap": 0.0,
-        "apr_without_worst_unit": 0.8125,
-        "evaluation": {"apr_without_worst_unit": 0.75},
-        "stages": [
+def placement_result(evaluations):
+    result = plain_result(
+        evaluations["found"],
+        budget=2,
+        candidates=4032,
+        apr=0.97,
+        bound=0.97,
+        gap=0.0,
+        apr_without_worst_unit=0.8125,
+        stages=[
             {"name": "apr", "objective": 0.97, "bound": 0.97, "gap": 0.0, "seconds": 2.5},
             {
                 "name": "smallest_margin_s",
                 "objective": 0.0,
                 "bound": 0.5,
-                "gap": float("inf"),
+                "gap": None,
                 "seconds": 60.0,
             },
         ],
-        "solver": "HiGHS 1.15.1",
-        "surrogate_disagreement": 2 / 104,
-    }
+        solver="HiGHS 1.15.1",
+        surrogate_disagreement=2 / 104,
+    )
+    evaluation = replace_fields(result.evaluation, apr_without_worst_unit=0.75)
+    return replace_fields(result, evaluation=evaluation)
 
 
 @pytest.fixture(scope="module")
-def placement_page(placement_summary, setting, evaluations):
-    return render_report(placement_summary, setting, evaluations, command=COMMAND)
+def placement_page(placement_result, setting, evaluations):
+    return render_report(placement_result, setting, evaluations, command=COMMAND)
 
 
 @pytest.fixture(scope="module")
 def comparison_page(setting, evaluations):
     pair = {name: evaluations[name] for name in ("found", "carlancap-12")}
-    return render_report(plain_summary(pair["found"]), setting, pair, command=COMMAND)
+    return render_report(plain_result(pair["found"]), setting, pair, command=COMMAND)
 
 
 @pytest.fixture(scope="module")
 def evaluation_page(setting, evaluations):
     one = {"found": evaluations["found"]}
-    return render_report(plain_summary(one["found"]), setting, one, command=COMMAND)
+    return render_report(plain_result(one["found"]), setting, one, command=COMMAND)
 
 
 @pytest.fixture(params=["placement_page", "comparison_page", "evaluation_page"])
@@ -254,10 +259,10 @@ def test_placement_page_shows_the_certificate(placement_page):
     assert "They disagree on 1.9 % of the runs" in words
 
 
-def test_open_gap_is_not_called_proven(placement_summary, setting, evaluations):
+def test_open_gap_is_not_called_proven(placement_result, setting, evaluations):
     stages = [{"name": "apr", "objective": 0.9, "bound": 0.95, "gap": 0.055556, "seconds": 60.0}]
     page = render_report(
-        placement_summary | {"stages": stages},
+        replace_fields(placement_result, stages=(msgspec.convert(stages[0], StageRecord),)),
         setting,
         {"found": evaluations["found"]},
         command=COMMAND,
@@ -267,10 +272,13 @@ def test_open_gap_is_not_called_proven(placement_summary, setting, evaluations):
     assert "Proven on the detection table" not in words
 
 
-def test_each_by_itself_where_one_unit_must_confirm(placement_summary, setting, evaluations):
+def test_each_by_itself_where_one_unit_must_confirm(placement_result, setting, evaluations):
     found = evaluations["found"]
     page = render_report(
-        placement_summary | {"fusion": "single"}, setting, {"found": found}, command=COMMAND
+        replace_fields(placement_result, fusion="single"),
+        setting,
+        {"found": found},
+        command=COMMAND,
     )
     n_avoided = int(np.any([unit.is_avoided for unit in found.units.values()], axis=0).sum())
     assert f"2 cameras, each by itself, avoid {n_avoided} of 104 runs" in Page(page).words
@@ -310,9 +318,9 @@ def test_names_are_escaped(setting, evaluations):
         units=(CandidatePose(id=f'"{EVIL}', site_id=EVIL, pose=unit.pose, sensor=unit.sensor),),
     )
     evaluation = build_evaluation(setting, layout, seed=7)
-    summary = plain_summary(evaluation) | {"versions": {EVIL: EVIL}, "seconds": {EVIL: 1.0}}
+    result = plain_result(evaluation, versions={EVIL: EVIL}, seconds={EVIL: 1.0})
     page = render_report(
-        summary, setting, {EVIL: evaluation, "b": evaluations["found"]}, command=EVIL
+        result, setting, {EVIL: evaluation, "b": evaluations["found"]}, command=EVIL
     )
     plain = _without_scripts(page)
     assert "<script" not in plain
@@ -324,7 +332,7 @@ def test_names_are_escaped(setting, evaluations):
 def test_runs_to_draw_can_be_chosen(setting, evaluations):
     one = {"found": evaluations["found"]}
     page = render_report(
-        plain_summary(one["found"]),
+        plain_result(one["found"]),
         setting,
         one,
         command=COMMAND,
@@ -339,13 +347,15 @@ def test_runs_to_draw_can_be_chosen(setting, evaluations):
 
 def test_unknown_run_is_named(setting, evaluations):
     with pytest.raises(InputError) as caught:
-        render_report({}, setting, evaluations, command="", heatmap_runs=["CPNC-50/east/56"])
+        render_report(
+            build_result("any"), setting, evaluations, command="", heatmap_runs=["CPNC-50/east/56"]
+        )
     assert str(caught.value) == "heatmap run: got 'CPNC-50/east/56'; expected the id of a run"
 
 
 def test_write_report_writes_the_page(tmp_path, setting, evaluations, evaluation_page):
     one = {"found": evaluations["found"]}
-    path = write_report(tmp_path, plain_summary(one["found"]), setting, one, command=COMMAND)
+    path = write_report(tmp_path, plain_result(one["found"]), setting, one, command=COMMAND)
     assert path == tmp_path / "report.html"
     assert path.read_text(encoding="utf-8") == evaluation_page
 
@@ -365,7 +375,7 @@ def table_rows(page, caption):
 
 def page_of(setting, layout, *, seed=5):
     evaluation = build_evaluation(setting, layout, seed=seed)
-    page = render_report(plain_summary(evaluation), setting, {"found": evaluation}, command=COMMAND)
+    page = render_report(plain_result(evaluation), setting, {"found": evaluation}, command=COMMAND)
     return page, evaluation
 
 
@@ -502,7 +512,7 @@ def test_announcements_are_in_the_table_and_not_said_to_be_in_the_figure(setting
     found = evaluations["found"]
     others = {"vam": found.vut, "all_sources": found.vut_and_rsus}
     announced = {"found": replace(found, others=others), "greedy": evaluations["greedy"]}
-    page = render_report(plain_summary(found), setting, announced, command=COMMAND)
+    page = render_report(plain_result(found), setting, announced, command=COMMAND)
     head, over_all, *_ = table_rows(page, "Accident prevention ratio by case<")
     assert head[-2:] == ["road users' messages (VAM) alone", "car (VUT), found and VAM"]
     shares = [percent(apr(verdict, found.axis)) for verdict in others.values()]

@@ -10,7 +10,6 @@ from experiments.report.private_ground import (
     private_ground_sentence,
 )
 from experiments.results.explanations import build_private_ground_record
-from experiments.results.record import to_plain
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.frames import to_geographic
@@ -25,7 +24,7 @@ from placement.question import Question
 
 
 def summarise(*given, **options):
-    return to_plain(build_private_ground_record(*given, **options))
+    return build_private_ground_record(*given, **options)
 
 
 @pytest.fixture
@@ -88,7 +87,7 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
     summary = summarise(units, scene, ground)
     sentence = private_ground_sentence(summary)
     for unit, share in zip(units, shares, strict=True):
-        assert summary["units"][unit.id] == {"garden": share}
+        assert summary.units[unit.id] == {"garden": share}
         assert (f"{unit.id} sees " in sentence) == (share > 0.0)
     watching = [unit for unit, share in zip(units, shares, strict=True) if share > 0.0]
     assert watching

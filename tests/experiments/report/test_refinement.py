@@ -1,10 +1,8 @@
-import json
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
-from experiments.export.json import to_json_text
 from experiments.report.refinement import refinement_sentences
 from experiments.results.fronts import build_refinement_record
 from experiments.results.record import to_plain
@@ -59,7 +57,7 @@ def _refinement(old, new, after, *, gap=0.0):
 
 
 def _sentences(refinement):
-    return refinement_sentences(json.loads(to_json_text(build_refinement_record(refinement))))
+    return refinement_sentences(build_refinement_record(refinement))
 
 
 def test_a_turned_unit_is_told_with_all_objectives_that_changed():

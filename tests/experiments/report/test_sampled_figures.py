@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_fields
 
 from experiments.figures.axes import to_png
 from experiments.report.sampled_worlds import (
@@ -8,6 +9,7 @@ from experiments.report.sampled_worlds import (
     plot_intervals,
     plot_sampled_apr,
 )
+from experiments.results.sampled_worlds import SampledPairRecord
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.layout import Layout
@@ -64,8 +66,19 @@ def test_whiskers_are_the_intervals_and_thin_lines_the_worlds(judged):
 
 
 def test_a_difference_that_may_be_zero_has_an_open_dot():
-    pair = {"first": "a", "second": "b", "mean": 0.1, "low": 0.05, "high": 0.15}
-    axes = plot_differences([pair, {**pair, "low": -0.05}])
+    pair = SampledPairRecord(
+        first="a",
+        second="b",
+        mean=0.1,
+        standard_error=0.02,
+        low=0.05,
+        high=0.15,
+        method="any",
+        more_share=1.0,
+        equal_share=0.0,
+        less_share=0.0,
+    )
+    axes = plot_differences([pair, replace_fields(pair, low=-0.05)])
     faces = [container[0].get_markerfacecolor() for container in axes.containers]
     assert faces[1] == "white"
     assert faces[0] != "white"

@@ -3,14 +3,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from partial_pages import render_partial
+from msgspec import UNSET
+from partial_pages import pictures_of, render_section, tables_of
 
 from experiments.figures.axes import to_png
 from experiments.report.sensitivity import (
     TITLES,
     phrase,
     plot_sensitivity,
-    sensitivity_part,
+    sensitivity_section,
     sensitivity_sentences,
     sensitivity_table,
     value_text,
@@ -22,7 +23,7 @@ from placement.explain.sensitivity import RANGES, Assumption, Outcome, Sensitivi
 
 
 def summarise(*given, **options):
-    return to_plain(build_sensitivity_record(*given, **options))
+    return build_sensitivity_record(*given, **options)
 
 
 def outcome(apr, margin_s, one_failed=0.5):
@@ -72,6 +73,7 @@ def summary():
 
 
 def test_the_summary_is_plain_and_has_every_number(summary):
+    summary = to_plain(summary)
     assert json.loads(json.dumps(summary)) == summary
     assert summary["planned"] == {"apr": 0.9, "apr_one_failed": 0.5, "smallest_margin_s": 0.5}
     brakes = summary["assumptions"][2]
@@ -95,21 +97,21 @@ def test_where_nothing_lowers_the_apr_that_is_said():
     assert "none lowers the APR below the 90.0 %" in only
     nothing = summarise([sensitivity("min_iou", left_out="no")])
     assert sensitivity_sentences(nothing) == ["No assumption was varied."]
-    assert sensitivity_part(nothing)["figures"] == []
+    assert pictures_of(sensitivity_section(nothing)) == []
 
 
 def test_the_table_has_the_plan_and_a_row_for_each_value(summary):
     table = sensitivity_table(summary)
-    assert len({len(row) for row in table["rows"]} | {len(table["columns"])}) == 1
-    assert table["rows"][0][3:6] == ["90.0 %", "50.0 %", "0.50"]
-    rows = [row for row in table["rows"] if row[0] == "deceleration"]
+    assert len({len(row) for row in table.rows} | {len(table.columns)}) == 1
+    assert table.rows[0][3:6] == ["90.0 %", "50.0 %", "0.50"]
+    rows = [row for row in table.rows if row[0] == "deceleration"]
     assert rows[0] == [
         "deceleration", "7.72 m/s\N{SUPERSCRIPT TWO}", "5 m/s\N{SUPERSCRIPT TWO}",
         "60.0 %", "50.0 %", "0.70", "2",
     ]  # fmt: skip
-    (lost,) = (row for row in table["rows"] if row[0] == "messages lost")
+    (lost,) = (row for row in table.rows if row[0] == "messages lost")
     assert lost[5] == "by chance"
-    (left_out,) = (row for row in table["rows"] if row[0] == TITLES["min_iou"])
+    (left_out,) = (row for row in table.rows if row[0] == TITLES["min_iou"])
     assert left_out[2] == "no such limit"
 
 
@@ -154,15 +156,15 @@ def test_given_axes_are_drawn_on(summary):
 
 
 def test_the_section_shows_all_and_escapes_names(summary):
-    part = sensitivity_part(summary)
-    assert len(part["figures"]) == 2
-    assert all(len(picture.alt) > 40 for picture in part["figures"])
-    page = render_partial("sensitivity.html.j2", sensitivity=part)
+    part = sensitivity_section(summary)
+    assert len(pictures_of(part)) == 2
+    assert all(len(picture.alt) > 40 for picture in pictures_of(part))
+    page = render_section(part)
     assert page.count("<img") == page.count('alt="Bars of the') == 2
     assert "U&lt;1&gt;" in page
     assert "&lt;so&gt; it is" in page
     assert "A/north/20, B/north/30" in page
-    assert render_partial("sensitivity.html.j2", sensitivity=sensitivity_part(None)).strip() == ""
+    assert sensitivity_section(UNSET) is None
 
 
 def test_where_nothing_is_avoided_the_figures_still_stand():
@@ -175,9 +177,9 @@ def test_where_nothing_is_avoided_the_figures_still_stand():
             )
         ]
     )
-    page = sensitivity_part(summary)
-    assert len(page["figures"]) == 2
-    assert page["table"]["rows"][0][5] == "\N{EN DASH}"
+    page = sensitivity_section(summary)
+    assert len(pictures_of(page)) == 2
+    assert tables_of(page)[0].rows[0][5] == "\N{EN DASH}"
 
 
 def test_every_assumption_has_words():

@@ -3,12 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.report.tables import (
-    apr_group_tables,
-    apr_table,
-    run_table,
-    unit_apr_table,
-)
+from experiments.report.accidents import apr_group_tables, apr_table, unit_apr_table
+from experiments.report.runs import run_table
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict
@@ -54,14 +50,14 @@ def build(frame_axis, camera):
 def test_weathers_have_rows_beside_the_cases_for_every_party(build):
     evaluation = build("mine")
     table = apr_table({"mine": evaluation})
-    assert table["caption"] == "Accident prevention ratio by case and weather"
-    assert table["columns"] == [
+    assert table.caption == "Accident prevention ratio by case and weather"
+    assert table.columns == [
         "case or weather",
         "mine: 1 camera",
         "car (VUT) alone",
         "car (VUT) and mine",
     ]
-    assert table["rows"] == [
+    assert table.rows == [
         ["all runs", "50.0 %", "25.0 %", "75.0 %"],
         ["A", "66.7 %", "0.0 %", "66.7 %"],
         ["B", "0.0 %", "100.0 %", "100.0 %"],
@@ -69,42 +65,42 @@ def test_weathers_have_rows_beside_the_cases_for_every_party(build):
         ["weather: night", "0.0 %", "100.0 %", "100.0 %"],
     ]
     alone = unit_apr_table("mine", evaluation)
-    assert alone["columns"] == ["case or weather", "RSU0"]
-    assert [row[0] for row in alone["rows"]] == [
-        *(row[0] for row in table["rows"]),
+    assert alone.columns == ["case or weather", "RSU0"]
+    assert [row[0] for row in alone.rows] == [
+        *(row[0] for row in table.rows),
         "frames in which it detects",
     ]
-    assert [row[1] for row in alone["rows"]] == [*(row[1] for row in table["rows"]), "50.0 %"]
+    assert [row[1] for row in alone.rows] == [*(row[1] for row in table.rows), "50.0 %"]
 
 
 @pytest.mark.parametrize("weather", ["day", "night"])
 def test_one_weather_has_no_row_of_its_own(build, weather):
     evaluation = build("mine", weathers=(weather,) * 3)
     table = apr_table({"mine": evaluation})
-    assert table["caption"] == "Accident prevention ratio by case"
-    assert [row[0] for row in table["rows"]] == ["all runs", "A", "B"]
-    for head in (table["columns"], unit_apr_table("mine", evaluation)["columns"]):
+    assert table.caption == "Accident prevention ratio by case"
+    assert [row[0] for row in table.rows] == ["all runs", "A", "B"]
+    for head in (table.columns, unit_apr_table("mine", evaluation).columns):
         assert head[0] == "case"
-    assert "weather" not in run_table({"mine": evaluation})["columns"]
+    assert "weather" not in run_table({"mine": evaluation}).columns
 
 
 def test_a_weather_without_weight_has_no_ratio(build):
     table = apr_table({"mine": build("mine", weight=np.array([0.5, 0.5, 0.0]))})
-    assert table["rows"][-1] == ["weather: night", *["\N{EN DASH}"] * 3]
+    assert table.rows[-1] == ["weather: night", *["\N{EN DASH}"] * 3]
 
 
 def test_road_users_who_announce_themselves_have_columns_of_their_own(build):
     table = apr_table(
         {"mine": build("mine", all_sources=(1, 1, 1)), "old": build("old", all_sources=(1, 1, 0))}
     )
-    assert table["columns"][4:] == [
+    assert table.columns[4:] == [
         "car (VUT) and mine",
         "car (VUT) and old",
         "road users' messages (VAM) alone",
         "car (VUT), mine and VAM",
         "car (VUT), old and VAM",
     ]
-    assert {row[0]: row[6:] for row in table["rows"]} == {
+    assert {row[0]: row[6:] for row in table.rows} == {
         "all runs": ["25.0 %", "100.0 %", "75.0 %"],
         "A": ["33.3 %", "100.0 %", "100.0 %"],
         "B": ["0.0 %", "100.0 %", "0.0 %"],
@@ -117,22 +113,22 @@ def test_apr_by_speed_and_direction_has_the_columns_of_the_apr_by_case(build):
     approaches = ("west", "<east>", "west")
     both = {name: build(name, approaches=approaches) for name in ("mine", "theirs")}
     by_speed, by_direction = apr_group_tables(both)
-    assert by_speed["columns"] == ["speed (km/h)", *apr_table(both)["columns"][1:]]
-    assert by_direction["columns"][1:] == by_speed["columns"][1:]
+    assert by_speed.columns == ["speed (km/h)", *apr_table(both).columns[1:]]
+    assert by_direction.columns[1:] == by_speed.columns[1:]
     # Runs at 20, 30 and 20 km/h with weights 1/2, 1/4, 1/4; the units avoid the first, the VUT
     # the last.
-    assert by_speed["rows"] == [
+    assert by_speed.rows == [
         ["20", "66.7 %", "66.7 %", "33.3 %", "100.0 %", "100.0 %"],
         ["30", "0.0 %", "0.0 %", "0.0 %", "0.0 %", "0.0 %"],
     ]
-    assert by_direction["rows"] == [
+    assert by_direction.rows == [
         ["west", "66.7 %", "66.7 %", "33.3 %", "100.0 %", "100.0 %"],
         ["<east>", "0.0 %", "0.0 %", "0.0 %", "0.0 %", "0.0 %"],
     ]
 
 
 def test_one_speed_or_one_direction_has_no_table(build):
-    assert [table["columns"][0] for table in apr_group_tables({"mine": build("mine")})] == [
+    assert [table.columns[0] for table in apr_group_tables({"mine": build("mine")})] == [
         "speed (km/h)"
     ]
     assert apr_group_tables({"mine": build("mine", vut_speed_kmh=np.full(3, 20.0))}) == []

@@ -28,7 +28,7 @@ from placement.sampling import (
 
 
 def summarise(*given, **options):
-    return to_plain(build_sampled_record(*given, **options))
+    return build_sampled_record(*given, **options)
 
 
 @pytest.fixture
@@ -66,6 +66,7 @@ def summary(judged):
 
 
 def test_the_summary_holds_the_numbers_of_the_judgement(summary, judged):
+    summary = to_plain(summary)
     assert (summary["samples"], summary["seed"], summary["tail"]) == (4, 7, 0.5)
     ours, theirs = summary["layouts"]
     assert (ours["name"], theirs["name"]) == ("best-3", "study")
@@ -83,24 +84,25 @@ def test_the_summary_holds_the_numbers_of_the_judgement(summary, judged):
 
 
 def test_a_gain_is_taken_world_by_world(summary, judge):
-    (gain,) = summary["gains"]
+    (gain,) = to_plain(summary)["gains"]
     assert gain["over"] == "study"
     assert gain["mean"] == pytest.approx(0.375)
     differences = np.array([0.4, 0.3, 0.4, 0.4])
     assert gain["standard_error"] == pytest.approx(differences.std(ddof=1) / 2.0)
     # Worlds that are bad for both take nothing from a difference that is always the same.
     pair = [judge("a", np.linspace(0.1, 0.9, 60) + 0.05), judge("b", np.linspace(0.1, 0.9, 60))]
-    (sure,) = summarise(pair, Uncertainty(), tail=1.0, seed=0)["gains"]
-    assert sure["mean"] == pytest.approx(0.05)
-    assert 0.0 <= sure["high"] - sure["low"] < 0.15
+    (sure,) = summarise(pair, Uncertainty(), tail=1.0, seed=0).gains
+    assert sure.mean == pytest.approx(0.05)
+    assert 0.0 <= sure.high - sure.low < 0.15
 
 
 def test_the_summary_is_plain_json(summary):
+    summary = to_plain(summary)
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
 
 
 def test_what_is_uncertain_is_recorded_under_the_names_of_its_file(summary):
-    record = summary["uncertainty"]
+    record = to_plain(summary)["uncertainty"]
     assert record["name"] == "default"
     assert record["mounting"] == {"yaw_sd_deg": 1.0, "pitch_sd_deg": 1.0, "height_sd_m": 0.05}
     assert record["messages"] == {"packet_loss": 0.05}
@@ -118,7 +120,7 @@ def test_what_is_uncertain_is_recorded_under_the_names_of_its_file(summary):
 
 def test_sentences_say_mean_interval_plan_tail_gain_and_what_is_least_sure(summary):
     first, chosen, tail, gain, unsure = uncertainty_sentences(summary)
-    low, high = (summary["layouts"][0][key] for key in ("low", "high"))
+    low, high = (getattr(summary.layouts[0], key) for key in ("low", "high"))
     assert first.startswith("In 4 fresh sampled worlds (units off by 1\N{DEGREE SIGN} in yaw, ")
     assert first.endswith(
         "best-3 avoids 90.0 % of the accidents on average (95 % interval: Student's t, 4 samples: "
@@ -152,14 +154,14 @@ def test_sentences_say_when_a_difference_is_not_sure_or_a_loss(judge):
 def test_nothing_is_least_sure_where_all_is_avoided(judge, frame_axis):
     sure = judge("a", [1.0, 1.0], avoided_share=(1.0, 1.0, 1.0))
     summary = summarise([sure], Uncertainty(), tail=1.0, seed=0)
-    assert summary["layouts"][0]["least_sure_runs"] == []
+    assert summary.layouts[0].least_sure_runs == ()
     assert not any("Least sure" in s for s in uncertainty_sentences(summary))
     # A run of no weight is nobody's worry.
     free = replace(frame_axis, weight=np.array([0.5, 0.5, 0.0]))
     item = replace(judge("a", [1.0]), axis=free, avoided_share=np.array([1.0, 1.0, 0.0]))
     alone = summarise([item], Uncertainty(), tail=1.0, seed=0)
-    assert alone["layouts"][0]["least_sure_runs"] == []
-    assert math.isnan(alone["layouts"][0]["standard_error"])
+    assert alone.layouts[0].least_sure_runs == ()
+    assert math.isnan(alone.layouts[0].standard_error)
 
 
 def test_every_uncertainty_has_its_words(judge):
@@ -248,7 +250,7 @@ def test_every_pair_of_layouts_is_compared_world_by_world(judge):
         judge("b", [0.5, 0.9, 1.0, 0.5]),
         judge("c", [0.6, 0.6, 0.6, 0.6]),
     ]
-    summary = summarise(judged, load_uncertainty(), tail=1.0, seed=0)
+    summary = to_plain(summarise(judged, load_uncertainty(), tail=1.0, seed=0))
     named = {(pair["first"], pair["second"]): pair for pair in summary["pairs"]}
     assert list(named) == [("a", "b"), ("a", "c"), ("b", "c")]
     first = named["a", "b"]

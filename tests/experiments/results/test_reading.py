@@ -10,11 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.results.reading import load_result
+from experiments.results.record import build_unit_records
 from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
-from placement.layout import RESULT_SCHEMA, layout_records
+from placement.layout import RESULT_SCHEMA
 
 
 @pytest.fixture(scope="module")
@@ -38,11 +40,13 @@ def folder(folder_of_one, small_study, without_figures, run, tmp_path, monkeypat
 def test_a_result_is_read_back(folder):
     result = load_result(str(folder))
     assert result.folder == folder
-    assert layout_records(result.layout) == result.summary["layout"]
+    assert build_unit_records(result.layout) == result.summary.layout
+    text = (folder / "summary.json").read_text(encoding="utf-8")
+    assert to_json_text(result.summary) == text
     together = result.runs.query("layout == @result.layout.name and party == 'rsu_all'")
-    assert len(together) == result.summary["runs"]
+    assert len(together) == result.summary.runs
     share = together["weight"][together["is_avoided"]].sum()
-    assert share == pytest.approx(result.summary["evaluation"]["rsu_all"]["all"])
+    assert share == pytest.approx(result.summary.evaluation.rsu_all.all)
     of_all = result.apr.query(
         "layout == @result.layout.name and party == 'rsu_all' and case == 'all' "
         "and approach == 'all' and weather == 'all' and vut_speed_kmh == 'all'"
@@ -103,11 +107,11 @@ BROKEN = {
         change_summary(lambda s: s.update(schema="place-rsus/result/2")),
         f"schema: got 'place-rsus/result/2'; expected \"{RESULT_SCHEMA}\"",
     ),
-    "no name": (change_summary(lambda s: s.pop("name")), "name: got None; expected text"),
+    "no name": (change_summary(lambda s: s.pop("name")), "name: got nothing; expected a value"),
     "no number": (change_summary(lambda s: s.update(runs="6")), "runs: got '6'; expected a whole"),
     "truth": (change_summary(lambda s: s.update(runs=True)), "runs: got True; expected a whole"),
     "no units": (change_summary(lambda s: s.update(layout=[])), r"layout: got \[\]; expected a"),
-    "no ids": (change_summary(lambda s: s.update(layout=[3])), "got a unit without an id"),
+    "no ids": (change_summary(lambda s: s.update(layout=[3])), r"layout\[0\]: got 3; expected a"),
     "other units": (
         change_summary(lambda s: s["layout"][0].update(id="U7")),
         "layout.json: got units U1, .*; expected U7, .*, those of summary.json",

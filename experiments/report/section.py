@@ -1,8 +1,10 @@
-"""Figures as the templates show them: an embedded PNG, its title, caption, alternative text."""
+"""Sections of the report: a heading, and below it text, tables and figures."""
 
 import base64
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from typing import ClassVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,16 +15,74 @@ from geometry.arrays import FloatArray
 
 from ..figures.axes import root_figure, to_png
 
-MAX_TRUE_COLOUR_BYTES = 300_000
-"""PNG files above are drawn with a palette: looking for one takes longer than it spares bytes."""
+# ---------- what a section holds; text is a paragraph, and markup in it is shown as it is
 
-_N_COLOURS = 256
-_LARGEST_ERROR, _LARGEST_MEAN_ERROR = 32.0, 1.5  # of 255, of any one channel: not seen by eye
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table; with `summary` one to unfold, below these words.
+
+    Attributes
+    ----------
+    numeric : collection of int
+        Columns that are numbers.
+    is_open : bool
+        Whether a table to unfold is unfolded from the start.
+    """
+
+    kind: ClassVar[str] = "table"
+    caption: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    numeric: Collection[int] = ()
+    summary: str = ""
+    is_open: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Bullets:
+    """Sentences as a list."""
+
+    kind: ClassVar[str] = "bullets"
+    sentences: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Subheading:
+    """A heading within a section."""
+
+    kind: ClassVar[str] = "subheading"
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """Terms, each with what there is to say of it."""
+
+    kind: ClassVar[str] = "terms"
+    terms: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """A command line."""
+
+    kind: ClassVar[str] = "code"
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """Blocks in a box of a style of ``report.css``, such as "beside": side by side."""
+
+    kind: ClassVar[str] = "box"
+    style: str
+    blocks: "Sequence[Block]"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """What the macro ``figure_of`` of ``templates/macros.html.j2`` shows.
+    """A figure as the page shows it.
 
     Attributes
     ----------
@@ -40,6 +100,7 @@ class Picture:
         The same for a phone.
     """
 
+    kind: ClassVar[str] = "picture"
     title: str
     caption: str
     alt: str
@@ -48,6 +109,28 @@ class Picture:
     height_px: int
     width_in: float
     narrow: "Picture | None" = None
+
+
+Block = str | Table | Bullets | Subheading | Terms | Code | Box | Picture
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A section of the report; its id is what links and the list of contents refer to."""
+
+    id: str
+    title: str
+    blocks: Sequence[Block]
+
+
+# ---------- figures as pictures
+
+
+MAX_TRUE_COLOUR_BYTES = 300_000
+"""PNG files above are drawn with a palette: looking for one takes longer than it spares bytes."""
+
+_N_COLOURS = 256
+_LARGEST_ERROR, _LARGEST_MEAN_ERROR = 32.0, 1.5  # of 255, of any one channel: not seen by eye
 
 
 def build_picture(
@@ -80,17 +163,9 @@ def build_picture(
 
 
 def with_palette(png: bytes) -> bytes:
-    """A picture with at most 256 colours where that spares much and is not seen.
+    """A PNG file with at most 256 colours where that spares much and is not seen.
 
-    Parameters
-    ----------
-    png : bytes
-        PNG file.
-
-    Returns
-    -------
-    png : bytes
-        The same file where it is small, would not become smaller, or would look different.
+    It is the same file where that is small, would not become smaller, or would look different.
     """
     if len(png) <= MAX_TRUE_COLOUR_BYTES:
         return png

@@ -1,0 +1,102 @@
+"""The units of a report's layouts: tables of where they are, and plans."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+from placement.evaluation import Evaluation
+from placement.layout import Layout, layout_records
+from placement.setting import Setting
+
+from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
+from ..figures.plan import plot_plan
+from ..figures.sensors import compass_word, looking_words
+from ..results.numbers import NOTHING, number
+from .section import Box, Picture, Section, Table, build_picture
+
+_PLAN_RANGE_M = 35.0
+_MAX_UNITS_IN_WORDS = 40
+_MAX_NARROW_UNITS = 6  # labels of more would lie on one another
+_MAX_FLAT_ROWS = 24  # a longer table is to unfold
+_COLUMNS = (
+    *("mark", "id", "site", "east (m)", "north (m)", "height (m)", "yaw (°)", "pitch (°)"),
+    *("looks to the", "sensor"),
+)
+
+
+def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture]) -> Section:
+    """Where the units of layouts, by display name, hang and look, with a plan of each."""
+    is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
+    note = (
+        "East, north and height are metres in the junction's own coordinates; the road is at "
+        "height 0. Yaw is counted counter-clockwise from east; pitch is negative where the sensor "
+        "looks down."
+    )
+    tables = [unit_table(name, layout) for name, layout in layouts.items()]
+    return Section("units", "The units", [*tables, note, Box("beside" if is_beside else "", plans)])
+
+
+def unit_table(name: str, layout: Layout) -> Table:
+    """The units of a layout, a row each."""
+    labels = unit_labels(layout)
+    rows = [
+        [
+            labels[record["id"]],
+            record["id"],
+            record["site"] or NOTHING,
+            *(number(record[key]) for key in ("x_m", "y_m", "z_m")),
+            number(record["yaw_deg"], 1),
+            number(record["pitch_deg"], 1),
+            compass_word(unit),
+            record.get("camera") or record["lidar"],
+        ]
+        for unit, record in zip(layout.units, layout_records(layout), strict=True)
+    ]
+    caption = f"Units of {name}"
+    return Table(
+        caption=caption,
+        columns=_COLUMNS,
+        rows=rows,
+        numeric=range(3, 8),
+        summary=f"{caption}: all {len(rows)}" if len(rows) > _MAX_FLAT_ROWS else "",
+    )
+
+
+def build_plans(
+    setting: Setting, detailed: Mapping[str, Evaluation], others: Sequence[Evaluation]
+) -> list[Picture]:
+    """A plan of each layout, drawn narrower where several stand side by side."""
+    draw = partial(
+        plot_plan,
+        setting,
+        others=[other.layout for other in others],
+        max_range_m=_PLAN_RANGE_M,
+    )
+    are_few = all(len(item.layout.units) <= _MAX_NARROW_UNITS for item in detailed.values())
+    are_side_by_side = len(detailed) > 1 and are_few
+    return [
+        build_picture(
+            draw(item.layout, width_in=NARROW_IN if are_side_by_side else WIDTH_IN),
+            narrow=draw(item.layout, width_in=NARROW_IN)
+            if are_few and not are_side_by_side
+            else None,
+            title=f"Plan of {setting.scene.name} with {name}",
+            caption=(
+                "Coloured outlines: the ground in each sensor's field of view, up to "
+                f"{_PLAN_RANGE_M:g} m; they see farther. Walls and parked cars hide parts "
+                "of it, which is taken into account in the numbers but not drawn here."
+            ),
+            alt="Plan of the junction, north up. " + _units_in_words(item.layout),
+        )
+        for name, item in detailed.items()
+    ]
+
+
+def _units_in_words(layout: Layout) -> str:
+    if len(layout.units) > _MAX_UNITS_IN_WORDS:
+        return f"{len(layout.units)} units: where each is says the table above."
+    labels = unit_labels(layout)
+    return " ".join(
+        f"{labels[unit.id]} at {number(unit.pose.position_m[0], 1)} m east, "
+        f"{number(unit.pose.position_m[1], 1)} m north, {looking_words(unit)}."
+        for unit in layout.units
+    )

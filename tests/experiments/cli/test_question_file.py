@@ -1,0 +1,104 @@
+"""``--question`` and ``--save-question``: the options of a command, from and to a file."""
+
+import json
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from experiments.cli.options import JUDGED, PLANNED, SectionedCommand, question_options
+from placement.question import Question, load_question
+
+
+@click.command(cls=SectionedCommand)
+@question_options(*PLANNED, *JUDGED, defaults={"time_limit_s": 60.0})
+def _plan(*, question):
+    click.echo(repr(question))
+
+
+@click.command(cls=SectionedCommand)
+@question_options(*JUDGED)
+def _judge(*, question):
+    click.echo(repr(question))
+
+
+def asked(command, *arguments):
+    done = CliRunner().invoke(command, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.output.strip()
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "question.toml"
+
+
+def test_a_file_gives_what_the_command_line_does_not(path):
+    path.write_text("budget = 3\ncases = 'CBNA'\nrefine = true\nsite_cost = 10\n")
+    plain = Question(budget=3, cases="CBNA", refine=True, site_cost_eur=10.0, time_limit_s=60.0)
+    assert asked(_plan, "--question", str(path)) == repr(plain)
+    given = asked(
+        *(_plan, "--cases", "CBLA", "--question", str(path)),
+        *("--no-refine", "--budget", "2", "--time-limit", "1"),
+    )
+    assert given == repr(
+        Question(budget=2, cases="CBLA", refine=False, site_cost_eur=10.0, time_limit_s=1.0)
+    )
+
+
+def test_what_a_command_has_no_option_for_is_not_used(path):
+    path.write_text("budget = 3\ncases = 'CBNA'\n")
+    assert asked(_judge, "--question", str(path)) == repr(Question(cases="CBNA"))
+
+
+def test_the_question_in_use_is_saved_and_asks_the_same_again(path):
+    arguments = ("--budget", "2", "--latency", "0.05", "--weather", "night,fog", "--refine")
+    said = asked(_plan, *arguments, "--save-question", str(path))
+    assert repr(load_question(path)) == said
+    assert asked(_plan, "--question", str(path)) == said
+
+
+def test_a_result_is_the_same_from_a_question_file(run, small_study, without_figures):
+    arguments = ("--budget", 1, "--fusion", "single", "--json", "--quiet", "--out", "out")
+    code, first, err = run(*arguments, "--save-question", "question.toml")
+    assert (code, err) == (0, "")
+    assert load_question(Path("question.toml")) == Question(budget=1, fusion="single")
+    code, again, err = run("--question", "question.toml", "--json", "--quiet", "--out", "out")
+    assert (code, err) == (0, "")
+    assert json.loads(first)["layout"] == json.loads(again)["layout"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("budget = 0", "question.toml: budget: got 0; expected a whole number of units, at least"),
+        ("budgte = 1", "question.toml: got 'budgte'; expected one of budget, budget_cost, target"),
+    ],
+)
+@pytest.mark.parametrize(
+    "command", [[], ["pareto"], ["retrofit", "--layout", "a"], ["evaluate"], ["scenarios", "list"]]
+)
+def test_a_wrong_file_is_one_line_before_anything_is_done(run, command, text, message):
+    Path("question.toml").write_text(text)
+    code, out, err = run(*command, "--question", "question.toml")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"place-rsus: {message}")
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        "--stage-weights",
+        "--pool-tolerance",
+        "--latency-mode",
+        "--phase",
+        "--no-look-price",
+        "--milp-solver",
+        "--study-poses",
+    ],
+)
+def test_an_option_that_is_gone_is_none(run, option):
+    code, out, err = run("--budget", 1, option, "1")
+    assert (code, out) == (2, "")
+    assert err.startswith(f"place-rsus: No such option '{option}'.")

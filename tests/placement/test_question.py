@@ -1,0 +1,111 @@
+"""The question: its file is read and written, and every field stands in it once."""
+
+import tomllib
+from dataclasses import fields, replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geometry.errors import InputError
+from placement.question import (
+    SECTIONS,
+    Question,
+    load_answers,
+    load_question,
+    question_fields,
+    save_question,
+)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "question.toml"
+
+
+OTHERS = Question(
+    budget=3,
+    budget_cost=9000.5,
+    target="0.99",
+    least="cost",
+    min_case_apr=0.5,
+    survive=1,
+    site_cost_eur=500.0,
+    time_limit_s=5.0,
+    refine=True,
+    force=True,
+    weather='rain "and" fog',
+    latency_s=0.1,
+    n_confirmations=2,
+)
+
+
+@pytest.mark.parametrize("question", [Question(), OTHERS])
+def test_a_question_that_is_saved_is_the_one_that_is_loaded(path, question):
+    save_question(path, question)
+    assert load_question(path) == question
+
+
+@given(st.text(st.characters(codec="utf-8", exclude_categories=["Cs"])))
+def test_any_text_is_read_as_it_was_written(tmp_path_factory, text):
+    path = tmp_path_factory.mktemp("question") / "question.toml"
+    question = replace(Question(), keep=text)
+    save_question(path, question)
+    assert load_question(path) == question
+
+
+def test_a_file_has_what_differs_from_the_default_below_its_help(path):
+    save_question(path, replace(Question(), site_cost_eur=500.0, cases="CBNA"))
+    text = path.read_text(encoding="utf-8")
+    assert tomllib.loads(text) == {"site_cost": 500.0, "cases": "CBNA"}
+    lines = text.splitlines()
+    assert lines[lines.index("site_cost = 500.0") - 1] == (
+        "# Of each site that is used, once; default: the scene's."
+    )
+
+
+def test_every_field_has_an_option_of_its_own_name_but_for_the_unit():
+    found = question_fields()
+    assert list(found) == [field.name for field in fields(Question)]
+    keys = [field.key for field in found.values()]
+    assert len(set(keys)) == len(keys)
+    for name, field in found.items():
+        assert field.option.section in SECTIONS
+        assert field.option.help
+        assert field.option_name == "--" + field.key.replace("_", "-")
+        assert field.key in name or name in ("n_confirmations", "build_up_s")
+
+
+def test_a_number_is_taken_where_a_word_may_stand(path):
+    path.write_text("target = 0.99\nspeeds = 30\n")
+    assert load_answers(path) == {"target": "0.99", "speeds": "30"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("budget = 0", "budget: got 0; expected a whole number of units, at least 1"),
+        ("budget = '3'", "budget: got '3'; expected a whole number of units, at least 1"),
+        ("fusion = 'all'", "fusion: got 'all'; expected one of any, single"),
+        ("latency = nan", "latency: got nan; expected a finite number"),
+        ("vam_rate = 2", "vam_rate: got 2; expected a share of equipped road users, 0 to 1"),
+        ("time_limit = 0", "time_limit: got 0; expected seconds, more than 0"),
+        ("refine = 1", "refine: got 1; expected true or false"),
+        ("cases = ['CBNA']", "cases: got ['CBNA']; expected text"),
+        ("budgets = 3", "got 'budgets'; expected one of budget, budget_cost, target, least, "),
+        ("latency_s = 1.0", "got 'latency_s'; expected one of budget, budget_cost, target, "),
+        ("budget", "got Expected '='"),
+    ],
+)
+def test_what_cannot_be_is_told_with_file_and_key(path, text, message):
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_question(path)
+    assert str(caught.value).startswith(f"{path}: {message}")
+
+
+def test_a_file_that_is_not_there_or_cannot_be_written_is_told(path):
+    with pytest.raises(InputError, match="No such file or directory; expected a readable file"):
+        load_question(path)
+    with pytest.raises(InputError, match="expected a file that can be written"):
+        save_question(path / "deep", Question())
