@@ -405,8 +405,10 @@ def explanation_sections(
         ]
     sections.append(Section("missed", "Runs that are not avoided", missed))
     if explained.pool is not None:
-        pool = [" ".join(pool_sentences(explained)), pool_table(explained.pool)]
-        sections.append(
-            Section("pool", "Other layouts as good", [*pool, site_table(explained.pool)])
-        )
+        pool: list[Block] = [
+            " ".join(pool_sentences(explained)),
+            pool_table(explained.pool),
+            site_table(explained.pool),
+        ]
+        sections.append(Section("pool", "Other layouts as good", pool))
     return sections
