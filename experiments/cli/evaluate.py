@@ -178,10 +178,9 @@ def written(out: Path | None) -> list[str]:
 
 def additions(result: "Result") -> list[str]:
     """What a result has beside layout, proof and evaluation, each part before an empty line."""
-    from ..report.explanation import explanation_text
     from ..report.private_ground import private_ground_sentences
     from ..report.refinement import refinement_sentences
-    from ..report.sampled_worlds import uncertainty_text
+    from .explanations import explanation_text, uncertainty_text
 
     parts: list[list[str]] = []
     if result.front is not UNSET:
