@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pandas as pd
 from msgspec.structs import asdict as fields_of
@@ -12,7 +12,7 @@ from msgspec.structs import replace as replace_fields
 from geometry.scene_folders import find_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
-from placement.optimiser import Fusion, PlacementProblem
+from placement.optimiser import PlacementProblem
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import Front, StageChoice
 from placement.optimiser.units_front import pareto_front
@@ -89,7 +89,7 @@ def run_pareto(
         plan.candidates,
         compute=compute,
     )
-    fusion = cast(Fusion, question.fusion)
+    fusion = question.fusion
     problem = build_problem(setting, plan.candidates, table, wishes=wishes, fusion=fusion)
     progress("front", 0, 0)
     n_kept = 0 if plan.kept is None else len(plan.kept.units)

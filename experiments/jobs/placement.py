@@ -89,7 +89,7 @@ def run_placement(
         setting,
         plan.candidates,
         wishes=plan.wishes,
-        fusion=cast(Fusion, question.fusion),
+        fusion=question.fusion,
         effort=plan.effort,
         uncertainty=uncertainty,
         n_samples=question.samples,

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from placement.candidates import (
 )
 from placement.layout import Layout, check_layout
 from placement.optimiser import Effort
-from placement.optimiser.milp import SolverName
 from placement.private_ground import PrivateGround, private_shares
 from placement.question import Question
 from placement.wishes import Wishes, check_wishes
@@ -151,7 +149,7 @@ def effort_of(question: Question) -> Effort:
         A number that cannot be.
     """
     return Effort(
-        solver=cast(SolverName, question.solver),
+        solver=question.solver,
         time_limit_s=question.time_limit_s,
         gap=question.gap,
     )

@@ -2,13 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import cast
 
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
 from placement.optimiser import (
-    Fusion,
     apr_one_failed,
     presolve,
     solve_greedy,
@@ -102,7 +100,7 @@ def run_recorded_placement(
     rule = build_rule(question)
     recording, everything = _evaluate(folder, rule, min_confidence, out, progress)
     n_units = len(recording.units)
-    budget_units, fusion = question.budget, cast(Fusion, question.fusion)
+    budget_units, fusion = question.budget, question.fusion
     if budget_units is None:
         raise InputError("--budget", Unquoted("nothing"), "units, beside a recording")
     if budget_units > n_units:
