@@ -1,4 +1,4 @@
-"""Ground coverage: how many pixels per metre cameras have on the ground, as surveillance plans."""
+"""Pixel density: what cameras see of the ground, and at how many pixels per metre."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,36 +13,7 @@ from geometry.sensors import CameraModel, project_points
 
 from .candidates import CandidatePose
 
-# ---------- lines of sight
-
-
-_SHORT_OF_M = 0.05  # rays end a little before the point
-
-
-def is_in_sight(
-    caster: RayCaster, mount_m: ArrayLike, points_m: FloatArray, *, near_m: float
-) -> BoolArray:
-    """Which of (n, 3) points nothing hides from a mount.
-
-    What is nearer than `near_m` hides nothing, such as the pole that carries the sensor (see
-    :class:`geometry.sensors.CameraModel`); points nearer than that are not in sight either.
-    """
-    mount = np.asarray(mount_m, dtype=np.float64)
-    ways = points_m - mount
-    lengths = np.linalg.norm(ways, axis=1)
-    is_far = lengths > near_m + _SHORT_OF_M
-    directions = ways / np.maximum(lengths, 1.0e-9)[:, None]
-    starts = mount + near_m * directions
-    vectors = directions * np.maximum(lengths - near_m - _SHORT_OF_M, 0.0)[:, None]
-    is_free: BoolArray = ~caster.is_blocked(starts.astype(np.float32), vectors.astype(np.float32))
-    is_seen: BoolArray = is_free & is_far
-    return is_seen
-
-
-# ---------- coverage
-
-
-LOOK_AT_M = 1.0  # height that is looked at: the middle of a road user
+LOOK_AT_M = 1.0  # height above the road: the middle of a road user
 REACH_M = 45.0
 _SPACING_M = 1.0
 
@@ -59,6 +30,28 @@ BANDS = (
 EN IEC 62676-4:2015, annex on pixel densities (figures from memory, no copy was at hand).
 """
 
+_SHORT_OF_M = 0.05  # rays end a little before the point
+
+
+def is_in_sight(
+    caster: RayCaster, mount_m: ArrayLike, points_m: FloatArray, *, near_m: float
+) -> BoolArray:
+    """Points (n, 3) that nothing hides from a mount; False for those nearer than `near_m`, too.
+
+    The caster has the same frame as the points. Things nearer than `near_m` hide nothing, such as
+    the pole that carries the sensor, see :class:`geometry.sensors.CameraModel`.
+    """
+    mount = np.asarray(mount_m, dtype=np.float64)
+    ways = points_m - mount
+    lengths = np.linalg.norm(ways, axis=1)
+    is_far = lengths > near_m + _SHORT_OF_M
+    directions = ways / np.maximum(lengths, 1.0e-9)[:, None]
+    starts = mount + near_m * directions
+    vectors = directions * np.maximum(lengths - near_m - _SHORT_OF_M, 0.0)[:, None]
+    is_free: BoolArray = ~caster.is_blocked(starts.astype(np.float32), vectors.astype(np.float32))
+    is_seen: BoolArray = is_free & is_far
+    return is_seen
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundCoverage:
@@ -69,7 +62,7 @@ class GroundCoverage:
     east_m, north_m : (n_east,), (n_north,) float
         Middles of the cells. World frame. [m]
     density : (n_north, n_east) float
-        Of the camera that sees a cell most finely; 0: none sees it. [px/m]
+        The highest of all cameras; 0: none sees the cell. [px/m]
     is_road : (n_north, n_east) bool
         Cells on a lane or in the junction.
     """
@@ -82,23 +75,35 @@ class GroundCoverage:
     def shares(self) -> dict[str, float]:
         """Share of the road's cells in each band, "unseen" last; together 1."""
         road = self.density[self.is_road]
-        left, found = 1.0, {}
-        above = 0.0
+        found, above = {}, 0.0
         for name, least in BANDS:
             here = float((road >= least).mean()) if len(road) else 0.0
             found[name] = here - above
             above = here
         seen = float((road > 0.0).mean()) if len(road) else 0.0
         found["coarser"] = seen - above
-        found["unseen"] = left - seen
+        found["unseen"] = 1.0 - seen
         return found
 
 
 def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> GroundCoverage:
-    """How finely cameras see the ground, in pixels per metre across the line of sight.
+    """How finely cameras see the ground around a junction.
 
-    Cells have a square metre and lie up to 45 m around the junction's middle, one metre above the
-    road. Nothing that drives or parks hides them. Pixels per metre are focal length over depth.
+    Parameters
+    ----------
+    scene : Scene
+        What hides it; nothing that drives or parks.
+    units : sequence of CandidatePose
+        LiDARs take no pictures.
+
+    Returns
+    -------
+    coverage : GroundCoverage
+        Cells of a square metre, up to 45 m around the junction's middle, one metre above the road.
+
+    Notes
+    -----
+    Pixels per metre across the line of sight, focal length over depth.
     """
     import shapely
 

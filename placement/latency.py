@@ -1,4 +1,4 @@
-"""Latency budgets, part by part, and APR as an exact step function of the total latency."""
+"""Latency from a frame to the onset of braking: budgets, and APR by the total latency."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,25 +14,19 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    Table,
-    load_toml,
-    take_list,
-    take_number,
-    take_text,
-)
+from geometry.files import Table, load_toml, take_list, take_number, take_text
 from scenarios.aeb import AebRule, is_in_time
 from scenarios.exposure import weight_share
 from scenarios.runs import FrameAxis, onset_times_s
 
 from .evaluation import Evaluation, earliest_arrival_s
 
-# ---------- latency budgets
+# ---------- budgets: what passes between a frame and the onset of braking, part by part
 
 
 DEFAULT_LATENCY_BUDGET = "study"
 MAX_LATENCY_S = 10.0
-"""More than any run lasts: who gives more has meant milliseconds."""
+"""Longer than any run: a larger number is probably in milliseconds."""
 
 _MAX_RANGES = 8  # the distribution of their sum has 2^n terms
 _FILE = "latency.toml"
@@ -41,7 +35,7 @@ _FIXED, _RANGE, _REASONS = ("fixed_s",), ("low_s", "high_s"), ("source", "assump
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyPart:
-    """One of the things that take their time.
+    """One of the steps that take time.
 
     Attributes
     ----------
@@ -52,7 +46,7 @@ class LatencyPart:
     source : str
         Where the numbers come from, or why they are likely.
     is_assumption : bool
-        Whether they are our guess.
+        Whether they are an assumption of this project.
     """
 
     name: str
@@ -82,7 +76,7 @@ class LatencyPart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyBudget:
-    """Parts that add up; each takes its time whatever the others take.
+    """Parts that add up, each independent of the others.
 
     Attributes
     ----------
@@ -123,20 +117,7 @@ class LatencyBudget:
         return math.fsum(part.high_s for part in self.parts)
 
     def sample_s(self, rng: np.random.Generator, size: int | tuple[int, ...]) -> FloatArray:
-        """Draw totals.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Of the draws.
-        size : int or tuple of int
-            How many.
-
-        Returns
-        -------
-        latency_s : (*size) float
-            Between :attr:`best_s` and :attr:`worst_s`. [s]
-        """
+        """Draw totals, (*size), between :attr:`best_s` and :attr:`worst_s`, in seconds."""
         shape = (size,) if isinstance(size, int) else size
         low, high = np.array([(part.low_s, part.high_s) for part in self.parts]).T
         total = rng.uniform(low, high, size=(*shape, len(self.parts))).sum(axis=-1)
@@ -144,20 +125,11 @@ class LatencyBudget:
         return drawn
 
     def share_within(self, latency_s: ArrayLike) -> FloatArray:
-        """Probability that the total is at most so long; exact, not drawn.
+        """Probability (...,) that the total is at most `latency_s` (...,); exact, not drawn.
 
-        Parameters
-        ----------
-        latency_s : (...,) float
-            May be infinite. [s]
-
-        Returns
-        -------
-        share : (...,) float
-            0 below :attr:`best_s`, 1 from :attr:`worst_s` on, each with the tolerance of
-            :func:`scenarios.aeb.is_in_time`. Between, n ranges of widths w_i above the shortest
-            total: sum over their subsets S of (-1)^|S| max(0, x - sum of w in S)^n
-            / (n! prod w_i).
+        0 below :attr:`best_s`, 1 from :attr:`worst_s` on, each with the tolerance of
+        :func:`scenarios.aeb.is_in_time`. Between, n ranges of widths w_i above the shortest total:
+        sum over their subsets S of (-1)^|S| max(0, x - sum of w in S)^n / (n! prod w_i).
 
         References
         ----------
@@ -194,7 +166,7 @@ class LatencyBudget:
 
 
 def fixed_latency(latency_s: float) -> LatencyBudget:
-    """A budget that is one number of a user's."""
+    """A budget of a single number."""
     part = LatencyPart(name="latency", low_s=latency_s, high_s=latency_s, source="as given")
     return LatencyBudget(name=f"{1000.0 * latency_s:g} ms", parts=(part,))
 
@@ -253,9 +225,9 @@ def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
             if not isinstance(entry, dict):
                 raise InputError(f"{where}.parts[{index}]", entry, "a table")
             part_name = take_text(entry, "name", f"{where}.parts[{index}]")
-            with _said_to_be_in(f"{where}."):
+            with _errors_name(f"{where}."):
                 parts.append(_read_part(entry, part_name))
-        with _said_to_be_in(f"{file}: "):
+        with _errors_name(f"{file}: "):
             budgets[name] = LatencyBudget(name=name, parts=tuple(parts))
     return budgets
 
@@ -291,7 +263,8 @@ def _refuse_unknown(table: Table, known: tuple[str, ...], where: str) -> None:
 
 
 @contextmanager
-def _said_to_be_in(place: str) -> Iterator[None]:
+def _errors_name(place: str) -> Iterator[None]:
+    """Put the name of a file, or of an entry in it, before the place that an error names."""
     try:
         yield
     except InputError as error:
@@ -325,18 +298,7 @@ class LatencyCurve:
             object.__setattr__(self, name, freeze(getattr(self, name)))
 
     def apr(self, latency_s: ArrayLike) -> FloatArray:
-        """Accident prevention ratio when every message takes so long.
-
-        Parameters
-        ----------
-        latency_s : (...,) float
-            At least 0. [s]
-
-        Returns
-        -------
-        apr : (...,) float
-            0 .. 1.
-        """
+        """Accident prevention ratio (...,) if every message takes `latency_s` (...,)."""
         latencies = np.asarray(latency_s, dtype=np.float64)
         ratios = [
             weight_share(is_in_time(0.0, self.last_latency_s, latency_s=latency), self.weight)
@@ -345,15 +307,10 @@ class LatencyCurve:
         return np.array(ratios).reshape(latencies.shape)
 
     def steps(self) -> tuple[FloatArray, FloatArray]:
-        """The whole curve.
+        """The whole curve: limits (n_steps,) in seconds, ascending, and APR (n_steps,), descending.
 
-        Returns
-        -------
-        until_s : (n_steps,) float
-            Ascending; the last one is infinite. [s]
-        apr : (n_steps,) float
-            Descending. Value i holds for latencies above until_s[i - 1] - from 0 on for the first
-            one - up to until_s[i] itself.
+        Value i holds for latencies above limit i - 1 - from 0 on for the first one - up to and
+        including limit i; the last limit is infinite.
         """
         last = self.last_latency_s[(self.weight > 0.0) & np.isfinite(self.last_latency_s)]
         # What is just in time with no latency counts, and its step is at 0.
@@ -362,17 +319,9 @@ class LatencyCurve:
         return until, self.apr(until)
 
     def longest_latency_s(self, apr: float) -> float:
-        """Longest latency with which the APR is at least so much.
+        """Longest latency with which the APR is at least `apr`, in seconds.
 
-        Parameters
-        ----------
-        apr : float
-            What is asked for, 0 .. 1.
-
-        Returns
-        -------
-        latency_s : float
-            Infinite: the APR never falls below; minus infinity: it is less with none. [s]
+        Infinite: the APR never falls below; minus infinity: it is lower even without latency.
         """
         until, ratios = self.steps()
         holds = ratios >= apr - 1.0e-12  # ratios of rounded sums
@@ -381,16 +330,9 @@ class LatencyCurve:
     def expected_apr(self, budget: LatencyBudget) -> float:
         """Expected accident prevention ratio if the latency follows a budget; exact, not drawn.
 
-        Parameters
-        ----------
-        budget : LatencyBudget
-            Distribution of the latency. All messages of a run take equally long, whoever sends
-            them: frames and CPM generation are periodic, so that their phase does not change.
-
-        Returns
-        -------
-        apr : float
-            sum of w_r P(latency <= last latency of r) / sum of w_r; NaN if there is no weight.
+        sum of w_r P(latency <= last latency of r) / sum of w_r; NaN if there is no weight. All
+        messages of a run take equally long, whoever sends them: frames and CPM generation are
+        periodic, so that their phase does not change.
         """
         total = math.fsum(self.weight)
         if total <= 0.0:
@@ -456,9 +398,9 @@ def apr_by_latency(
 def _last_latency_s(
     parties: Sequence[tuple[BoolArray, float | None]], axis: FrameAxis, rule: AebRule
 ) -> FloatArray:
-    """Longest latency of those without one of their own with which each run is still avoided.
+    """Longest latency of parties without their own, with which each run is still avoided.
 
-    A frame that a party with its own latency tells in time costs the others nothing: it counts as
+    A frame that a party with its own latency reports in time costs the others nothing: it counts as
     known at all times. The window that is known first is then the one that leaves most time.
     """
     last_brake_s = axis.last_brake_time_s.repeat(np.diff(axis.run_start))

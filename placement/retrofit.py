@@ -1,7 +1,7 @@
-"""What to change about units that hang already: remove one, re-aim one, add one, or all for money.
+"""Retrofit of mounted units: remove one, re-aim one, add one, or the best changes for a budget.
 
-Removals, re-aims and additions are gone through one by one; a combination is a placement problem in
-which the units stand already. All values are those of the detection table.
+Removals, re-aims and additions are tried one by one; a combination is a placement problem with
+the units already in place. All values are those of the detection table.
 """
 
 from collections.abc import Sequence
@@ -10,17 +10,13 @@ from importlib.resources import files
 
 import numpy as np
 
-from geometry.arrays import IntArray
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError
-from geometry.files import (
-    load_toml,
-    pick,
-    take_number,
-    take_text,
-)
+from geometry.files import load_toml, pick, read_table
+from scenarios.aeb import is_in_time
+from scenarios.runs import confirmation_times_s
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
-from .explain.outcomes import best_joining
 from .layout import Certificate, Layout
 from .optimiser import (
     Effort,
@@ -32,9 +28,11 @@ from .optimiser import (
     run_margins_s,
     solve_placement,
 )
+from .optimiser.bitsets import SetValues
 from .optimiser.limits import are_allowed, costs_eur
+from .optimiser.objectives import TOLERANCE, VALUE_OBJECTIVES, Objective
 
-# ---------- what can hang at a junction that has units already
+# ---------- poses: the units, their re-aims, and what can be added
 
 
 _SAME_DEG = 1.0e-9
@@ -42,12 +40,12 @@ _SAME_DEG = 1.0e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RetrofitPoses:
-    """Everything that can hang in the end.
+    """All poses that may be mounted in the end.
 
     Attributes
     ----------
     candidates : tuple of CandidatePose
-        The units as they hang, in the layout's order; then their re-aims; then what can be added.
+        The units as they are, in the layout's order; then their re-aims; then what can be added.
     unit_index : (n_poses,) int
         Which unit each of them is; -1: a new one.
     """
@@ -57,7 +55,7 @@ class RetrofitPoses:
 
     @property
     def n_units(self) -> int:
-        """Units that hang already."""
+        """Number of units that are mounted already."""
         return int(self.unit_index.max()) + 1
 
     def aims_of(self, unit: int) -> IntArray:
@@ -71,19 +69,8 @@ def build_retrofit_poses(
 ) -> RetrofitPoses:
     """The units, their re-aims (same place and sensor, directions of a grid), and new poses.
 
-    Parameters
-    ----------
-    layout : Layout
-        What hangs.
-    grid : CandidateGrid
-        Only its directions.
-    additions : sequence of CandidatePose
-        What can be added; poses with the id of a unit are left out.
-
-    Raises
-    ------
-    InputError
-        Two ids are equal.
+    Of the grid only the directions are used; additions with the id of a unit are left out. Raises
+    :class:`InputError` if two ids are equal.
     """
     aims = [
         (number, _aimed(unit, yaw_deg=yaw_deg, pitch_deg=pitch_deg))
@@ -114,7 +101,7 @@ def _looks_there(unit: CandidatePose, *, yaw_deg: float, pitch_deg: float) -> bo
     return max(abs(turn_deg), abs(unit.pose.pitch_deg - pitch_deg)) <= _SAME_DEG
 
 
-# ---------- what it costs to re-aim or to remove a unit that hangs already
+# ---------- labour: what it costs to re-aim or to remove a unit
 
 
 _FILE = "labour.toml"
@@ -123,31 +110,15 @@ _NUMBERS = ("people", "wage_eur_per_h", "travel_h", "lift_eur", "re_aim_h", "rem
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Labour:
-    """People and a lift: prices without hardware.
+    """Prices of work without hardware: people and a lift."""
 
-    Attributes
-    ----------
-    people : float
-        At work together.
-    wage_eur_per_h : float
-        Of each, on the way, too. [EUR/h]
-    travel_h : float
-        There and back. [h]
-    lift_eur : float
-        For the visit. [EUR]
-    re_aim_h, remove_h : float
-        At the pole. [h]
-    source : str
-        Where the numbers come from.
-    """
-
-    people: float
-    wage_eur_per_h: float
-    travel_h: float
-    lift_eur: float
-    re_aim_h: float
-    remove_h: float
-    source: str
+    people: float  # at work together
+    wage_eur_per_h: float  # of each, also on the way
+    travel_h: float  # there and back
+    lift_eur: float  # for the visit
+    re_aim_h: float  # at the pole
+    remove_h: float  # at the pole
+    source: str  # where the numbers come from
 
     def __post_init__(self) -> None:
         for field in _NUMBERS:
@@ -177,35 +148,30 @@ def load_labour(name: str = "default") -> Labour:
     505.0
     """
     table = pick(load_toml(files(__package__) / "data" / _FILE), name, _FILE)
-    where = f"{_FILE}: {name}"
-    return Labour(
-        **{key: take_number(table, key, where) for key in _NUMBERS},
-        source=take_text(table, "source", where),
-    )
+    return read_table(table, Labour, f"{_FILE}: {name}")
 
 
-# ---------- what to change about units that hang already
+# ---------- changes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """Something that can be done, and what it brings.
+    """A change, and what it brings.
 
     Attributes
     ----------
     removed, added : tuple of int
-        Poses that are gone and that are new, as rows of the table; a unit that is re-aimed is in
-        both.
+        Poses that go and that come, as rows of the table; a unit that is re-aimed is in both.
     price_eur : float
         Labour, units and sites. [EUR]
     pose_index : tuple of int
-        What hangs afterwards, ascending.
+        What is mounted afterwards, ascending.
     value : PlacementValue
-        Of what hangs afterwards.
+        Of what is mounted afterwards.
     gained, lost : tuple of str
         Ids of runs that are avoided only afterwards, and only before.
     n_compared : int
-        Alternatives of its kind that were gone through, itself among them; 0 for a combination.
+        Number of alternatives of its kind that were tried, including itself; 0 for a combination.
     certificate : Certificate, optional
         Of a combination.
     """
@@ -228,20 +194,20 @@ class Change:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Retrofit:
-    """What can be done about a layout.
+    """The best changes of a layout, by kind.
 
     Attributes
     ----------
     before : PlacementValue
-        Of what hangs now.
+        Of what is mounted now.
     removals : tuple of Change
         Of every unit, the one that loses least first.
     re_aims : tuple of Change
-        The best of every unit, the best first; they may be worse than to leave all as it is.
+        The best of every unit, the best first; they may be worse than no change.
     addition : Change or None
-        The best new unit. None: nothing that can be added is better than nothing.
+        The best new unit; None if no addition is an improvement.
     combination : Change or None
-        The best re-aims and additions together for the money, if there is a limit to it.
+        The best re-aims and additions together within the budget, if there is one.
     """
 
     before: PlacementValue
@@ -259,14 +225,14 @@ def find_retrofit(
     budget_eur: float | None = None,
     effort: Effort | None = None,
 ) -> Retrofit:
-    """Look for the best change of every kind.
+    """Find the best change of every kind.
 
     Parameters
     ----------
     problem : PlacementProblem
-        On the table of all poses. Its limits are those of units to be added, with those that hang
-        as forced ones that cost nothing, see :func:`placement.wishes.build_limits`; budgets and
-        forced sites do not matter.
+        On the table of all poses. Its limits are those of units to be added, with those already
+        mounted as forced ones that cost nothing, see :func:`placement.wishes.build_limits`; budgets
+        and forced sites do not matter.
     poses : RetrofitPoses
         The rows of the table.
     labour : Labour
@@ -274,7 +240,7 @@ def find_retrofit(
     budget_eur : float, optional
         For the combination; an addition must not cost more, either. [EUR]
     effort : Effort, optional
-        For the combination; all others are gone through one by one.
+        For the combination; all others are tried one by one.
 
     Returns
     -------
@@ -324,25 +290,11 @@ def find_retrofit(
 def combined_limits(
     limits: Limits, poses: RetrofitPoses, *, re_aim_eur: float, budget_eur: float
 ) -> Limits:
-    """Limits in which every unit stays or is re-aimed, and others may be added.
+    """Limits in which every unit stays or is re-aimed, and others are added within the budget.
 
-    Parameters
-    ----------
-    limits : Limits
-        See :func:`find_retrofit`.
-    poses : RetrofitPoses
-        Rows.
-    re_aim_eur : float
-        Price of every re-aim. [EUR]
-    budget_eur : float
-        For all together. [EUR]
-
-    Returns
-    -------
-    limits : Limits
-        Every unit is a site of its own with room for one of its poses, of which one must be
-        chosen. What the units' real sites have left is there for new ones; their rivals are
-        forbidden, since what hangs there stays.
+    Every unit becomes a site of its own with room for one of its poses, of which one must be
+    chosen. What room the units' real sites have left is there for new ones; rivals of units are
+    forbidden, since the units stay.
     """
     n_units, n_sites = poses.n_units, limits.n_sites
     is_new = poses.unit_index < 0
@@ -375,7 +327,7 @@ def combined_limits(
 def _add(
     problem: PlacementProblem, poses: RetrofitPoses, *, budget_eur: float | None
 ) -> Change | None:
-    """The best new unit beside all that hang; None if none may be added, or none is better."""
+    """The best new unit beside the existing ones; None if none is allowed or an improvement."""
     standing = np.arange(poses.n_units)
     new = np.flatnonzero(poses.unit_index < 0)
     sets = np.column_stack([np.tile(standing, (len(new), 1)), new])
@@ -409,7 +361,7 @@ def _combine(
     budget_eur: float,
     effort: Effort,
 ) -> Change | None:
-    """The best re-aims and additions for the money; None if that is to leave all as it is."""
+    """The best re-aims and additions within the budget; None if that is no change."""
     limits = combined_limits(
         problem.limits, poses, re_aim_eur=labour.re_aim_eur, budget_eur=budget_eur
     )
@@ -446,7 +398,7 @@ def _change(
 
 
 def _best_first(changes: Sequence[Change]) -> tuple[Change, ...]:
-    """Changes by what hangs afterwards; equal ones keep their order."""
+    """Changes by the value of what is mounted afterwards; equal ones keep their order."""
     ordered: list[Change] = []
     for change in changes:
         place = next(
@@ -462,5 +414,77 @@ def _best_first(changes: Sequence[Change]) -> tuple[Change, ...]:
 
 
 def _without_cost(value: PlacementValue) -> PlacementValue:
-    """A value whose cost does not count: prices of what hangs are spent."""
+    """A value whose cost does not count: existing units are paid for."""
     return value._replace(cost_eur=0.0)
+
+
+# ---------- which pose is the best to join a set
+
+
+_BLOCK_POSES = 512  # tens of megabytes of frames
+
+
+def best_joining(
+    problem: PlacementProblem,
+    kept: Sequence[int],
+    each: IntArray,
+    *,
+    price_eur: FloatArray | None = None,
+) -> int:
+    """Which of the poses `each` (n_each,) is the best to join those `kept`: an index into `each`.
+
+    Best by APR, then APR when one unit fails, smallest and mean margin, and price (by default
+    equal). Limits and floors of the problem do not matter.
+    """
+    measure, weight = problem.measure(), problem.table.axis.weight
+    margin = margins_joined_s(problem, kept, each)
+    is_avoided = (margin > -np.inf) & (weight > 0.0)
+    apr = measure.of(is_avoided)
+    # Failures are costly to go through: only poses with the best APR need it.
+    rows = np.flatnonzero(apr >= apr.max() - TOLERANCE)
+    left = np.full(len(rows), float(measure.of(run_margins_s(problem, kept) > -np.inf)))
+    for failed in kept:
+        others = [pose for pose in kept if pose != failed]
+        left_then = margins_joined_s(problem, others, each[rows]) > -np.inf
+        left = np.minimum(left, measure.of(left_then))
+    margin, is_avoided = margin[rows], is_avoided[rows]
+    share = is_avoided @ weight
+    some = share > 0.0
+    smallest, mean = np.zeros(len(rows)), np.zeros(len(rows))
+    smallest[some] = np.where(is_avoided, margin, np.inf).min(axis=1)[some]
+    mean[some] = (np.where(is_avoided, margin, 0.0) @ weight)[some] / share[some]
+    nothing = np.zeros(len(rows))
+    gain = {
+        Objective.APR: apr[rows],
+        Objective.APR_ONE_FAILED: left,
+        Objective.SMALLEST_MARGIN: smallest,
+        Objective.MEAN_MARGIN: mean,
+        Objective.COST: nothing if price_eur is None else -price_eur[rows],
+    }
+    gains = np.column_stack([nothing, *(gain[objective] for objective in VALUE_OBJECTIVES)])
+    return int(rows[SetValues(VALUE_OBJECTIVES, gains).best_row()])
+
+
+def margins_joined_s(problem: PlacementProblem, kept: Sequence[int], each: IntArray) -> FloatArray:
+    """Margins of all runs for `kept` together with each pose, (n_each, n_runs), in seconds.
+
+    As :func:`placement.optimiser.run_margins_s` of each such set.
+    """
+    axis, rule = problem.table.axis, problem.rule
+    beside = problem.table.detected(list(kept))
+    together: BoolArray = np.logical_or.reduce(beside, axis=0)
+    confirmed = np.empty((len(each), axis.n_runs))
+    for start in range(0, len(each), _BLOCK_POSES):
+        block = slice(start, start + _BLOCK_POSES)
+        detected = problem.table.detected(each[block])
+        if problem.fusion == "any":
+            detected |= together
+        confirmed[block] = confirmation_times_s(
+            detected, axis, n_confirmations=rule.n_confirmations
+        )
+    if problem.fusion == "single" and len(kept):
+        alone = confirmation_times_s(beside, axis, n_confirmations=rule.n_confirmations)
+        confirmed = np.minimum(confirmed, alone.min(axis=0))
+    last_brake = axis.last_brake_time_s
+    in_time = np.isfinite(confirmed) & is_in_time(confirmed, last_brake, latency_s=rule.latency_s)
+    return np.where(in_time, last_brake - (confirmed + rule.latency_s), -np.inf)

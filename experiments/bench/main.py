@@ -13,7 +13,6 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -30,7 +29,7 @@ from placement.visibility.build import build_detection_table
 from ..study.layout import load_carlancap_layout
 from .optimiser import measure_covering, measure_large, measure_optimiser
 from .perception import measure_perception
-from .rays import N_MOUNTS, REPEATS, measure_casting
+from .rays import N_MOUNTS, REPEATS, Figures, measure_casting
 
 _WORKERS = os.cpu_count() or 1
 _OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 runs
@@ -64,17 +63,17 @@ def main(budget: int, out: Path | None) -> None:
         out.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 
-# ---------------------------------------------------------------- more cases
+# ---------- more cases
 
 
-def _measure_growth(candidates: tuple[CandidatePose, ...]) -> dict[str, Any]:
+def _measure_growth(candidates: tuple[CandidatePose, ...]) -> Figures:
     """Seconds per run of everything but the optimiser, as cases are added."""
     scene = load_study_scene()
     mounts = {tuple(c.pose.position_m) for c in candidates}
     some = set(sorted(mounts)[:: max(1, len(mounts) // N_MOUNTS)])
     few = [c for c in candidates if tuple(c.pose.position_m) in some]
     layout = Layout(name="three", units=load_carlancap_layout().units[:3])
-    figures: dict[str, Any] = {}
+    figures: Figures = {}
     per_run_s = []
     compute = Compute(workers=_WORKERS)
     for cases in ("CBLA", _OWN_CASES, "study", "protocol-4.5.1"):
@@ -93,10 +92,10 @@ def _measure_growth(candidates: tuple[CandidatePose, ...]) -> dict[str, Any]:
     return figures
 
 
-# ---------------------------------------------------------------- whole command
+# ---------- whole command
 
 
-def _measure_command(budget: int) -> dict[str, Any]:
+def _measure_command(budget: int) -> Figures:
     """The main job cold and warm, its memory, and the start-up."""
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {"PLACE_RSUS_CACHE": str(Path(folder) / "cache")}

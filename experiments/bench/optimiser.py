@@ -6,7 +6,7 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from typing import Any
@@ -22,13 +22,19 @@ from placement.detection_table import DetectionTable
 from placement.optimiser import (
     Effort,
     Limits,
+    Objective,
     PlacementProblem,
+    apr,
     presolve,
     run_margins_s,
     solve_placement,
 )
 from placement.optimiser.covering.instance import build_covering_instance
 from placement.optimiser.covering.solve import solve_mclp
+from placement.optimiser.greedy import lazy_greedy, swap
+from placement.optimiser.multipliers import first_multipliers, tighten
+from placement.optimiser.relaxation import polish
+from placement.optimiser.stages import build_coverage, cover_windows
 from placement.optimiser.units_front import pareto_front
 from placement.setting import Setting
 from placement.visibility.build import build_detection_table
@@ -304,6 +310,8 @@ def _is_hidden(pole_m: FloatArray, height_m: float, frames: _Frames) -> BoolArra
 
 _WORKERS = os.cpu_count() or 1
 _FRONT_UNITS = 8
+_SUBGRADIENT_STEPS = 400
+_RELAXATION_TIME_S = 60.0
 _MCLP_POSES, _MCLP_ROWS, _MCLP_UNITS = 1500, 4000, 3
 _MCLP_RADIUS = 0.1  # of the unit square
 _LARGE_UNITS, _LARGE_GAP, _LARGE_TIME_S = 6, 0.01, 300.0
@@ -348,8 +356,39 @@ def measure_optimiser(
         name = f"optimiser: front K = 1..{_FRONT_UNITS}, {what}"
         figures[f"{name}: seconds (under 60)"] = time.perf_counter() - began_s
         figures[f"{name}: proven"] = front.is_proven
+    wider = replace(problem, limits=replace(problem.limits, budget_units=budget + 1))
+    figures |= measure_relaxation(wider)
     single = build_problem(setting, candidates, table, wishes=wishes, fusion="single")
     return figures | _measure_single(single, table)
+
+
+def measure_relaxation(problem: PlacementProblem) -> dict[str, Any]:
+    """Bound of the APR by subgradient steps, with OSQP's multipliers, and on whole windows."""
+    reduced = presolve(problem)
+    coverage = build_coverage(reduced, Objective.APR)
+    chosen = swap(coverage, lazy_greedy(coverage))
+    value = coverage.value(chosen)
+    start = first_multipliers(coverage, chosen)
+    began_s = time.perf_counter()
+    tightened = tighten(coverage, start, target=value, n_steps=_SUBGRADIENT_STEPS)
+    subgradient_s = time.perf_counter() - began_s
+    polished = polish(coverage, tightened)
+    osqp_s = time.perf_counter() - began_s
+    began_s = time.perf_counter()
+    cover, limit = cover_windows(
+        problem, reduced, Objective.APR, time_limit_s=_RELAXATION_TIME_S, branches=False
+    )
+    windows_s = time.perf_counter() - began_s
+    covered = apr(problem, reduced.pose_index[cover.poses].tolist())
+    name = f"relaxation, K = {problem.limits.budget_units}"
+    return {
+        f"{name}: subgradient, seconds": subgradient_s,
+        f"{name}: subgradient, gap %": 100.0 * (tightened.bound.limit / value - 1.0),
+        f"{name}: with OSQP, seconds": osqp_s,
+        f"{name}: with OSQP, gap %": 100.0 * (polished.bound.limit / value - 1.0),
+        f"{name}: OSQP on windows, seconds": windows_s,
+        f"{name}: OSQP on windows, gap %": 100.0 * (limit / covered - 1.0),
+    }
 
 
 def _measure_single(single: PlacementProblem, table: DetectionTable) -> dict[str, Any]:

@@ -24,18 +24,18 @@ from placement.visibility.casting import build_static_mesh, find_obstructions
 from scenarios.runs import Run
 
 from ..study.layout import load_carlancap_layout
-from .rays import REPEATS, Recorder, bare_embree, in_turn, one_thread, ratio
+from .rays import REPEATS, Figures, Recorder, bare_embree, in_turn, one_thread, ratio
 
 _N_UNITS = 2
 _WORKERS = os.cpu_count() or 1
 
 
-def measure_perception(setting: Setting) -> dict[str, Any]:
+def measure_perception(setting: Setting) -> Figures:
     """Figures of the evaluator, of LiDAR tables, and of pictures."""
     return _measure_pixels(setting) | _measure_lidar(setting) | _measure_pictures(setting.runs)
 
 
-def _measure_pixels(setting: Setting) -> dict[str, Any]:
+def _measure_pixels(setting: Setting) -> Figures:
     """The evaluator's rays for some of the study's cameras, against the same rays bare."""
     camera = load_cameras()["carla-ncap-rgb"]
     poses = [unit.pose for unit in load_carlancap_layout().units[:_N_UNITS]]
@@ -95,7 +95,7 @@ def _measure_pixels(setting: Setting) -> dict[str, Any]:
     }
 
 
-def _measure_lidar(setting: Setting) -> dict[str, Any]:
+def _measure_lidar(setting: Setting) -> Figures:
     """A table of LiDARs against one of cameras at the same mounts: the rays are the same."""
     mounts = load_carlancap_layout().units
 
@@ -118,13 +118,13 @@ def _measure_lidar(setting: Setting) -> dict[str, Any]:
     }
 
 
-def _measure_pictures(runs: tuple[Run, ...]) -> dict[str, Any]:
+def _measure_pictures(runs: tuple[Run, ...]) -> Figures:
     """Seconds per picture of 1920 x 1080 pixels, by weather."""
     from geometry.scene_files import load_study_scene
 
     unit = load_carlancap_layout().units[3]
     backdrop = build_backdrop(load_study_scene(), runs[0].obstruction)
-    figures: dict[str, Any] = {}
+    figures: Figures = {}
     for name, weather in load_weathers().items():
         seconds = []
         for _ in range(REPEATS):

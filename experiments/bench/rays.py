@@ -30,10 +30,9 @@ from placement.visibility.casting import (
     find_obstructions,
 )
 
-# ---------- times of two pieces of work, measured in turn, and their ratio
-
-
 REPEATS = 5
+Figures = dict[str, float | str | None]
+"""What is measured, by its name."""
 
 
 def in_turn(ours: Callable[[], object], theirs: Callable[[], object]) -> tuple[list[float], ...]:
@@ -51,9 +50,6 @@ def in_turn(ours: Callable[[], object], theirs: Callable[[], object]) -> tuple[l
 def ratio(ours_s: list[float], theirs_s: list[float]) -> float:
     """Median of the ratios pair by pair."""
     return statistics.median(a / b for a, b in zip(ours_s, theirs_s, strict=True))
-
-
-# ---------- benchmark of the detection table's rays against bare Embree
 
 
 N_MOUNTS = 24
@@ -85,7 +81,7 @@ class Recorder:
         return self._caster.first_triangle(origins_m, vectors_m)
 
 
-def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> dict[str, Any]:
+def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> Figures:
     """The table's rays, against the same rays handed to bare Embree in one call per scene."""
     world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=0)
     mounts = list({tuple(c.pose.position_m): c for c in candidates}.values())[:N_MOUNTS]

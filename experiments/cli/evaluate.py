@@ -23,7 +23,7 @@ from .options import (
     quiet_option,
 )
 from .recording import check_recording_options, recording_options, recording_table
-from .running import begin, command_line, load_one_layout, print_result
+from .running import begin, command_line, load_one_layout, plain, print_result
 from .terminal import sentences, table, wide_table
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def evaluate(
             out=out,
             progress=progress,
         )
-        print_result(summary, progress, as_json, lambda: recording_table(summary, out))
+        print_result(summary, progress, as_json, lambda: recording_table(plain(summary), out))
         return
     layout = load_one_layout(layout_names)
     begin(progress, quiet=quiet)
@@ -178,10 +178,9 @@ def written(out: Path | None) -> list[str]:
 
 def additions(result: "Result") -> list[str]:
     """What a result has beside layout, proof and evaluation, each part before an empty line."""
-    from ..report.explanation import explanation_text
     from ..report.private_ground import private_ground_sentences
     from ..report.refinement import refinement_sentences
-    from ..report.sampled_worlds import uncertainty_text
+    from .explanations import explanation_text, uncertainty_text
 
     parts: list[list[str]] = []
     if result.front is not UNSET:

@@ -22,7 +22,7 @@ from .options import (
     question_options,
     quiet_option,
 )
-from .running import begin, load_one_layout, print_result
+from .running import begin, load_one_layout, plain, print_result
 from .terminal import sentences, table
 
 
@@ -101,7 +101,7 @@ def latency(
         compute=compute,
         progress=progress,
     )
-    print_result(summary, progress, as_json, lambda: latency_text(summary, out))
+    print_result(summary, progress, as_json, lambda: latency_text(plain(summary), out))
 
 
 _COLUMNS = {"rsu_all": "RSUs, fused", "vut_and_rsus": "VUT and RSUs", "vut": "VUT alone"}

@@ -21,7 +21,7 @@ from .options import (
     question_options,
     quiet_option,
 )
-from .running import begin, command_line, print_result
+from .running import begin, command_line, plain, print_result
 from .terminal import sentences, table
 
 _TIME_LIMIT_S = 60.0
@@ -103,7 +103,7 @@ def pareto(
         command=command_line(),
         progress=progress,
     )
-    print_result(summary, progress, as_json, lambda: front_text(summary, out))
+    print_result(summary, progress, as_json, lambda: front_text(plain(summary), out))
 
 
 _ONE_FAILS = "One fails: APR that is left when the most needed unit fails"

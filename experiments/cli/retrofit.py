@@ -24,7 +24,7 @@ from .options import (
     quiet_option,
 )
 from .pareto import FRONT_SOUGHT
-from .running import begin, command_line, load_one_layout, print_result
+from .running import begin, command_line, load_one_layout, plain, print_result
 from .terminal import sentences, table
 
 _TIME_LIMIT_S = 60.0
@@ -89,7 +89,7 @@ def retrofit(
         command=command_line(),
         progress=progress,
     )
-    print_result(summary, progress, as_json, lambda: retrofit_text(summary, out))
+    print_result(summary, progress, as_json, lambda: retrofit_text(plain(summary), out))
 
 
 _WORDS_WIDTH = 32

@@ -11,7 +11,7 @@ import click
 from ..progress import StageProgress
 from ..results.numbers import shortened
 from .options import json_option, option, quiet_option
-from .running import print_result
+from .running import plain, print_result
 from .terminal import sentences, table
 
 _EXIT_FAILED = 1
@@ -189,7 +189,7 @@ def import_(
         out=out,
         progress=progress,
     )
-    print_result(summary, progress, as_json, lambda: scene_text(summary))
+    print_result(summary, progress, as_json, lambda: scene_text(plain(summary)))
 
 
 @scene.command(
@@ -229,7 +229,7 @@ def show(
         out=out,
         progress=progress,
     )
-    print_result(summary, progress, as_json, lambda: scene_text(summary))
+    print_result(summary, progress, as_json, lambda: scene_text(plain(summary)))
 
 
 @scene.command(
@@ -250,8 +250,8 @@ def check(progress: StageProgress, *, path: str, as_json: bool, quiet: bool) -> 
     from ..jobs import scene
 
     summary = scene.run_check(path, progress=progress)
-    print_result(summary, progress, as_json, lambda: findings_text(summary))
-    if not summary["is_sound"]:
+    print_result(summary, progress, as_json, lambda: findings_text(plain(summary)))
+    if not summary.is_sound:
         sys.exit(_EXIT_FAILED)
 
 

@@ -20,7 +20,7 @@ from .options import (
     question_options,
     quiet_option,
 )
-from .running import begin, load_one_layout, print_result
+from .running import begin, load_one_layout, plain, print_result
 from .terminal import sentences, table
 
 
@@ -58,7 +58,7 @@ def sheet(
     from ..jobs.sheet import run_sheet
 
     summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)
-    print_result(summary, progress, as_json, lambda: sheet_text(summary))
+    print_result(summary, progress, as_json, lambda: sheet_text(plain(summary)))
 
 
 def sheet_text(summary: Mapping[str, Any]) -> str:

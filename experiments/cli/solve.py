@@ -9,7 +9,7 @@ import click
 from ..progress import StageProgress
 from ..results.numbers import percent
 from .options import SectionedCommand, is_given, json_option, option, quiet_option
-from .running import print_result, unwritable
+from .running import plain, print_result, unwritable
 from .terminal import sentences
 
 _QUESTIONS = {
@@ -150,7 +150,7 @@ def solve(
             gap=gap,
             progress=progress,
         )
-        print_result(summary, progress, as_json, lambda: window_text(summary))
+        print_result(summary, progress, as_json, lambda: window_text(plain(summary)))
         return
     try:
         summary = solve.run_solve(
@@ -169,7 +169,7 @@ def solve(
         if out is None:
             raise
         raise unwritable(out, error) from None
-    print_result(summary, progress, as_json, lambda: solution_text(summary))
+    print_result(summary, progress, as_json, lambda: solution_text(plain(summary)))
 
 
 def _check_one_question() -> None:

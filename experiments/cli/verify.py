@@ -9,7 +9,7 @@ import click
 
 from ..progress import StageProgress
 from .options import json_option, quiet_option
-from .running import print_result
+from .running import plain, print_result
 from .terminal import sentences
 
 _EXIT_FAILED = 1
@@ -40,8 +40,8 @@ def verify(progress: StageProgress, *, folder: Path, as_json: bool, quiet: bool)
     from ..jobs.verify import run_verification
 
     summary = run_verification(folder, progress=progress)
-    print_result(summary, progress, as_json, lambda: verification_text(summary))
-    if not summary["is_verified"]:
+    print_result(summary, progress, as_json, lambda: verification_text(plain(summary)))
+    if not summary.is_verified:
         sys.exit(_EXIT_FAILED)
 
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-import yaml
+import yaml  # type: ignore[import-untyped]
 from scipy.spatial.transform import Rotation
 
 from geometry.arrays import FloatArray
@@ -26,7 +26,7 @@ def to_opencv(layout: Layout) -> str:
         "layout": _Quoted(layout.name),
         "cameras": [_camera_record(camera) for camera in calibrations(layout, "opencv")],
     }
-    text = yaml.dump(
+    text: str = yaml.dump(
         document, Dumper=_Dumper, allow_unicode=True, sort_keys=False, width=float("inf")
     )
     # The format's own first lines: FileStorage tells YAML from XML and JSON by them.
@@ -51,7 +51,7 @@ class _Quoted(str):
     """Text that is written in double quotes, the only ones that FileStorage reads whole."""
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
     """Writes arrays as FileStorage's matrices, and indents lists, as FileStorage needs it."""
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:

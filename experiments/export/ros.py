@@ -4,7 +4,7 @@ import re
 from typing import Any
 
 import numpy as np
-import yaml
+import yaml  # type: ignore[import-untyped]
 
 from geometry.arrays import FloatArray
 from placement.layout import Layout
@@ -40,7 +40,7 @@ def to_ros(layout: Layout) -> str:
         _camera_record(camera, name)
         for camera, name in zip(cameras, camera_names(cameras), strict=True)
     ]
-    return left_out_comment(layout) + yaml.safe_dump_all(
+    text: str = yaml.safe_dump_all(
         documents,
         allow_unicode=True,
         sort_keys=False,
@@ -48,6 +48,7 @@ def to_ros(layout: Layout) -> str:
         default_flow_style=None,  # numbers of a list on one line
         width=float("inf"),
     )
+    return left_out_comment(layout) + text
 
 
 def camera_names(cameras: list[Calibration]) -> list[str]:

@@ -1,16 +1,15 @@
 """What ``place-rsus latency`` does: evaluate a layout once, read its APR off for every latency."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
+from msgspec.structs import asdict as fields_of
+from msgspec.structs import replace as replace_fields
 
 from geometry.errors import InputError, Unquoted
 from geometry.scene_files import load_scene
 from placement.compute import Compute
-from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout
 from placement.latency import (
     MAX_LATENCY_S,
@@ -20,7 +19,7 @@ from placement.latency import (
     fixed_latency,
     load_latency_budget,
 )
-from placement.layout import Layout, check_layout, layout_records
+from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.setting import build_setting
 
@@ -28,14 +27,15 @@ from ..figures.axes import to_png
 from ..figures.latency import plot_latency
 from ..progress import WRITING, StageProgress
 from ..results.drives import build_drives_record, versions
-from ..results.record import to_plain
+from ..results.latencies import (
+    APR_LEVELS,
+    LatencyResult,
+    build_budget_record,
+    build_curve_record,
+)
+from ..results.record import build_unit_records
 from .writing import check_folder, write_files
 
-# ---------- what ``place-rsus latency`` does
-
-
-TABLE_S = (0.0, 0.025, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
-APR_LEVELS = (1.0, 0.95, 0.9)
 CSV_NAME, PNG_NAME = "latency.csv", "latency.png"
 
 _LEAST_SHOWN_S, _MOST_SHOWN_S = 0.5, 3.0
@@ -53,7 +53,7 @@ def run_latency(
     out: Path | None,
     compute: Compute,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> LatencyResult:
     """APR of every sensing party against latency; table and figure to `out` if asked to.
 
     Parameters
@@ -75,11 +75,6 @@ def run_latency(
     progress : StageProgress
         Is told the stages.
 
-    Returns
-    -------
-    summary : dict
-        See :func:`summarise_latency`.
-
     Raises
     ------
     InputError
@@ -96,16 +91,27 @@ def run_latency(
     evaluation = evaluate_layout(layout, setting, compute=compute)
     curves = apr_by_latency(evaluation, setting.rule, vut_latency_s=vut_latency_s)
     shown_s = _default_max_s(curves, chosen) if max_latency_s is None else max_latency_s
-    summary = summarise_latency(evaluation, curves, chosen, max_latency_s=shown_s)
-    summary |= {"vut_latency_s": vut_latency_s, **to_plain(build_drives_record(setting))}
+    result = LatencyResult(
+        name=layout.name,
+        layout=build_unit_records(layout),
+        runs=evaluation.axis.n_runs,
+        budget=build_budget_record(chosen),
+        max_latency_s=shown_s,
+        parties={
+            name: build_curve_record(curve, chosen, shown_s) for name, curve in curves.items()
+        },
+        vut_latency_s=vut_latency_s,
+        **fields_of(build_drives_record(setting)),
+        seconds={},
+        versions=versions(),
+    )
     if out is not None:
         progress(WRITING, 0, 0)
         axes, _ = plot_latency(curves, chosen, max_latency_s=shown_s)
         csv = latency_table(curves, max_latency_s=shown_s).to_csv(index=False, lineterminator="\n")
         write_files(out, {CSV_NAME: csv.encode(), PNG_NAME: to_png(axes)})
         progress.kept = f"the results are in {out}"
-    summary |= {"seconds": progress.finish(), "versions": versions()}
-    return summary
+    return replace_fields(result, seconds=progress.finish())
 
 
 def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
@@ -123,53 +129,6 @@ def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
     if question.latency_s > MAX_LATENCY_S:
         raise InputError("--latency", question.latency_s, f"at most {MAX_LATENCY_S:g} seconds")
     return fixed_latency(question.latency_s)
-
-
-def summarise_latency(
-    evaluation: Evaluation,
-    curves: Mapping[str, LatencyCurve],
-    budget: LatencyBudget,
-    *,
-    max_latency_s: float,
-) -> dict[str, Any]:
-    """The numbers of all curves as one plain object.
-
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of the layout.
-    curves : mapping of str to LatencyCurve
-        By sensing party.
-    budget : LatencyBudget
-        Distribution of the latency.
-    max_latency_s : float
-        Up to where curves are shown. [s]
-
-    Returns
-    -------
-    summary : dict
-        "parties" has, for each: "expected", "at_mean" and "at_worst" (APR for the budget),
-        "longest" (``{"apr", "latency_s"}``: infinite if the APR never falls below, minus infinity
-        if it is less with none; in JSON both are null, and "is_reached" tells them apart), "steps"
-        (``{"until_s", "apr"}``, see :meth:`placement.latency.LatencyCurve.steps`) and
-        "at" (``{"latency_s", "apr"}``, some round latencies).
-    """
-    return {
-        "name": evaluation.layout.name,
-        "layout": layout_records(evaluation.layout),
-        "runs": evaluation.axis.n_runs,
-        "budget": {
-            "name": budget.name,
-            "best_s": budget.best_s,
-            "mean_s": budget.mean_s,
-            "worst_s": budget.worst_s,
-            "parts": [asdict(part) for part in budget.parts],
-        },
-        "max_latency_s": max_latency_s,
-        "parties": {
-            name: _summarise_curve(curve, budget, max_latency_s) for name, curve in curves.items()
-        },
-    }
 
 
 def latency_table(curves: Mapping[str, LatencyCurve], *, max_latency_s: float) -> pd.DataFrame:
@@ -198,29 +157,6 @@ def latency_table(curves: Mapping[str, LatencyCurve], *, max_latency_s: float) -
             if until_s >= max_latency_s:
                 break
     return pd.DataFrame(rows)
-
-
-def _summarise_curve(
-    curve: LatencyCurve, budget: LatencyBudget, max_latency_s: float
-) -> dict[str, Any]:
-    shown_s = [latency_s for latency_s in TABLE_S if latency_s <= max_latency_s]
-    longest = [(level, curve.longest_latency_s(level)) for level in APR_LEVELS]
-    return {
-        "expected": curve.expected_apr(budget),
-        "at_mean": float(curve.apr(budget.mean_s)),
-        "at_worst": float(curve.apr(budget.worst_s)),
-        "longest": [
-            {"apr": level, "latency_s": latency_s, "is_reached": latency_s >= 0.0}
-            for level, latency_s in longest
-        ],
-        "steps": _records("until_s", *curve.steps()),
-        "at": _records("latency_s", shown_s, curve.apr(shown_s)),
-    }
-
-
-def _records(key: str, latencies_s: Any, ratios: Any) -> list[dict[str, float]]:
-    pairs = zip(latencies_s, ratios, strict=True)
-    return [{key: float(latency_s), "apr": float(apr)} for latency_s, apr in pairs]
 
 
 def _default_max_s(curves: Mapping[str, LatencyCurve], budget: LatencyBudget) -> float:

@@ -1,4 +1,4 @@
-"""What ``place-rsus pareto`` does, and its table for a terminal."""
+"""The front of a question, for ``place-rsus pareto``: found, and written as table and figure."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from msgspec.structs import asdict as fields_of
+from msgspec.structs import replace as replace_fields
 
 from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
@@ -26,13 +28,9 @@ from ..figures.front import plot_front
 from ..progress import WRITING, StageProgress
 from ..report.front import describe_money, describe_units
 from ..results.drives import build_drives_record, versions
-from ..results.fronts import FrontRecord, build_front_record
-from ..results.record import to_plain
+from ..results.fronts import FrontRecord, FrontResult, build_front_record
 from ..study.layout import load_carlancap_layout
 from .writing import check_folder, write_files
-
-# ---------- what ``place-rsus pareto`` does
-
 
 CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
 _STAGES = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eur")
@@ -48,7 +46,7 @@ def run_pareto(
     compute: Compute,
     command: str,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> FrontResult:
     """Find what each further unit, or more money, buys; write it to `out` if asked to.
 
     Parameters
@@ -73,11 +71,6 @@ def run_pareto(
         Command line that makes the result again.
     progress : StageProgress
         Is told the stages.
-
-    Returns
-    -------
-    summary : dict
-        The fields of a front's record, what was driven, "command", "seconds", "versions".
 
     Raises
     ------
@@ -104,23 +97,23 @@ def run_pareto(
     front = _find_front(
         problem, by=by, all_stages=all_stages, n_kept=n_kept, plan=plan, progress=progress
     )
-    record = describe_front(front, problem, plan.candidates, n_kept=n_kept)
-    summary = {
-        **to_plain(record),
-        "command": command,
-        **to_plain(build_drives_record(setting)),
-    }
-    if out is not None:
-        progress(WRITING, 0, 0)
-        csv = front_table(front, plan.candidates).to_csv(index=False, lineterminator="\n")
-        png = to_png(plot_front(front))
-        summary |= {"seconds": progress.finish(), "versions": versions()}
-        json = to_json_text(summary)
-        write_files(out, {CSV_NAME: csv.encode(), PNG_NAME: png, JSON_NAME: json.encode()})
-        progress.kept = f"the results are in {out}"
-    else:
-        summary |= {"seconds": progress.finish(), "versions": versions()}
-    return summary
+    result = FrontResult(
+        **fields_of(describe_front(front, problem, plan.candidates, n_kept=n_kept)),
+        command=command,
+        **fields_of(build_drives_record(setting)),
+        seconds={},
+        versions=versions(),
+    )
+    if out is None:
+        return replace_fields(result, seconds=progress.finish())
+    progress(WRITING, 0, 0)
+    csv = front_table(front, plan.candidates).to_csv(index=False, lineterminator="\n")
+    png = to_png(plot_front(front))
+    result = replace_fields(result, seconds=progress.finish())
+    json = to_json_text(result)
+    write_files(out, {CSV_NAME: csv.encode(), PNG_NAME: png, JSON_NAME: json.encode()})
+    progress.kept = f"the results are in {out}"
+    return result
 
 
 def _find_front(

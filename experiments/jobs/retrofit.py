@@ -1,16 +1,18 @@
 """What ``place-rsus retrofit`` does: the best change of every kind, priced."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from msgspec.structs import asdict as fields_of
+from msgspec.structs import replace as replace_fields
 
 from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
-from placement.layout import Layout, check_layout, layout_records
+from placement.layout import Layout, check_layout
 from placement.optimiser import PlacementValue, is_better
 from placement.pipeline import obtain_table
 from placement.planning import build_grid, build_plan
@@ -18,7 +20,6 @@ from placement.question import Question
 from placement.retrofit import (
     Change,
     Labour,
-    Retrofit,
     RetrofitPoses,
     build_retrofit_poses,
     find_retrofit,
@@ -31,7 +32,14 @@ from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.drives import build_drives_record, versions
 from ..results.numbers import percent
-from ..results.record import to_plain
+from ..results.record import build_stage_records, build_unit_records
+from ..results.retrofits import (
+    ActionRecord,
+    ChangeRecord,
+    RetrofitResult,
+    RetrofitValueRecord,
+    build_labour_record,
+)
 from .writing import check_folder, write_files
 
 # ---------- what can be done about a layout that hangs, in sentences
@@ -40,7 +48,7 @@ from .writing import check_folder, write_files
 _MAX_RUNS = 8
 
 
-def describe_retrofit(summary: Mapping[str, Any]) -> list[str]:
+def describe_retrofit(result: RetrofitResult) -> list[str]:
     """The best change of every kind, in sentences.
 
     Parameters
@@ -48,18 +56,18 @@ def describe_retrofit(summary: Mapping[str, Any]) -> list[str]:
     summary : mapping
         As :func:`experiments.jobs.retrofit.run_retrofit` builds it.
     """
-    sentences = [_removal(summary["removals"])]
-    if summary["re_aims"]:
-        sentences.append(_re_aim(summary["re_aims"][0]))
-    sentences.append(_addition(summary["addition"], summary["budget_eur"]))
-    if summary["budget_eur"] is not None:
-        sentences.append(_combination(summary["combination"], summary["budget_eur"]))
+    sentences = [_removal(result.removals)]
+    if result.re_aims:
+        sentences.append(_re_aim(result.re_aims[0]))
+    sentences.append(_addition(result.addition, result.budget_eur))
+    if result.budget_eur is not None:
+        sentences.append(_combination(result.combination, result.budget_eur))
     return sentences
 
 
-def _removal(removals: Sequence[Mapping[str, Any]]) -> str:
+def _removal(removals: Sequence[ChangeRecord]) -> str:
     best = removals[0]
-    name = best["actions"][0]["unit"]
+    name = best.actions[0].unit
     if len(removals) == 1:
         return f"{name} is the only unit: without it, only the car itself is left."
     return (
@@ -75,9 +83,9 @@ def _lost(runs: Sequence[str]) -> str:
     return f"{_runs(runs)} {verb} lost ({_ids(runs)})"
 
 
-def _re_aim(best: Mapping[str, Any]) -> str:
+def _re_aim(best: ChangeRecord) -> str:
     what = _all_words(best)
-    if not best["is_better"]:
+    if not best.is_better:
         return (
             f"No re-aim is better than to leave all as it is: of all {best['compared']}, the best "
             f"one would be to {what}."
@@ -88,7 +96,7 @@ def _re_aim(best: Mapping[str, Any]) -> str:
     )
 
 
-def _addition(best: Mapping[str, Any] | None, budget_eur: float | None) -> str:
+def _addition(best: ChangeRecord | None, budget_eur: float | None) -> str:
     limit = "" if budget_eur is None else f" within {_euros(budget_eur)}"
     if best is None:
         return f"No unit that can be added{limit} is better than none."
@@ -98,7 +106,7 @@ def _addition(best: Mapping[str, Any] | None, budget_eur: float | None) -> str:
     )
 
 
-def _combination(best: Mapping[str, Any] | None, budget_eur: float) -> str:
+def _combination(best: ChangeRecord | None, budget_eur: float) -> str:
     if best is None:
         return f"Within {_euros(budget_eur)} nothing is better than to leave all as it is."
     return (
@@ -107,15 +115,15 @@ def _combination(best: Mapping[str, Any] | None, budget_eur: float) -> str:
     )
 
 
-def _all_words(change: Mapping[str, Any]) -> str:
-    return "; ".join(action["words"] for action in change["actions"])
+def _all_words(change: ChangeRecord) -> str:
+    return "; ".join(action.words for action in change.actions)
 
 
-def _effect(change: Mapping[str, Any]) -> str:
+def _effect(change: ChangeRecord) -> str:
     parts = []
-    if change["gained"]:
+    if change.gained:
         parts.append(f"gains {_runs(change['gained'])} ({_ids(change['gained'])})")
-    if change["lost"]:
+    if change.lost:
         parts.append(f"loses {_runs(change['lost'])} ({_ids(change['lost'])})")
     if not parts:
         parts.append("avoids the same runs")
@@ -126,8 +134,8 @@ def _effect(change: Mapping[str, Any]) -> str:
     )
 
 
-def _proof(change: Mapping[str, Any]) -> str:
-    if change["is_proven"]:
+def _proof(change: ChangeRecord) -> str:
+    if change.is_proven:
         return " Proven: nothing of its kind is better."
     return " Not proven in the time given."
 
@@ -160,7 +168,7 @@ def run_retrofit(
     compute: Compute,
     command: str,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> RetrofitResult:
     """Find what to remove, re-aim or add, and write it to `out` if asked to.
 
     Parameters
@@ -181,11 +189,6 @@ def run_retrofit(
         Command line that makes the result again.
     progress : StageProgress
         Is told the stages.
-
-    Returns
-    -------
-    summary : dict
-        See :func:`summarise_retrofit`.
 
     Raises
     ------
@@ -223,64 +226,42 @@ def run_retrofit(
         budget_eur=question.budget_cost,
         effort=plan.effort,
     )
-    summary = summarise_retrofit(retrofit, poses, layout)
-    summary |= {
-        "runs": setting.axis.n_runs,
-        "fusion": question.fusion,
-        "budget_eur": question.budget_cost,
-        "labour": asdict(labour) | {"re_aim_eur": labour.re_aim_eur},
-        "command": command,
-        **to_plain(build_drives_record(setting)),
-    }
-    summary["sentences"] = describe_retrofit(summary)
-    if out is not None:
-        progress(WRITING, 0, 0)
-        csv = retrofit_table(summary).to_csv(index=False, lineterminator="\n")
-        summary |= {"seconds": progress.finish(), "versions": versions()}
-        json = to_json_text(summary)
-        write_files(out, {CSV_NAME: csv.encode(), JSON_NAME: json.encode()})
-        progress.kept = f"the results are in {out}"
-    else:
-        summary |= {"seconds": progress.finish(), "versions": versions()}
-    return summary
 
-
-def summarise_retrofit(retrofit: Retrofit, poses: RetrofitPoses, layout: Layout) -> dict[str, Any]:
-    """A retrofit as one plain object: what ``--json`` prints, and ``retrofit.json``.
-
-    Parameters
-    ----------
-    retrofit : Retrofit
-        Changes of every kind.
-    poses : RetrofitPoses
-        Their rows.
-    layout : Layout
-        What hangs.
-
-    Returns
-    -------
-    summary : dict
-        "before" has the values of what hangs; "removals", "re_aims", "addition", "combination" are
-        changes: actions, price, values, run ids gained and lost, "is_better" than before, and
-        "layout", what hangs afterwards.
-    """
-
-    def record(change: Change) -> dict[str, Any]:
+    def record(change: Change) -> ChangeRecord:
         return _change_record(change, retrofit.before, poses)
 
-    return {
-        "name": layout.name,
-        "layout": layout_records(layout),
-        "before": _values(retrofit.before),
-        "candidates": len(poses.candidates),
-        "removals": [record(change) for change in retrofit.removals],
-        "re_aims": [record(change) for change in retrofit.re_aims],
-        "addition": None if retrofit.addition is None else record(retrofit.addition),
-        "combination": None if retrofit.combination is None else record(retrofit.combination),
-    }
+    result = RetrofitResult(
+        name=layout.name,
+        layout=build_unit_records(layout),
+        before=RetrofitValueRecord(**_values(retrofit.before)),
+        candidates=len(poses.candidates),
+        removals=tuple(record(change) for change in retrofit.removals),
+        re_aims=tuple(record(change) for change in retrofit.re_aims),
+        addition=None if retrofit.addition is None else record(retrofit.addition),
+        combination=None if retrofit.combination is None else record(retrofit.combination),
+        runs=setting.axis.n_runs,
+        fusion=question.fusion,
+        budget_eur=question.budget_cost,
+        labour=build_labour_record(labour),
+        command=command,
+        **fields_of(build_drives_record(setting)),
+        sentences=(),
+        seconds={},
+        versions=versions(),
+    )
+    result = replace_fields(result, sentences=tuple(describe_retrofit(result)))
+    if out is None:
+        return replace_fields(result, seconds=progress.finish())
+    progress(WRITING, 0, 0)
+    csv = retrofit_table(result).to_csv(index=False, lineterminator="\n")
+    result = replace_fields(result, seconds=progress.finish())
+    json = to_json_text(result)
+    write_files(out, {CSV_NAME: csv.encode(), JSON_NAME: json.encode()})
+    progress.kept = f"the results are in {out}"
+    return result
 
 
-def retrofit_table(summary: dict[str, Any]) -> pd.DataFrame:
+def retrofit_table(result: RetrofitResult) -> pd.DataFrame:
     """One row per change.
 
     Returns
@@ -290,25 +271,24 @@ def retrofit_table(summary: dict[str, Any]) -> pd.DataFrame:
         gained, lost (run ids with spaces between), is_better, is_proven. The first row is what
         hangs.
     """
+    before = fields_of(result.before)
     changes = [
-        *(("remove", change) for change in summary["removals"]),
-        *(("re-aim", change) for change in summary["re_aims"]),
-        *(("add", change) for change in [summary["addition"]] if change is not None),
-        *(("combine", change) for change in [summary["combination"]] if change is not None),
+        *(("remove", change) for change in result.removals),
+        *(("re-aim", change) for change in result.re_aims),
+        *(("add", change) for change in [result.addition] if change is not None),
+        *(("combine", change) for change in [result.combination] if change is not None),
     ]
-    rows: list[dict[str, Any]] = [
-        {"kind": "as it is", "change": "", "price_eur": 0.0, **summary["before"]}
-    ]
+    rows: list[dict[str, Any]] = [{"kind": "as it is", "change": "", "price_eur": 0.0, **before}]
     rows += [
         {
             "kind": kind,
-            "change": "; ".join(action["words"] for action in change["actions"]),
-            "price_eur": change["price_eur"],
-            **{name: change[name] for name in summary["before"]},
-            "gained": " ".join(change["gained"]),
-            "lost": " ".join(change["lost"]),
-            "is_better": change["is_better"],
-            "is_proven": change["is_proven"],
+            "change": "; ".join(action.words for action in change.actions),
+            "price_eur": change.price_eur,
+            **{name: getattr(change, name) for name in before},
+            "gained": " ".join(change.gained),
+            "lost": " ".join(change.lost),
+            "is_better": change.is_better,
+            "is_proven": change.is_proven,
         }
         for kind, change in changes
     ]
@@ -332,7 +312,7 @@ def _values(value: PlacementValue) -> dict[str, float]:
     return {name: number for name, number in value._asdict().items() if name != "cost_eur"}
 
 
-def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses) -> dict[str, Any]:
+def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses) -> ChangeRecord:
     after = _named(change, poses)
     unit = poses.unit_index
     turned = {int(unit[row]): row for row in change.added if unit[row] >= 0}
@@ -344,28 +324,28 @@ def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses)
             words = f"re-aim {old.id} to yaw {_degrees(new.pose.yaw_deg)}, pitch " + _degrees(
                 new.pose.pitch_deg
             )
-            actions.append({"action": "re-aim", "unit": old.id, "words": words})
+            actions.append(ActionRecord(action="re-aim", unit=old.id, words=words))
         else:
-            actions.append({"action": "remove", "unit": old.id, "words": f"remove {old.id}"})
+            actions.append(ActionRecord(action="remove", unit=old.id, words=f"remove {old.id}"))
     for row, name in zip(change.added, _names(change, poses), strict=True):
         if unit[row] < 0:
             words = f"add {name} at {_pose_words(poses.candidates[row])}"
-            actions.append({"action": "add", "unit": name, "words": words})
+            actions.append(ActionRecord(action="add", unit=name, words=words))
     is_improved = is_better(change.value._replace(cost_eur=0.0), before._replace(cost_eur=0.0))
     certificate = change.certificate
-    return {
-        "actions": actions,
-        "price_eur": change.price_eur,
+    return ChangeRecord(
+        actions=tuple(actions),
+        price_eur=change.price_eur,
         **_values(change.value),
-        "gained": list(change.gained),
-        "lost": list(change.lost),
-        "is_better": is_improved,
-        "is_proven": change.is_proven,
-        "compared": change.n_compared,
-        "stages": [] if certificate is None else [asdict(stage) for stage in certificate.stages],
-        "solver": None if certificate is None else certificate.solver,
-        "layout": layout_records(Layout(name="after", units=after)) if after else [],
-    }
+        gained=tuple(change.gained),
+        lost=tuple(change.lost),
+        is_better=is_improved,
+        is_proven=change.is_proven,
+        compared=change.n_compared,
+        stages=() if certificate is None else build_stage_records(certificate),
+        solver=None if certificate is None else certificate.solver,
+        layout=build_unit_records(Layout(name="after", units=after)) if after else (),
+    )
 
 
 def _names(change: Change, poses: RetrofitPoses) -> list[str]:

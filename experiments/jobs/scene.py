@@ -2,13 +2,11 @@
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+
+from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
-from geometry.junction import build_junction
-from geometry.maps.georeferences import transform
 from geometry.maps.importing import (
     ImportedScene,
     ImportOptions,
@@ -16,7 +14,7 @@ from geometry.maps.importing import (
     import_scene,
     read_maps,
 )
-from geometry.maps.junctions import Surveyed
+from geometry.maps.source_map import Skipped
 from geometry.scene import Scene
 from geometry.scene_checks import check_scene
 from geometry.scene_files import (
@@ -31,10 +29,13 @@ from geometry.scene_files import (
 from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan, plot_scene_view
 from ..progress import WRITING, StageProgress
+from ..results.scenes import (
+    SceneCheckResult,
+    SceneResult,
+    build_junction_record,
+    build_scene_result,
+)
 from .writing import check_folder, write_files
-
-# ---------- what ``place-rsus scene`` does: import, show, check
-
 
 PLAN_NAME, VIEW_NAME = "plan.png", "view.png"
 _STUDY = "town05"
@@ -47,7 +48,7 @@ def run_import(
     bbox: str,
     out: Path,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> SceneResult:
     """Make a scene of map files and write it.
 
     Parameters
@@ -62,11 +63,6 @@ def run_import(
         Folder that gets ``scene.toml``, ``things.glb`` and two pictures, or a .zip file.
     progress : StageProgress
         Is told the stages.
-
-    Returns
-    -------
-    summary : dict
-        See :func:`summarise_scene`; beside it "written" and "seconds".
 
     Raises
     ------
@@ -85,11 +81,11 @@ def run_import(
         if [str(path) for path in paths] == [_STUDY] and not paths[0].exists():
             imported = None
             scene = load_study_scene()
-            summary = summarise_scene(scene)
+            result = build_scene_result(scene)
         else:
             imported = import_scene(paths, options)
             scene = imported.scene
-            summary = summarise_import(imported)
+            result = _import_result(imported)
     progress(WRITING, 0, 0)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -113,7 +109,7 @@ def run_import(
             # The meshes first: a folder with a scene.toml is whole.
             write_files(out, {**_last(contents, SCENE_FILE)})
     progress.kept = f"the scene is in {out}"
-    return summary | {"written": str(out), "seconds": progress.finish()}
+    return replace(result, written=str(out), seconds=progress.finish())
 
 
 def run_show(
@@ -122,7 +118,7 @@ def run_show(
     *,
     out: Path | None,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> SceneResult:
     """Tell what a scene or a map has.
 
     Parameters
@@ -135,11 +131,6 @@ def run_show(
         Folder for pictures of a scene.
     progress : StageProgress
         Is told the stages.
-
-    Returns
-    -------
-    summary : dict
-        See :func:`summarise_scene`.
 
     Raises
     ------
@@ -155,27 +146,27 @@ def run_show(
         maps, junctions = read_maps([Path(path) for path in paths], reading)
         roads = maps[0]
         things = [thing for source in maps for thing in source.things]
-        return {
-            "name": roads.name,
-            "junctions": [_junction_record(one) for one in junctions],
-            "buildings": sum(thing.class_name == "building" for thing in things),
-            "things": len(things),
-            "sites": sum(len(source.poles) for source in maps),
-            "crosswalks": sum(len(source.crosswalks_m) for source in maps),
-            "keeps_left": roads.keeps_left,
-            "skipped": [asdict(skip) for source in maps for skip in source.skipped],
-            "crs": roads.source_crs or roads.crs or None,
-        }
+        return SceneResult(
+            name=roads.name,
+            junctions=tuple(build_junction_record(one) for one in junctions),
+            buildings=sum(thing.class_name == "building" for thing in things),
+            things=len(things),
+            sites=sum(len(source.poles) for source in maps),
+            crosswalks=sum(len(source.crosswalks_m) for source in maps),
+            keeps_left=roads.keeps_left,
+            skipped=tuple(skip for source in maps for skip in source.skipped),
+            crs=roads.source_crs or roads.crs or None,
+        )
     scene, skipped, _ = load_any_scene(paths[0] if paths else "")
-    summary = summarise_scene(scene, skipped=skipped)
-    if out is not None:
-        progress(WRITING, 0, 0)
-        write_files(out, _pictures(scene))
-        summary["written"] = str(out)
-    return summary
+    result = build_scene_result(scene, skipped=_skipped(skipped))
+    if out is None:
+        return result
+    progress(WRITING, 0, 0)
+    write_files(out, _pictures(scene))
+    return replace(result, written=str(out))
 
 
-def run_check(path: str, *, progress: StageProgress) -> dict[str, Any]:
+def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
     """Check a scene.
 
     Parameters
@@ -185,11 +176,6 @@ def run_check(path: str, *, progress: StageProgress) -> dict[str, Any]:
     progress : StageProgress
         Is told the stages.
 
-    Returns
-    -------
-    summary : dict
-        ``{"name", "is_sound", "findings": [{"level", "what", "why"}]}``; sound: without errors.
-
     Raises
     ------
     InputError
@@ -198,11 +184,11 @@ def run_check(path: str, *, progress: StageProgress) -> dict[str, Any]:
     progress("check", 0, 0)
     scene, _, assumed = load_any_scene(path)
     findings = check_scene(scene, assumed_heights=frozenset(assumed))
-    return {
-        "name": scene.name,
-        "is_sound": all(finding.level != "error" for finding in findings),
-        "findings": [asdict(finding) for finding in findings],
-    }
+    return SceneCheckResult(
+        name=scene.name,
+        is_sound=all(finding.level != "error" for finding in findings),
+        findings=tuple(findings),
+    )
 
 
 def load_any_scene(path: str) -> tuple[Scene, list[tuple[str, str]], set[str]]:
@@ -213,96 +199,20 @@ def load_any_scene(path: str) -> tuple[Scene, list[tuple[str, str]], set[str]]:
     return load_scene_folder(Path(path)), skipped, assumed
 
 
-def summarise_scene(scene: Scene, *, skipped: Sequence[tuple[str, str]] = ()) -> dict[str, Any]:
-    """A scene as one plain object: what ``scene show --json`` prints.
-
-    Parameters
-    ----------
-    scene : Scene
-        One junction.
-    skipped : sequence of (str, str)
-        What its import left out, and why.
-
-    Returns
-    -------
-    summary : dict
-        ``{"name", "junctions": [{"id", "name", "x_m", "y_m", "arms", "lanes", "arm_names"}],
-        "buildings", "things", "sites", "site_list": [..], "crosswalks", "keeps_left", "skipped":
-        [{"what", "why"}], "crs", "world_crs"}``. x_m and y_m are in "crs", that of the map: in
-        degrees where that has degrees.
-    """
-    junction = build_junction(scene)
-    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
-    position = middle + scene.source_origin_m
-    if scene.crs:
-        position = transform(middle, scene.crs, scene.source_crs or scene.crs)
-    arms: list[dict[str, Any]] = [
-        {
-            "name": arm.name,
-            "lanes_in": len(arm.entry_lanes),
-            "lanes_out": len(arm.exit_lanes),
-            "parking_lanes": sum(
-                lane.kind == "parking" for lane in (*arm.lanes_in, *arm.lanes_out)
-            ),
-        }
-        for arm in junction.arms.values()
-    ]
-    return {
-        "name": scene.name,
-        "junctions": [
-            {
-                "id": scene.name.rpartition("/")[2],
-                "name": scene.name,
-                "x_m": float(position[0]),
-                "y_m": float(position[1]),
-                "arms": len(arms),
-                "lanes": sum(arm["lanes_in"] + arm["lanes_out"] for arm in arms),
-                "arm_list": arms,
-            }
-        ],
-        "buildings": sum(thing.class_name == "building" for thing in scene.instances),
-        "things": sum(thing.class_name != "ground" for thing in scene.instances),
-        "sites": len(scene.sites),
-        "site_list": [
-            {
-                "id": site.id,
-                "kind": site.kind,
-                "x_m": float(site.position_m[0]),
-                "y_m": float(site.position_m[1]),
-                "height_range_m": site.height_range_m.tolist(),
-                "capacity_units": site.capacity_units,
-                "use": site.use,
-            }
-            for site in scene.sites
-        ],
-        "crosswalks": len(scene.crosswalks_m),
-        "keeps_left": scene.keeps_left,
-        "skipped": [{"what": what, "why": why} for what, why in skipped],
-        "crs": scene.source_crs or scene.crs or None,
-        "world_crs": scene.crs or None,
-    }
-
-
-def summarise_import(imported: ImportedScene) -> dict[str, Any]:
-    """See :func:`summarise_scene`; the junction has its id and name in the map."""
-    summary = summarise_scene(imported.scene, skipped=imported.skipped)
+def _import_result(imported: ImportedScene) -> SceneResult:
+    """An imported scene; its junction has the id and the name that it has in the map."""
+    result = build_scene_result(imported.scene, skipped=_skipped(imported.skipped))
     chosen = imported.chosen.junction
-    summary["junctions"][0] |= {"id": chosen.id, "name": chosen.name}
-    summary["other_junctions"] = len(imported.junctions) - 1
-    summary["assumed_heights"] = len(imported.assumed_heights)
-    return summary
+    return replace(
+        result,
+        junctions=(replace(result.junctions[0], id=chosen.id, name=chosen.name),),
+        other_junctions=len(imported.junctions) - 1,
+        assumed_heights=len(imported.assumed_heights),
+    )
 
 
-def _junction_record(surveyed: Surveyed) -> dict[str, Any]:
-    return {
-        "id": surveyed.junction.id,
-        "name": surveyed.junction.name,
-        "x_m": float(surveyed.position[0]),
-        "y_m": float(surveyed.position[1]),
-        "arms": len(surveyed.arms),
-        "lanes": surveyed.n_lanes,
-        "arm_names": list(surveyed.arms),
-    }
+def _skipped(pairs: Sequence[tuple[str, str]]) -> tuple[Skipped, ...]:
+    return tuple(Skipped(what=what, why=why) for what, why in pairs)
 
 
 def _is_scene(path: Path) -> bool:

@@ -3,9 +3,7 @@
 import io
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -35,6 +33,7 @@ from ..figures.axes import BLUE, VERMILION, literal, unit_labels
 from ..figures.plan import draw_scene, ground_footprint
 from ..figures.sensors import ALL_ROUND, blind_footprint, ring_path
 from ..progress import WRITING, StageProgress
+from ..results.record import Record
 from .writing import check_folder
 
 # ---------- the mounting sheet: a PDF with one A4 page for each unit, for whoever puts it up
@@ -310,6 +309,15 @@ def _shown_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
 # ---------- what ``place-rsus sheet`` does: tolerances, then a page for each unit
 
 
+class SheetResult(Record, frozen=True, kw_only=True):
+    """A mounting sheet that was written, and what each unit may be off."""
+
+    layout: str
+    written: str
+    units: tuple[Tolerance, ...]
+    seconds: dict[str, float]
+
+
 def run_sheet(
     question: Question,
     *,
@@ -317,14 +325,8 @@ def run_sheet(
     out: Path,
     compute: Compute,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> SheetResult:
     """Write the mounting sheet of a layout.
-
-    Returns
-    -------
-    summary : dict
-        ``{"layout", "written", "units": [{"unit_id", "yaw_deg": [right, left], "pitch_deg": [down,
-        up], "height_m": [lower, higher]}], "seconds"}``: what each unit may be off.
 
     Raises
     ------
@@ -350,9 +352,9 @@ def run_sheet(
             "--out", Unquoted(f"{out}: {error.strerror or error}"), "a file that can be written"
         ) from None
     progress.kept = f"the sheet is in {out}"
-    return {
-        "layout": layout.name,
-        "written": str(out),
-        "units": [asdict(tolerance) for tolerance in tolerances],
-        "seconds": progress.finish(),
-    }
+    return SheetResult(
+        layout=layout.name,
+        written=str(out),
+        units=tuple(tolerances),
+        seconds=progress.finish(),
+    )

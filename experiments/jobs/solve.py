@@ -1,10 +1,9 @@
 """What ``place-rsus solve`` does: read an instance, solve and prove it, tell what was found."""
 
 import time
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -18,10 +17,8 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.covering.files import load_instance, save_instance
-from placement.optimiser.covering.milp import check_solver
 from placement.optimiser.covering.solve import (
-    CoveringInstance,
-    CoveringSolution,
+    check_solver,
     solve_lscp,
     solve_mclp,
 )
@@ -29,6 +26,8 @@ from placement.optimiser.milp import SolverName
 from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress
+from ..results.record import build_stage_records
+from ..results.solutions import CoveringResult, PlacementSolution
 
 # ---------- what ``place-rsus solve`` does
 
@@ -45,7 +44,7 @@ def run_solve(
     gap: float,
     out: Path | None,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> CoveringResult:
     """Read an instance and solve it.
 
     Parameters
@@ -64,11 +63,6 @@ def run_solve(
         Where to write the instance in this program's own format.
     progress : StageProgress
         Shows what happens.
-
-    Returns
-    -------
-    summary : dict
-        Plain values; columns are numbered as in the file.
 
     Raises
     ------
@@ -97,43 +91,34 @@ def run_solve(
             time_limit_s=time_limit_s,
             gap=gap,
         )
-    question = {"budget": budget_units, "budget_cost": budget_cost, "target": target}
-    return _summary(path, instance, solution, question)
-
-
-def _summary(
-    path: Path,
-    instance: CoveringInstance,
-    solution: CoveringSolution,
-    question: Mapping[str, float | None],
-) -> dict[str, Any]:
-    has_budget = question["budget"] is not None or question["budget_cost"] is not None
     chosen = [int(column) for column in solution.chosen]
-    return {
-        "file": path.name,
-        "problem": "maximal covering" if has_budget else "set covering",
-        **question,
-        "objective": solution.objective,
-        "bound": solution.bound,
-        "gap": solution.gap,
-        "chosen": [column + instance.numbered_from for column in chosen],
-        "numbered_from": instance.numbered_from,
-        "chosen_names": [instance.names[column] for column in chosen] if instance.names else None,
-        "seconds": round(solution.seconds, 4),
-        "is_proven": solution.is_proven,
-        "solver": solution.solver,
-        "cost": solution.cost,
-        "covered_weight": solution.covered_weight,
-        "coverable_weight": solution.coverable_weight,
-        "total_weight": solution.total_weight,
-        "columns": instance.n_columns,
-        "rows": instance.n_rows,
-        "presolve": asdict(solution.presolve),
-        "presolve_effect": str(solution.presolve),
-    }
-
-
-# ---------- ``place-rsus solve`` on a whole placement problem, with its frames and windows
+    has_budget = budget_units is not None or budget_cost is not None
+    return CoveringResult(
+        file=path.name,
+        problem="maximal covering" if has_budget else "set covering",
+        budget=budget_units,
+        budget_cost=budget_cost,
+        target=target,
+        objective=solution.objective,
+        bound=solution.bound,
+        gap=solution.gap,
+        chosen=tuple(column + instance.numbered_from for column in chosen),
+        numbered_from=instance.numbered_from,
+        chosen_names=(
+            tuple(instance.names[column] for column in chosen) if instance.names else None
+        ),
+        seconds=round(solution.seconds, 4),
+        is_proven=solution.is_proven,
+        solver=solution.solver,
+        cost=solution.cost,
+        covered_weight=solution.covered_weight,
+        coverable_weight=solution.coverable_weight,
+        total_weight=solution.total_weight,
+        columns=instance.n_columns,
+        rows=instance.n_rows,
+        presolve=solution.presolve,
+        presolve_effect=str(solution.presolve),
+    )
 
 
 _SEARCHES = ("auto", "exact", "relax", "greedy")
@@ -149,7 +134,7 @@ def run_solve_windows(
     time_limit_s: float,
     gap: float,
     progress: StageProgress,
-) -> dict[str, Any]:
+) -> PlacementSolution:
     """Read a placement problem and solve it.
 
     Parameters
@@ -167,11 +152,6 @@ def run_solve_windows(
         See :class:`placement.optimiser.Effort`.
     progress : StageProgress
         Shows what happens.
-
-    Returns
-    -------
-    summary : dict
-        The keys of every solved file - objective, bound, gap, chosen, seconds - and all stages.
 
     Raises
     ------
@@ -193,26 +173,26 @@ def run_solve_windows(
         problem, effort=effort, on_stage=lambda stage: progress(f"solve: {stage}", 0, 0)
     )
     first = solution.certificate.stages[0]
-    return {
-        "file": path.name,
-        "problem": "placement",
-        "goal": problem.goal,
-        "fusion": problem.fusion,
-        "objective": first.objective,
-        "bound": first.bound,
-        "gap": first.gap,
-        "chosen": list(solution.pose_index),
-        "numbered_from": 0,
-        "chosen_names": [problem.table.pose_ids[pose] for pose in solution.pose_index],
-        "seconds": round(time.perf_counter() - began_s, 4),
-        "is_proven": solution.certificate.is_proven,
-        "solver": solution.certificate.solver,
-        "cost": cost_eur(problem.limits, solution.pose_index),
-        "stages": [asdict(stage) for stage in solution.certificate.stages],
-        "columns": problem.table.n_poses,
-        "rows": problem.table.axis.n_frames,
-        "presolve_effect": str(solution.presolve),
-    }
+    return PlacementSolution(
+        file=path.name,
+        problem="placement",
+        goal=problem.goal,
+        fusion=problem.fusion,
+        objective=first.objective,
+        bound=first.bound,
+        gap=first.gap,
+        chosen=tuple(solution.pose_index),
+        numbered_from=0,
+        chosen_names=tuple(problem.table.pose_ids[pose] for pose in solution.pose_index),
+        seconds=round(time.perf_counter() - began_s, 4),
+        is_proven=solution.certificate.is_proven,
+        solver=solution.certificate.solver,
+        cost=cost_eur(problem.limits, solution.pose_index),
+        stages=build_stage_records(solution.certificate),
+        columns=problem.table.n_poses,
+        rows=problem.table.axis.n_frames,
+        presolve_effect=str(solution.presolve),
+    )
 
 
 def _asked(

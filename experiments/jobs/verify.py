@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,10 @@ from placement.verification.verify import verify_certificate
 
 from ..progress import StageProgress
 from ..results.reading import LAYOUT_FILE, MARKER
+from ..results.solutions import CheckRecord, VerificationResult, VerifiedStageRecord
 
-# ---------- what ``place-rsus verify`` does: a folder of results, checked without the optimiser
 
-
-def run_verification(folder: Path, *, progress: StageProgress) -> dict[str, Any]:
+def run_verification(folder: Path, *, progress: StageProgress) -> VerificationResult:
     """Check the certificate in a result folder against the instance and the layout beside it.
 
     Parameters
@@ -27,14 +25,6 @@ def run_verification(folder: Path, *, progress: StageProgress) -> dict[str, Any]
         As an optimisation has written it.
     progress : StageProgress
         Is told the stages.
-
-    Returns
-    -------
-    summary : dict
-        ``{"folder", "is_verified", "checks": [{"name", "passed", "detail"}], "stages": [{"name",
-        "objective", "bound", "gap", "claims_optimum", "is_proven_again", "reason"}], "solver",
-        "not_checked": [..], "seconds"}``; of a stage whose proof could not be looked at, the last
-        three are missing.
 
     Raises
     ------
@@ -53,19 +43,21 @@ def run_verification(folder: Path, *, progress: StageProgress) -> dict[str, Any]
         on_stage=lambda stage: progress(stage, 0, 0),
     )
     proofs = {proof.name: proof._asdict() for proof in found.proofs}
-    return {
-        "folder": str(folder),
-        "is_verified": found.passed,
-        "checks": [check._asdict() for check in found.checks],
-        "stages": [
-            {
-                **{key: value for key, value in asdict(stage).items() if key != "seconds"},
-                **proofs.get(stage.name, {}),
-            }
+    return VerificationResult(
+        folder=str(folder),
+        is_verified=found.passed,
+        checks=tuple(CheckRecord(**check._asdict()) for check in found.checks),
+        stages=tuple(
+            VerifiedStageRecord(
+                objective=stage.objective,
+                bound=stage.bound,
+                gap=stage.gap,
+                **proofs.get(stage.name, {"name": stage.name}),
+            )
             for stage in stored.stages
-        ],
-        "solver": stored.solver,
-        "not_checked": [
+        ),
+        solver=stored.solver,
+        not_checked=(
             "whether the detection table is right: the evaluator's disagreement with it is in "
             "the report",
             *(
@@ -73,9 +65,9 @@ def run_verification(folder: Path, *, progress: StageProgress) -> dict[str, Any]
                 for proof in found.proofs
                 if proof.claims_optimum and proof.reason == stored.solver
             ),
-        ],
-        "seconds": progress.finish(),
-    }
+        ),
+        seconds=progress.finish(),
+    )
 
 
 def _shown_units(folder: Path) -> Sequence[Mapping[str, Any]]:

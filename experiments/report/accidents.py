@@ -12,7 +12,7 @@ from ..figures.evaluation import plot_apr_by_case
 from ..results.numbers import percent
 from ..results.tables import groups_by_direction, groups_by_speed
 from .answer import count_sensors, is_weighted
-from .section import Picture, Section, Table, build_picture
+from .section import Block, Picture, Section, Table, build_picture
 
 # ---------- sections of the report
 
@@ -30,7 +30,7 @@ def accidents_section(
         "the evaluator, which renders every camera's image and every LiDAR's scan frame by "
         f"frame{apart}."
     )
-    blocks = [meaning, apr_table(evaluations), picture, *apr_group_tables(evaluations)]
+    blocks: list[Block] = [meaning, apr_table(evaluations), picture, *apr_group_tables(evaluations)]
     return Section("accidents", "Accidents prevented", blocks)
 
 

@@ -11,7 +11,7 @@ from geometry.scene import Scene
 from placement.layout import Layout
 
 from ..results.numbers import several
-from .section import Bullets, Section, Table
+from .section import Block, Bullets, Section, Table
 
 UNKNOWN = "unknown"
 FILE_NAME = "bill_of_materials.csv"
@@ -272,7 +272,12 @@ def bill_section(bill: BillOfMaterials) -> Section:
         "comes with this program are orders of magnitude. “Unknown” has not been told to this "
         "program; it is not zero. Not in the bill:"
     )
-    blocks = [" ".join(bill_sentences(bill)), *bill_tables(bill), note, Bullets(NOT_IN_IT)]
+    blocks: list[Block] = [
+        " ".join(bill_sentences(bill)),
+        *bill_tables(bill),
+        note,
+        Bullets(NOT_IN_IT),
+    ]
     return Section("bill", "Bill of materials", blocks)
 
 

@@ -1,6 +1,5 @@
 """Why these poses, what they miss, what else would do: in sentences, tables and sections."""
 
-import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
@@ -15,7 +14,7 @@ from ..results.explanations import (
     MissedRunRecord,
     PoolRecord,
 )
-from ..results.numbers import NOTHING, count_runs, first_of, number, percent
+from ..results.numbers import NOTHING, count_runs, number, percent
 from .section import Block, Section, Table
 
 # ---------- in sentences
@@ -154,8 +153,6 @@ def count_layouts(count: int) -> str:
 # ---------- in tables
 
 
-_WIDTH = 80
-_MAX_RUNS, _MAX_MISSED, _MAX_SETS, _MAX_SITES = 3, 8, 5, 8
 _MAX_REASONS = 2
 _MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
 
@@ -281,94 +278,6 @@ def site_table(pool: PoolRecord) -> Table:
     )
 
 
-# ---------- for a terminal
-
-
-def explanation_text(explained: ExplainedRecord) -> str:
-    """All of it in short, at most 80 columns wide."""
-    parts = explained.contributions
-    these = "this unit" if len(parts) == 1 else "these units"
-    lines = [f"Why {these}, on the detection table:"]
-    if is_nothing_avoided(parts):
-        lines += _wrapped(" ".join(contribution_sentences(explained)))
-    else:
-        for part in parts:
-            lines += _wrapped(_in_short(part, n_units=len(parts)))
-    groups = _alike(explained.not_avoided)
-    told = missed_sentences(explained)
-    if len(groups) == 1:  # the line about them says it all: once is enough
-        told = missed_counts(explained, with_outcomes=False)
-    lines += _wrapped(" ".join(told), indent="")
-    for group in groups[:_MAX_MISSED]:
-        lines += _wrapped(_missed_in_short(group))
-    lines += _and_more(sum(map(len, groups[_MAX_MISSED:])))
-    if explained.pool is not None:
-        lines += ["", *_wrapped(" ".join(pool_sentences(explained)), indent="")]
-        sets = explained.pool.sets
-        for entry in sets[:_MAX_SETS]:
-            lines += _wrapped(
-                f"{' + '.join(entry.units)}: APR {percent(entry.apr)}, if one fails "
-                f"{percent(entry.apr_one_failed)}, {entry.smallest_margin_s:.2f} s to spare"
-            )
-        lines += _and_more(len(sets) - _MAX_SETS)
-        sites = ", ".join(
-            f"{site.site} {percent(site.share)}" for site in explained.pool.sites[:_MAX_SITES]
-        )
-        lines += _wrapped(f"sites: {sites}")
-    return "\n".join(lines)
-
-
-def _alike(missed: Sequence[MissedRunRecord]) -> list[list[MissedRunRecord]]:
-    """Runs that have the same said of them, but for numbers; the largest group first."""
-    groups: dict[tuple[str, ...], list[MissedRunRecord]] = {}
-    for entry in missed:
-        because = cause(entry.reasons[0]) if entry.reasons else ""
-        rescue = entry.rescue.unit if entry.rescue else ""
-        groups.setdefault((entry.outcome, entry.unit, because, rescue), []).append(entry)
-    return sorted(groups.values(), key=len, reverse=True)
-
-
-def _missed_in_short(group: Sequence[MissedRunRecord]) -> str:
-    first = group[0]
-    runs = first_of([entry.run for entry in group], _MAX_RUNS)
-    words = f"{runs}: {OUTCOMES[first.outcome]}"
-    if first.reasons:
-        words += f"; for {first.unit} {cause(first.reasons[0])}"
-    rescue = first.rescue
-    return words if rescue is None else f"{words}; would be saved by {rescue.unit}"
-
-
-def _in_short(part: ContributionRecord, *, n_units: int) -> str:
-    unit, runs = part.unit, part.only_runs
-    saved = f"{count_runs(len(runs))} ({first_of(runs, _MAX_RUNS)})"
-    if n_units == 1:
-        return f"{unit}: saves {saved}, an APR of {percent(part.marginal_apr)}"
-    words = f"{unit}: no run hangs on it alone"
-    if runs:
-        points = number(100.0 * part.marginal_apr, 1)
-        words = f"{unit}: only it saves {saved}, {points} points of the APR"
-    if part.without.apr == 0.0:
-        return words
-    what = "the other saves" if n_units == 2 else "the others save"
-    delay = number(part.mean_delay_s)
-    when = "as early" if delay == number(0.0) else f"{delay} s later on average"
-    return f"{words}; without it what {what} is confirmed {when}"
-
-
-def _wrapped(text: str, indent: str = "  ") -> list[str]:
-    return textwrap.wrap(
-        text,
-        _WIDTH,
-        initial_indent=indent,
-        subsequent_indent=indent + "  " if indent else "",
-        break_on_hyphens=False,
-    )
-
-
-def _and_more(count: int) -> list[str]:
-    return [f"  and {count} more in summary.json"] if count > 0 else []
-
-
 # ---------- sections of the report
 
 
@@ -405,8 +314,10 @@ def explanation_sections(
         ]
     sections.append(Section("missed", "Runs that are not avoided", missed))
     if explained.pool is not None:
-        pool = [" ".join(pool_sentences(explained)), pool_table(explained.pool)]
-        sections.append(
-            Section("pool", "Other layouts as good", [*pool, site_table(explained.pool)])
-        )
+        pool: list[Block] = [
+            " ".join(pool_sentences(explained)),
+            pool_table(explained.pool),
+            site_table(explained.pool),
+        ]
+        sections.append(Section("pool", "Other layouts as good", pool))
     return sections

@@ -14,7 +14,7 @@ from placement.optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE
 from ..figures.front import plot_front
 from ..results.fronts import FrontPointRecord, FrontRecord
 from ..results.numbers import NOTHING, number, percent
-from .section import Bullets, Section, Table, build_picture
+from .section import Block, Bullets, Section, Table, build_picture
 
 _VALUES = PlacementValue._fields
 _SHARES = ("apr", "apr_one_failed")
@@ -173,7 +173,7 @@ def front_section(record: FrontRecord | UnsetType) -> Section | None:
         " Each number of units has the best layout of its own; the units of one are not always "
         "among those of the next."
     )
-    blocks = [Bullets(record.sentences), picture, table, proof, poses]
+    blocks: list[Block] = [Bullets(record.sentences), picture, table, proof, poses]
     return Section("front", "What each unit buys", blocks)
 
 

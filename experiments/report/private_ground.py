@@ -7,7 +7,7 @@ from msgspec import UnsetType
 from ..results.explanations import PrivateGroundRecord
 from ..results.numbers import percent
 from ..results.result import Result
-from .section import Section, Table
+from .section import Block, Section, Table
 
 
 def private_ground_sentence(found: PrivateGroundRecord) -> str:
@@ -94,7 +94,7 @@ def private_ground_section(
         "Seen is what lies in a camera's picture with nothing in between, at the height of "
         "people's eyes. LiDARs take no pictures."
     )
-    blocks = [_short_sentence(found, most_seen), table, note]
+    blocks: list[Block] = [_short_sentence(found, most_seen), table, note]
     return Section("private-ground", "Private ground", blocks)
 
 

@@ -25,9 +25,6 @@ from .section import Picture, Section, build_picture
 # ---------- what layouts are worth in sampled worlds
 
 
-_NAME_WIDTH = 20
-
-
 def uncertainty_sentences(found: SampledRecord) -> list[str]:
     """What the sampled worlds say, in sentences."""
     subject = found.layouts[0]
@@ -60,28 +57,6 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         listed = ", ".join(f"{run.run} ({percent(run.avoided_share)})" for run in unsure)
         sentences.append(f"Least sure, with the share of worlds that avoid them: {listed}")
     return [f"{sentence}." for sentence in sentences]
-
-
-def uncertainty_text(found: SampledRecord) -> str:
-    """A small table for a terminal, at most 80 columns wide."""
-    has_tail = found.tail < 1.0  # the mean of all is there already
-    tail = f"worst {100.0 * found.tail:g} %"
-    head = f"  {'layout':<{_NAME_WIDTH}} {'planned':>8} {'mean':>8} {'95 % interval':>18}"
-    lines = [
-        f"APR in {found.samples} fresh sampled {_worlds(found.samples)}, "
-        f"uncertainty {found.uncertainty.name}",
-        head + (f" {tail:>10}" if has_tail else "") + f" {'worst':>8}",
-    ]
-    for layout in found.layouts:
-        name = shortened(layout.name, _NAME_WIDTH)
-        interval = f"{percent(layout.low)} .. {percent(layout.high)}"
-        lines.append(
-            f"  {name:<{_NAME_WIDTH}} {percent(layout.planned):>8} {percent(layout.mean):>8} "
-            + f"{interval:>18}"
-            + (f" {percent(layout.cvar):>10}" if has_tail else "")
-            + f" {percent(layout.worst):>8}"
-        )
-    return "\n".join(lines)
 
 
 def what_is_uncertain(found: SampledRecord) -> str:

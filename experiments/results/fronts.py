@@ -13,6 +13,7 @@ from placement.pipeline import pick_layout
 from placement.refinement.poses import Move
 from placement.refinement.refine import Refinement
 
+from .drives import RefusalRecord
 from .record import (
     BeforeAfter,
     Record,
@@ -193,3 +194,18 @@ def _move(move: Move) -> MoveRecord:
         lift_m=move.lift_m if is_same else None,
         zoom_deg=move.zoom_deg if is_same else None,
     )
+
+
+class FrontResult(FrontRecord, frozen=True, kw_only=True):
+    """What ``place-rsus pareto`` finds: ``pareto.json``, and what ``--json`` prints."""
+
+    command: str
+    cases: tuple[str, ...]
+    weathers: tuple[str, ...]
+    detector: str
+    vut_sensors: tuple[str, ...]
+    packet_loss: Share
+    vam_rate: Share
+    not_driven: tuple[RefusalRecord, ...]
+    seconds: dict[str, float]
+    versions: dict[str, str]

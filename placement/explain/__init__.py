@@ -1,10 +1,10 @@
-"""Why, and why not: what a layout's units are there for, what they miss, what else would do.
+"""Explanations of a layout: what its units contribute, what it misses, what else would do.
 
-``contributions`` takes one unit away at a time; ``failures`` looks at every set of units that may
-fail together; ``unavoided`` says why runs are not avoided, and what is in the way; ``pool`` lists
-other sets that are as good; ``sensitivity`` changes one assumption at a time, ``tolerance`` the
-mounting of one unit. ``conflicts`` finds the smallest set of ``demands`` that no layout meets, and
-how little has to give way.
+``contributions`` takes one unit away at a time, ``failures`` asks what the others achieve then;
+``unavoided`` says why runs are not avoided, ``agreement`` where detection table and evaluator
+differ, ``sensitivity`` and ``tolerance`` what wrong assumptions and mounting errors do. ``pool``
+lists other sets that are as good; ``conflicts`` finds the smallest set of ``demands`` that no
+layout meets.
 """
 
 from .conflicts import Conflict, build_separation, find_conflicts, find_refusal

@@ -1,4 +1,4 @@
-"""Where detection table and evaluator disagree on a run, and why."""
+"""Agreement of detection table and evaluator: the runs on which they differ, and why."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class Disagreement:
     on_table : bool
         Whether the detection table calls it avoided; the evaluator says the opposite.
     n_frames : int
-        Frames of the run before the last moment in which they differ.
+        Frames of the run before its last brake time in which they differ.
     cause : str
         What the evaluator sees in the first of them.
     """
@@ -107,7 +107,7 @@ def _avoided_on_table(
 def _differing_frames(
     setting: Setting, run: int, on_table: BoolArray, evaluation: Evaluation, unit: CandidatePose
 ) -> IntArray:
-    """Frames of a run, before its last moment, in which table and evaluator differ."""
+    """Frames of a run, before its last brake time, in which table and evaluator differ."""
     axis = setting.axis
     frames = np.arange(axis.n_frames)[axis.frames_of(run)]
     counts = axis.time_s[frames] <= axis.last_brake_time_s[run]

@@ -22,7 +22,7 @@ from ..wishes import Wishes, build_limits
 from .demands import Demand, Relaxation, Separation, Wish, find_relaxation
 from .feasible_sets import Answer, Oracle
 
-# ---------- which demands contradict each other, and how little has to give way
+# ---------- conflicts
 
 
 _MAX_SETS = 20_000
@@ -164,7 +164,7 @@ def _relaxations(
     return tuple(found)
 
 
-# ---------- conflicts in the words of the command line: one line that says what has to give way
+# ---------- messages
 
 
 _MAX_NAMES = 4

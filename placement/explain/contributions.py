@@ -103,21 +103,11 @@ def find_contributions(
 
 
 def first_shares(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatArray:
-    """Parts of units in the first confirmations of the runs that they avoid together.
+    """Parts of units in the first confirmations of the runs that they avoid together, (n_units,).
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The table and the rule.
-    pose_index : sequence of int
-        What is mounted.
-
-    Returns
-    -------
-    share : (n_units,) float
-        With fusion "any", each frame of the window that confirms a run first is shared equally by
-        the units that detect in it; a unit's part is the mean over the window's frames. With
-        "single", the units that confirm first share the run equally. Runs count by weight.
+    With fusion "any", each frame of the window that confirms a run first is shared equally by the
+    units that detect in it; a unit's part is the mean over the window's frames. With "single", the
+    units that confirm first share the run equally. Runs count by weight.
     """
     axis, rule = problem.table.axis, problem.rule
     shares = np.zeros(len(pose_index))

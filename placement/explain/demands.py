@@ -19,7 +19,7 @@ from ..optimiser import (
 from ..optimiser.objectives import TOLERANCE
 from .feasible_sets import Answer, Oracle
 
-# ---------- what a placement problem demands
+# ---------- demands
 
 
 Kind = Literal[
@@ -75,14 +75,8 @@ class Separation:
 class Wish:
     """A placement problem that can be taken apart.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The whole.
-    separation : Separation, optional
-        Where the rivals of its limits come from, if from a least distance.
-    keeps_forced : bool
-        Forced poses are no demand but a fact, such as units that hang there already.
+    `separation` says where the rivals of its limits come from, if from a least distance. With
+    `keeps_forced`, forced poses are no demand but a fact, such as units that hang there already.
     """
 
     def __init__(
@@ -203,7 +197,7 @@ def _loosen(limits: Limits, kinds: Set[Kind], separation: Separation | None) -> 
     )
 
 
-# ---------- by how much a demand has to give way, the others held
+# ---------- relaxations
 
 
 _MAX_TRIALS = 40
@@ -242,17 +236,7 @@ class Relaxation:
 def relax(
     problem: PlacementProblem, relaxation: Relaxation, separation: Separation | None = None
 ) -> PlacementProblem:
-    """The problem with one demand relaxed, all others as they were.
-
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The wish.
-    relaxation : Relaxation
-        Of one of its demands.
-    separation : Separation, optional
-        As for :func:`placement.explain.find_conflicts`.
-    """
+    """The problem with one demand relaxed, all others as they were."""
     kind, value = relaxation.demand.kind, relaxation.value
     limits, items = problem.limits, list(relaxation.given_up)
     if kind == "floor":
@@ -303,21 +287,8 @@ def find_relaxation(
 ) -> Relaxation | None:
     """The least by which a demand has to give way so that others can be met, too.
 
-    Parameters
-    ----------
-    wish : Wish
-        Its demands.
-    oracle : Oracle
-        What is asked.
-    number : int
-        The demand.
-    others : frozenset of int
-        Demands that can be met together.
-
-    Returns
-    -------
-    relaxation : Relaxation or None
-        None: not found in time. `suffices` is to be filled in.
+    The others can be met together. None if nothing was found in time; `suffices` is to be filled
+    in.
     """
     demand = wish.demands[number]
     with_it, without = wish.part(others | {number}), wish.part(others)

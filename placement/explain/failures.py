@@ -1,4 +1,4 @@
-"""What a layout still achieves when units fail: one at a time, and two at a time."""
+"""Failures: what a layout still achieves when one of its units fails (N-1), or two of them."""
 
 import math
 from collections.abc import Sequence
@@ -7,20 +7,20 @@ from itertools import combinations
 
 import numpy as np
 
-from geometry.arrays import FloatArray
+from geometry.arrays import BoolArray, FloatArray
 from scenarios.aeb import AebRule, is_in_time
 from scenarios.exposure import weight_share
-from scenarios.runs import FrameAxis, onset_times_s
+from scenarios.runs import onset_times_s
 
 from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out
 
 MAX_PAIR_UNITS = 12
-"""With more units than these, only single failures are looked at."""
+"""For layouts with more units, only single failures are evaluated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """What is left of a layout without some of its units.
+    """What a layout achieves without some of its units.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Failure:
         braking to the last moment; NaN where they avoid none. [s]
     lost_run_ids : tuple of str
         Runs with weight that all units together avoid and the others do not, those with the
-        highest speed first: they end worst.
+        highest speed first.
     """
 
     unit_ids: tuple[str, ...]
@@ -44,7 +44,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failures:
-    """All failures of a layout that were looked at, the worst first.
+    """All evaluated failures of a layout, the worst first.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Failures:
 
 
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
-    """What is left of a layout when each of its units fails, and each pair.
+    """What a layout achieves when each of its units fails, and each pair.
 
     Parameters
     ----------
@@ -78,11 +78,10 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
 
     Notes
     -----
-    In each frame any unit that is left may be the one that detects. The smallest APR of
+    In each frame any remaining unit may be the one that detects. The smallest APR of
     `one_failed` is :func:`placement.evaluation.apr_one_failed`.
     """
     axis, units = evaluation.axis, evaluation.layout.units
-    ids = [unit.id for unit in units]
     arrivals_s = np.stack(
         [
             earliest_arrival_s([(evaluation.units[unit.id].detected, unit.latency(rule))], axis)
@@ -90,58 +89,37 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
         ]
     )
     earliest_s, without = leave_each_out(arrivals_s)
-    whole = _onset_s(earliest_s, axis, rule)
-    pairs: list[tuple[int, ...]] = []
-    if len(units) <= MAX_PAIR_UNITS:
-        pairs = [*combinations(range(len(units)), 2)]
+    pairs = combinations(range(len(units)), 2) if len(units) <= MAX_PAIR_UNITS else ()
+    counts = axis.weight > 0.0
 
-    def describe(failed: tuple[int, ...], onset_s: FloatArray) -> Failure:
-        return _failure(tuple(ids[index] for index in failed), onset_s, whole, axis)
+    def find_onset(arrival_s: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Onset of braking in each run, and whether it avoids."""
+        _, onset_s = onset_times_s(arrival_s, axis, n_confirmations=rule.n_confirmations)
+        return onset_s, is_in_time(onset_s, axis.last_brake_time_s, latency_s=0.0)
+
+    _, avoided_by_all = find_onset(earliest_s)
+
+    def failure(failed: tuple[int, ...], arrival_s: FloatArray) -> Failure:
+        onset_s, avoided = find_onset(arrival_s)
+        margin = (axis.last_brake_time_s - onset_s)[avoided & counts]
+        lost = np.flatnonzero(avoided_by_all & ~avoided & counts)
+        fastest_first = lost[np.argsort(-axis.vut_speed_kmh[lost], kind="stable")]
+        return Failure(
+            unit_ids=tuple(units[index].id for index in failed),
+            apr=weight_share(avoided, axis.weight),
+            smallest_margin_s=float(margin.min()) if len(margin) else math.nan,
+            lost_run_ids=tuple(axis.run_ids[index] for index in fastest_first),
+        )
 
     return Failures(
-        none_failed=describe((), whole),
-        one_failed=_worst_first(
-            [
-                describe(
-                    (index,), whole if other_s is earliest_s else _onset_s(other_s, axis, rule)
-                )
-                for index, other_s in enumerate(without)
-            ]
-        ),
+        none_failed=failure((), earliest_s),
+        one_failed=_worst_first([failure((unit,), left) for unit, left in enumerate(without)]),
         two_failed=_worst_first(
             [
-                describe(
-                    pair,
-                    _onset_s(
-                        np.delete(arrivals_s, pair, axis=0).min(axis=0, initial=np.inf), axis, rule
-                    ),
-                )
+                failure(pair, np.delete(arrivals_s, pair, axis=0).min(axis=0, initial=np.inf))
                 for pair in pairs
             ]
         ),
-    )
-
-
-def _onset_s(arrival_s: FloatArray, axis: FrameAxis, rule: AebRule) -> FloatArray:
-    _, onset = onset_times_s(arrival_s, axis, n_confirmations=rule.n_confirmations)
-    return onset
-
-
-def _failure(
-    unit_ids: tuple[str, ...], onset_s: FloatArray, whole_s: FloatArray, axis: FrameAxis
-) -> Failure:
-    counts = axis.weight > 0.0
-    avoided, avoided_by_all = (
-        is_in_time(onset, axis.last_brake_time_s, latency_s=0.0) for onset in (onset_s, whole_s)
-    )
-    margin = (axis.last_brake_time_s - onset_s)[avoided & counts]
-    lost = np.flatnonzero(avoided_by_all & ~avoided & counts)
-    fastest_first = lost[np.argsort(-axis.vut_speed_kmh[lost], kind="stable")]
-    return Failure(
-        unit_ids=unit_ids,
-        apr=weight_share(avoided, axis.weight),
-        smallest_margin_s=float(margin.min()) if len(margin) else math.nan,
-        lost_run_ids=tuple(axis.run_ids[index] for index in fastest_first),
     )
 
 

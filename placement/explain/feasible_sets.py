@@ -27,7 +27,7 @@ from ..optimiser.problem import Measure, Requirement
 from ..optimiser.search import Search
 from .set_values import QuickRows
 
-# ---------- A set of poses that meets a wish, if quick choice one by one finds one
+# ---------- greedy choice
 
 
 _MAX_ADDED = 12  # what is left when units fail takes too long to tell of more
@@ -36,16 +36,8 @@ _MAX_ADDED = 12  # what is left when units fail takes too long to tell of more
 def choose_greedily(reduced: ReducedProblem) -> IntArray:
     """Add poses one by one, that first which leaves the floors lacking least.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        Limits and floors. What comes after them does not matter.
-
-    Returns
-    -------
-    units : (n_units,) int
-        Poses of the reduced problem: no more than are needed, or all that greedy choice has found
-        room for. They may lack something, see :func:`meets`.
+    These are no more poses than are needed, or all that greedy choice has found room for; what
+    comes after the floors does not matter. They may lack something, see :func:`meets`.
     """
     quick = QuickRows(reduced)
     units = forced_units(reduced)
@@ -81,7 +73,7 @@ def _at_missing_site(reduced: ReducedProblem, units: IntArray) -> BoolArray:
     return at_missing if missing.any() else ~at_missing
 
 
-# ---------- the reduced problem in which no pose has made room for another one
+# ---------- presolve without domination
 
 
 def presolve_undominated(problem: PlacementProblem) -> ReducedProblem:
@@ -105,7 +97,7 @@ def presolve_undominated(problem: PlacementProblem) -> ReducedProblem:
     return replace(reduced, limits=limits.of_poses(reduced.pose_index))
 
 
-# ---------- whether any set of poses meets a wish, and how far one of its numbers has to give way
+# ---------- the oracle
 
 
 _NO_OBJECTIVE: dict[str, Any] = {"floors": (), "goal": "best", "survive": 0}
@@ -135,14 +127,8 @@ class Answer:
 class Oracle:
     """Answers by greedy choice, enumeration or mixed-integer models, until time is up.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        All questions are about it with other limits and floors.
-    end_s : float
-        When time is up, on the monotonic clock. [s]
-    max_sets : int
-        Sets are gone through one by one if there are no more.
+    All questions are about one problem with other limits and floors. Sets are gone through one by
+    one if there are no more than `max_sets`.
     """
 
     def __init__(self, problem: PlacementProblem, *, end_s: float, max_sets: int) -> None:
@@ -223,16 +209,9 @@ class Oracle:
         return replace(best, value=value, is_proven=is_proven)
 
     def most(self, problem: PlacementProblem, measure: Measure, n_failures: int) -> Answer:
-        """The highest ratio that is left when units fail, within limits and floors.
+        """The highest ratio left when the most painful units fail, within limits and floors.
 
-        Parameters
-        ----------
-        problem : PlacementProblem
-            Limits, and floors that hold beside.
-        measure : Measure
-            Of all runs.
-        n_failures : int
-            The most painful ones.
+        `measure` is that of all runs; the problem's floors hold beside.
         """
         if self._is_refused_at_once(problem):
             return _NONE

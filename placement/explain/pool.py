@@ -25,7 +25,7 @@ from ..optimiser.objectives import COST_TOLERANCE_EUR, Objective
 from .feasible_sets import presolve_undominated
 from .set_values import QuickRows, exceeds_clearly, is_within, site_counts
 
-# ---------- all sets of poses gone through, K - 1 units at a time together with every pose
+# ---------- every set
 
 
 _MAX_CONTENDERS = 20_000  # sets whose margins are told
@@ -63,23 +63,10 @@ class Listed:
 def list_every_set(
     reduced: ReducedProblem, threshold: float, *, n_sets: int, max_prefixes: int
 ) -> Listed | None:
-    """The best sets of poses, and how often each pose appears in all within a threshold.
+    """The best sets of poses, and how often each pose appears in all that reach a threshold.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        What to choose from.
-    threshold : float
-        Of the first stage.
-    n_sets : int
-        How many to list.
-    max_prefixes : int
-        Give up if more sets than this have to be looked at together with every pose.
-
-    Returns
-    -------
-    listed : Listed or None
-        None: given up, for too many sets, or too many that only their margins tell apart.
+    The threshold is one of the first stage. None if more than `max_prefixes` sets would have to be
+    looked at together with every pose, or if too many sets are told apart by their margins alone.
     """
     most = reduced.limits.max_units
     if sum(comb(reduced.n_poses, size) for size in range(most)) > max_prefixes:
@@ -182,7 +169,7 @@ class _Walk:
         )
 
 
-# ---------- good sets of poses by exchanging units one for one
+# ---------- exchanges
 
 
 _FEW_SETS = 100  # up to so many are quicker one by one than by a look at all poses
@@ -195,24 +182,11 @@ def list_by_exchange(
     n_sets: int,
     max_looks: int,
 ) -> Listed:
-    """The best sets that exchanges lead to.
+    """The best `n_sets` sets that exchanges lead to from `start`, which meets limits and floors.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        What to choose from.
-    start : (n_units,) int
-        A set that meets limits and floors.
-    n_sets : int
-        How many to list.
-    max_looks : int
-        When to stop: looks at a set with one unit taken away, together with every pose.
-
-    Returns
-    -------
-    listed : Listed
-        Every set listed has been exchanged itself, unless the looks were used up. Beside `start`,
-        the best pose of each site, with what greedy choice adds to it, is a beginning.
+    Every set listed has been exchanged itself, unless `max_looks` were used up: looks at a set with
+    one unit taken away, together with every pose. Beside `start`, the best pose of each site, with
+    what greedy choice adds to it, is a beginning.
     """
     search = _Exchange(reduced, n_sets=n_sets, max_looks=max_looks)
     search.offer(start[None, :])
@@ -320,7 +294,7 @@ class _Exchange:
         )
 
 
-# ---------- other sets of poses that are as good as the best one
+# ---------- the pool
 
 
 Scope = Literal["all", "found"]

@@ -1,7 +1,7 @@
-"""What becomes of a layout if an assumption is wrong: one at a time, all others as planned."""
+"""Sensitivity: what becomes of a layout if one assumption is wrong and all others hold."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
@@ -12,35 +12,25 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from geometry.arrays import FloatArray
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    Table,
-    load_toml,
-    take_list,
-    take_number,
-    take_text,
-)
+from geometry.files import Table, load_toml, take_list, take_number, take_text
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, containing_instance
-from scenarios.aeb import AebRule, last_brake_time_s
+from scenarios.aeb import AebRule, is_in_time, last_brake_time_s
+from scenarios.exposure import weight_share
+from scenarios.runs import FrameAxis, onset_times_s
 
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detectors import GeometricDetector, PlanningDetector, ResponseDetector
+from ..evaluation import leave_each_out
 from ..layout import Layout
 from ..optimiser.problem import Fusion
 from ..setting import Setting
 from ..visibility.build import Look, detected_frames
-from .outcomes import (
-    Outcome,
-    Watched,
-    find_expected_outcome,
-    find_outcome,
-    runs_lost,
-)
 
-# ---------- what a layout's numbers rest on, and what else each of it might be: from a TOML file
+# ---------- assumptions: what is varied, and to which values
 
 
 STAGE = "what if"
@@ -64,47 +54,24 @@ RANGES: Mapping[str, tuple[float, float]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Assumption:
-    """Something that a plan takes for granted.
+    """Something that a plan takes for granted."""
 
-    Attributes
-    ----------
-    name : str
-        One of ``RANGES``; its ending tells the unit.
-    values : tuple of float
-        What it might be instead, ascending, at least one.
-    reason : str
-        Where these come from, or why they are likely.
-    is_ours : bool
-        Whether the reason is an assumption of this project, not a source.
-    """
-
-    name: str
-    values: tuple[float, ...]
-    reason: str
-    is_ours: bool
+    name: str  # one of RANGES; its ending states the unit
+    values: tuple[float, ...]  # alternatives, ascending, at least one
+    reason: str  # where these come from, or why they are likely
+    is_ours: bool  # the reason is an assumption of this project, not a source
 
 
 @cache
 def load_assumptions() -> tuple[Assumption, ...]:
-    """All that is varied, from ``data/sensitivity.toml``."""
+    """Everything that is varied, from ``data/sensitivity.toml``."""
     return read_assumptions(load_toml(files("placement") / "data" / _FILE), _FILE)
 
 
 def read_assumptions(document: Table, where: str) -> tuple[Assumption, ...]:
-    """Assumptions of a document.
+    """Assumptions of a document: tables by the names of ``RANGES``.
 
-    Parameters
-    ----------
-    document : mapping
-        Tables by the names of ``RANGES``, each with ``values`` and either ``source`` or
-        ``assumption``.
-    where : str
-        Its name, for error messages.
-
-    Raises
-    ------
-    InputError
-        An unknown name or key, no value, or one that cannot be.
+    Each has ``values`` and either ``source`` or ``assumption``.
     """
     return tuple(_read(name, table, f"{where}: {name}") for name, table in document.items())
 
@@ -142,11 +109,171 @@ def _read(name: str, table: Any, where: str) -> Assumption:
     )
 
 
-# ---------- what becomes of a layout if an assumption is wrong
+# ---------- outcomes: what a layout achieves by the frames that its units detect
+
+
+SURE = 0.99
+"""Where messages are lost by chance, a run avoided with a lower probability counts as lost."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Watched:
+    """Units, the frames that they detect, and how these are judged.
+
+    Attributes
+    ----------
+    units : tuple of CandidatePose
+        At least one. A unit with a latency of its own keeps it, whatever the rule says.
+    detected : (n_units, n_frames) bool
+        By each of them.
+    axis : FrameAxis
+        Runs and frames.
+    rule : AebRule
+        Confirmation and latency.
+    fusion : {"any", "single"}
+        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
+    """
+
+    units: tuple[CandidatePose, ...]
+    detected: BoolArray
+    axis: FrameAxis
+    rule: AebRule
+    fusion: Fusion = "any"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outcome:
+    """What a layout is worth.
+
+    Attributes
+    ----------
+    apr : float
+        Accident prevention ratio; where messages are lost by chance, its expectation. 0 .. 1
+    apr_one_failed : float
+        The same when the most needed unit fails; 0 for a single unit. 0 .. 1
+    smallest_margin_s : float or None
+        Least time to spare in the runs that are avoided and have weight; None where there is none,
+        or where messages are lost by chance. [s]
+    avoided_share : (n_runs,) float
+        Probability that each run is avoided: 0 or 1 unless messages are lost by chance.
+    """
+
+    apr: float
+    apr_one_failed: float
+    smallest_margin_s: float | None
+    avoided_share: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "avoided_share", freeze(self.avoided_share))
+
+
+def find_outcome(watched: Watched) -> Outcome:
+    """What units achieve when every message arrives."""
+    axis, rule = watched.axis, watched.rule
+    arrival_s = np.where(watched.detected, axis.time_s + _latencies_s(watched)[:, None], np.inf)
+
+    left: Iterator[FloatArray]  # with each unit failed in turn
+
+    def onset_s(arrival: FloatArray) -> FloatArray:
+        return onset_times_s(arrival, axis, n_confirmations=rule.n_confirmations)[1]
+
+    if watched.fusion == "any":
+        earliest_s, without = leave_each_out(arrival_s)
+        onset = onset_s(earliest_s)
+        left = (onset if other is earliest_s else onset_s(other) for other in without)
+    else:
+        onset, left = leave_each_out(np.stack([onset_s(arrival) for arrival in arrival_s]))
+    is_avoided = is_in_time(onset, axis.last_brake_time_s, latency_s=0.0)
+    apr = weight_share(is_avoided, axis.weight)
+    shares = [
+        weight_share(is_in_time(other, axis.last_brake_time_s, latency_s=0.0), axis.weight)
+        for other in left
+    ]
+    counts = is_avoided & (axis.weight > 0.0)
+    margin = axis.last_brake_time_s[counts] - onset[counts]
+    return Outcome(
+        apr=apr,
+        apr_one_failed=0.0 if len(watched.units) == 1 else min([apr, *shares]),
+        smallest_margin_s=float(margin.min()) if counts.any() else None,
+        avoided_share=is_avoided.astype(np.float64),
+    )
+
+
+def find_expected_outcome(watched: Watched, *, packet_loss: float) -> Outcome:
+    """What units achieve on average when messages are lost: exact, not drawn.
+
+    `packet_loss` is the probability that the message of a unit on a frame does not arrive, each
+    independently. The APR with one unit failed is the smallest expectation.
+
+    A run is avoided if messages of n consecutive frames arrive by its last brake time. A frame is
+    known with probability 1 - loss^k where k units report it in time; the number of known frames in
+    a row is then a Markov chain along the run, in which n absorbs.
+    """
+    axis = watched.axis
+    last_s = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
+    reported = watched.detected & is_in_time(
+        axis.time_s + _latencies_s(watched)[:, None], last_s, latency_s=0.0
+    )
+    n_confirmations = watched.rule.n_confirmations
+
+    def confirmed(n_units: IntArray) -> FloatArray:
+        known: FloatArray = 1.0 - packet_loss ** n_units.astype(np.float64)
+        return _probability_of_row(known, axis, n_confirmations)
+
+    if watched.fusion == "any":
+        total = reported.sum(axis=0)
+        avoided = confirmed(total)
+        left = (confirmed(total - own) for own in reported if own.any())
+    else:
+        missed = 1.0 - np.stack([confirmed(own.astype(np.int64)) for own in reported])
+        avoided = 1.0 - missed.prod(axis=0)
+        others = (np.delete(missed, unit, axis=0) for unit in range(len(missed)))
+        left = (1.0 - other.prod(axis=0) for other in others)
+    weight = axis.weight / axis.weight.sum()
+    apr = float(avoided @ weight)
+    return Outcome(
+        apr=apr,
+        apr_one_failed=0.0
+        if len(watched.units) == 1
+        else min([apr, *(float(share @ weight) for share in left)]),
+        smallest_margin_s=None,
+        avoided_share=avoided,
+    )
+
+
+def _latencies_s(watched: Watched) -> FloatArray:
+    return np.array([unit.latency(watched.rule) for unit in watched.units])
+
+
+def _probability_of_row(known: FloatArray, axis: FrameAxis, n_row: int) -> FloatArray:
+    """Probability that `n_row` consecutive frames of each run are known, (n_runs,)."""
+    lengths = np.diff(axis.run_start)
+    is_frame = np.arange(lengths.max()) < lengths[:, None]
+    by_run = np.zeros(is_frame.shape)
+    by_run[is_frame] = known
+    # Columns: number of known frames in a row up to here; the last one: there were enough.
+    state = np.zeros((len(lengths), n_row + 1))
+    state[:, 0] = 1.0
+    for p in by_run.T:
+        done = state[:, n_row] + state[:, n_row - 1] * p
+        state[:, 1:n_row] = state[:, : n_row - 1] * p[:, None]
+        state[:, n_row] = done
+        state[:, 0] = 1.0 - state[:, 1:].sum(axis=1)
+    return state[:, n_row]
+
+
+def runs_lost(planned: Outcome, outcome: Outcome) -> list[int]:
+    """Indices of runs avoided as planned, and then with a probability below ``SURE``."""
+    lost = (planned.avoided_share >= SURE) & (outcome.avoided_share < SURE)
+    indices: list[int] = np.flatnonzero(lost).tolist()
+    return indices
+
+
+# ---------- sensitivity
 
 
 MAX_LOOKED_FROM = 30
-"""Of layouts with more units, what needs new looks at the scene is left out."""
+"""For layouts with more units, variations that need new looks at the scene are left out."""
 _LOWEST_M = 0.1
 _MOUNTING = ("yaw_deg", "pitch_deg", "height_m", "position_m")
 _DETECTOR = ("min_box_height_share", "min_iou")
@@ -154,7 +281,7 @@ _DETECTOR = ("min_box_height_share", "min_iou")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Varied:
-    """A value that an assumption may have instead, and what comes of it.
+    """A value that an assumption may have instead, and its consequences.
 
     Attributes
     ----------
@@ -163,10 +290,10 @@ class Varied:
     outcome : Outcome
         Of the layout.
     lost_runs : tuple of str
-        Ids of the runs that the layout avoids as planned, and now no longer; where chance decides,
-        with a probability below :data:`placement.explain.outcomes.SURE`.
+        Ids of the runs that the layout avoids as planned, and now no longer; where messages are
+        lost by chance, with a probability below ``SURE``.
     unmoved : tuple of str
-        Ids of units that had to stay where they are: there they would be inside something.
+        Ids of units that had to stay where they are, since the new place is inside something.
     """
 
     value: float
@@ -177,19 +304,18 @@ class Varied:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sensitivity:
-    """What one assumption decides.
+    """How much depends on one assumption.
 
     Attributes
     ----------
     assumption : Assumption
-        What is varied, and why so far.
+        What is varied, and why to these values.
     planned_value : float or None
-        What the plan assumes; None where the question does not arise. 0 for what is off by
-        something.
+        What the plan assumes, 0 for errors of mounting; None where the question does not arise.
     planned : Outcome
         The layout as planned: the same for all assumptions.
     varied : tuple of Varied
-        By ascending values; none if it is left out.
+        By ascending values; empty if left out.
     left_out : str
         Why it was not varied; empty if it was.
     """
@@ -209,7 +335,7 @@ def find_sensitivity(
     assumptions: Sequence[Assumption] | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Sensitivity, ...]:
-    """How much of a layout's worth hangs on each assumption.
+    """How much what a layout achieves depends on each assumption.
 
     Parameters
     ----------
@@ -218,7 +344,7 @@ def find_sensitivity(
     layout : Layout
         The units.
     fusion : {"any", "single"}
-        See :class:`placement.explain.outcomes.Watched`.
+        See :class:`Watched`.
     assumptions : sequence of Assumption, optional
         What to vary; by default ``data/sensitivity.toml``.
     compute : Compute
@@ -233,10 +359,9 @@ def find_sensitivity(
     Notes
     -----
     Latency, confirmations, losses and braking leave the detected frames as they are; only frames
-    under another detector or from other poses are looked for anew. Mounting errors are common to
-    all units: each is turned, lifted or moved alike, which hits a layout harder than errors that
-    fall this way and that. Frames stay where they are on the run, also where their phase was
-    chosen by the last brake time.
+    under another detector or from other poses are detected anew. Mounting errors are common to
+    all units: each is turned, lifted or moved alike, which hits a layout harder than independent
+    errors would.
     """
     assumptions = load_assumptions() if assumptions is None else assumptions
     units, rule = layout.units, setting.rule
@@ -310,7 +435,7 @@ def find_sensitivity(
     return tuple(sensitivity(one) for one in assumptions)
 
 
-# ---------------------------------------------------------------- what is varied
+# ---------- values, poses and detectors that are not the plan's
 
 
 def _planned_value(name: str, setting: Setting) -> float | None:
@@ -352,14 +477,14 @@ def _last_brake_times_s(setting: Setting, rule: AebRule) -> FloatArray:
 def _looks_at(
     units: Sequence[CandidatePose], name: str, value: float, setting: Setting
 ) -> list[Look]:
-    """All units off by something, or under another detector."""
+    """All units with one error of mounting, or under another detector."""
     if name in _MOUNTING:
         return [(_off(unit, name, value, setting.scene), setting.planner) for unit in units]
     return [(unit, _with(setting.planner, name, value)) for unit in units]
 
 
 def _off(unit: CandidatePose, name: str, value: float, scene: Scene) -> CandidatePose:
-    """A unit that hangs wrong, at no site; the unit itself if it would be inside something."""
+    """A unit mounted wrongly, at no site; the unit itself if it would be inside something."""
     pose = unit.pose
     position, yaw_deg, pitch_deg = pose.position_m, pose.yaw_deg, pose.pitch_deg
     if name == "yaw_deg":

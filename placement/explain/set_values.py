@@ -21,13 +21,7 @@ _BLOCK_RUNS = 32
 
 
 class QuickRows:
-    """Rows of a set of poses together with each pose in turn.
-
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        Windows and runs.
-    """
+    """Quick values of a set of poses together with each pose in turn."""
 
     def __init__(self, reduced: ReducedProblem) -> None:
         self.reduced = reduced

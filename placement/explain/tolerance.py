@@ -1,11 +1,11 @@
-"""How far a unit may be off when it is mounted before a run is lost."""
+"""Tolerance of mounting: by how much a unit may be off before a run is lost."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray
+from geometry.arrays import BoolArray
 from geometry.poses import Pose, wrap_deg
 
 from ..candidates import CandidatePose
@@ -18,11 +18,12 @@ from ..wishes import Wishes, build_problem
 
 TURNS_DEG = (0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
 LIFTS_M = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0)
+STEPS = {"yaw": TURNS_DEG, "pitch": TURNS_DEG, "height": LIFTS_M}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tolerance:
-    """What one unit's mounting may be off, all others being as planned.
+    """By how much one unit may be off if all others are mounted as planned.
 
     Attributes
     ----------
@@ -49,7 +50,7 @@ def find_tolerances(
     fusion: Fusion = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Tolerance, ...]:
-    """How far each unit of a layout may be off.
+    """By how much each unit of a layout may be off.
 
     Parameters
     ----------
@@ -83,10 +84,10 @@ def find_tolerances(
     rows = {candidate.id: row for row, candidate in enumerate(everyone)}
     planned = _avoided(problem, range(len(units)))
 
-    def last_good(number: int, kind: str, sign: int, steps: Sequence[float]) -> float:
+    def last_good(number: int, kind: str, sign: int) -> float:
         """The largest step before the first one that loses a run."""
         good = 0.0
-        for step in steps:
+        for step in STEPS[kind]:
             row = rows[_name(units[number], kind, sign * step)]
             chosen = [row if index == number else index for index in range(len(units))]
             if (planned & ~_avoided(problem, chosen)).any():
@@ -97,33 +98,25 @@ def find_tolerances(
     return tuple(
         Tolerance(
             unit_id=unit.id,
-            yaw_deg=(
-                last_good(number, "yaw", -1, TURNS_DEG),
-                last_good(number, "yaw", 1, TURNS_DEG),
-            ),
-            pitch_deg=(
-                last_good(number, "pitch", -1, TURNS_DEG),
-                last_good(number, "pitch", 1, TURNS_DEG),
-            ),
-            height_m=(
-                last_good(number, "height", -1, LIFTS_M),
-                last_good(number, "height", 1, LIFTS_M),
-            ),
+            yaw_deg=(last_good(number, "yaw", -1), last_good(number, "yaw", 1)),
+            pitch_deg=(last_good(number, "pitch", -1), last_good(number, "pitch", 1)),
+            height_m=(last_good(number, "height", -1), last_good(number, "height", 1)),
         )
         for number, unit in enumerate(units)
     )
 
 
 def _avoided(problem: PlacementProblem, chosen: Sequence[int]) -> BoolArray:
-    margin: FloatArray = run_margins_s(problem, list(chosen))
-    is_avoided: BoolArray = margin > -np.inf
+    """Runs that poses avoid, (n_runs,)."""
+    is_avoided: BoolArray = run_margins_s(problem, list(chosen)) > -np.inf
     return is_avoided
 
 
 def _variants(unit: CandidatePose) -> list[CandidatePose]:
+    """The unit with every error of mounting that is tried."""
     pose = unit.pose
     found = []
-    for kind, steps in (("yaw", TURNS_DEG), ("pitch", TURNS_DEG), ("height", LIFTS_M)):
+    for kind, steps in STEPS.items():
         for size in steps:
             for step in (-size, size):
                 position = pose.position_m + [0.0, 0.0, step if kind == "height" else 0.0]
@@ -134,7 +127,7 @@ def _variants(unit: CandidatePose) -> list[CandidatePose]:
                     yaw_deg=yaw,
                     pitch_deg=pitch,
                 )
-                # At no site: what hangs wrong hangs where it hangs.
+                # At no site: it is mounted wrongly, not somewhere else.
                 found.append(replace(unit, id=_name(unit, kind, step), site_id="", pose=moved))
     return found
 

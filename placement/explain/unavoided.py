@@ -1,4 +1,4 @@
-"""Why a run is not avoided: seen never or too late, what is in the way, and what would help."""
+"""Runs that a layout does not avoid: what is in the way, how late it brakes, what would help."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -25,17 +25,8 @@ from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.limits import fitting
 from ..setting import Setting
 from ..visibility.build import N_POINTS
-from ..visibility.casting import (
-    Sight,
-    World,
-    build_world,
-    cast_sight,
-    find_obstructions,
-)
+from ..visibility.casting import Sight, World, build_world, cast_sight, find_obstructions
 from ..visibility.sensing import build_sensing
-
-# ---------- why a unit does not detect a road user in a frame
-
 
 Cause = Literal["hidden", "out of view", "cut off", "too dark", "too far", "otherwise"]
 
@@ -45,21 +36,11 @@ _OFF_SURFACE_M = 1.0e-3  # rays end this much before the point they are cast to
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Look:
-    """A unit, a run, and the frames in which the unit should have detected the road user.
-
-    Attributes
-    ----------
-    unit : CandidatePose
-        Who looks.
-    run_index : int
-        Of the setting's runs.
-    frame_index : (n,) int
-        Frames of that run, from 0.
-    """
+    """A unit, a run, and the frames in which the unit should have detected the road user."""
 
     unit: CandidatePose
-    run_index: int
-    frame_index: IntArray
+    run_index: int  # of the setting's runs
+    frame_index: IntArray  # (n,): frames of that run, from 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,10 +52,9 @@ class Reason:
     cause : str
         "hidden": detected if nothing stood in the way; "out of view", "cut off": not in the image,
         or only a part of it; "too dark": light and air leave too little contrast; "too far": too
-        small, or too few points; "otherwise": nothing of all this, the table says so.
+        small, or too few points; "otherwise": none of these, but the table has no detection.
     thing : str
-        What hides it, by name: most of the rays that are blocked end there. Empty for all other
-        causes.
+        What hides it, by name: most of the blocked rays end there. Empty for all other causes.
     n_frames : int
         In how many frames.
     """
@@ -87,22 +67,7 @@ class Reason:
 def find_reasons(
     setting: Setting, looks: Sequence[Look], *, compute: Compute = DEFAULT_COMPUTE
 ) -> list[tuple[Reason, ...]]:
-    """Why units do not detect road users.
-
-    Parameters
-    ----------
-    setting : Setting
-        Scene, runs, planning detector.
-    looks : sequence of Look
-        Who should have detected whom.
-    compute : Compute
-        With the seed of the detection table.
-
-    Returns
-    -------
-    reasons : list of tuple of Reason
-        Of each look, the most frequent one first.
-    """
+    """Why units do not detect road users: reasons of each look, the most frequent one first."""
     if not looks:
         return []
     run_index = list(dict.fromkeys(look.run_index for look in looks))
@@ -170,20 +135,7 @@ def _inside_shares(world: World, unit: CandidatePose, frames: IntArray) -> Float
 
 
 def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
-    """Whether points lie in a unit's field of view, at any distance.
-
-    Parameters
-    ----------
-    unit : CandidatePose
-        Who looks.
-    points_m : (n, 3) float
-        World frame. [m]
-
-    Returns
-    -------
-    is_in_view : (n,) bool
-        Nothing is looked for that might stand in the way.
-    """
+    """Whether points (n, 3) lie in a unit's field of view, at any distance, hidden or not."""
     sensor, pose = unit.sensor, unit.pose
     is_inside: BoolArray
     if isinstance(sensor, LidarModel):
@@ -226,7 +178,10 @@ def _things_between(
 
 
 def _rays(eye_m: FloatArray, points_m: FloatRays, near_m: float) -> tuple[FloatRays, FloatRays]:
-    """Starts, beyond what is too near to the lens to hide anything, and the ways to the points."""
+    """Starts (n, 3) and vectors (n, 3) of rays from the eye to points.
+
+    They start beyond what is too near to the lens to hide anything.
+    """
     vectors = points_m - eye_m.astype(np.float32)
     unit_vectors = vectors / ray_lengths_m(vectors)[:, None]
     starts = (eye_m + near_m * unit_vectors).astype(np.float32)
@@ -245,7 +200,7 @@ def _vut_shares(world: World, frame: int, rays: tuple[FloatRays, FloatRays]) -> 
 
 
 def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.object_]]:
-    """Name of what each triangle of each static world belongs to, as they are put together."""
+    """Name of the thing to which each triangle of each static world belongs."""
     instances = [scene.instances[index].id for index in scene.triangle_instance]
     names = []
     for parked in find_obstructions(runs).values():
@@ -264,7 +219,7 @@ def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.object
     return names
 
 
-# ---------- why a run is not avoided
+# ---------- runs
 
 
 Outcome = Literal["hopeless", "never seen", "never confirmed", "too late"]
@@ -281,7 +236,7 @@ class Rescue:
     pose_id, site_id : str
         Its names.
     distance_m : float
-        From the nearest unit that is chosen; 0 at the same mount. [m]
+        From the nearest chosen unit; 0 at the same mount. [m]
     margin_s : float
         Time to spare that it leaves. [s]
     """
@@ -304,7 +259,7 @@ class Unavoided:
     run_id : str
         Its name.
     outcome : {"hopeless", "never seen", "never confirmed", "too late"}
-        "hopeless": no frame comes early enough, whoever looks. Else what the chosen units achieve.
+        "hopeless": no frame comes early enough for any unit. Otherwise what the chosen units do.
     late_s : float
         By how much braking sets in too late; infinite if it never does. [s]
     n_frames : int
@@ -312,8 +267,8 @@ class Unavoided:
     n_seen : int
         Of these, those in which a chosen unit detects the road user.
     unit_id : str
-        The chosen unit nearest to the road user in the last of these frames; of those, if there
-        are any, that have it in view in one of them. Empty if hopeless.
+        The chosen unit nearest to the road user in the last of these frames, preferably among those
+        that have it in view in one of them. Empty if hopeless.
     reasons : tuple of Reason
         Why that unit does not detect the road user in some of these frames, the most frequent one
         first.
@@ -375,76 +330,91 @@ def find_unavoided(
     if not chosen:
         raise InputError("pose_index", chosen, "at least one pose")
     is_missed = run_margins_s(problem, chosen) == -np.inf
-    missed = np.flatnonzero(is_missed & (axis.weight > 0.0))
-    runs = [_Missed(setting, problem, candidates, chosen, run) for run in missed.tolist()]
-    hopeful = [run for run in runs if run.outcome != "hopeless"]
-    looks = [run.look() for run in hopeful]
-    found = find_reasons(setting, looks, compute=compute)
-    reasons = dict(zip((run.run for run in hopeful), found, strict=True))
-    helpers = _Helpers(problem, candidates, chosen)
-    return tuple(
-        Unavoided(
-            run_index=run.run,
-            run_id=axis.run_ids[run.run],
-            outcome=run.outcome,
-            late_s=run.late_s,
-            n_frames=int(run.counts.sum()),
-            n_seen=int((run.counts & run.seen).sum()),
-            unit_id="" if run.outcome == "hopeless" else candidates[run.nearest].id,
-            reasons=reasons.get(run.run, ()),
-            rescue=None if run.outcome == "hopeless" else helpers.nearest(run.run),
+    misses = [
+        _find_miss(setting, problem, candidates, chosen, run)
+        for run in np.flatnonzero(is_missed & (axis.weight > 0.0)).tolist()
+    ]
+    looks = [miss.look for miss in misses if miss.look is not None]
+    reasons = iter(find_reasons(setting, looks, compute=compute))
+    joining = _find_joining(problem, candidates, chosen)
+    unavoided = []
+    for miss in misses:
+        has_hope = miss.look is not None
+        unavoided.append(
+            Unavoided(
+                run_index=miss.run,
+                run_id=axis.run_ids[miss.run],
+                outcome=miss.outcome,
+                late_s=miss.late_s,
+                n_frames=int(miss.counts.sum()),
+                n_seen=int((miss.counts & miss.seen).sum()),
+                unit_id="" if miss.look is None else miss.look.unit.id,
+                reasons=next(reasons) if has_hope else (),
+                rescue=_nearest_rescue(problem, candidates, chosen, joining, miss.run)
+                if has_hope
+                else None,
+            )
         )
-        for run in runs
+    return tuple(unavoided)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Miss:
+    """A run that is not avoided."""
+
+    run: int
+    outcome: Outcome
+    late_s: float
+    counts: BoolArray  # (n,): frames of the run from which braking in time could follow
+    seen: BoolArray  # (n,): frames in which a chosen unit detects the road user
+    look: Look | None  # what the unit that should see best has missed; None: hopeless
+
+
+def _find_miss(
+    setting: Setting,
+    problem: PlacementProblem,
+    candidates: Sequence[CandidatePose],
+    chosen: list[int],
+    run: int,
+) -> _Miss:
+    """What the chosen units achieve in a run, and what one of them should have seen."""
+    axis, rule = problem.table.axis, problem.rule
+    time_s = axis.time_s[axis.frames_of(run)]
+    last_brake_s = axis.last_brake_time_s[run]
+    counts = np.asarray(is_in_time(time_s, last_brake_s, latency_s=rule.latency_s))
+    detected = _detected_in(problem.table, run)[chosen]
+    seen = np.logical_or.reduce(detected, axis=0)
+    together = seen if problem.fusion == "any" else detected
+    confirmed_s = confirmation_time_s(together, time_s, n_confirmations=rule.n_confirmations)
+    onset_s = float(np.min(confirmed_s)) + rule.latency_s
+    outcome: Outcome = "too late"
+    look = None
+    if int(counts.sum()) < rule.n_confirmations:
+        outcome = "hopeless"
+    else:
+        if not seen.any():
+            outcome = "never seen"
+        elif not np.isfinite(onset_s):
+            outcome = "never confirmed"
+        units = [candidates[pose] for pose in chosen]
+        nearest = _who_should_see(setting.runs[run], units, np.flatnonzero(counts))
+        look = Look(
+            unit=units[nearest],
+            run_index=run,
+            frame_index=np.flatnonzero(counts & ~detected[nearest]),
+        )
+    return _Miss(
+        run=run,
+        outcome=outcome,
+        late_s=onset_s - float(last_brake_s) if np.isfinite(last_brake_s) else np.inf,
+        counts=counts,
+        seen=seen,
+        look=look,
     )
 
 
-class _Missed:
-    """One run that is not avoided."""
-
-    def __init__(
-        self,
-        setting: Setting,
-        problem: PlacementProblem,
-        candidates: Sequence[CandidatePose],
-        chosen: list[int],
-        run: int,
-    ) -> None:
-        axis, rule = problem.table.axis, problem.rule
-        self.run = run
-        time_s = axis.time_s[axis.frames_of(run)]
-        last_brake_s = axis.last_brake_time_s[run]
-        self.counts = np.asarray(is_in_time(time_s, last_brake_s, latency_s=rule.latency_s))
-        self.detected = _detected_in(problem.table, run)[chosen]
-        self.seen = np.logical_or.reduce(self.detected, axis=0)
-        together = self.seen if problem.fusion == "any" else self.detected
-        confirmed_s = confirmation_time_s(together, time_s, n_confirmations=rule.n_confirmations)
-        onset_s = float(np.min(confirmed_s)) + rule.latency_s
-        self.late_s = onset_s - float(last_brake_s) if np.isfinite(last_brake_s) else np.inf
-        self.outcome: Outcome = "too late"
-        self.nearest = chosen[0]
-        if int(self.counts.sum()) < rule.n_confirmations:
-            self.outcome = "hopeless"
-            return
-        if not self.seen.any():
-            self.outcome = "never seen"
-        elif not np.isfinite(onset_s):
-            self.outcome = "never confirmed"
-        position = _who_should_see(
-            setting.runs[run], [candidates[c] for c in chosen], np.flatnonzero(self.counts)
-        )
-        self.nearest = chosen[position]
-        missed = self.counts & ~self.detected[position]
-        self._look = Look(
-            unit=candidates[self.nearest], run_index=run, frame_index=np.flatnonzero(missed)
-        )
-
-    def look(self) -> Look:
-        """What the nearest unit should have seen."""
-        return self._look
-
-
 def _who_should_see(run: Run, units: Sequence[CandidatePose], frames: IntArray) -> int:
-    """Of the units that have the VRU in view in some frames, that nearest to it in the last one.
+    """The unit nearest to the VRU in the last frame, of those that have it in view in some frame.
 
     If none has, the nearest of all: another one may look elsewhere on purpose.
     """
@@ -459,55 +429,57 @@ def _who_should_see(run: Run, units: Sequence[CandidatePose], frames: IntArray) 
     return int(np.lexsort((away_m, looks_elsewhere))[0])
 
 
-class _Helpers:
-    """Candidates that may join a set."""
+def _find_joining(
+    problem: PlacementProblem, candidates: Sequence[CandidatePose], chosen: list[int]
+) -> tuple[IntArray, FloatArray]:
+    """Candidates that may join the chosen ones, (n,), and the distance to the nearest of these."""
+    limits = replace(
+        problem.limits,
+        budget_units=None,
+        budget_eur=None,
+        is_forced=np.zeros_like(problem.limits.is_forced),
+        is_forced_site=np.zeros_like(problem.limits.is_forced_site),
+    )
+    joining: IntArray = np.flatnonzero(fitting(limits, np.array(chosen, dtype=np.int64)))
+    position_m: FloatArray = np.array([candidate.pose.position_m for candidate in candidates])
+    between_m = np.linalg.norm(position_m[joining, None] - position_m[chosen][None], axis=2)
+    distance_m: FloatArray = between_m.min(axis=1).round(6)
+    return joining, distance_m
 
-    def __init__(
-        self,
-        problem: PlacementProblem,
-        candidates: Sequence[CandidatePose],
-        chosen: list[int],
-    ) -> None:
-        self.problem, self.candidates, self.chosen = problem, candidates, chosen
-        unbound = replace(
-            problem.limits,
-            budget_units=None,
-            budget_eur=None,
-            is_forced=np.zeros_like(problem.limits.is_forced),
-            is_forced_site=np.zeros_like(problem.limits.is_forced_site),
-        )
-        self.fits = np.flatnonzero(fitting(unbound, np.array(chosen, dtype=np.int64)))
-        position_m: FloatArray = np.array([c.pose.position_m for c in candidates])
-        between_m = np.linalg.norm(position_m[self.fits, None] - position_m[chosen][None], axis=2)
-        self.distance_m: FloatArray = between_m.min(axis=1).round(6)
 
-    def nearest(self, run: int) -> Rescue | None:
-        """The nearest one that saves a run; of several at the same place the quickest."""
-        problem = self.problem
-        axis, rule = problem.table.axis, problem.rule
-        detected = _detected_in(problem.table, run)
-        seen = detected[self.fits]
-        if problem.fusion == "any":
-            seen = seen | detected[self.chosen].any(axis=0)
-        confirmed_s = confirmation_time_s(
-            seen, axis.time_s[axis.frames_of(run)], n_confirmations=rule.n_confirmations
-        )
-        last_brake_s = axis.last_brake_time_s[run]
-        saves = np.isfinite(confirmed_s) & is_in_time(
-            confirmed_s, last_brake_s, latency_s=rule.latency_s
-        )
-        if not saves.any():
-            return None
-        helping = np.flatnonzero(saves)
-        best = helping[np.lexsort((confirmed_s[helping], self.distance_m[helping]))[0]]
-        pose = int(self.fits[best])
-        return Rescue(
-            pose_index=pose,
-            pose_id=self.candidates[pose].id,
-            site_id=self.candidates[pose].site_id,
-            distance_m=float(self.distance_m[best]),
-            margin_s=float(last_brake_s - confirmed_s[best] - rule.latency_s),
-        )
+def _nearest_rescue(
+    problem: PlacementProblem,
+    candidates: Sequence[CandidatePose],
+    chosen: list[int],
+    joining: tuple[IntArray, FloatArray],
+    run: int,
+) -> Rescue | None:
+    """The nearest candidate that saves a run; of several at the same place the quickest."""
+    axis, rule = problem.table.axis, problem.rule
+    poses, distance_m = joining
+    detected = _detected_in(problem.table, run)
+    seen = detected[poses]
+    if problem.fusion == "any":
+        seen = seen | detected[chosen].any(axis=0)
+    confirmed_s = confirmation_time_s(
+        seen, axis.time_s[axis.frames_of(run)], n_confirmations=rule.n_confirmations
+    )
+    last_brake_s = axis.last_brake_time_s[run]
+    saves = np.isfinite(confirmed_s) & is_in_time(
+        confirmed_s, last_brake_s, latency_s=rule.latency_s
+    )
+    if not saves.any():
+        return None
+    helping = np.flatnonzero(saves)
+    best = helping[np.lexsort((confirmed_s[helping], distance_m[helping]))[0]]
+    pose = int(poses[best])
+    return Rescue(
+        pose_index=pose,
+        pose_id=candidates[pose].id,
+        site_id=candidates[pose].site_id,
+        distance_m=float(distance_m[best]),
+        margin_s=float(last_brake_s - confirmed_s[best] - rule.latency_s),
+    )
 
 
 def _detected_in(table: DetectionTable, run: int) -> BoolArray:

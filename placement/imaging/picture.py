@@ -64,6 +64,18 @@ _LEAST_MIRROR = 0.012  # share; less is not worth a ray
 _GRAZING = np.float32(0.02)  # cosine: no pixel is longer on a surface
 # Schlick: towards grazing angles everything is mirrored; of glass, 24 times what is head-on.
 _GRAZING_GAIN = np.float32(24.0)
+_CLASSES = (
+    "ground",
+    "building",
+    "wall",
+    "vegetation",
+    "lamp post",
+    "traffic light",
+    "parked vehicle",
+    "vehicle",
+    "pedestrian",
+    "cyclist",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,28 +116,15 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[FloatRays, Index, FloatRays
         index = np.flatnonzero(is_hit & (kinds == kind))
         ahead = ways[index] / length[index, None]
         distance = depth[index] * length[index]
-        hits = _look(shot, ahead, distance, triangle[index], is_round=_CLASSES[kind] in ROUND)
+        hits = _find_hits(shot, ahead, distance, triangle[index], is_round=_CLASSES[kind] in ROUND)
         light = _shade(shot, _CLASSES[kind], hits, ahead)
         sky.fade(light, distance)
         radiance[index] = light
     return radiance, instance, depth
 
 
-_CLASSES = (
-    "ground",
-    "building",
-    "wall",
-    "vegetation",
-    "lamp post",
-    "traffic light",
-    "parked vehicle",
-    "vehicle",
-    "pedestrian",
-    "cyclist",
-)
-
-
 def _kinds(shot: Shot) -> NDArray[np.int8]:
+    """Class of each thing, as an index into ``_CLASSES``."""
     return np.array([_CLASSES.index(thing.class_name) for thing in shot.mesh.things], dtype=np.int8)
 
 
@@ -152,14 +151,14 @@ def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRa
     return ways
 
 
-def _look(
+def _find_hits(
     shot: Shot, ahead: FloatRays, distance: FloatRays, triangle: IntArray, *, is_round: bool
 ) -> Hits:
     """Points and normals where rays have hit, and the size of pixels there."""
     mesh = shot.mesh
     local = ahead * distance[:, None]
     flat = mesh.normals[:, 0].take(triangle, axis=0)
-    normals = _round_normals(mesh, triangle, local) if is_round else flat
+    normals = _interpolated_normals(mesh, triangle, local) if is_round else flat
     cosine = np.einsum("ij,ij->i", normals, ahead)
     normals[cosine > 0.0] *= -1.0
     pixel = distance * np.float32(1.0 / shot.camera.focal_length_px)
@@ -173,7 +172,7 @@ def _look(
     )
 
 
-def _round_normals(mesh: FrameMesh, triangle: IntArray, points: FloatRays) -> FloatRays:
+def _interpolated_normals(mesh: FrameMesh, triangle: IntArray, points: FloatRays) -> FloatRays:
     """Normals at points in triangles, interpolated between those of the corners, (n, 3)."""
     corners, normals = mesh.corners_m.take(triangle, axis=0), mesh.normals.take(triangle, axis=0)
     a, b, c = np.swapaxes(corners, 0, 1)
@@ -535,7 +534,7 @@ def develop(
     radiance *= np.float32(1.0 / white_cdpm2)
     gain = max(1.0, imager["white_cdpm2_base"] / white_cdpm2)
     electrons = imager["full_well_e"] / gain  # at white
-    # Photons come by chance (variance = mean), the amplifier adds its own.
+    # Photon noise (variance = mean), and that of the amplifier.
     spread = radiance * np.float32(1.0 / electrons)
     spread += np.float32((imager["read_noise_e"] / electrons) ** 2)
     np.sqrt(spread, out=spread)

@@ -1,12 +1,13 @@
 """From a detection table to the best poses, proven.
 
-problem.py says what is asked and what a set of poses is worth, limits.py what may be mounted
-together, measure.py how the APR sums up runs and sampled worlds; presolve.py drops what does not
-matter; greedy.py finds good sets quickly; model.py and cuts.py state what a mixed-integer solver
-solves, milp.py calls it; enumeration.py and best_of.py go through all sets that may matter;
-stages.py takes the objectives in order: APR, APR when one unit fails, smallest margin, mean
-margin, cost; solve.py calls it all, large.py for tables that no model takes. feasibility.py says
-which wish cannot be met.
+``problem`` says what is asked and what a set of poses is worth, ``objectives`` in which order sets
+are compared, ``limits`` what may be mounted together, ``feasibility`` which wish cannot be met.
+``presolve`` drops what does not matter; ``bitsets`` values many sets at once. ``greedy`` finds good
+sets quickly, and ``enumeration`` goes through all sets that may be better. Bounds come from
+``bounds`` (Lagrangian), ``multipliers`` (subgradient steps), ``relaxation`` (OSQP),
+``window_cover`` with ``branch_and_bound``, and ``model``, which ``milp`` hands to HiGHS. ``stages``
+takes the objectives in order with ``search``, and ``solve`` calls it all; ``large`` is for tables
+that no model takes. ``units_front`` and ``cost_front`` say what more units or more money buy.
 """
 
 from .feasibility import UnmetError

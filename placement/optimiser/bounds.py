@@ -24,7 +24,7 @@ from geometry.arrays import (
     freeze,
 )
 
-# ---------- what may be chosen together where each pose has a worth of its own
+# ---------- supply
 
 
 _MONEY_TOLERANCE_EUR = 1.0e-6
@@ -172,23 +172,13 @@ class Supply:
         return can
 
     def pick(self, worth: FloatArray) -> Pick:
-        """Most that a set can be worth if the worth of its poses adds up.
+        """Most that a set can be worth if the worth of its poses, (n_poses,), adds up.
 
-        Parameters
-        ----------
-        worth : (n_poses,) float
-            Those that are not positive are left out, unless a group needs them.
+        Poses without positive worth are left out, unless a group needs them. Without money this is
+        the best set itself (greedy choice is best in a matroid). With money it is the value of the
+        relaxation in which poses may be had in parts and a site costs each of its units ``cost /
+        capacity``. It is minus infinity if a group is empty or units are fewer than groups.
 
-        Returns
-        -------
-        pick : Pick
-            Without money the best set itself (greedy choice is best in a matroid). With money the
-            value of the relaxation in which poses may be had in parts and a site costs each of its
-            units ``cost / capacity``. Minus infinity if a group is empty or units are fewer than
-            groups.
-
-        Notes
-        -----
         Money has a price mu: whatever it is, ``mu budget + max sum of (worth - mu price)`` is a
         limit, convex in mu and made of straight lines. The lowest point is found by meeting the
         line that falls there and the one that rises, which ends at the point itself.
@@ -259,7 +249,7 @@ class Supply:
             n_look *= 8
 
 
-# ---------- weighted best-of coverage
+# ---------- coverage
 
 
 ValueArray = NDArray[np.float32] | NDArray[np.float64]
@@ -355,24 +345,10 @@ class Bound:
 def gains(
     values: ValueArray, level: ValueArray, poses: IntArray | None = None, *, workers: int = 1
 ) -> FloatArray:
-    """What poses have beyond a level: sum over r of max(0, v[c, r] - level[r]).
+    """What poses have beyond a level: sum over r of max(0, v[c, r] - level[r]), (n,).
 
-    Parameters
-    ----------
-    values : (n_poses, n_rows) float32 or float64
-        v[c, r].
-    level : (n_rows,) float
-        Of the same kind.
-    poses : (n,) int, optional
-        Of which poses; by default all.
-    workers : int
-        Threads.
-
-    Returns
-    -------
-    gains : (n,) float
-        Summed in float64: exact but for the rounding of differences. Never grows with the level,
-        not even by rounding.
+    By default of all poses. The sum is taken in float64 and is exact but for the rounding of
+    differences. It never grows with the level, not even by rounding.
     """
     n_poses = len(values) if poses is None else len(poses)
     result = np.empty(n_poses)
@@ -395,28 +371,14 @@ def gains(
 
 
 def prove(coverage: Coverage, multipliers: ValueArray, *, workers: int = 1) -> Bound:
-    """Limit of the value of all feasible sets, from any multipliers.
+    """Limit of the value of all feasible sets, from any multipliers lambda, (n_rows,).
 
-    Parameters
-    ----------
-    coverage : Coverage
-        What to choose from.
-    multipliers : (n_rows,) float
-        lambda. Whatever it is, the limit holds: an approximate dual solution becomes a proof.
-    workers : int
-        Threads.
-
-    Returns
-    -------
-    bound : Bound
-        ``sum of lambda + max over feasible S of the sum of rho in S``.
-
-    Notes
-    -----
-    ``max over S of v[c, r] <= lambda[r] + sum over S of max(0, v[c, r] - lambda[r])``
-    for every row; summed, the second part separates by poses. This is the Lagrangian dual of the
-    p-median problem (Cornuejols, Fisher, Nemhauser 1977); its lowest value is that of the LP
-    relaxation. Rounding errs towards a higher limit.
+    The limit is ``sum of lambda + max over feasible S of the sum of rho in S``. It holds whatever
+    lambda is: an approximate dual solution becomes a proof. For every row
+    ``max over S of v[c, r] <= lambda[r] + sum over S of max(0, v[c, r] - lambda[r])``;
+    summed, the second part separates by poses. This is the Lagrangian dual of the p-median
+    problem (Cornuejols, Fisher, Nemhauser 1977); its lowest value is that of the LP relaxation.
+    Rounding errs towards a higher limit.
     """
     level = np.maximum(multipliers.astype(coverage.values.dtype), coverage.floor)
     worth = gains(coverage.values, level, workers=workers)
@@ -431,26 +393,11 @@ def prove(coverage: Coverage, multipliers: ValueArray, *, workers: int = 1) -> B
 
 
 def can_matter(coverage: Coverage, bound: Bound, need: float) -> BoolArray:
-    """Poses that a set worth more than `need` may contain: reduced-cost fixing.
+    """Poses that a set worth more than `need` may contain, (n_poses,): reduced-cost fixing.
 
-    Parameters
-    ----------
-    coverage : Coverage
-        What to choose from.
-    bound : Bound
-        From any multipliers.
-    need : float
-        Such as what the best known set is worth.
-
-    Returns
-    -------
-    can_matter : (n_poses,) bool
-        False: no feasible set with this pose is worth more than `need`.
-
-    Notes
-    -----
-    A set with pose c is worth at most ``sum of lambda + rho[c]`` and the best K - 1 others, in
-    which the room that c takes and the money that it costs are neglected.
+    `need` is such as what the best known set is worth; no feasible set with one of the other poses
+    is worth more. A set with pose c is worth at most ``sum of lambda + rho[c]`` and the best K - 1
+    others, in which the room that c takes and the money that it costs are neglected.
     """
     supply = coverage.supply
     fixed = float(bound.multipliers.sum(dtype=np.float64))

@@ -78,36 +78,14 @@ def branch_and_bound(
     max_nodes: int | None = None,
     workers: int = 1,
 ) -> Search:
-    """Find the best set, or stop with what is proven.
+    """Find the best set among thousands of poses, or stop with what is proven.
 
-    Parameters
-    ----------
-    coverage : Coverage
-        What to choose from; thousands of poses.
-    incumbent : (n_units,) int
-        A feasible set.
-    multipliers : (n_rows,) float
-        To begin with.
-    evaluate : callable, optional
-        What a set is truly worth, where f is a limit of that only; by default f.
-    gap : float
-        Sets that are better by no more than this share of the incumbent need not be found.
-    time_limit_s : float
-        Stop then. [s]
-    max_nodes : int, optional
-        Stop then; by default never.
-    workers : int
-        Threads.
+    It begins with a feasible set and with multipliers, (n_rows,). `evaluate` tells what a set is
+    truly worth where f is only a limit of that. Sets that are better than the incumbent by no more
+    than the relative `gap` need not be found: a finished search has ``limit <= (1 + gap) value``.
 
-    Returns
-    -------
-    search : Search
-        With ``limit <= (1 + gap) value`` if it is finished.
-
-    Notes
-    -----
-    Nodes with the highest limit first: good sets come from exchanges rather than from the depth,
-    and so the proven limit falls from node to node.
+    Nodes with the highest limit come first: good sets come from exchanges rather than from the
+    depth, and so the proven limit falls from node to node.
     """
     end_s = time.monotonic() + time_limit_s
     with threadpool_limits(1):  # products are too small for BLAS's threads

@@ -30,7 +30,7 @@ from .problem import Floor, PlacementProblem, Requirement
 from .solve import build_stage
 from .stages import Stages
 
-# ---------- sums that layouts can cost: where prices are few, most amounts buy nothing
+# ---------- price levels
 
 
 _MAX_LEVELS = 20_000
@@ -38,18 +38,9 @@ _CENTS = 100.0
 
 
 def price_levels_eur(limits: Limits) -> FloatArray | None:
-    """Amounts of which every layout within limits costs one, ascending.
+    """Amounts of which every layout within limits costs one, ascending, in euros.
 
-    Parameters
-    ----------
-    limits : Limits
-        Units, sites and their prices.
-
-    Returns
-    -------
-    levels_eur : (n,) float or None
-        Not every amount need be the cost of a layout. None: prices are too many, or no whole
-        cents. [EUR]
+    Not every amount need be the cost of a layout. None if prices are too many, or no whole cents.
     """
     usable = ~limits.is_forbidden | limits.is_forced
     units = _cents(limits.unit_cost_eur[usable])
@@ -105,7 +96,7 @@ def _sums(prices: Iterable[int], most: int) -> list[set[int]] | None:
     return sums
 
 
-# ---------- what more money buys: from the cheapest useful layout upwards, each step with its proof
+# ---------- the front
 
 
 DEFAULT_MAX_POINTS = 40
@@ -303,15 +294,9 @@ class _Climb:
     def point(self, step: _Step, least_eur: float, *, is_best: bool = True) -> FrontPoint:
         """The best layout for the cost of a step.
 
-        Parameters
-        ----------
-        step : _Step
-            With a layout.
-        least_eur : float
-            No layout that is better than the point before costs less.
-        is_best : bool
-            Nothing with a higher APR than asked for costs as little: what was asked for need not be
-            asked again.
+        No layout that is better than the point before costs less than `least_eur`. With `is_best`,
+        nothing with a higher APR than asked for costs as little: what was asked for need not be
+        asked again.
         """
         assert step.pose_index is not None
         limits = _within(self.problem.limits, step.cost_eur)

@@ -30,7 +30,7 @@ from .limits import Limits, are_allowed, costs_eur
 from .objectives import COST_TOLERANCE_EUR, TOLERANCE
 from .presolve import ReducedProblem
 
-# ---------- all layouts that could still be better, gone through one by one
+# ---------- all sets, or all that keep an APR
 
 
 MAX_UNITS = 3
@@ -42,21 +42,8 @@ def best_of_few(
 ) -> tuple[IntArray | None, bool]:
     """Best of all allowed sets, of any size, where they are few.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        What to choose from.
-    max_sets : int
-        Give up if there are more sets to go through.
-    end_s : float
-        Give up then, on the monotonic clock. [s]
-
-    Returns
-    -------
-    units : (n,) int or None
-        The best set; None: given up, or no set is allowed.
-    is_complete : bool
-        Whether all sets were gone through.
+    Gives up if there are more than `max_sets`, or at `end_s` on the monotonic clock. The units are
+    None if it gave up or no set is allowed; the flag tells whether all sets were gone through.
     """
     n_poses, most = reduced.n_poses, reduced.limits.max_units
     n_sets = 0
@@ -81,23 +68,10 @@ def best_of_few(
 def best_of_all(
     reduced: ReducedProblem, units: IntArray, *, apr_one_failed: float, max_sets: int
 ) -> IntArray | None:
-    """Best set of as many units that keep an APR when one unit fails.
+    """Best set of as many units as `units` has that keeps `apr_one_failed` when one unit fails.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        What to choose from; its limits are plain.
-    units : (n_units,) int
-        A set that does, up to three poses of the reduced problem.
-    apr_one_failed : float
-        What must be kept.
-    max_sets : int
-        Give up if there are more sets to go through, of either size.
-
-    Returns
-    -------
-    units : (n_units,) int or None
-        None: given up.
+    The limits are plain, and `units` is such a set of up to three poses. None if there are more
+    than `max_sets` sets to go through, of either size.
     """
     n_units = len(units)
     if n_units == 1 and reduced.n_poses <= max_sets:
@@ -157,7 +131,7 @@ def _triples(table: FloatArray, max_sets: int) -> IntArray | None:
     return np.concatenate(triples)
 
 
-# ---------- all sets of up to three poses that are worth more than a need: exact, no solver
+# ---------- sets of up to three poses that promise more than a need
 
 
 MAX_POSES = 6000  # the table of pairs takes 4 bytes each: 144 MB
@@ -194,30 +168,14 @@ class SmallSets:
 def best_sets(
     coverage: Coverage, need: float, *, max_triples: float = 1e9, workers: int = 1
 ) -> SmallSets | None:
-    """Find every feasible set of ``max_units`` poses, at most three, worth more than a need.
+    """All sets of up to three poses that promise more than `need`; None if they are too many.
 
-    Parameters
-    ----------
-    coverage : Coverage
-        What to choose from, up to 6000 poses.
-    need : float
-        What a set must be worth more than: an incumbent's value less a tolerance. A tolerance
-        below the rounding of the values, 6e-8 of them in float32, asks for float64 values.
-    max_triples : float
-        Give up if so many are left after the first apex; their number is counted before they are
-        gone through, some ten million a second.
-    workers : int
-        Threads.
+    `need` is such as an incumbent's value less a tolerance. A tolerance below the rounding of the
+    values, 6e-8 of them in float32, asks for float64 values. More than `max_triples` triples after
+    the first step are too many (some ten million are gone through a second), and so are ten million
+    sets.
 
-    Returns
-    -------
-    found : SmallSets or None
-        None: given up, or ten million sets are worth more.
-
-    Raises
-    ------
-    ValueError
-        More than three units or 6000 poses.
+    Raises ValueError for more than three units or 6000 poses.
     """
     n_units = coverage.supply.max_units
     if not 1 <= n_units <= MAX_UNITS or coverage.n_poses > MAX_POSES:
@@ -362,7 +320,7 @@ def _thinned(values: FloatArray, sets: IntArray, need: float, workers: int) -> I
         return np.concatenate(list(pool.map(work, range(0, len(sets), _BLOCK_SETS))))
 
 
-# ---------- all sets that little money buys, gone through one by one
+# ---------- sets within a budget of money
 
 
 _MAX_GROWN = 20_000_000  # sets that are looked at for their price alone
@@ -371,23 +329,11 @@ _MAX_GROWN = 20_000_000  # sets that are looked at for their price alone
 def best_affordable(
     reduced: ReducedProblem, *, least_apr: float, max_sets: int
 ) -> tuple[IntArray | None, bool]:
-    """Best of all sets within limits of money, where they are few.
+    """Best of all sets within limits of money, where they are few; the APR comes first.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        What to choose from; the APR is its first objective.
-    least_apr : float
-        Of a set that is at hand: those with less are not looked at further.
-    max_sets : int
-        Give up if there are more sets to go through.
-
-    Returns
-    -------
-    units : (n,) int or None
-        The best set; None: given up, or none has that APR.
-    is_complete : bool
-        Whether all sets were gone through.
+    Sets with less than `least_apr`, that of a set at hand, are not looked at further. The units are
+    None if there are more than `max_sets` sets, or none has that APR; the flag tells whether all
+    sets were gone through.
     """
     sizes = affordable_sets(reduced.limits, max_sets=max_sets)
     if sizes is None:
@@ -402,13 +348,9 @@ def best_affordable(
 
 
 def affordable_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
-    """All sets within limits, by their size.
+    """All sets within limits, by their size: of 1, 2, .. poses, ascending.
 
-    Returns
-    -------
-    sizes : list of (n_sets, n_units) int
-        Sets of 1, 2, .. poses, ascending; None if there are more sets than asked for, or too many
-        to find out.
+    None if there are more sets than `max_sets`, or too many to find out.
     """
     poses = np.flatnonzero(~limits.is_forbidden)
     grown: IntArray = poses[:, None]

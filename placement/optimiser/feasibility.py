@@ -21,18 +21,10 @@ class UnmetError(InputError):
 def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
     """Check limits against each other, before anything is solved.
 
-    Parameters
-    ----------
-    limits : Limits
-        What may be mounted together.
-    pose_ids : sequence of str
-        Names of the poses, for messages.
+    `pose_ids` are the names of the poses in messages.
 
-    Raises
-    ------
-    UnmetError
-        Two of them cannot both be met: forced and forbidden, a site that is too small, money that
-        does not suffice, rivals that are both forced, or no unit at all.
+    Raises UnmetError: two of them cannot both be met: forced and forbidden, a site that is too
+    small, money that does not suffice, rivals that are both forced, or no unit at all.
     """
     forced = np.flatnonzero(limits.is_forced)
     both = np.flatnonzero(limits.is_forced & limits.is_forbidden)
@@ -85,10 +77,7 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
 def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
     """Check that all poses together reach every floor.
 
-    Raises
-    ------
-    UnmetError
-        They do not.
+    Raises UnmetError: they do not.
     """
     everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
     is_avoided = union_margins_s(reduced, everything) > -np.inf
@@ -105,10 +94,8 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
 def check_floors(problem: PlacementProblem, search: Search) -> None:
     """Check that the set that was found reaches all floors.
 
-    Raises
-    ------
-    UnmetError
-        It does not: out of reach, and the best that can be reached, or not found in time.
+    Raises UnmetError: it does not: out of reach, and the best that can be reached, or not found in
+    time.
     """
     if search.units is not None and search.shortfall == 0.0:
         return

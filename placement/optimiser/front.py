@@ -28,7 +28,7 @@ from .search import Search
 from .solve import Solution, build_certificate, build_stage
 from .stages import Stages
 
-# ---------- what more units or more money buy: a front of layouts, each with its proof
+# ---------- fronts
 
 
 StageChoice = Literal["first", "all"]
@@ -112,10 +112,7 @@ OnPoint = Callable[[FrontPoint], None]
 def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
     """Check that a problem asks for nothing but the best.
 
-    Raises
-    ------
-    InputError
-        It has a target or failures to survive; or the stages are unknown.
+    Raises InputError: it has a target or failures to survive; or the stages are unknown.
     """
     if stages not in ("first", "all"):
         raise InputError("stages", stages, "first or all")
@@ -213,7 +210,7 @@ def tightened(stage: Stage, bound: float) -> Stage:
     )
 
 
-# ---------- one point of a front
+# ---------- one point
 
 
 _SETS_PER_SECOND = 50_000  # measured: several times as many
@@ -229,29 +226,10 @@ def look_around(
 ) -> Search:
     """A good layout for one point, found quickly and without proof.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        With the limits of this point.
-    reduced : ReducedProblem
-        Presolved with these limits or wider ones of units and money; with the limits, floors and
-        goal of this point.
-    effort : Effort
-        For this point.
-    stages : {"first", "all"}
-        See :class:`Front`.
-    start : sequence of int
-        Rows of the detection table within the limits: what was found for less; none by default.
-
-    Returns
-    -------
-    search : Search
-        At least as good as the start. It may lack something to the floors.
-
-    Raises
-    ------
-    InputError
-        The limits contradict each other.
+    `reduced` is presolved with the limits of this point or with wider ones of units and money, and
+    has the limits, floors and goal of this point. `start` are rows of the detection table within
+    the limits, such as what was found for less. The layout is at least as good, but may lack
+    something to the floors. Raises InputError if the limits contradict each other.
     """
     check_limits(problem.limits, problem.table.pose_ids)
     search = Search(
@@ -276,24 +254,12 @@ def prove_point(
     fewer: FrontPoint | None = None,
     is_cheapest: bool = False,
 ) -> FrontPoint:
-    """One point of a front: the best layout and its proof.
+    """One point of a front: the best layout and its proof, as far as the time goes.
 
-    Parameters
-    ----------
-    problem, reduced, effort, stages
-        As for :func:`look_around`. With the first stages alone, the layout's margins and cost are
-        what a local search leaves of them: good, not proven, and in no certificate.
-    search : Search
-        With a layout that meets all limits and floors.
-    fewer : FrontPoint, optional
-        The point of one unit less, all else being equal.
-    is_cheapest : bool
-        The money is known to be the least: no stage asks for less.
-
-    Returns
-    -------
-    point : FrontPoint
-        Proven as far as the time goes.
+    `search` has a layout that meets all limits and floors, `fewer` is the point of one unit less,
+    all else being equal, and `is_cheapest` says that no stage need ask for less money. With the
+    first stages alone, the layout's margins and cost come from a local search: good, not proven,
+    and in no certificate.
     """
     solver = Stages(problem, search, effort)
     if problem.limits.budget_eur is not None and search.limit.exceeds(search.row):

@@ -13,7 +13,7 @@ from .limits import are_allowed, fitting, is_allowed
 from .presolve import ReducedProblem, presolve
 from .problem import PlacementProblem
 
-# ---------- layouts found quickly, without proof: greedy choice, then exchanges one for one
+# ---------- on the reduced problem
 
 
 _N_RESTARTS = 4
@@ -54,20 +54,10 @@ def forced_units(reduced: ReducedProblem) -> IntArray:
 
 
 def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
-    """Add poses one by one, the best first, as long as there is room.
+    """Add poses to `units` one by one, the best first, as long as there is room.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        What to choose from.
-    units : (n,) int
-        Poses of the reduced problem that are chosen already.
-
-    Returns
-    -------
-    units : (n,) int
-        With few or cheap units as the goal, just enough for the floors; else needless ones, too:
-        exchanges and removals take those away again.
+    With few or cheap units as the goal it stops when the floors are reached. Otherwise it may add
+    needless units, which exchanges and removals take away again.
     """
     max_units = reduced.limits.max_units
     while len(units) < max_units:
@@ -87,21 +77,8 @@ def improve(
 ) -> IntArray:
     """Exchange one unit for another, or leave one out, as long as that makes the set better.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        What to choose from.
-    units : (n,) int
-        Poses of the reduced problem.
-    limit : SetValues
-        No set is better than this: one that is as good needs no exchange.
-    end_s : float
-        When to stop, on the monotonic clock. [s]
-
-    Returns
-    -------
-    units : (n,) int
-        At least as good; no single exchange or removal improves it.
+    No set is better than `limit`: the search ends at a set that is as good, or at `end_s` on the
+    monotonic clock. The result is at least as good as `units`.
     """
     value = set_values(reduced, units[None, :])[0]
     while limit.exceeds(value) and time.monotonic() < end_s:
@@ -131,22 +108,10 @@ def solve_heuristically(
 ) -> IntArray | None:
     """Best of several local optima: the greedy set's, and those of random first units.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        What to choose from.
-    limit : SetValues
-        No set is better than this: the search ends when one is as good.
-    starts : sequence of (n,) int
-        Sets to begin with, before any other.
-    end_s : float
-        When to stop, on the monotonic clock; the first start is completed. [s]
-
-    Returns
-    -------
-    units : (n,) int or None
-        Within the limits; what is lacking to the floors is as little as was found. None: no set
-        within the limits was found.
+    The search begins with `starts`. It ends when a set is as good as `limit`, which none exceeds,
+    or at `end_s` on the monotonic clock, but completes the first start. The result is within the
+    limits and lacks as little to the floors as was found; None if no set within the limits was
+    found.
     """
     rng = np.random.default_rng(_SEED)
     forced = forced_units(reduced)
@@ -185,7 +150,7 @@ def _exchanged(reduced: ReducedProblem, left: IntArray, removed: int) -> tuple[I
     return sets, values_with_each(reduced, left)[free] if len(free) else set_values(reduced, sets)
 
 
-# ---------- good sets quickly
+# ---------- on a best-of coverage
 
 
 _LAZY_BLOCK = 64
@@ -204,33 +169,18 @@ def lazy_greedy(
 ) -> IntArray:
     """Add the pose that gains most, again and again, as long as there is room and a gain.
 
-    Parameters
-    ----------
-    coverage : Coverage
-        What to choose from.
-    start : (n,) int, optional
-        Poses that are chosen already; a feasible set.
-    per_euro : bool
-        Take what gains most for its money, with the site where that is not paid yet.
-    worth : (n_poses,) float, optional
-        Gains beyond `start`, or more, where they are at hand.
-    workers : int
-        Threads.
+    It begins with the feasible set `start` and keeps the order of choice; among equal gains the
+    lowest index comes first. With `per_euro` it takes what gains most for its money, with the site
+    where that is not paid yet. `worth`, (n_poses,), are gains beyond `start`, or more, where they
+    are at hand.
 
-    Returns
-    -------
-    poses : (n_units,) int
-        In the order of choice, `start` first; among equal gains the lowest index.
-
-    Notes
-    -----
     A gain never grows when the set grows, so that an old one is a limit of the new one, and most
     need not be computed again (Minoux 1978). The choice is that of plain greedy. With at most K
-    units it is worth at least 1 - 1/e = 63 % of the best set (Nemhauser, Wolsey, Fisher 1978),
-    with room for fewer units at some sites (a matroid) at least 1/2 (Fisher, Nemhauser, Wolsey
-    1978), both beyond what is reached already. With money there is no such guarantee for one run;
-    the better one of by gain and by gain per euro has (1 - 1/e) / 2 if neither sites cost anything
-    nor units are limited (Leskovec et al. 2007).
+    units it is worth at least 1 - 1/e = 63 % of the best set (Nemhauser, Wolsey, Fisher 1978), with
+    room for fewer units at some sites (a matroid) at least 1/2 (Fisher, Nemhauser, Wolsey 1978),
+    both beyond what is reached already. With money there is no such guarantee for one run; the
+    better one of by gain and by gain per euro has (1 - 1/e) / 2 if neither sites cost anything nor
+    units are limited (Leskovec et al. 2007).
     """
     chosen = [] if start is None else [int(pose) for pose in start]
     values, level = coverage.values, coverage.level(np.array(chosen, dtype=np.int64))
@@ -262,21 +212,10 @@ def lazy_greedy(
 
 
 def swap(coverage: Coverage, chosen: IntArray, pool: IntArray | None = None) -> IntArray:
-    """Exchange one pose for another while that helps.
+    """Exchange one pose of a feasible set for another one while that helps.
 
-    Parameters
-    ----------
-    coverage : Coverage
-        What to choose from.
-    chosen : (n_units,) int
-        A feasible set.
-    pool : (n,) int, optional
-        Poses that may come in; by default all.
-
-    Returns
-    -------
-    poses : (n_units,) int
-        Feasible; no exchange within `pool` makes it better by more than rounding noise.
+    Poses come in from `pool`, by default from all. In the end no such exchange makes the set better
+    by more than rounding noise.
     """
     pool = np.arange(coverage.n_poses) if pool is None else pool
     poses, value = chosen.copy(), coverage.value(chosen)
@@ -302,27 +241,12 @@ def swap(coverage: Coverage, chosen: IntArray, pool: IntArray | None = None) -> 
 
 
 def swap_gains(coverage: Coverage, chosen: IntArray, pool: IntArray) -> FloatArray:
-    """What every exchange of one pose for another brings.
+    """What every exchange of one pose for another brings, (n_pool, n_units).
 
-    Parameters
-    ----------
-    coverage : Coverage
-        What to choose from.
-    chosen : (n_units,) int
-        At least one pose.
-    pool : (n,) int
-        Poses that may come in.
-
-    Returns
-    -------
-    gain : (n, n_units) float
-        Of pool pose i in the place of chosen pose j, in the arithmetic of the values; feasible or
-        not.
-
-    Notes
-    -----
-    A row that loses its best pose falls back to its second best: one matrix product sorts these
-    losses by the pose that is lost (as in the fast interchange of Whitaker 1983).
+    Entry i, j is the gain of pool pose i in the place of chosen pose j, in the arithmetic of the
+    values, whether the exchange is feasible or not. A row that loses its best pose falls back to
+    its second best: one matrix product sorts these losses by the pose that is lost (as in the fast
+    interchange of Whitaker 1983).
     """
     values, floor = coverage.values, coverage.floor
     mine = values[chosen]
@@ -349,23 +273,10 @@ def swap_gains(coverage: Coverage, chosen: IntArray, pool: IntArray) -> FloatArr
 def round_shares(
     coverage: Coverage, poses: IntArray, shares: FloatArray, pool: IntArray | None = None
 ) -> IntArray:
-    """Make a feasible set of a relaxed solution.
+    """Make a feasible set of a relaxed solution that has `poses` in `shares`, 0..1.
 
-    Parameters
-    ----------
-    coverage : Coverage
-        What to choose from.
-    poses : (n,) int
-        Those with a share.
-    shares : (n,) float
-        x, 0..1.
-    pool : (m,) int, optional
-        Poses that may come in by exchange; by default `poses`.
-
-    Returns
-    -------
-    chosen : (n_units,) int
-        Largest shares first as long as they fit, then filled up greedily, then exchanged.
+    The largest shares come first as long as they fit; then the set is filled up greedily, and poses
+    are exchanged for others of `pool`, by default of `poses`.
     """
     chosen = np.empty(0, dtype=np.int64)
     for pose in poses[np.argsort(-shares, kind="stable")]:
@@ -396,25 +307,8 @@ def search_around(
 ) -> IntArray:
     """Leave a local best: throw out some poses, fill up with others, exchange; keep the best.
 
-    Parameters
-    ----------
-    coverage : Coverage
-        What to choose from.
-    chosen : (n_units,) int
-        A feasible set.
-    pool : (n,) int
-        Poses that may come in.
-    n_restarts : int
-        How often.
-    seed : int
-        Of what is thrown out and comes in.
-    preference : (n,) float, optional
-        How likely each pose of the pool is to come in, such as its share in a relaxed solution.
-
-    Returns
-    -------
-    best : (n_units,) int
-        At least as good as `chosen`.
+    `preference`, (n_pool,), says how likely each pose of the pool is to come in, such as its share
+    in a relaxed solution. The result is at least as good as `chosen`.
     """
     random = np.random.default_rng(seed)
     best, value = swap(coverage, chosen, pool), 0.0

@@ -205,20 +205,10 @@ def is_allowed(limits: Limits, pose_index: Sequence[int] | IntArray) -> bool:
 
 
 def fitting(limits: Limits, units: IntArray) -> BoolArray:
-    """Which poses can join a set, (n_poses,).
+    """Which poses can join a set that is within the limits but for what is forced and to come.
 
-    Parameters
-    ----------
-    limits : Limits
-        What may be mounted together.
-    units : (n,) int
-        Chosen already, within the limits but for what is forced and still to come.
-
-    Returns
-    -------
-    fits : (n_poses,) bool
-        Room and money for what is forced are kept back. With rival sites or few places that need
-        not suffice to complete every set: check the end with :func:`is_allowed`.
+    Room and money for what is forced are kept back. With rival sites or few places that need not
+    suffice to complete every set: check the end with :func:`is_allowed`.
     """
     sites = limits.site_index
     at_site = np.bincount(sites[units], minlength=limits.n_sites)

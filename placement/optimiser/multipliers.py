@@ -76,38 +76,15 @@ def tighten(
     patience: int = 15,
     workers: int = 1,
 ) -> Tightened:
-    """Lower the bound by subgradient steps.
+    """Lower the bound by subgradient steps that begin at `multipliers`, (n_rows,).
 
-    Parameters
-    ----------
-    coverage : Coverage
-        What to choose from.
-    multipliers : (n_rows,) float
-        Where to begin.
-    target : float
-        What the bound is after, such as the value of the best known set.
-    n_steps : int
-        At most.
-    stop_below : float
-        A bound below it is good enough.
-    first_length : float
-        Share of the way to the target that the first step aims at: little where the multipliers
-        are nearly right.
-    patience : int
-        Steps without a better bound before steps are cut.
-    workers : int
-        Threads.
+    The steps aim at `target`, such as the value of the best known set; the first one takes the
+    share `first_length` of the way, which should be small where the multipliers are nearly right.
+    They end below `stop_below`, and are cut after `patience` steps without a better bound.
 
-    Returns
-    -------
-    tightened : Tightened
-        Its bound is no higher than that of `multipliers`.
-
-    Notes
-    -----
-    Steps of Polyak (1969) towards the target, along subgradients of which a share is carried
-    over (Camerini, Fratta, Maffioli 1975); back to the best point with a shorter step when nothing
-    gets better. Averages of the picked sets tend to a relaxed solution (Barahona, Anbil 2000).
+    Steps of Polyak (1969) towards the target, along subgradients of which a share is carried over
+    (Camerini, Fratta, Maffioli 1975); back to the best point with a shorter step when nothing gets
+    better. Averages of the picked sets tend to a relaxed solution (Barahona, Anbil 2000).
     """
     best = bound = prove(coverage, multipliers, workers=workers)
     shares = np.zeros(coverage.n_poses)
@@ -187,32 +164,11 @@ def generate_columns(
 ) -> Columns:
     """Bound all poses by working with few: price the others, add those that are too good.
 
-    Parameters
-    ----------
-    coverage : Coverage
-        What to choose from; up to hundreds of thousands of poses.
-    incumbent : (n_units,) int
-        A good set.
-    multipliers : (n_rows,) float, optional
-        To begin with, such as those for one unit less.
-    improve : callable, optional
-        Called with the pool and its multipliers once few poses are left to join.
-    sizes : PoolSizes, optional
-        Of the pool.
-    tolerance : float
-        Relative: stop when a round brings less and no pose outside the pool is too good.
-    end_s : float
-        Begin no round after it, by ``time.monotonic``. [s]
-    workers : int
-        Threads.
+    `incumbent` is a good set, and `multipliers`, (n_rows,), are those to begin with. `improve` is
+    called with the pool and its multipliers once few poses are left to join. The rounds end when
+    one brings less than the relative `tolerance` and no pose outside the pool is too good, or when
+    `end_s` has passed on the monotonic clock.
 
-    Returns
-    -------
-    columns : Columns
-        The best bound over all poses of any round.
-
-    Notes
-    -----
     Multipliers that suit a poor pool too well are worth nothing outside it: few steps while many
     poses still join, more in the end. Where new multipliers are no better for all poses than the
     best so far, points between the two are tried (in-out separation, Ben-Ameur, Neto 2007).

@@ -208,37 +208,24 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
 def is_dominated(words: WordArray, limits: Limits, *, max_units: int) -> BoolArray:
     """Poses without which some best set remains, whatever the stage.
 
-    Parameters
-    ----------
-    words : (n_poses, n_words) uint64
-        What each pose sees.
-    limits : Limits
-        On these poses.
-    max_units : int
-        No set has more units.
+    `words`, (n_poses, n_words): what each pose sees. `max_units`: no set has more units. Returns
+    (n_poses,): may be dropped, all together.
 
-    Returns
-    -------
-    is_dominated : (n_poses,) bool
-        May be dropped, all together.
-
-    Notes
-    -----
-    Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that
-    c is not: at the same site its price decides; elsewhere its site may have to be paid, too,
-    and neither site may have rivals or be asked for. Among equal poses the earlier one
-    dominates. Every stage is monotone in what each unit sees: where d can take the place of c, no
-    value gets worse. So c may go if in every feasible set S with c one of its dominators is
-    outside S and finds room. Who wants to prevent that has the other K - 1 units of S to
+    Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that c
+    is not: at the same site its price decides; elsewhere its site may have to be paid, too, and
+    neither site may have rivals or be asked for. Among equal poses the earlier one dominates. Every
+    stage is monotone in what each unit sees: where d can take the place of c, no value gets worse.
+    So c may go if in every feasible set S with c one of its dominators is outside S and finds room.
+    Who wants to prevent that has the other K - 1 units of S to
 
     * fill a site, or choose all the dominators that stand there: min(capacity, dominators)
       units at least;
     * at the site of c, which has room once c is gone: choose all dominators there, beside c;
       this fails if there are as many of them as the site's capacity.
 
-    If that takes more than K - 1 units, c may go. Dominators that are dropped themselves count:
-    the replacement is replaced in turn, each time by a pose earlier in one fixed order (more
-    seen, cheaper, index), which ends.
+    If that takes more than K - 1 units, c may go. Dominators that are dropped themselves count: the
+    replacement is replaced in turn, each time by a pose earlier in one fixed order (more seen,
+    cheaper, index), which ends.
     """
     count = np.bitwise_count(words).sum(axis=1, dtype=np.int64)
     order = np.lexsort((limits.unit_cost_eur, -count))

@@ -22,7 +22,7 @@ from ..detection_table import DetectionTable
 from .limits import Limits, cost_eur, is_allowed
 from .objectives import TOLERANCE, VALUE_OBJECTIVES, Goal, Objective, objectives_in_order
 
-# ---------- how much is avoided
+# ---------- the accident prevention ratio
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -93,21 +93,10 @@ class Measure:
 def build_measure(
     weight: FloatArray, sample_index: ArrayLike | None = None, *, tail: float = 1.0
 ) -> Measure:
-    """Measure of runs with weights.
+    """Measure of runs with weights, (n_runs,), and the sampled world of each, 0, 1, ..
 
-    Parameters
-    ----------
-    weight : (n_runs,) float
-        Of the runs.
-    sample_index : (n_runs,) int, optional
-        Sampled world of each run, 0, 1, ..; by default there is one.
-    tail : float
-        See :class:`Measure`.
-
-    Raises
-    ------
-    InputError
-        The tail is not in 0 < tail <= 1, or the samples are not numbered 0, 1, .. with weight.
+    By default there is one world. Raises InputError if the tail is not in 0 < tail <= 1, or the
+    samples are not numbered 0, 1, .. with weight.
     """
     if not 0.0 < tail <= 1.0:
         raise InputError("tail", tail, "a share of the samples, 0 < share <= 1")
@@ -126,7 +115,7 @@ def build_measure(
     )
 
 
-# ---------- the placement problem on a detection table, and what a set of poses is worth in it
+# ---------- the problem and the value of a set
 
 
 Fusion = Literal["any", "single"]
@@ -399,7 +388,7 @@ def is_better(value: PlacementValue, other: PlacementValue) -> bool:
     return False
 
 
-# ---------- what a set of poses must reach: floors, and the stages that are settled already
+# ---------- requirements
 
 
 _TIME_TOLERANCE_S = 1.0e-9

@@ -14,6 +14,7 @@ steps and a sweep over K like. What OSQP returns proves nothing by itself: its m
 """
 
 from dataclasses import dataclass
+from importlib.metadata import version
 
 import numpy as np
 import osqp
@@ -62,14 +63,9 @@ class Relaxation:
     """The relaxation on some poses, set up and factorised once, solved for one K after another."""
 
     def __init__(self, coverage: Coverage, *, tolerance: float = _TOLERANCE) -> None:
-        """Set up.
+        """Set up for some thousand poses at most: the factor grows with their square.
 
-        Parameters
-        ----------
-        coverage : Coverage
-            Some thousand poses at most: the factor of the matrix grows with their square.
-        tolerance : float
-            Of OSQP, absolute and relative, when the largest step of a level is 1.
+        `tolerance` is that of OSQP, absolute and relative, when the largest step of a level is 1.
         """
         self._coverage = coverage
         self._levels = _Levels(coverage)
@@ -120,15 +116,7 @@ class Relaxation:
         )
 
     def start_at(self, shares: FloatArray, bound: Bound) -> None:
-        """Let the next solution begin where other steps have come to.
-
-        Parameters
-        ----------
-        shares : (n_poses,) float
-            x, roughly.
-        bound : Bound
-            Of multipliers for the same poses.
-        """
+        """Let the next solution begin at rough shares x, (n_poses,), and a bound's multipliers."""
         levels = self._levels
         earned = levels.earned(bound.multipliers.astype(np.float64))
         least = bound.worth[bound.pick.poses].min(initial=np.inf)
@@ -145,17 +133,7 @@ class Relaxation:
     def solve(self, max_units: int, *, max_steps: int = 500) -> Relaxed:
         """Solve for a number of units, from where the last solution stands.
 
-        Parameters
-        ----------
-        max_units : int
-            K.
-        max_steps : int
-            Of OSQP.
-
-        Returns
-        -------
-        relaxed : Relaxed
-            The bound holds whether OSQP has converged or not.
+        The bound holds whether OSQP has converged within `max_steps` or not.
         """
         levels, n_poses = self._levels, self._coverage.n_poses
         self._upper[len(levels.step)] = max_units
@@ -188,34 +166,18 @@ def polish(
     n_steps: int = 300,
     max_values: int = 100_000,
 ) -> Tightened:
-    """Take multipliers that are nearly right to those of the LP relaxation.
+    """Take multipliers that are nearly right to those of the LP relaxation; the bound never rises.
 
-    Parameters
-    ----------
-    coverage : Coverage
-        Some thousand poses.
-    tightened : Tightened
-        Multipliers for them, and a relaxed solution, roughly.
-    n_core : int
-        OSQP is given so many of the worthiest, and those that prove to be too good later.
-    n_rounds, n_steps : int
-        How often, and steps of OSQP each time.
-    max_values : int
-        Fewer poses if they have more values above zero: OSQP's factor grows with them.
-
-    Returns
-    -------
-    tightened : Tightened
-        Its bound is no higher.
-
-    Notes
-    -----
-    Multipliers that suit the core are wrong for the others: the best point on the way to them is
-    taken (the bound is convex), and what is too good at their end joins the core: in-out
-    separation (Ben-Ameur, Neto 2007).
+    OSQP is given the `n_core` worthiest of some thousand poses, fewer if these have more than
+    `max_values` values above zero, since its factor grows with them. Multipliers that suit the core
+    are wrong for the other poses: the best point on the way to them is taken (the bound is convex),
+    and poses that are too good at their end join the core: in-out separation (Ben-Ameur, Neto
+    2007).
     """
     best, shares = tightened.bound, tightened.shares
-    row_share = float((coverage.values[::7] > coverage.floor).mean()) if coverage.n_poses else 0.0
+    if not coverage.values.size:
+        return tightened
+    row_share = float((coverage.values[::7] > coverage.floor).mean())
     n_core = min(n_core, int(max_values / max(row_share * coverage.n_rows, 1.0)))
     core = np.union1d(worthiest(best.worth, n_core), np.flatnonzero(shares > _SMALL_SHARE))
     for _ in range(n_rounds):
@@ -237,6 +199,11 @@ def polish(
         for bound in (best, on_the_way[-1]):
             core = np.union1d(core, worthiest(bound.worth, n_core // 4))
     return Tightened(bound=best, shares=shares)
+
+
+def relaxation_text() -> str:
+    """What the bounds rest on, for a certificate."""
+    return f"Lagrangian relaxation with OSQP {version('osqp')}"
 
 
 class _Levels:

@@ -18,7 +18,7 @@ from .objectives import TOLERANCE, VALUE_OBJECTIVES, Objective
 from .presolve import ReducedProblem, WordArray
 from .problem import PlacementValue, Requirement
 
-# ---------- cuts: inequalities in x alone that every acceptable set of poses meets
+# ---------- cuts
 
 
 Fails = Callable[[WordArray], BoolArray]
@@ -121,24 +121,14 @@ def _cut(reduced: ReducedProblem, union: WordArray, fails: Fails, *, n_units: in
     return Cut(is_counted=outside, n_units=n_units)
 
 
-# ---------- the best set found so far, and the loop of models and cuts that looks for better ones
+# ---------- the search
 
 
 _SOLVER_TOLERANCE = 1.0e-6  # rows, whole numbers and gaps are met up to this
 
 
 class Search:
-    """Best set of poses so far, and what the proofs rest on.
-
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        What to choose from.
-    end_s : float
-        When to stop, on the monotonic clock. [s]
-    uses_models : bool
-        Whether mixed-integer models may be solved.
-    """
+    """Best set of poses so far, and what the proofs rest on; it stops at `end_s`."""
 
     def __init__(
         self,

@@ -22,6 +22,7 @@ from .milp import Effort
 from .objectives import Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import PlacementProblem, objective_values
+from .relaxation import relaxation_text
 from .search import Search
 from .stages import Stages
 
@@ -168,7 +169,8 @@ def _solve_large(
         pose_index=tuple(int(pool[pose]) for pose in found.pose_index),
         certificate=Certificate(
             stages=tuple(stages),
-            solver=f"Lagrangian relaxation of all {n_poses} poses, search among {len(pool)}",
+            solver=f"{relaxation_text()}: relaxation of all {n_poses} poses, search among "
+            f"{len(pool)}",
         ),
         presolve=replace(found.presolve, n_poses=(n_poses, found.presolve.n_poses[1])),
     )

@@ -17,12 +17,17 @@ from .multipliers import first_multipliers, tighten
 from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import ReducedProblem
 from .problem import PlacementProblem, Requirement
+from .relaxation import polish, relaxation_text
 from .search import Search, settle
+from .window_cover import WindowCover, find_window_cover, timely_windows
 
 _MAX_TRIPLES = 3e8
 _MAX_SETS_BEST_OF = 2_000_000  # that are evaluated one by one
 _BLOCK_SETS = 1 << 14
 _STEPS = 400
+_WORKERS = 2
+_COVER_SHARE = 0.5  # of the time left
+_WHOLE_GAP = 0.999  # a limit above a whole number by less proves that number
 
 
 def build_coverage(reduced: ReducedProblem, worth: Objective) -> Coverage:
@@ -67,19 +72,72 @@ def build_coverage(reduced: ReducedProblem, worth: Objective) -> Coverage:
 
 
 def relaxed_limit(reduced: ReducedProblem, worth: Objective, *, n_steps: int = _STEPS) -> float:
-    """No set within the limits is worth more: from Lagrangian multipliers."""
+    """No set within the limits is worth more: from Lagrangian multipliers, polished by OSQP."""
     coverage = build_coverage(reduced, worth)
     if coverage.supply.max_units == 0 or not coverage.n_rows:
         return float(coverage.floor.sum(dtype=np.float64))
     start = lazy_greedy(coverage)
     chosen = swap(coverage, start)
     target = coverage.value(chosen)
-    bound = tighten(
+    tightened = tighten(
         coverage, first_multipliers(coverage, chosen), target=target, n_steps=n_steps
-    ).bound
+    )
+    bound = polish(coverage, tightened).bound
     # All poses together are a limit, too.
     everything = float(np.maximum(coverage.values.max(axis=0), coverage.floor).sum())
     return min(bound.limit, everything)
+
+
+def can_cover(problem: PlacementProblem, reduced: ReducedProblem) -> bool:
+    """Whether the windows of a problem can be covered: see :func:`cover_windows`."""
+    is_any = problem.fusion == "any" and reduced.measure.is_mean
+    return is_any and len(reduced.weight) > 0 and not reduced.limits.is_forced.any()
+
+
+def cover_windows(
+    problem: PlacementProblem,
+    reduced: ReducedProblem,
+    worth: Objective,
+    *,
+    time_limit_s: float,
+    branches: bool,
+) -> tuple[WindowCover, float]:
+    """A set of poses of the reduced problem that is worth much, and a limit that none exceeds.
+
+    Limits of units, sites and money hold; wishes and rivals are left out, which only makes the
+    limit higher. Without branches only relaxations bound it.
+    """
+    windows = timely_windows(problem.table.axis, problem.rule)
+    weight = problem.table.axis.weight[windows.run_index, None]
+    in_time = np.arange(windows.margin_s.shape[1]) < windows.n_windows[:, None]
+    # Runs of equal weight count 1: no rounding, and limits may be rounded down to whole numbers.
+    unit = float(weight.min())
+    amount, gap = weight / unit, 0.0
+    is_whole = worth is Objective.APR and bool((np.abs(amount - amount.round()) < 1.0e-9).all())
+    if is_whole:
+        amount = amount.round()
+        gap = _WHOLE_GAP / float(amount.sum())
+    elif worth is Objective.MEAN_MARGIN:
+        amount = amount * np.maximum(windows.margin_s, 0.0)
+    limits = reduced.limits
+    cover = find_window_cover(
+        problem.table.packed[reduced.pose_index],
+        windows,
+        np.where(in_time, amount, 0.0),
+        Supply(
+            max_units=limits.max_units,
+            site_index=limits.site_index,
+            site_capacity=limits.site_capacity,
+            unit_cost_eur=limits.unit_cost_eur,
+            site_cost_eur=limits.site_cost_eur,
+            budget_eur=np.inf if limits.budget_eur is None else limits.budget_eur,
+        ),
+        gap=gap,
+        time_limit_s=time_limit_s,
+        branches=branches,
+        workers=_WORKERS,
+    )
+    return cover, unit * (np.floor(cover.limit + 1.0 - _WHOLE_GAP) if is_whole else cover.limit)
 
 
 def can_enumerate(reduced: ReducedProblem, n_units: int) -> bool:
@@ -123,7 +181,7 @@ def _worth(reduced: ReducedProblem, worth: Objective, sets: IntArray) -> FloatAr
     return total
 
 
-# ---------- the objectives one by one: better sets, and how much better one could be
+# ---------- stages
 
 
 _SETS_PER_SECOND = 30_000  # enumeration; measured: two to three times as many
@@ -198,7 +256,8 @@ class Stages:
             if self._is_complete() or self._beats_all_promises(Objective.APR, search.value.apr):
                 self.apr_limit = search.value.apr
             else:
-                self.apr_limit = min(self.apr_limit, self._promised(Objective.APR))
+                promised = self._promised(Objective.APR)
+                self.apr_limit = settle(search.value.apr, promised, self.apr_limit)
                 if not self._is_settled(search.value.apr, self.apr_limit):
                     bound = search.look_for(Objective.APR, self.held)
                     self.apr_limit = settle(search.value.apr, bound, self.apr_limit)
@@ -286,8 +345,28 @@ class Stages:
             worth is Objective.APR and not reduced.measure.is_mean
         ):
             return np.inf
+        if can_cover(self.problem, reduced) and self.search.left_s() > 0.0:
+            return self._covered(reduced, worth)
         limit = relaxed_limit(reduced, worth)
-        self.search.proofs["Lagrangian relaxation"] = None
+        self.search.proofs[relaxation_text()] = None
+        return limit
+
+    def _covered(self, reduced: ReducedProblem, worth: Objective) -> float:
+        """What no set can be worth more than, on the windows; a better set on the way is kept."""
+        search = self.search
+        branches = worth is Objective.APR and search.uses_models
+        cover, limit = cover_windows(
+            self.problem,
+            reduced,
+            worth,
+            time_limit_s=_COVER_SHARE * search.left_s(),
+            branches=branches,
+        )
+        search.proofs[relaxation_text()] = None
+        if cover.n_nodes:
+            search.proofs["branch and bound"] = None
+        if worth is Objective.APR and reduced is search.reduced:
+            search.offer(cover.poses)
         return limit
 
     def _beats_all_promises(self, worth: Objective, value: float) -> bool:
@@ -362,7 +441,11 @@ class Stages:
                 is_forced_site=np.zeros_like(reduced.limits.is_forced_site),
             ),
         )
-        limit = settle(self._left(n_failures), search.look_for(Objective.APR, (), fewer), limit)
+        if can_cover(self.problem, fewer) and search.left_s() > 0.0:
+            limit = settle(self._left(n_failures), self._covered(fewer, Objective.APR), limit)
+        if not self._is_settled(self._left(n_failures), limit):
+            bound = search.look_for(Objective.APR, (), fewer)
+            limit = settle(self._left(n_failures), bound, limit)
         step = 2.0 * TOLERANCE
         all_runs = reduced.measure.limit
         if limit >= all_runs - TOLERANCE > self._left(n_failures) and reduced.measure.is_mean:

@@ -1,4 +1,4 @@
-"""From packed bits to a set with a proven gap, where units confirm together: fusion "any".
+"""Best sets where units confirm runs together (fusion "any"), with a proof: OSQP, then branching.
 
 A run is confirmed in the first window whose frames the chosen poses see between them. That is
 no best-of coverage, but lies below one for every choice of one frame per window: the first window
@@ -6,10 +6,14 @@ of which some chosen pose sees *that* frame is no later. The choice is free, run
 by window, and the bound is as good as the choice. It starts with the first frame of each window,
 where a VRU that comes into sight stays in sight; then each window is asked for the frame that the
 relaxed solution sees least, which is what the set pays for missed detections and gaps.
+
+The values of the poses are read straight from the bits of a detection table, which may have
+hundreds of thousands of poses.
 """
 
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,27 +21,18 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from geometry.arrays import FloatArray, IntArray
+from scenarios.aeb import AebRule, is_in_time
+from scenarios.runs import FrameAxis
 
-from .best_cover import choose_greedily, search_near
-from .bounds import (
-    Coverage,
-    Supply,
-    ValueArray,
-    can_matter,
-    prove,
-)
+from .bounds import Coverage, Supply, ValueArray, can_matter, gains, prove
 from .branch_and_bound import branch_and_bound
-from .greedy import round_shares
-from .large import TimelyWindows, first_seen_values, hardest_frames
-from .multipliers import (
-    Columns,
-    Tightened,
-    generate_columns,
-    tighten,
-    worthiest,
-)
+from .greedy import lazy_greedy, round_shares, search_around
+from .multipliers import Columns, Tightened, generate_columns, tighten, worthiest
+from .presolve import WordArray
 from .relaxation import polish
 
+_BLOCK_WORDS = 1 << 18  # 2 MB: what is worked on stays in the cache
+_SHARE_DIGITS = 3  # shares that differ by less are equal
 _POOL_POSES = 5000
 _EXCHANGE_POSES = 1000
 _N_ROUNDS = 6
@@ -49,6 +44,199 @@ _LEAST_GAIN = 1.0e-9
 _SETTLED = 2.0e-4  # relative
 _SMALL_SHARE = 1.0e-3
 _MAX_BRANCH_VALUES = 1 << 26
+_LOCAL_POSES = 2000  # that exchanges choose from
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TimelyWindows:
+    """Windows of consecutive frames that end in time, for runs where there are any.
+
+    Attributes
+    ----------
+    run_index : (n_rows,) int
+        Runs of the axis with weight and at least one such window.
+    first_frame : (n_rows,) int
+        Frame of the axis at which the run's first window begins.
+    n_windows : (n_rows,) int
+        Windows of each run; window k begins at first_frame + k.
+    margin_s : (n_rows, largest n_windows + 1) float
+        Margin if window k is the first one seen; 0 from k = n_windows on: none. [s]
+    n_confirmations : int
+        Frames of a window.
+    """
+
+    run_index: IntArray
+    first_frame: IntArray
+    n_windows: IntArray
+    margin_s: FloatArray
+    n_confirmations: int
+
+
+def timely_windows(axis: FrameAxis, rule: AebRule) -> TimelyWindows:
+    """Find the windows of a frame axis that end in time."""
+    run = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
+    last_brake_s = axis.last_brake_time_s[run]
+    position = np.arange(axis.n_frames) - axis.run_start[run]
+    counts = (
+        (position >= rule.n_confirmations - 1)
+        & is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s)
+        & (axis.weight[run] > 0.0)
+    )
+    ends = np.flatnonzero(counts)
+    run_index, first, n_windows = np.unique(run[ends], return_index=True, return_counts=True)
+    margin_s = np.zeros((len(run_index), n_windows.max(initial=0) + 1))
+    row = np.repeat(np.arange(len(run_index)), n_windows)
+    margin_s[row, np.arange(len(ends)) - first[row]] = last_brake_s[ends] - (
+        axis.time_s[ends] + rule.latency_s
+    )
+    return TimelyWindows(
+        run_index=run_index,
+        first_frame=ends[first] - (rule.n_confirmations - 1),
+        n_windows=n_windows,
+        margin_s=margin_s,
+        n_confirmations=rule.n_confirmations,
+    )
+
+
+def first_seen_index(
+    packed: NDArray[np.uint8],
+    windows: TimelyWindows,
+    *,
+    frames: slice | IntArray,
+    workers: int = 1,
+) -> NDArray[np.uint16]:
+    """First window of each run of which each pose sees certain frames, (n_poses, n_rows).
+
+    It is the window's number within the run, and n_windows of the run if there is none. `packed`
+    has V[c, f], the lowest bit first. `frames` says which frames of a window count. A slice stands
+    for the same frames of every window, all of which are needed: ``slice(0, 1)`` is the first one,
+    ``slice(None)`` all of them. An array has one frame for each window, see :func:`hardest_frames`.
+
+    Raises ValueError if no frame counts, or one that no window has.
+    """
+    index = np.empty((len(packed), len(windows.run_index)), dtype=np.uint16)
+
+    def keep(rows: slice, found: IntArray) -> None:
+        index[rows] = found.T
+
+    _go_through(packed, windows, frames, keep, workers)
+    return index
+
+
+def first_seen_values(
+    packed: NDArray[np.uint8],
+    windows: TimelyWindows,
+    worth: FloatArray,
+    *,
+    frames: slice | IntArray,
+    out: NDArray[np.float32] | None = None,
+    workers: int = 1,
+) -> NDArray[np.float32]:
+    """What each pose alone is worth in each run, v[c, r] rounded up, (n_poses, n_rows).
+
+    `worth`, (n_rows, largest n_windows + 1), is that of a run if window k is the first one seen,
+    such as weight times margin; it must not grow with k, and its entry at n_windows is for runs
+    that are not seen. For the other arguments and errors see :func:`first_seen_index`.
+
+    With all frames the values are exact where one unit must confirm alone. With one frame of each
+    window the largest of the values of the chosen poses is a limit of what they reach together,
+    whoever sees the frames: where a window is seen as a whole, one of them sees that frame of it.
+    """
+    if worth.shape != windows.margin_s.shape:
+        raise ValueError(f"worth: got {worth.shape}; expected {windows.margin_s.shape}")
+    values = np.empty((len(packed), len(worth)), dtype=np.float32) if out is None else out
+    table = worth.astype(np.float32)
+    is_less = table < worth  # rounded up instead: a limit stays one
+    table[is_less] = np.nextafter(table[is_less], np.float32(np.inf))
+    start = (np.arange(len(worth)) * worth.shape[1])[:, None]
+
+    def keep(rows: slice, found: IntArray) -> None:
+        values[rows] = table.ravel()[start + found].T
+
+    _go_through(packed, windows, frames, keep, workers)
+    return values
+
+
+def hardest_frames(seen_share: FloatArray, windows: TimelyWindows) -> IntArray:
+    """Of each window the frame that is seen least, for :func:`first_seen_values`.
+
+    `seen_share`, (n_frames,), is how much of each frame a relaxed solution sees, 0..1. Whichever
+    frame of a window is asked for, values are limits. To ask for the one that is seen least
+    promises least: for a set it finds exactly the windows that it sees as a whole.
+    """
+    window = np.minimum(np.arange(windows.margin_s.shape[1] - 1), windows.n_windows[:, None] - 1)
+    frame = windows.first_frame[:, None] + window
+    shares = [seen_share[frame + offset] for offset in range(windows.n_confirmations)]
+    frames: IntArray = np.argmin(np.round(np.stack(shares), _SHARE_DIGITS), axis=0)
+    return frames
+
+
+def _go_through(
+    packed: NDArray[np.uint8],
+    windows: TimelyWindows,
+    frames: slice | IntArray,
+    keep: Callable[[slice, IntArray], None],
+    workers: int,
+) -> None:
+    """Call `keep` with the indices, (n_rows, n_poses), of a few poses at a time."""
+    every = range(windows.n_confirmations)
+    if isinstance(frames, slice):
+        is_possible = len(every[frames]) > 0
+    else:
+        shape = (len(windows.run_index), windows.margin_s.shape[1] - 1)
+        is_possible = frames.shape == shape and bool(np.isin(frames, every).all())
+    if not is_possible:
+        raise ValueError(f"frames: got {frames}; expected some of {windows.n_confirmations}")
+    n_poses = max(64, _BLOCK_WORDS // max(1, len(windows.run_index)))
+
+    def work(start: int) -> None:
+        rows = slice(start, start + n_poses)
+        keep(rows, _first_seen(_by_word(packed[rows]), windows, frames))
+
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(work, range(0, len(packed), n_poses)))
+
+
+def _by_word(packed: NDArray[np.uint8]) -> WordArray:
+    """Words of 64 frames, an empty one at the end: (n_words + 1, n_poses) uint64."""
+    n_words = -(-packed.shape[1] // 8)
+    padded = np.zeros((len(packed), 8 * (n_words + 1)), dtype=np.uint8)
+    padded[:, : packed.shape[1]] = packed
+    return np.ascontiguousarray(padded.view("<u8").T)
+
+
+def _first_seen(words: WordArray, windows: TimelyWindows, frames: slice | IntArray) -> IntArray:
+    """Index of the first window of each run, (n_rows, n_poses)."""
+    index = np.repeat(windows.n_windows[:, None], words.shape[1], axis=1)
+    n_rounds = -(-int(windows.n_windows.max(initial=0)) // 64)
+    for first_window in range(64 * (n_rounds - 1), -1, -64):
+        longer = np.flatnonzero(windows.n_windows > first_window)
+        begin = windows.first_frame[longer] + first_window
+        if isinstance(frames, slice):
+            offsets = range(windows.n_confirmations)[frames]
+            seen = _words_from(words, begin + offsets[0])
+            for offset in offsets[1:]:
+                seen &= _words_from(words, begin + offset)
+        else:
+            asked = frames[longer, first_window : first_window + 64]
+            seen = np.zeros((len(longer), words.shape[1]), dtype=np.uint64)
+            for offset in range(windows.n_confirmations):
+                of_window = _by_word(np.packbits(asked == offset, axis=1, bitorder="little"))[0]
+                seen |= _words_from(words, begin + offset) & of_window[:, None]
+        n_left = np.minimum(windows.n_windows[longer] - first_window, 64).astype(np.uint64)
+        seen &= (~np.uint64(0) >> (np.uint64(64) - n_left))[:, None]
+        lowest = np.bitwise_count(~seen & (seen - np.uint64(1)))  # 64 if no bit is set
+        index[longer] = np.where(lowest < 64, first_window + lowest.astype(np.int64), index[longer])
+    return index
+
+
+def _words_from(words: WordArray, first_frame: IntArray) -> WordArray:
+    """The 64 frames from some frame on, a row for each: (n, n_poses) uint64."""
+    word, bit = np.divmod(first_frame, 64)
+    bit = bit.astype(np.uint64)[:, None]
+    # numpy shifts everything out where the shift is 64.
+    result: WordArray = (words[word] >> bit) | (words[word + 1] << (np.uint64(64) - bit))
+    return result
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,37 +344,17 @@ def find_window_cover(
     *,
     gap: float = 0.0,
     time_limit_s: float = 300.0,
+    branches: bool = True,
     seed: int = 0,
     workers: int = 1,
     on_step: Callable[[str], None] | None = None,
 ) -> WindowCover:
-    """Find a set that is proven to be within a gap of the best.
+    """Find a set that is proven to be within a relative gap of the best, if time suffices.
 
-    Parameters
-    ----------
-    packed : (n_poses, n_bytes) uint8
-        V[c, f], lowest bit first.
-    windows : TimelyWindows
-        Of the same frames.
-    worth : (n_rows, largest n_windows + 1) float
-        Of each run if window k is the first one seen; must not grow with k.
-    supply : Supply
-        Which sets are feasible.
-    gap : float
-        Good enough, as a share of the value.
-    time_limit_s : float
-        The step under way is finished, then what is proven is returned. [s]
-    seed : int
-        Of restarts.
-    workers : int
-        Threads.
-    on_step : callable, optional
-        Called with the name of every step when it begins.
-
-    Returns
-    -------
-    cover : WindowCover
-        The gap it reached may be larger than what was asked for.
+    `packed` has V[c, f], the lowest bit first. `worth`, (n_rows, largest n_windows + 1), is that of
+    each run if window k is the first one seen, and must not grow with k. When the time is up, the
+    step under way is finished; then the best set and what is proven are returned. Without
+    `branches`, only relaxations bound the set. `seed` is that of the restarts.
     """
     began_s = time.monotonic()
     end_s, report = began_s + time_limit_s, on_step or _ignore
@@ -235,7 +403,7 @@ def find_window_cover(
                 )
             report("exchange")
             _look_longer(state, coverage, root, gap, seed, end_s)
-        if limit > state.value * (1.0 + gap) and time.monotonic() < end_s:
+        if branches and limit > state.value * (1.0 + gap) and time.monotonic() < end_s:
             report("branch")
             limit, n_nodes = _branch(state, coverage, root, gap, end_s, workers)
     return WindowCover(
@@ -363,6 +531,38 @@ def _branch(
     )
     state.best, state.value = left[search.poses], search.value
     return min(root.limit, max(search.limit, enough)), search.n_nodes
+
+
+def choose_greedily(coverage: Coverage, *, workers: int = 1) -> IntArray:
+    """Greedy by gain; where money is short, the better of that and of greedy by gain per euro."""
+    worth = gains(coverage.values, coverage.floor, workers=workers)
+    chosen = lazy_greedy(coverage, worth=worth)
+    if np.isfinite(coverage.supply.budget_eur):
+        per_euro = lazy_greedy(coverage, worth=worth, per_euro=True)
+        chosen = max((chosen, per_euro), key=coverage.value)
+    return chosen
+
+
+def search_near(
+    coverage: Coverage,
+    columns: Columns,
+    best: IntArray,
+    *,
+    n_restarts: int,
+    seed: int = 0,
+) -> IntArray:
+    """Round the relaxed solution, exchange, and leave local bests again and again."""
+    pool = np.union1d(best, worthiest(columns.bound.worth, _LOCAL_POSES))
+    pool = np.union1d(pool, columns.pool[columns.shares > 0.0])
+    shares = np.zeros(len(pool))
+    known = np.isin(columns.pool, pool)
+    shares[np.searchsorted(pool, columns.pool[known])] = columns.shares[known]
+    part = coverage.of_poses(pool)
+    every = np.arange(len(pool))
+    rounded = round_shares(part, every, shares)
+    start = max((np.searchsorted(pool, best), rounded), key=part.value)
+    found = search_around(part, start, every, n_restarts=n_restarts, seed=seed)
+    return pool[found]
 
 
 def _ignore(step: str) -> None:

@@ -15,11 +15,11 @@ from scenarios.runs import FrameAxis, confirmation_times_s
 from ..detection_table import DetectionTable, pack_table
 from ..detectors import load_min_iou
 from ..evaluation import Verdict
-from .files import Label, RecordingFormat, load_format
-from .read import Drive, Found, Recording
+from .files import Detection, Label, RecordingFormat, load_format
+from .read import Drive, Recording
 
 RECORDED = "recorded"
-"""Approach and weather of every drive: a recording does not tell them."""
+"""Approach and weather of every drive: a recording does not contain them."""
 
 _FINDS = {"pedestrian": ("pedestrian",), "bicycle": ("bicycle", "pedestrian")}
 """By class of VRU, which detections may match its label: a detector may find the rider."""
@@ -42,7 +42,7 @@ class RecordedEvaluation:
     vut_and_rsus : Verdict, optional
         The same with the VUT's camera; None where that is not recorded.
     n_ambiguous : int
-        Frames of a roadside unit with several VRUs of the drive's class in view: nothing tells
+        Frames of a roadside unit with several VRUs of the drive's class in view: it is not known
         which one the VUT is about to hit, so that they count only if each of them is detected.
     """
 
@@ -94,14 +94,14 @@ def evaluate_recording(
     if recording.has_vut:
         by_vut, _ = _detected(recording, form.vut_folder, form, min_confidence)
     axis = build_recorded_axis(recording, rule)
-    return _judge(axis, detected, by_vut, rule, n_ambiguous)
+    return _evaluate(axis, detected, by_vut, rule, n_ambiguous)
 
 
 def take_units(
     evaluation: RecordedEvaluation, units: Sequence[str], rule: AebRule
 ) -> RecordedEvaluation:
     """The evaluation of some of the units only, at least one."""
-    return _judge(
+    return _evaluate(
         evaluation.axis,
         {unit: evaluation.units[unit].detected for unit in units},
         None if evaluation.vut is None else evaluation.vut.detected,
@@ -132,7 +132,17 @@ def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
         weathers=(RECORDED,) * len(drives),
         vut_speed_kmh=np.array([drive.vut_speed_mps * 3.6 for drive in drives]),
         weight=np.full(len(drives), 1.0 / len(drives)),
-        last_brake_time_s=np.array([_last_brake_time_s(drive, rule, form) for drive in drives]),
+        last_brake_time_s=np.array(
+            [
+                last_brake_time_s(
+                    vut_speed_mps=drive.vut_speed_mps,
+                    vru_speed_mps=drive.vru_speed_mps,
+                    is_same_direction=is_longitudinal(drive),
+                    rule=rule,
+                )
+                for drive in drives
+            ]
+        ),
         run_start=np.cumsum([0, *(drive.n_frames for drive in drives)]),
         time_s=np.concatenate(
             [np.arange(1 - drive.n_frames, 1) / form.frame_rate_hz for drive in drives]
@@ -147,15 +157,6 @@ def is_longitudinal(drive: Drive) -> bool:
         vru_speed_mps=drive.vru_speed_mps,
         closing_speed_mps=drive.closing_speed_mps,
         form=load_format(),
-    )
-
-
-def _last_brake_time_s(drive: Drive, rule: AebRule, form: RecordingFormat) -> float:
-    return last_brake_time_s(
-        vut_speed_mps=drive.vut_speed_mps,
-        vru_speed_mps=drive.vru_speed_mps,
-        is_same_direction=is_longitudinal(drive),
-        rule=rule,
     )
 
 
@@ -241,7 +242,7 @@ def _detected(
     return np.array(detected), n_several
 
 
-def _is_match(labels: Sequence[Label], found: Sequence[Found]) -> bool:
+def _is_match(labels: Sequence[Label], found: Sequence[Detection]) -> bool:
     """Whether there is a label, and each one overlaps a detection."""
     if not labels or not found:
         return False
@@ -252,7 +253,7 @@ def _is_match(labels: Sequence[Label], found: Sequence[Found]) -> bool:
     return bool((overlap.max(axis=1) > load_min_iou()).all())
 
 
-def _judge(
+def _evaluate(
     axis: FrameAxis,
     detected: Mapping[str, BoolArray],
     by_vut: BoolArray | None,

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from geometry.errors import InputError, Unquoted
 from .files import (
     VRU_CLASSES,
     Box,
+    Detection,
     FrameKey,
     Label,
     RecordingFormat,
@@ -224,14 +224,6 @@ def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
 # ---------- the folder
 
 
-class Found(NamedTuple):
-    """A detection of a VRU by a unit."""
-
-    class_name: str  # "pedestrian" or "bicycle"
-    box_px: Box  # inside the image
-    confidence: float  # 0 .. 1
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
     """What a folder in the study's format holds.
@@ -248,7 +240,7 @@ class Recording:
         At least one.
     labels : mapping of str to mapping of FrameKey to list of Label
         Per unit ("car": the VUT): VRUs in view, boxes clipped to the image.
-    detections : mapping of str to mapping of FrameKey to list of Found
+    detections : mapping of str to mapping of FrameKey to list of Detection
         Per unit: VRUs found, boxes clipped to the image.
     n_frames : int
         Frames with WorldData.
@@ -261,7 +253,7 @@ class Recording:
     has_vut: bool
     drives: tuple[Drive, ...]
     labels: Mapping[str, Mapping[FrameKey, list[Label]]]
-    detections: Mapping[str, Mapping[FrameKey, list[Found]]]
+    detections: Mapping[str, Mapping[FrameKey, list[Detection]]]
     n_frames: int
     skipped: Mapping[str, int]
 
@@ -318,7 +310,7 @@ def read_recording(folder: Path) -> Recording:
         folder=folder,
         units=tuple(units),
         has_vut=has_vut,
-        drives=tuple(_with_class(drive, labels) for drive in drives),
+        drives=tuple(with_class(drive, _class_votes(drive, labels)) for drive in drives),
         labels=labels,
         detections=detections,
         n_frames=len(world),
@@ -400,9 +392,9 @@ def _read_all_labels(
 
 def _read_all_detections(
     folder: Path, names: list[str], form: RecordingFormat, skipped: Counter[str]
-) -> tuple[dict[str, dict[FrameKey, list[Found]]], list[FrameKey]]:
+) -> tuple[dict[str, dict[FrameKey, list[Detection]]], list[FrameKey]]:
     """Detections of VRUs per unit, and the frames for which there is a file."""
-    by_unit: dict[str, dict[FrameKey, list[Found]]] = {name: {} for name in names}
+    by_unit: dict[str, dict[FrameKey, list[Detection]]] = {name: {} for name in names}
     unit_of = {name: name for name in names}
     if form.vut_folder in names:
         unit_of = dict.fromkeys(form.vut_indices, form.vut_folder) | unit_of
@@ -423,8 +415,8 @@ def _read_all_detections(
                 continue
             box = _inside(detection.box_px, form, skipped)
             if box is not None:
-                found = Found(detection.class_name, box, detection.confidence)
-                by_unit[unit_of[detection.unit]].setdefault(key, []).append(found)
+                found = by_unit[unit_of[detection.unit]].setdefault(key, [])
+                found.append(detection._replace(box_px=box))
     return by_unit, frames
 
 
@@ -442,13 +434,13 @@ def _inside(box: Box, form: RecordingFormat, skipped: Counter[str]) -> Box | Non
     return x_min, y_min, x_max, y_max
 
 
-def _with_class(drive: Drive, labels: Mapping[str, Mapping[FrameKey, list[Label]]]) -> Drive:
-    return with_class(
-        drive,
-        Counter(
-            label.class_name
-            for frames in labels.values()
-            for key in drive.frames
-            for label in frames.get(key, ())
-        ),
+def _class_votes(
+    drive: Drive, labels: Mapping[str, Mapping[FrameKey, list[Label]]]
+) -> Counter[str]:
+    """Number of labels in the frames of a drive, by class."""
+    return Counter(
+        label.class_name
+        for frames in labels.values()
+        for key in drive.frames
+        for label in frames.get(key, ())
     )

@@ -27,7 +27,7 @@ from ..visibility.casting import build_world, cast_sight
 from ..visibility.sensing import Sensing, build_sensing, reach_m
 from .proposals import Places
 
-# ---------- promising poses, old and new, and the placement problem on them
+# ---------- poses at hand
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,20 +106,9 @@ def add_poses(
     places: Places,
     build_rows: Callable[[Sequence[CandidatePose]], NDArray[np.uint8]],
 ) -> Bench:
-    """A bench with more poses behind, those that it does not have yet.
+    """A bench with new poses behind those that it has; equal ids mean equal poses.
 
-    Parameters
-    ----------
-    bench : Bench
-        What is there.
-    problem : PlacementProblem
-        The grid's: what is in its table is not computed again.
-    proposals : sequence of (int, CandidatePose)
-        Poses, and the rows of the grid that they stand for; equal ids mean equal poses.
-    places : Places
-        The grid.
-    build_rows : callable
-        Makes detection rows.
+    `proposals` are poses and the rows of the grid that they stand for.
     """
     known = {candidate.id for candidate in bench.candidates}
     asked = {pose.id: (origin, pose) for origin, pose in proposals if pose.id not in known}
@@ -142,24 +131,11 @@ def add_poses(
 def promising_rows(
     reduced: ReducedProblem, pose_index: Sequence[int], *, n_best: int, n_per_site: int
 ) -> IntArray:
-    """Poses that could take a chosen one's place best.
+    """Rows of the full problem's table that stay in the race for a place, ascending.
 
-    Parameters
-    ----------
-    reduced : ReducedProblem
-        Presolved problem.
-    pose_index : sequence of int
-        What is chosen, rows of the full problem's table.
-    n_best : int
-        Poses per unit, the best ones beside all others.
-    n_per_site : int
-        The same, of each site: so that every site stays in the race.
-
-    Returns
-    -------
-    rows : (n,) int
-        Of the full problem's table, ascending; the chosen ones and all that are forced are among
-        them.
+    For each unit these are the `n_best` poses beside all others, and the `n_per_site` best of each
+    site, so that every site stays in the race. The chosen poses and all that are forced are among
+    them.
     """
     chosen = np.flatnonzero(np.isin(reduced.pose_index, pose_index))
     found = [np.asarray(pose_index, dtype=np.int64)]
@@ -181,7 +157,7 @@ def _limits_of(limits: Limits, origin: IntArray, is_new: NDArray[np.bool_]) -> L
     return replace(part, is_forced=part.is_forced & ~is_new)
 
 
-# ---------- detection rows of new poses: rays are cast once per mount position, then only projected
+# ---------- detection rows of new poses
 
 
 RowBuilder = Callable[[Sequence[CandidatePose]], NDArray[np.uint8]]
@@ -193,17 +169,6 @@ _KEPT_MOUNTS = 16  # some ten megabytes each at the study's junction
 class RayRows:
     """Rows of candidate poses at mounts that are remembered.
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene, runs and detector.
-    seed : int
-        Of the points on the VRUs: that of the detection table.
-    workers : int
-        Threads.
-
-    Notes
-    -----
     The rows are those of :func:`placement.visibility.build_detection_table`. What takes its time
     there, and is spared here when a mount comes again, are the rays: another direction or field of
     view only projects the points that they reach.
@@ -282,7 +247,7 @@ def _mount_key(candidate: CandidatePose) -> tuple[float, ...]:
     return (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
 
 
-# ---------- what became of each unit of a layout
+# ---------- moves
 
 
 _SAME_PLACE_M = 1.0e-6
@@ -353,17 +318,9 @@ def is_same_place(one: CandidatePose, other: CandidatePose) -> bool:
 def pair_units(
     before: Sequence[CandidatePose], after: Sequence[CandidatePose]
 ) -> list[tuple[int | None, int | None]]:
-    """Which new pose each unit became: the nearest in direction at the same place.
+    """Pairs of a unit of a layout and the pose of another one that took its place.
 
-    Parameters
-    ----------
-    before, after : sequence of CandidatePose
-        Units of a layout, and poses of another one.
-
-    Returns
-    -------
-    pairs : list of (int or None, int or None)
-        Every index of both once: the old units in their order, then what is new.
+    Every index stands in them once: the old units in their order, then what is new.
     """
     distances = sorted(
         (_distance_deg(one, other), old, new)
@@ -384,26 +341,11 @@ def pair_units(
 def rename(
     before: Layout, poses: Sequence[CandidatePose], *, named: Sequence[str], name: str
 ) -> tuple[Layout, tuple[Move, ...]]:
-    """Layout of new poses, and what became of each unit of the old one.
+    """A layout of the poses, whose units keep their names where they stay in place, and the moves.
 
-    Parameters
-    ----------
-    before : Layout
-        With the names that units keep at their place.
-    poses : sequence of CandidatePose
-        Under ids of their own.
-    named : sequence of str
-        Names that mean one pose and no other, such as those of an existing layout: who has another
-        pose gets another name.
-    name : str
-        Of the layout.
-
-    Returns
-    -------
-    layout : Layout
-        Units in the order of the old ones, what is new behind.
-    moves : tuple of Move
-        Without those that stayed as they were.
+    `before` has the names that are kept. `named` are names that mean one pose and no other, such as
+    those of an existing layout: another pose gets another name. The units come in the order of the
+    old ones, new ones behind; the moves leave out units that stayed as they were.
     """
     taken = {unit.id for unit in before.units}
     free = (unit_id for unit_id in (f"U{n}" for n in count(1)) if unit_id not in taken)

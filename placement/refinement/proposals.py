@@ -30,7 +30,7 @@ from ..candidates import CandidatePose
 from ..detection_table import DetectionTable
 from ..optimiser import Limits, PlacementProblem, run_margins_s
 
-# ---------- when a layout sees too little, and where the VRU is then
+# ---------- weak spots
 
 
 LOOK_BACK_S = 2.0
@@ -69,21 +69,10 @@ def find_weak_spots(
 ) -> WeakSpots:
     """Frames in which a layout should see more.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The table and the rule.
-    pose_index : sequence of int
-        What is mounted.
-    runs : sequence of Run
-        Those of the table's axis; the axis may repeat them, world after world.
-
-    Returns
-    -------
-    spots : WeakSpots
-        Of the runs that are not avoided; of those that are lost when one unit fails; of those
-        with the smallest margins; and of all: each of these groups, where it is not empty, is
-        aimed at as often as the others, and within it each run by its weight.
+    `runs`: those of the table's axis; the axis may repeat them, world after world. Returns: of the
+    runs that are not avoided; of those that are lost when one unit fails; of those with the
+    smallest margins; and of all: each of these groups, where it is not empty, is aimed at as often
+    as the others, and within it each run by its weight.
     """
     axis, rule = problem.table.axis, problem.rule
     counts = (axis.weight > 0.0) & np.isfinite(axis.last_brake_time_s)
@@ -176,13 +165,7 @@ class Places:
     row_of: Mapping[str, int]
 
     def height_range_m(self, origin: int) -> tuple[float, float]:
-        """Lowest and highest position at the site of a grid's pose; its own where none is known.
-
-        Returns
-        -------
-        low_m, high_m : float
-            World frame. [m]
-        """
+        """Lowest and highest position for a row of the grid, in the world frame, in metres."""
         pose = self.candidates[origin]
         own_m = float(pose.pose.position_m[2])
         site = self.site_of(origin)
@@ -217,26 +200,11 @@ def moved(
     pitch_deg: float,
     fov_deg: float | None = None,
 ) -> CandidatePose | None:
-    """A pose at the place of one of the grid, with its sensor.
+    """What stands for a row of the grid, moved and turned; None if it would hang inside something.
 
-    Parameters
-    ----------
-    places : Places
-        Height ranges.
-    origin : int
-        Row of the grid.
-    height_m : float
-        World frame; brought into the site's range. [m]
-    yaw_deg, pitch_deg : float
-        Direction; the pitch is brought into -90 .. 90. [deg]
-    fov_deg : float, optional
-        Of a varifocal lens, brought into its range; by default as in the grid. [deg]
-
-    Returns
-    -------
-    candidate : CandidatePose or None
-        Rounded to what can be mounted, its id says where and how; None if it would hang inside
-        something.
+    The height is brought into the site's range, the pitch into -90 .. 90 degrees, and the field of
+    view into the range of a varifocal lens; it is that of the grid by default. The pose's id says
+    where it hangs and how it looks.
     """
     grid = places.candidates[origin]
     low_m, high_m = places.height_range_m(origin)
@@ -272,23 +240,10 @@ def around(
     *,
     spread: float,
 ) -> list[tuple[int, CandidatePose]]:
-    """Poses near those chosen, at the same sites.
+    """Poses around the chosen ones, with the rows of the grid that they stand for.
 
-    Parameters
-    ----------
-    places : Places
-        Where poses may be moved to.
-    chosen : sequence of (int, CandidatePose)
-        Row of the grid that each chosen unit stands for, and the unit; only free ones are moved.
-    rng : numpy.random.Generator
-        Of the draws.
-    spread : float
-        1 at first, less in later rounds: all steps are multiplied by it.
-
-    Returns
-    -------
-    proposals : list of (int, CandidatePose)
-        With the rows that they stand for.
+    `chosen` has the row of the grid that each chosen unit stands for, and the unit; only free ones
+    are moved. All steps are multiplied by `spread`, which is 1 at first and less in later rounds.
     """
     found = []
     free = [(origin, unit) for origin, unit in chosen if places.is_free[origin]]
@@ -322,24 +277,10 @@ def around(
 def aimed(
     places: Places, table: DetectionTable, spots: WeakSpots, rng: np.random.Generator
 ) -> list[tuple[int, CandidatePose]]:
-    """Poses that look at weak spots, from sites that may carry units.
+    """Poses that are aimed at weak spots, with the rows of the grid that they stand for.
 
-    Parameters
-    ----------
-    places : Places
-        Where poses may be moved to.
-    table : DetectionTable
-        Of the grid: a site from which some pose of it sees a spot is preferred to one from which
-        none does.
-    spots : WeakSpots
-        What to look at.
-    rng : numpy.random.Generator
-        Of the draws.
-
-    Returns
-    -------
-    proposals : list of (int, CandidatePose)
-        With the rows of the grid that they stand for.
+    A site from which some pose of the grid's table sees a spot is preferred to one from which none
+    does.
     """
     free = np.flatnonzero(places.is_free)
     found: list[tuple[int, CandidatePose | None]] = []

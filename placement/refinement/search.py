@@ -63,15 +63,9 @@ def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool
 def certify(values: Sequence[StageValue], certificate: Certificate, solver: str) -> Certificate:
     """The bounds of a certificate, beside a set of poses that is as good as its layout or better.
 
-    Parameters
-    ----------
-    values : sequence of StageValue
-        Of a set within the certificate's problem. A bound holds for all sets that are as good in
-        the stages before as the certificate's layout, so for those that are as good as this one.
-    certificate : Certificate
-        Of that problem.
-    solver : str
-        What to say of the solver, in its place.
+    `values` are those of a set within the certificate's problem. A bound holds for all sets that
+    are as good in the stages before as the certificate's layout, and so for those that are as good
+    as this one. `solver` is the text about the solver that the new certificate gets.
     """
     return Certificate(
         stages=tuple(
@@ -82,7 +76,7 @@ def certify(values: Sequence[StageValue], certificate: Certificate, solver: str)
     )
 
 
-# ---------- chosen units turned and zoomed step by step, large and small, where they hang
+# ---------- turning and zooming
 
 
 STEPS_DEG = (8.0, 4.0, 2.0, 1.0, 0.5)
@@ -116,37 +110,14 @@ def turn(
 ) -> Turned:
     """Compass search over yaw, pitch and field of view, one unit after the other.
 
-    Parameters
-    ----------
-    grid : PlacementProblem
-        The grid's problem.
-    bench : Bench
-        Poses at hand.
-    rows : sequence of int
-        The set to begin with, in the bench.
-    places : Places
-        Which of the units may be turned.
-    build_rows : RowBuilder
-        For the same mount position it should not cast rays again.
-    end_s : float
-        When to stop, on the monotonic clock. [s]
+    It begins with the set `rows` of the bench and stops at `end_s` on the monotonic clock. In the
+    end no step of any unit alone improves the set, unless time was up; the set is never worse than
+    before in the order of the stages.
 
-    Returns
-    -------
-    turned : Turned
-        No step of any unit alone improves it, unless time was up; it is never worse than before in
-        the order of the stages.
-
-    Notes
-    -----
-    Compass search [1]_ shrinks its step where none improves. What a set is worth is a step function
-    here - runs are avoided or not, frames come every tenth of a second -, so that a larger step may
+    Compass search shrinks its step where none improves (Kolda, Lewis, Torczon, "Optimization by
+    direct search", SIAM Review 45, 2003, section 3). What a set is worth is a step function here -
+    runs are avoided or not, frames come every tenth of a second -, so that a larger step may
     improve where smaller ones change nothing: all steps are tried at once.
-
-    References
-    ----------
-    .. [1] T. Kolda, R. Lewis, V. Torczon, "Optimization by direct search", SIAM Review 45, 2003,
-       section 3.
     """
     best = list(rows)
     values = stage_values(bench.problem(grid), best)
@@ -218,7 +189,7 @@ def _steps(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePo
     return list({pose.id: pose for pose in poses}.values())
 
 
-# ---------- the best set so far, the poses at hand, and the steps that look for better ones
+# ---------- the search
 
 
 # Called with the stage, and how much of how much is done; 0 of 0 where that is not known.
@@ -263,27 +234,7 @@ class RefinementEffort:
 
 
 class Search:
-    """Looks for a better set of poses than a placement's.
-
-    Parameters
-    ----------
-    setting : Setting
-        Scene and runs.
-    placement : Placement
-        What to begin with.
-    candidates : sequence of CandidatePose
-        The rows of its table.
-    build_rows : RowBuilder
-        Makes detection rows.
-    solver : Effort
-        Of the optimiser.
-    effort : RefinementEffort
-        How hard to try.
-    rng : numpy.random.Generator
-        Of the new poses.
-    started_s : float
-        When the time began, on the monotonic clock. [s]
-    """
+    """Looks for a better set of poses than that of a placement, with which it begins."""
 
     def __init__(
         self,
@@ -351,7 +302,17 @@ class Search:
         return n_rounds
 
     def turn(self) -> bool:
-        """Turn and zoom the units where they hang; whether that improves."""
+        """Compass search over yaw, pitch and field of view, one unit after the other.
+
+        It begins with the set `rows` of the bench and stops at `end_s` on the monotonic clock. In
+        the end no step of any unit alone improves the set, unless time was up; the set is never
+        worse than before in the order of the stages.
+
+        Compass search shrinks its step where none improves (Kolda, Lewis, Torczon, "Optimization by
+        direct search", SIAM Review 45, 2003, section 3). What a set is worth is a step function
+        here - runs are avoided or not, frames come every tenth of a second -, so that a larger step
+        may improve where smaller ones change nothing: all steps are tried at once.
+        """
         turned = turn(
             self.grid,
             self.bench,

@@ -103,29 +103,11 @@ def build_certificate(
     seconds: Mapping[str, float],
     versions: Mapping[str, str],
 ) -> dict[str, Any]:
-    """The document that ``certificate.json`` holds.
+    """The document that ``certificate.json`` holds; an infinite gap is None in it.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        What was solved.
-    certificate : Certificate
-        What is claimed.
-    pose_index : sequence of int
-        Rows of the detection table, in the order of `units`.
-    units : sequence of mapping
-        The same units as the layout's file has them.
-    presolve : PresolveStatistics
-        Sizes before and after.
-    seconds : mapping of str to float
-        Time that the steps took. [s]
-    versions : mapping of str to str
-        Of the programs that the numbers depend on.
-
-    Returns
-    -------
-    document : dict
-        Plain values for JSON; an infinite gap is None.
+    `units` are the units as the layout's file has them, and `pose_index` their rows of the
+    detection table in the same order. `seconds` says how long the steps took, `versions` which
+    programs the numbers depend on.
     """
     axis = problem.table.axis
     return {
@@ -242,13 +224,7 @@ def load_certificate(path: Path) -> StoredCertificate:
 
 
 def model_of(problem: PlacementProblem) -> dict[str, Any]:
-    """What a problem asks, and within which limits, as plain values for JSON.
-
-    Parameters
-    ----------
-    problem : PlacementProblem
-        To describe; what is long (prices, sites, who is forced) is only counted.
-    """
+    """What a problem asks, and within which limits, as plain values for JSON."""
     axis, limits, samples = problem.table.axis, problem.limits, problem.sample_index
     return {
         "fusion": problem.fusion,

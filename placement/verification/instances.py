@@ -145,28 +145,17 @@ def load_problem(path: Path) -> PlacementProblem:
 def instance_kind(path: Path) -> str:
     """What an instance file says it holds, such as :data:`KIND`.
 
-    Raises
-    ------
-    InputError
-        It is no ``.npz``, or does not say.
+    Raises InputError: it is no ``.npz``, or does not say.
     """
     with _archive(path) as archive:
         return _read_kind(archive, str(path))
 
 
 def problem_hash(problem: PlacementProblem) -> str:
-    """Hash of all that a problem says, whatever file it lies in.
+    """SHA-256 of a problem, 64 hexadecimal digits.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        Two problems whose fields are equal have the same.
-
-    Returns
-    -------
-    sha256 : str
-        64 hexadecimal digits: SHA-256 over the names, types, shapes and bytes of the fields in
-        alphabetical order, little-endian; texts as JSON.
+    It is taken over the names, types, shapes and bytes of the fields in alphabetical order, in
+    little- endian order; texts are taken as JSON.
     """
     digest = hashlib.sha256()
     for name, array in sorted(_to_arrays(problem).items()):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..optimiser import Floor, PlacementProblem
 
 
-# ---------- what sets of poses are worth
+# ---------- values
 
 
 EPSILON = 1.0e-9
@@ -261,7 +261,7 @@ def _of_blocks(
     return np.concatenate([values(block) for block in _blocks(problem, sets)])
 
 
-# ---------- how good a layout can be at best, told from all poses together without choosing any
+# ---------- simple limits
 
 
 def usable_poses(problem: "PlacementProblem") -> IntArray:
@@ -330,7 +330,7 @@ def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[
     }
 
 
-# ---------- sets of poses that would disprove a certificate
+# ---------- other sets
 
 
 class BestOther(NamedTuple):

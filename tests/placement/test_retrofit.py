@@ -27,9 +27,12 @@ from placement.retrofit import (
     Change,
     Labour,
     RetrofitPoses,
+    best_joining,
     build_retrofit_poses,
     combined_limits,
     find_retrofit,
+    load_labour,
+    margins_joined_s,
 )
 
 RE_AIM_EUR = 2.0
@@ -307,3 +310,69 @@ def test_ids_that_clash_are_refused(grid, camera) -> None:  # type: ignore[no-un
     twin = replace(unit, id="A/aim/0/-30")
     with pytest.raises(InputError, match=r"layout mine: id: got 'A/aim/0/-30'; expected ids"):
         build_retrofit_poses(_layout(unit), grid, [twin])
+
+
+@given(problem=problems(), n_kept=st.integers(0, 3))
+@settings(max_examples=60)
+def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(
+    problem: PlacementProblem, n_kept: int
+) -> None:
+    poses = range(problem.table.n_poses)
+    kept = list(poses)[:n_kept]
+    each = np.array(poses)[n_kept:]
+    if not len(each):
+        return
+    expected = [run_margins_s(problem, [*kept, int(pose)]) for pose in each]
+    assert margins_joined_s(problem, kept, each) == pytest.approx(np.array(expected))
+
+    values = [placement_value(problem, [*kept, int(pose)])._replace(cost_eur=0.0) for pose in each]
+    best = values[best_joining(problem, kept, each)]
+    assert not any(is_better(value, best) for value in values)
+
+
+def test_equal_poses_are_told_apart_by_price_and_blocks_do_not_matter(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = avoiding_problem(["1100", "0011", "0010", "0011", "0001"])
+    each = np.array([1, 2, 3, 4])
+    assert best_joining(problem, [0], each) == 0
+    assert best_joining(problem, [0], each, price_eur=np.array([3.0, 1.0, 2.0, 1.0])) == 2
+    whole = margins_joined_s(problem, [0], each)
+    monkeypatch.setattr("placement.retrofit._BLOCK_POSES", 1)
+    assert margins_joined_s(problem, [0], each).tolist() == whole.tolist()
+
+
+def test_a_visit_is_people_on_the_way_and_at_the_pole_and_a_lift() -> None:
+    labour = Labour(
+        people=2.0,
+        wage_eur_per_h=50.0,
+        travel_h=1.0,
+        lift_eur=100.0,
+        re_aim_h=2.0,
+        remove_h=0.5,
+        source="a test",
+    )
+    assert labour.re_aim_eur == 2.0 * 50.0 * 3.0 + 100.0
+    assert labour.remove_eur == 2.0 * 50.0 * 1.5 + 100.0
+
+
+def test_prices_of_ours_are_called_an_assumption() -> None:
+    assert "assumption" in load_labour().source
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    with pytest.raises(InputError, match=r"labour\.toml: got 'night'; expected .*default"):
+        load_labour("night")
+
+
+def test_a_price_below_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match=r"labour\.lift_eur: got -1\.0; expected at least 0"):
+        Labour(
+            people=1.0,
+            wage_eur_per_h=1.0,
+            travel_h=0.0,
+            lift_eur=-1.0,
+            re_aim_h=0.0,
+            remove_h=0.0,
+            source="a test",
+        )

@@ -17,7 +17,7 @@ from geometry.files import write_atomically
 
 from .instance import CoveringInstance
 
-# ---------- covering instances as others write them
+# ---------- others' formats
 
 
 _ORLIB, _GECCO = "orlib", "gecco"
@@ -83,26 +83,12 @@ class _Numbers:
 def parse_covering_text(data: bytes, where: str, format_name: str | None) -> CoveringInstance:
     """Covering instance from the text of a file.
 
-    Parameters
-    ----------
-    data : bytes
-        The whole file.
-    where : str
-        Its name, for messages.
-    format_name : str or None
-        A name of :data:`TEXT_FORMATS`; None: the one that it fits. Few numbers can fit both: it is
-        GECCO's then if each line is a sample.
+    `where`: its name, for messages. `format_name`: a name of :data:`TEXT_FORMATS`; None: the one
+    that it fits. Few numbers can fit both: it is GECCO's then if each line is a sample. Returns:
+    rows weigh 1.
 
-    Returns
-    -------
-    instance : CoveringInstance
-        Rows weigh 1.
-
-    Raises
-    ------
-    InputError
-        It is in neither format: the message names the line and the number from which on it fits
-        none of them.
+    Raises InputError: it is in neither format: the message names the line and the number from which
+    on it fits none of them.
     """
     numbers = _numbers(data, where)
     misfits: dict[str, _MisfitError] = {}
@@ -245,7 +231,7 @@ TEXT_FORMATS = tuple(_READERS)
 """Names of the formats."""
 
 
-# ---------- optimisation instances from and to disk: this program's own, OR-Library's, GECCO 2020's
+# ---------- reading and writing
 
 
 NPZ = "npz"
@@ -311,17 +297,7 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
 def save_instance(path: Path, instance: CoveringInstance) -> None:
     """Write an instance in this program's own format, whole or not at all.
 
-    Parameters
-    ----------
-    path : Path
-        The file; its folder must exist.
-    instance : CoveringInstance
-        What to write.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
+    Raises OSError: the file cannot be written.
     """
     covers = instance.covers
     write_atomically(
@@ -341,17 +317,9 @@ def save_instance(path: Path, instance: CoveringInstance) -> None:
 
 
 def instance_kind(path: Path) -> str | None:
-    """What a file of this program says it holds, so that other kinds can be read elsewhere.
+    """What kind of instance one of this program's files holds, such as :data:`KIND`.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    kind : str or None
-        Such as :data:`KIND`; None: it cannot be read, or is none of this program's files.
+    None if the file cannot be read, or is none of this program's.
     """
     try:
         # Opened here: numpy does not close a file that turns out to be no archive.

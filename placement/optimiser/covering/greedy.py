@@ -82,25 +82,9 @@ def cover_cheaply(
 ) -> IntArray:
     """Columns that cover a weight, at little cost.
 
-    Parameters
-    ----------
-    covers : (n_columns, n_rows) sparse
-        Whether a column covers a row.
-    cost : (n_columns,) float
-        Price of each.
-    weight : (n_rows,) float
-        Of the rows.
-    needed_weight : float
-        To be covered; all columns together do.
-    n_rounds : int
-        How often to ruin the best answer in part and to make it whole again.
-    time_limit_s : float
-        No further round after it. [s]
-
-    Returns
-    -------
-    chosen : (n,) int
-        Ascending; none of them can be left out.
+    `covers` is (n_columns, n_rows), and all columns together cover the weight. The best answer is
+    ruined in part and made whole again `n_rounds` times. None of the columns, which are ascending,
+    can be left out.
     """
     cover = _Cover(covers, weight)
     slack = TOLERANCE * float(weight.sum())
@@ -138,19 +122,9 @@ def cover_much(
 ) -> IntArray:
     """Columns within a budget that cover much.
 
-    Parameters
-    ----------
-    covers, cost, weight
-        As for :func:`cover_cheaply`.
-    budget : CoveringBudget
-        What may be chosen.
-
-    Returns
-    -------
-    chosen : (n,) int
-        Ascending; no exchange of one for another covers more. With a number of columns only, even
-        the greedy choice covers at least 1 - 1/e = 63 % of the optimum (Nemhauser, Wolsey, Fisher
-        1978); with money there is no such guarantee.
+    They are ascending, and no exchange of one for another covers more. With a number of columns
+    only, even the greedy choice covers at least 1 - 1/e = 63 % of the optimum (Nemhauser, Wolsey,
+    Fisher 1978); with money there is no such guarantee.
     """
     best, best_weight = np.empty(0, dtype=np.int64), -1.0
     prices = [np.ones(len(cost))] if budget.cost is None else [np.ones(len(cost)), cost]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from geometry.arrays import FloatArray, float_array, freeze
 from geometry.errors import InputError, Unquoted
 
-# ---------- which column covers which row
+# ---------- instances
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,13 +65,7 @@ class CoveringInstance:
         return float(self.weight[np.unique(self.covers.indices)].sum())
 
     def covered_weight(self, columns: ArrayLike) -> float:
-        """Weight of the rows that a set of columns covers.
-
-        Parameters
-        ----------
-        columns : (n,) int
-            Indices of columns.
-        """
+        """Weight of the rows that some columns cover."""
         chosen = np.asarray(columns, dtype=np.int64)
         return float(self.weight[np.unique(self.covers[chosen].indices)].sum())
 
@@ -144,7 +138,7 @@ def _amounts(values: FloatArray, n: int, name: str) -> FloatArray:
     return amounts
 
 
-# ---------- what is asked of a covering instance: a target or a budget, checked; how long to look
+# ---------- targets and budgets
 
 
 TOLERANCE = 1.0e-9
@@ -188,22 +182,9 @@ class CoveringBudget:
 def simplify_budget(instance: CoveringInstance, budget: CoveringBudget) -> CoveringBudget:
     """Check that money buys anything; where all columns cost the same, it is a number of them.
 
-    Parameters
-    ----------
-    instance : CoveringInstance
-        What is to be chosen from.
-    budget : CoveringBudget
-        What was given.
+    Returns: allows the same useful columns.
 
-    Returns
-    -------
-    budget : CoveringBudget
-        Allows the same useful columns.
-
-    Raises
-    ------
-    InputError
-        There is less money than the cheapest useful column costs.
+    Raises InputError: there is less money than the cheapest useful column costs.
     """
     is_useful = np.asarray(instance.covers @ instance.weight) > 0.0
     if budget.cost is None or not is_useful.any():
@@ -224,22 +205,10 @@ def simplify_budget(instance: CoveringInstance, budget: CoveringBudget) -> Cover
 def needed_weight(instance: CoveringInstance, target: float | None) -> float | None:
     """Weight that a target asks for.
 
-    Parameters
-    ----------
-    instance : CoveringInstance
-        What is to be covered.
-    target : float or None
-        Share of the weight of all rows; None: all that can be covered.
+    `target`: share of the weight of all rows; None: all that can be covered. Returns: None if every
+    row that can be covered is needed.
 
-    Returns
-    -------
-    weight : float or None
-        None if every row that can be covered is needed.
-
-    Raises
-    ------
-    InputError
-        The target is no share, or all columns together do not reach it.
+    Raises InputError: the target is no share, or all columns together do not reach it.
     """
     if target is None:
         return None
@@ -266,10 +235,7 @@ def is_whole(amounts: FloatArray) -> bool:
 def check_effort(*, time_limit_s: float, gap: float) -> None:
     """Check how long to look and how near is near enough.
 
-    Raises
-    ------
-    InputError
-        The time is not positive, or the gap is no share.
+    Raises InputError: the time is not positive, or the gap is no share.
     """
     if not time_limit_s > 0.0:
         raise InputError("--time-limit", time_limit_s, "seconds, more than 0")

@@ -24,7 +24,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .instance import TOLERANCE, CoveringInstance
 
-# ---------- which sets are equal
+# ---------- containment
 
 
 WordArray = NDArray[np.uint64]
@@ -36,18 +36,7 @@ _SEED = 20  # of the hashes; equal sets are equal whatever it is
 
 
 def first_equal(sets: sp.csr_array) -> IntArray:
-    """For every set, the first one with the same members.
-
-    Parameters
-    ----------
-    sets : (n_sets, n_members) sparse
-        Sets, as rows.
-
-    Returns
-    -------
-    first : (n_sets,) int
-        An index of `sets`, at most its own.
-    """
+    """For every set, a row of `sets`, the first one with the same members, (n_sets,)."""
     n_sets = sets.shape[0]
     rng = np.random.default_rng(_SEED)
     hashes = rng.integers(np.iinfo(np.uint64).max, size=(2, sets.shape[1]), dtype=np.uint64)
@@ -70,26 +59,11 @@ def first_equal(sets: sp.csr_array) -> IntArray:
 def supersets(
     sets: sp.csr_array, price: FloatArray, *, max_work: float
 ) -> Iterator[tuple[int, IntArray]]:
-    """For every set, the larger sets at no higher price of which it is a part.
+    """For every set, the larger sets at no higher price of which it is a part: set, and those sets.
 
-    Parameters
-    ----------
-    sets : (n_sets, n_members) sparse
-        Sets, as rows; no two are equal, none is empty.
-    price : (n_sets,) float
-        A set is only compared with sets that cost no more.
-    max_work : float
-        Give up after so many comparisons of pairs, the ones with fewest candidates first.
+    Rows of `sets`, (n_sets, n_members), are neither equal nor empty. The search gives up after
+    `max_work` comparisons of pairs, and begins with sets that have the fewest candidates.
 
-    Yields
-    ------
-    part : int
-        A set.
-    wholes : (n,) int
-        Sets that contain it; at least one.
-
-    Notes
-    -----
     A whole has all members of its part, the rarest among them: only sets with that one are
     compared, by signatures. Where there are more members than bits the signature is a sieve, and
     what passes is compared member by member.
@@ -169,7 +143,7 @@ def _containing(sets: sp.csr_array, members: IntArray, candidates: IntArray) -> 
     )
 
 
-# ---------- columns and rows of a covering problem that do not matter drop out; and the way back
+# ---------- reductions
 
 
 _MAX_WORK = 5.0e8  # pairs of sets compared in one reduction: a minute at worst
@@ -323,15 +297,8 @@ class _Reduction:
 def presolve_full_cover(instance: CoveringInstance) -> ReducedCovering:
     """Reduce the problem to cover, at least cost, every row with weight that can be covered.
 
-    Parameters
-    ----------
-    instance : CoveringInstance
-        The problem.
-
-    Returns
-    -------
-    reduced : ReducedCovering
-        Its optima, with the essential columns, are optima of the problem, at no other cost.
+    The optima of what is left, with the essential columns, are optima of the problem, at no other
+    cost.
     """
     work = _Reduction(instance)
     work.drop_idle_rows()
@@ -355,19 +322,8 @@ def presolve_weighted_cover(
 ) -> ReducedCovering:
     """Reduce a problem in which not every row has to be covered.
 
-    Parameters
-    ----------
-    instance : CoveringInstance
-        The problem.
-    minds_cost : bool
-        Whether cost matters, or only the number of columns.
-    money : float
-        What there is.
-
-    Returns
-    -------
-    reduced : ReducedCovering
-        Any set of its columns covers the same weight in the full problem; none is essential.
+    `minds_cost` says whether cost matters, or only the number of columns. Any set of the columns
+    that are left covers the same weight in the full problem; none is essential.
     """
     work = _Reduction(instance)
     work.drop_idle_rows()
@@ -409,14 +365,8 @@ def dominated_columns(
 ) -> BoolArray:
     """Columns that cover less than another one, at no less cost, (n_columns,).
 
-    Parameters
-    ----------
-    covers : (n_columns, n_rows) sparse
-        No two columns are equal, none covers nothing.
-    cost : (n_columns,) float
-        Price of each.
-    max_work : float
-        Pairs of columns to compare; beyond, dominated ones may stay.
+    No two columns of `covers`, (n_columns, n_rows), are equal, and none covers nothing. Beyond
+    `max_work` pairs of columns, dominated ones may stay.
     """
     is_dominated = np.zeros(covers.shape[0], dtype=np.bool_)
     for part, _ in supersets(covers, cost, max_work=max_work):
@@ -444,12 +394,8 @@ def equal_rows(covers: sp.csr_array) -> BoolArray:
 def dominated_rows(covers: sp.csr_array, *, max_work: float = _MAX_WORK) -> BoolArray:
     """Rows that are covered whenever another one is: by all its columns and more, (n_rows,).
 
-    Parameters
-    ----------
-    covers : (n_columns, n_rows) sparse
-        No two rows are equal, none is without columns.
-    max_work : float
-        Pairs of rows to compare; beyond, dominated ones may stay.
+    No two rows of `covers`, (n_columns, n_rows), are equal, and none is without columns. Beyond
+    `max_work` pairs of rows, dominated ones may stay.
     """
     rows = sp.csr_array(covers.T)
     is_dominated = np.zeros(rows.shape[0], dtype=np.bool_)

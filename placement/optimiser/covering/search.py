@@ -64,25 +64,9 @@ def search_best_columns(
 ) -> SearchResult | None:
     """The columns that together cover most, among all sets of so many.
 
-    Parameters
-    ----------
-    covers : (n_columns, n_rows) sparse
-        Whether a column covers a row.
-    weight : (n_rows,) float
-        Of the rows.
-    n_units : int
-        How many columns may be chosen, at least 1.
-    start : (n,) int
-        Columns that cover much: the search only looks for better ones.
-    time_limit_s : float
-        Stop after it. [s]
-    gap : float
-        A set is only looked for if it covers more than the best one by more than this share.
-
-    Returns
-    -------
-    result : SearchResult or None
-        None: too large for this search, nothing was done.
+    `covers` is (n_columns, n_rows). The search only looks for sets that cover more than `start`,
+    and more than the best one by more than the share `gap`. None if the problem is too large for
+    this search; nothing was done then.
     """
     search = _Search(covers, weight, start, time.perf_counter() + time_limit_s, gap)
     gain = search.gain(covers)

@@ -5,11 +5,11 @@ import pytest
 from msgspec import UNSET
 from partial_pages import render_section
 
+from experiments.cli.explanations import explanation_text
 from experiments.report.explanation import (
     contribution_sentences,
     contribution_table,
     explanation_sections,
-    explanation_text,
     missed_sentences,
     missed_table,
     pool_sentences,

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.cli.explanations import explanation_text
 from experiments.report.explanation import (
-    explanation_text,
     missed_table,
     pool_sentences,
 )

@@ -19,8 +19,7 @@ from experiments.report.sensitivity import (
 from experiments.results.explanations import build_sensitivity_record
 from experiments.results.record import to_plain
 from geometry.errors import InputError
-from placement.explain.outcomes import Outcome
-from placement.explain.sensitivity import RANGES, Assumption, Sensitivity, Varied
+from placement.explain.sensitivity import RANGES, Assumption, Outcome, Sensitivity, Varied
 
 
 def summarise(*given, **options):

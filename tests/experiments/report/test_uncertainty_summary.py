@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.cli.explanations import uncertainty_text
 from experiments.figures.axes import to_png
 from experiments.report.sampled_worlds import (
     plot_sampled_apr,
     uncertainty_sentences,
-    uncertainty_text,
     what_is_uncertain,
 )
 from experiments.results.record import to_plain

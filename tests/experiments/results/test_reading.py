@@ -52,7 +52,7 @@ def test_a_result_is_read_back(folder):
         "and approach == 'all' and weather == 'all' and vut_speed_kmh == 'all'"
     )
     assert of_all["apr"].tolist() == pytest.approx([share])
-    assert repr(result) == f"Result('best-2', {result.summary['runs']} runs, {str(folder)!r})"
+    assert repr(result) == f"Result('best-2', {result.summary.runs} runs, {str(folder)!r})"
 
 
 def rewrite(path, change):

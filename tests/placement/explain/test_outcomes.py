@@ -10,7 +10,7 @@ from problems import problems
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.explain.outcomes import (
+from placement.explain.sensitivity import (
     Watched,
     find_expected_outcome,
     find_outcome,

@@ -14,6 +14,7 @@ from placement.optimiser.greedy import (
     swap,
     swap_gains,
 )
+from placement.optimiser.window_cover import choose_greedily
 
 SEED = st.integers(0, 2**32 - 1)
 
@@ -117,3 +118,11 @@ def test_rounding_begins_with_the_largest_shares() -> None:
     coverage = coverage.with_units(1)
     chosen = round_shares(coverage, np.arange(3), np.array([0.2, 0.5, 0.3]))
     assert chosen.tolist() == [1]
+
+
+@given(coverages(has_money=True))
+@settings(max_examples=30)
+def test_with_money_the_better_greedy_choice_is_taken(coverage: Coverage) -> None:
+    chosen = choose_greedily(coverage)
+    assert coverage.supply.allows(chosen)
+    assert coverage.value(chosen) <= best_value(coverage) * (1.0 + 1e-6)
