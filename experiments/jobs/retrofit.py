@@ -49,13 +49,7 @@ _MAX_RUNS = 8
 
 
 def describe_retrofit(result: RetrofitResult) -> list[str]:
-    """The best change of every kind, in sentences.
-
-    Parameters
-    ----------
-    summary : mapping
-        As :func:`experiments.jobs.retrofit.run_retrofit` builds it.
-    """
+    """The best change of every kind, in sentences."""
     sentences = [_removal(result.removals)]
     if result.re_aims:
         sentences.append(_re_aim(result.re_aims[0]))
@@ -72,7 +66,7 @@ def _removal(removals: Sequence[ChangeRecord]) -> str:
         return f"{name} is the only unit: without it, only the car itself is left."
     return (
         f"Of all {len(removals)} units, {name} is needed least: without it "
-        f"{_lost(best['lost'])}; {percent(best['apr_one_failed'])} are left when one more fails."
+        f"{_lost(best.lost)}; {percent(best.apr_one_failed)} are left when one more fails."
     )
 
 
@@ -87,11 +81,11 @@ def _re_aim(best: ChangeRecord) -> str:
     what = _all_words(best)
     if not best.is_better:
         return (
-            f"No re-aim is better than to leave all as it is: of all {best['compared']}, the best "
+            f"No re-aim is better than to leave all as it is: of all {best.compared}, the best "
             f"one would be to {what}."
         )
     return (
-        f"The best of {best['compared']} re-aims, for {_euros(best['price_eur'])}: {what}. "
+        f"The best of {best.compared} re-aims, for {_euros(best.price_eur)}: {what}. "
         f"{_effect(best)}"
     )
 
@@ -101,7 +95,7 @@ def _addition(best: ChangeRecord | None, budget_eur: float | None) -> str:
     if best is None:
         return f"No unit that can be added{limit} is better than none."
     return (
-        f"The best new unit{limit} costs {_euros(best['price_eur'])}: {_all_words(best)}. "
+        f"The best new unit{limit} costs {_euros(best.price_eur)}: {_all_words(best)}. "
         f"{_effect(best)}{_proof(best)}"
     )
 
@@ -111,7 +105,7 @@ def _combination(best: ChangeRecord | None, budget_eur: float) -> str:
         return f"Within {_euros(budget_eur)} nothing is better than to leave all as it is."
     return (
         f"The best re-aims and additions together within {_euros(budget_eur)} cost "
-        f"{_euros(best['price_eur'])}: {_all_words(best)}. {_effect(best)}{_proof(best)}"
+        f"{_euros(best.price_eur)}: {_all_words(best)}. {_effect(best)}{_proof(best)}"
     )
 
 
@@ -122,15 +116,15 @@ def _all_words(change: ChangeRecord) -> str:
 def _effect(change: ChangeRecord) -> str:
     parts = []
     if change.gained:
-        parts.append(f"gains {_runs(change['gained'])} ({_ids(change['gained'])})")
+        parts.append(f"gains {_runs(change.gained)} ({_ids(change.gained)})")
     if change.lost:
-        parts.append(f"loses {_runs(change['lost'])} ({_ids(change['lost'])})")
+        parts.append(f"loses {_runs(change.lost)} ({_ids(change.lost)})")
     if not parts:
         parts.append("avoids the same runs")
     return (
-        f"It {' and '.join(parts)}; APR {percent(change['apr'])}, "
-        f"{percent(change['apr_one_failed'])} when one fails, "
-        f"{change['mean_margin_s']:.2f} s of mean time to spare."
+        f"It {' and '.join(parts)}; APR {percent(change.apr)}, "
+        f"{percent(change.apr_one_failed)} when one fails, "
+        f"{change.mean_margin_s:.2f} s of mean time to spare."
     )
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 import numpy as np
 
@@ -18,8 +18,9 @@ from placement.explain import (
     find_pool,
     find_unavoided,
 )
+from placement.explain.outcomes import Outcome
 from placement.explain.pool import sites_in_order
-from placement.explain.sensitivity import Outcome, Sensitivity
+from placement.explain.sensitivity import Sensitivity
 from placement.optimiser import PlacementProblem
 from placement.pipeline import Placement
 from placement.private_ground import PrivateGround, private_shares
@@ -338,7 +339,7 @@ def _pool(problem: PlacementProblem, candidates: Sequence[CandidatePose], pool: 
     }
     frequent = np.argsort(-pool.pose_share, kind="stable")
     return PoolRecord(
-        stage=pool.stage,
+        stage=cast(StageName, pool.stage),
         is_complete=pool.scope == "all",
         within=pool.n_within,
         sets=tuple(

@@ -1,8 +1,8 @@
 """Parts of a result about other sizes and places: the front of layouts, and refinement."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 import msgspec
 
@@ -18,6 +18,7 @@ from .record import (
     BeforeAfter,
     Record,
     Share,
+    StageName,
     StageRecord,
     StageValues,
     UnitRecord,
@@ -172,8 +173,8 @@ def build_refinement_record(refinement: Refinement) -> RefinementRecord:
     """What the search between the poses of the grid changed."""
     return RefinementRecord(
         is_improved=refinement.is_improved,
-        before=dict(refinement.before),
-        after=dict(refinement.after),
+        before=_stage_values(refinement.before),
+        after=_stage_values(refinement.after),
         moves=tuple(_move(move) for move in refinement.moves),
         grid_candidates=refinement.unrefined.problem.table.n_poses,
         grid_is_proven=refinement.unrefined.certificate.is_proven,
@@ -181,6 +182,10 @@ def build_refinement_record(refinement: Refinement) -> RefinementRecord:
         rounds=refinement.n_rounds,
         seconds=refinement.seconds,
     )
+
+
+def _stage_values(values: Iterable[tuple[str, float]]) -> StageValues:
+    return {cast(StageName, name): value for name, value in values}
 
 
 def _move(move: Move) -> MoveRecord:

@@ -1,6 +1,6 @@
 """The result of a latency sweep: every sensing party's APR against latency."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 from placement.latency import LatencyBudget, LatencyCurve, LatencyPart
 
@@ -114,5 +114,5 @@ def build_curve_record(
     )
 
 
-def _pairs(ones: Sequence[float], others: Sequence[float]) -> list[tuple[float, float]]:
+def _pairs(ones: Iterable[float], others: Iterable[float]) -> list[tuple[float, float]]:
     return [(float(one), float(other)) for one, other in zip(ones, others, strict=True)]

@@ -167,7 +167,7 @@ def build_recorded_apr_record(evaluation: RecordedEvaluation, rule: AebRule) -> 
     axis, n_units = evaluation.axis, len(evaluation.units)
 
     def ratios(verdict: Verdict) -> PartyAprRecord:
-        return PartyAprRecord(all=apr(verdict, axis), by_case=apr_by_case(verdict, axis))
+        return PartyAprRecord(all=apr(verdict, axis), by_case={**apr_by_case(verdict, axis)})
 
     return RecordedAprRecord(
         vut=_known(ratios, evaluation.vut),

@@ -13,7 +13,6 @@ from msgspec.structs import replace
 from geometry.arrays import BoolArray
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, apr_one_failed
 from placement.explain.agreement import find_disagreements
-from placement.layout import RESULT_SCHEMA
 from placement.optimiser import placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting
@@ -350,7 +349,7 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
     axis = evaluation.axis
 
     def ratios(verdict: Verdict) -> PartyAprRecord:
-        return PartyAprRecord(all=apr(verdict, axis), by_case=apr_by_case(verdict, axis))
+        return PartyAprRecord(all=apr(verdict, axis), by_case={**apr_by_case(verdict, axis)})
 
     return EvaluationRecord(
         vut=ratios(evaluation.vut),
@@ -369,7 +368,7 @@ def build_layout_result(setting: Setting, evaluation: Evaluation) -> Result:
     """
     evaluated = build_evaluation_record(evaluation, setting.rule)
     return Result(
-        schema=RESULT_SCHEMA,
+        schema="place-rsus/result/1",
         name=evaluation.layout.name,
         layout=build_unit_records(evaluation.layout),
         cost_eur=_price_eur(evaluation),

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import combinations
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import numpy as np
 from msgspec import UNSET, UnsetType
@@ -232,16 +232,15 @@ def build_sampled_record(
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
     """An uncertainty, with the names of its TOML file."""
     latency, traffic = uncertainty.latency, uncertainty.traffic
+    drawn_per = cast(Literal["run", "sample"], latency.drawn_per)
     if latency.budget is not None:
-        latency_record = UncertaintyLatencyRecord(
-            budget=latency.budget.name, drawn_per=latency.drawn_per
-        )
+        latency_record = UncertaintyLatencyRecord(budget=latency.budget.name, drawn_per=drawn_per)
     else:
         latency_record = UncertaintyLatencyRecord(
-            distribution=latency.distribution,
+            distribution=cast(Literal["gamma", "uniform"], latency.distribution),
             mean_s=latency.mean_s,
             sd_s=latency.sd_s,
-            drawn_per=latency.drawn_per,
+            drawn_per=drawn_per,
         )
     return UncertaintyRecord(
         name=uncertainty.name,

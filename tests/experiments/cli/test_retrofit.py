@@ -5,6 +5,7 @@ import io
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -159,6 +160,12 @@ def change(words, *, better=True, gained=(), lost=(), price_eur=500.0, proven=Tr
     }
 
 
+def described(summary):
+    """Sentences of a result with these fields."""
+    text = json.dumps(summary)
+    return describe_retrofit(json.loads(text, object_hook=lambda part: SimpleNamespace(**part)))
+
+
 def summary_of(**changes):
     return {
         "name": "mine",
@@ -179,7 +186,7 @@ def summary_of(**changes):
 
 
 def test_sentences_tell_what_is_gained_lost_paid_and_proven():
-    assert describe_retrofit(summary_of()) == [
+    assert described(summary_of()) == [
         "Of all 2 units, B is needed least: without it 1 run is lost (r1); 80.0 % are left when "
         "one more fails.",
         "The best of 9 re-aims, for 500 EUR: re-aim A to yaw 0, pitch -15. It gains 2 runs (r1, "
@@ -203,16 +210,16 @@ def test_sentences_tell_where_nothing_is_better():
         addition=None,
         combination=None,
     )
-    assert describe_retrofit(summary) == [
+    assert described(summary) == [
         "A is the only unit: without it, only the car itself is left.",
         "No re-aim is better than to leave all as it is: of all 9, the best one would be to re-aim "
         "A to yaw 0, pitch -15.",
         "No unit that can be added within 3,000 EUR is better than none.",
         "Within 3,000 EUR nothing is better than to leave all as it is.",
     ]
-    lost = describe_retrofit(summary | {"removals": [change(["remove A"], lost=many)] * 2})[0]
+    lost = described(summary | {"removals": [change(["remove A"], lost=many)] * 2})[0]
     assert "10 runs are lost (r0, r1, r2, r3, r4, r5, r6, r7 and 2 more)" in lost
-    none = describe_retrofit(summary | {"removals": [change(["remove A"])] * 2})[0]
+    none = described(summary | {"removals": [change(["remove A"])] * 2})[0]
     assert "without it no run is lost" in none
 
 

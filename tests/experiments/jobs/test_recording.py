@@ -10,6 +10,7 @@ from experiments.cli.recording import recorded_placement_table, recording_table
 from experiments.jobs.recording import run_recorded_placement, run_recording
 from experiments.jobs.verify import run_verification
 from experiments.progress import StageProgress
+from experiments.results.record import to_plain
 from geometry.errors import InputError
 from placement.question import Question
 from placement.recordings import WrittenDrive, write_recording
@@ -75,12 +76,12 @@ def _place(folder, **options):
     }
     asked = {"budget": options.pop("budget_units", 2), "fusion": options.pop("fusion", "any")}
     question = Question(**asked, time_limit_s=60.0)
-    return run_recorded_placement(question, folder=folder, **(given | options))
+    return to_plain(run_recorded_placement(question, folder=folder, **(given | options)))
 
 
 def _evaluate(folder, question=None, **options):
     given = {"min_confidence": 0.0, "out": None, "progress": StageProgress()}
-    return run_recording(question or Question(), folder=folder, **(given | options))
+    return to_plain(run_recording(question or Question(), folder=folder, **(given | options)))
 
 
 def test_every_partys_apr_is_that_of_the_definition(tmp_path):
@@ -264,10 +265,10 @@ def test_a_recorded_choice_has_a_certificate_that_holds(tmp_path):
     _write(tmp_path / "data", _random(5))
     out = tmp_path / "out"
     summary = _place(tmp_path / "data", out=out)
-    assert run_verification(out, progress=StageProgress())["is_verified"]
+    assert run_verification(out, progress=StageProgress()).is_verified
     summary["layout"][0]["folder"] = "another"
     (out / "summary.json").write_text(json.dumps(summary))
-    assert not run_verification(out, progress=StageProgress())["is_verified"]
+    assert not run_verification(out, progress=StageProgress()).is_verified
     (out / "summary.json").write_text("[]")
     with pytest.raises(InputError, match=r"layout\.json: got No such file"):
         run_verification(out, progress=StageProgress())
