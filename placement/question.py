@@ -401,7 +401,7 @@ class Question:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Answerable:
+class QuestionField:
     """A field of :class:`Question`, taken apart.
 
     Attributes
@@ -434,7 +434,7 @@ class Answerable:
 
 
 @cache
-def question_fields() -> dict[str, Answerable]:
+def question_fields() -> dict[str, QuestionField]:
     """The fields of a question that a user can set, by name, in the order of the help."""
     hints = get_type_hints(Question, include_extras=True)
     found = {}
@@ -446,13 +446,13 @@ def question_fields() -> dict[str, Answerable]:
             kind = Annotated[kind, *limits]
         if get_origin(kind) in (Union, UnionType):  # of a value and None
             kind = next(one for one in get_args(kind) if one is not NoneType)
-        found[field.name] = Answerable(
+        found[field.name] = QuestionField(
             name=field.name, kind=kind, default=field.default, option=option
         )
     return found
 
 
-def load_answers(path: Path) -> dict[str, Any]:
+def load_question_values(path: Path) -> dict[str, Any]:
     """Read a question file: the values that it gives, by the names of the fields.
 
     Raises
@@ -464,15 +464,15 @@ def load_answers(path: Path) -> dict[str, Any]:
     from geometry.files import load_toml, read_table
 
     known = {field.key: field for field in question_fields().values()}
-    answers = {}
+    values = {}
     for key, value in load_toml(path).items():
         if key not in known:
             raise InputError(str(path), key, "one of " + ", ".join(known))
         field = known[key]
         if field.kind is str and isinstance(value, int | float) and not isinstance(value, bool):
-            value = f"{value:g}"
-        answers[field.name] = read_table(value, field.kind, f"{path}: {key}")
-    return answers
+            value = str(value)
+        values[field.name] = read_table(value, field.kind, f"{path}: {key}")
+    return values
 
 
 def load_question(path: Path) -> Question:
@@ -488,7 +488,7 @@ def load_question(path: Path) -> Question:
     InputError
         The file cannot be read, or has an unknown key or a value that cannot be.
     """
-    return Question(**load_answers(path))
+    return Question(**load_question_values(path))
 
 
 def save_question(path: Path, question: Question) -> None:

@@ -22,9 +22,9 @@ from placement.question import (
     SECTIONS,
     SEEN,
     SOUGHT,
-    Answerable,
     Question,
-    load_answers,
+    QuestionField,
+    load_question_values,
     question_fields,
     save_question,
 )
@@ -150,7 +150,7 @@ ONLY_DRIVEN = fields_in(
 """Fields of commands that show what is driven and judge nothing."""
 
 
-def field_option(field: Answerable, default: Any = None) -> Decorator:
+def field_option(field: QuestionField, default: Any = None) -> Decorator:
     """The option of a field of a question.
 
     Parameters
@@ -260,7 +260,7 @@ def one_run_options() -> Decorator:
 def _read_question(context: click.Context, _param: click.Parameter, path: Path | None) -> None:
     """Let a question file give what the command line does not."""
     if path is not None:
-        context.default_map = load_answers(path)
+        context.default_map = load_question_values(path)
 
 
 _question_option = option(

@@ -28,7 +28,7 @@ from geometry.files import (
 from geometry.weather import pick_weather
 from scenarios.runs import Run
 
-# ---------- bodies as OpenSCENARIO wants them: kind, box, axles, point of reference
+# ---------- bodies: kind, box, axles, point of reference
 
 
 DECIMALS = 6  # of metres, seconds, radians: what differs in the last bits gives the same file
@@ -129,7 +129,7 @@ def to_radians(angle_deg: float) -> float:
     return round(math.radians(angle_deg), DECIMALS) + 0.0
 
 
-# ---------- A run as an OpenSCENARIO file, for a simulator that knows the map
+# ---------- the file
 
 
 VUT, VRU = "vut", "vru"

@@ -154,7 +154,7 @@ def _detect_from(setting: Setting, height_px: float) -> Setting:
     return replace(setting, detector=detector, planner=detector)
 
 
-# ---------- the CarlaNCAP study's figures beside ours: ``python -m experiments.study.reproduction``
+# ---------- the study's figures beside ours
 
 
 CASES = tuple(OWN_CASES.split(","))

@@ -11,8 +11,8 @@ from geometry.errors import InputError
 from placement.question import (
     SECTIONS,
     Question,
-    load_answers,
     load_question,
+    load_question_values,
     question_fields,
     save_question,
 )
@@ -78,7 +78,7 @@ def test_every_field_has_an_option_of_its_own_name_but_for_the_unit():
 
 def test_a_number_is_taken_where_a_word_may_stand(path):
     path.write_text("target = 0.99\nspeeds = 30\n")
-    assert load_answers(path) == {"target": "0.99", "speeds": "30"}
+    assert load_question_values(path) == {"target": "0.99", "speeds": "30"}
 
 
 @pytest.mark.parametrize(

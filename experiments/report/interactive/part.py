@@ -41,8 +41,8 @@ def choose_runs(
 
     Pairs of the index of a run, and one of ``SHOWN_ABOVE``, ``LEAST_TIME``, ``NOT_AVOIDED`` and
     ``ONE_PER_CASE``, in this order. Each of the last three gets a third of what is left, or more
-    where the others do not need theirs. `first_runs` are ids
-    of runs that come first; unknown ones are left out. Raises InputError if `max_runs` is below 1.
+    where the others do not need theirs. `first_runs` are ids of runs that come first; unknown ones
+    are left out. Raises InputError if `max_runs` is below 1.
     """
     if max_runs < 1:
         raise InputError("max_runs", max_runs, "at least 1")
@@ -91,7 +91,7 @@ def _cases_in_turn(order: IntArray, cases: Sequence[str]) -> list[int]:
     return [int(index) for index in order[np.argsort(ranks, kind="stable")]]
 
 
-# ---------- everything that the template of the report's interactive part needs
+# ---------- what the template needs
 
 
 _PLOTLY_PACKAGE = "plotly"

@@ -25,7 +25,7 @@ from ...figures.axes import BLUE, GREEN, ORANGE, PINK, SKY, VERMILION, describe_
 from ...figures.plan import CLASS_STYLES, ground_footprint
 from ...figures.sensors import blind_footprint, ground_rings
 
-# ---------- values as text that may stand inside a ``<script>`` of an HTML page
+# ---------- values as text within a script
 
 
 _ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
@@ -79,7 +79,7 @@ def unpack_bits(text: str, *, n_rows: int, n: int) -> NDArray[np.bool_]:
     return np.unpackbits(data, axis=1, count=n).astype(bool)
 
 
-# ---------- runs as the player's script reads them: whole centimetres and milliseconds, packed bits
+# ---------- runs
 
 
 _PARTY_NAMES = {
@@ -221,7 +221,7 @@ def _milliseconds(values_s: ArrayLike) -> Any:
     return np.rint(1000.0 * values).astype(int).tolist()
 
 
-# ---------- units as the scripts draw them: where, which way, what they look at, in which style
+# ---------- units
 
 
 COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
@@ -333,7 +333,7 @@ def _outline_cm(corners_m: FloatArray) -> list[list[int]]:
     return outline
 
 
-# ---------- what lies and stands on the ground, as SVG paths in whole centimetres
+# ---------- the ground and what stands on it, as SVG paths
 
 
 _MAX_HALF_M = 120.0  # farther things are never in the player's window
@@ -372,13 +372,13 @@ def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
         for name, colour, shape in layers
     ]
     return {
-        "middle": _centimetres_ground_paths(middle),
+        "middle": _centimetres(middle),
         "half": round(100.0 * half),
         "classes": [path for path in paths if path["path"]],
-        "sites": _centimetres_ground_paths(
+        "sites": _centimetres(
             np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
         ),
-        "crosswalks": _centimetres_ground_paths(scene.crosswalks_m),
+        "crosswalks": _centimetres(scene.crosswalks_m),
         "arms": _arm_labels(scene, middle, half),
     }
 
@@ -420,9 +420,7 @@ def _svg_path(shape: Any) -> str:
         for ring in (simple.exterior, *simple.interiors)
     ]
     return "".join(
-        "M"
-        + "L".join(f"{x} {y}" for x, y in _centimetres_ground_paths(np.asarray(ring.coords)[:-1]))
-        + "Z"
+        "M" + "L".join(f"{x} {y}" for x, y in _centimetres(np.asarray(ring.coords)[:-1])) + "Z"
         for ring in rings
         if len(ring.coords) > 3
     )
@@ -436,9 +434,5 @@ def _arm_labels(scene: Scene, middle_m: FloatArray, half_m: float) -> list[dict[
         outward = np.mean(mouths, axis=0) - middle_m
         outward /= max(float(np.hypot(*outward)), 1.0e-9)
         place = middle_m + _LABEL_SHARE * half_m * outward
-        labels.append({"name": arm.name, "place": _centimetres_ground_paths(place)})
+        labels.append({"name": arm.name, "place": _centimetres(place)})
     return labels
-
-
-def _centimetres_ground_paths(values_m: FloatArray) -> Any:
-    return np.rint(100.0 * values_m).astype(int).tolist()

@@ -169,7 +169,11 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         ("compare --layout carlancap-12", "LAYOUT: got one layout; expected two layouts or more"),
         ("compare", "LAYOUT: got nothing; expected two layouts or more"),
         ("compare a b c", "LAYOUT: got 'a'; expected carlancap-12, or a layout file that exists"),
-        ("export --layout carlancap-12", "Missing option '--format'."),
+        (
+            "export --layout carlancap-12",
+            "Missing option '--format'. Choose from: json, csv, parquet, geojson, gpkg, kml, carla, "
+            "opencv, ros, openlabel, cpm",
+        ),
         (
             "export --layout carlancap-12 --format xml",
             "--format: got 'xml'; expected one of json, csv, parquet, geojson, gpkg, kml, carla, "
