@@ -140,7 +140,7 @@ def solve(
     if format_name in ("auto", "npz") and instance_kind(file) == KIND:
         if out is not None:
             raise click.UsageError(f"--out: got {out}; expected it with covering problems only")
-        summary = solve.run_solve_windows(
+        solution = solve.run_solve_windows(
             file,
             budget_units=budget_units,
             budget_cost=budget_cost,
@@ -150,7 +150,7 @@ def solve(
             gap=gap,
             progress=progress,
         )
-        print_result(summary, progress, as_json, lambda: window_text(plain(summary)))
+        print_result(solution, progress, as_json, lambda: window_text(plain(solution)))
         return
     try:
         summary = solve.run_solve(

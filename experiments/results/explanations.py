@@ -18,9 +18,8 @@ from placement.explain import (
     find_pool,
     find_unavoided,
 )
-from placement.explain.outcomes import Outcome
 from placement.explain.pool import sites_in_order
-from placement.explain.sensitivity import Sensitivity
+from placement.explain.sensitivity import Outcome, Sensitivity
 from placement.optimiser import PlacementProblem
 from placement.pipeline import Placement
 from placement.private_ground import PrivateGround, private_shares
