@@ -11,8 +11,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from geometry.scene_files import load_scene
-
     from .candidates import CandidateGrid, CandidatePose, build_candidates, load_candidate_grid
     from .compute import Compute
     from .detection_table import DetectionTable
@@ -62,7 +60,6 @@ __all__ = [
     "load_layout",
     "load_problem",
     "load_question",
-    "load_scene",
     "place",
     "refine",
     "verify_certificate",
@@ -87,7 +84,6 @@ _HOMES = {
     ".verification.instances": ("load_problem",),
     ".verification.verify": ("verify_certificate",),
     ".wishes": ("Wishes",),
-    "geometry.scene_files": ("load_scene",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -18,20 +18,8 @@ from placement.sampling import load_uncertainty
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
-API_PAGES = sorted((DOCS / "api").glob("*.rst"))
-PACKAGES = [
-    "geometry",
-    "scenarios",
-    "placement",
-    "placement.visibility",
-    "placement.optimiser",
-    "placement.evaluator",
-    "placement.detectors",
-    "placement.sampling",
-    "placement.explain",
-    "placement.recordings",
-    "placement.imaging",
-]
+API_PAGES = [DOCS / "api.rst"]
+PACKAGES = ["geometry", "scenarios", "placement"]
 _COMMAND = re.compile(r"^(?:\$ )?(?:uv run )?place-rsus (?=\S)(.*)$")
 _INLINE = re.compile(r"`place-rsus ([^`]+)`")
 _FILE = re.compile(

@@ -14,19 +14,7 @@ from sphinx.environment import BuildEnvironment
 from sphinx.util.typing import ExtensionMetadata
 
 # Where a name of two packages is shown: the first that has it.
-PACKAGES = (
-    "geometry",
-    "scenarios",
-    "placement",
-    "placement.visibility",
-    "placement.optimiser",
-    "placement.evaluator",
-    "placement.detectors",
-    "placement.sampling",
-    "placement.explain",
-    "placement.recordings",
-    "placement.imaging",
-)
+PACKAGES = ("geometry", "scenarios", "placement")
 
 
 def setup(app: Sphinx) -> ExtensionMetadata:
