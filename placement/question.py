@@ -258,7 +258,7 @@ class Question:
         str,
         Option(
             section=DRIVEN,
-            help="Folder or .zip file of `place-rsus scene import`, or a map (.osm, .osm.pbf, .xodr); "
+            help="Folder or .zip of `place-rsus scene import`, or a map (.osm, .osm.pbf, .xodr); "
             "default: the study's junction.",
             metavar="PATH",
             is_common=True,
