@@ -32,51 +32,27 @@ _MAX_LINES = 60  # of the search for the price of money: it ends long before
 
 
 class Pick(NamedTuple):
-    """The most that a choice can be worth, and what it consists of.
+    """The most that a choice can be worth, and what it consists of."""
 
-    Attributes
-    ----------
-    limit : float
-        No feasible set is worth more.
-    poses : (n,) int
-        Poses that are chosen, in whole or in part.
-    shares : (n,) float
-        How much of each, 0..1; all 1 without a budget of money.
-    """
-
-    limit: float
-    poses: IntArray
-    shares: FloatArray
+    limit: float  # no feasible set is worth more
+    poses: IntArray  # (n,): poses that are chosen, in whole or in part
+    shares: FloatArray  # (n,): how much of each, 0..1; all 1 without a budget of money
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Supply:
-    """Units, room at the sites, and money.
+    """Units, room at the sites, and money."""
 
-    Attributes
-    ----------
-    max_units : int
-        At most so many poses.
-    site_index : (n_poses,) int
-        Site of every pose.
-    site_capacity : (n_sites,) int
-        Units that each site can carry.
-    unit_cost_eur : (n_poses,) float, optional
-        Of each pose. [EUR]
-    site_cost_eur : (n_sites,) float, optional
-        Once for each site that carries units. [EUR]
-    budget_eur : float
-        All units and sites together; by default as much as one wants. [EUR]
-    groups : tuple of (n,) int
-        At least one pose of each must be chosen. They are disjoint, and each stands at one site.
-    """
-
-    max_units: int
-    site_index: IntArray
-    site_capacity: IntArray
+    max_units: int  # at most so many poses
+    site_index: IntArray  # (n_poses,): site of every pose
+    site_capacity: IntArray  # (n_sites,): units that each site can carry
+    # (n_poses,): of each pose [EUR].
     unit_cost_eur: FloatArray = None  # type: ignore[assignment]  # filled in below
+    # (n_sites,): once for each site that carries units [EUR].
     site_cost_eur: FloatArray = None  # type: ignore[assignment]
+    # All units and sites together; by default as much as one wants [EUR].
     budget_eur: float = np.inf
+    # Each (n,): at least one pose of each must be chosen. They are disjoint, and each stands at one site.
     groups: tuple[IntArray, ...] = ()
 
     def __post_init__(self) -> None:
@@ -260,20 +236,11 @@ _WORTH_THREADS = 1 << 21  # values: with fewer, threads take longer to start tha
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Coverage:
-    """Poses to choose from, and what each is worth in every row.
+    """Poses to choose from, and what each is worth in every row."""
 
-    Attributes
-    ----------
-    values : (n_poses, n_rows) float32 or float64
-        v[c, r], at least 0; never copied.
-    supply : Supply
-        Which sets are feasible.
-    reached : (n_rows,) float, optional
-        What units that stand already are worth; by default 0.
-    """
-
-    values: ValueArray
-    supply: Supply
+    values: ValueArray  # (n_poses, n_rows): v[c, r], at least 0; never copied
+    supply: Supply  # which sets are feasible
+    # (n_rows,): what units that stand already are worth; by default 0.
     reached: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -322,24 +289,12 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bound:
-    """A limit that multipliers prove.
+    """A limit that multipliers prove."""
 
-    Attributes
-    ----------
-    limit : float
-        No feasible set is worth more.
-    multipliers : (n_rows,) float
-        lambda, as it was used: at least what is reached already.
-    worth : (n_poses,) float
-        rho: what each pose has beyond lambda, summed over the rows.
-    pick : Pick
-        The poses whose worth makes the limit.
-    """
-
-    limit: float
-    multipliers: ValueArray
-    worth: FloatArray
-    pick: Pick
+    limit: float  # no feasible set is worth more
+    multipliers: ValueArray  # (n_rows,): lambda, as it was used: at least what is reached already
+    worth: FloatArray  # (n_poses,): rho: what each pose has beyond lambda, summed over the rows
+    pick: Pick  # the poses whose worth makes the limit
 
 
 def gains(

@@ -33,27 +33,13 @@ _LITTLE_USED = 0.2  # units at a site: less, and another question says more
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Search:
-    """What branch and bound found.
+    """What branch and bound found."""
 
-    Attributes
-    ----------
-    poses : (n_units,) int
-        The best set.
-    value : float
-        f of it.
-    limit : float
-        No feasible set is worth more.
-    n_nodes : int
-        Looked at.
-    is_finished : bool
-        False: the time was up.
-    """
-
-    poses: IntArray
-    value: float
-    limit: float
-    n_nodes: int
-    is_finished: bool
+    poses: IntArray  # (n_units,): the best set
+    value: float  # f of it
+    limit: float  # no feasible set is worth more
+    n_nodes: int  # looked at
+    is_finished: bool  # False: the time was up
 
 
 @dataclass(order=True, slots=True)

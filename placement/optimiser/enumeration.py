@@ -148,21 +148,11 @@ PairArray = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SmallSets:
-    """Sets that are worth more than a need.
+    """Sets that are worth more than a need."""
 
-    Attributes
-    ----------
-    sets : (n_sets, n_units) int
-        Feasible, poses ascending in each, all that there are.
-    values : (n_sets,) float
-        f of each.
-    n_looked_at : int
-        Sets that were looked at one by one.
-    """
-
-    sets: IntArray
-    values: FloatArray
-    n_looked_at: int
+    sets: IntArray  # (n_sets, n_units): feasible, poses ascending in each, all that there are
+    values: FloatArray  # (n_sets,): f of each
+    n_looked_at: int  # sets that were looked at one by one
 
 
 def best_sets(

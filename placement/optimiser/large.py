@@ -30,23 +30,12 @@ _BLOCK_POSES = 1 << 14
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outlook:
-    """What can be known of a large instance without solving it.
+    """What can be known of a large instance without solving it."""
 
-    Attributes
-    ----------
-    pool : (n,) int
-        Promising poses, forced ones among them.
-    sets : tuple of (n_units,) int
-        Sets that promise most, of the whole problem.
-    apr : float
-        No layout within units, sites and money has a higher APR.
-    margins_s : float
-        Nor a larger sum of weights times margins; infinite where that was not asked. [s]
-    """
-
-    pool: IntArray
-    sets: tuple[IntArray, ...]
-    apr: float
+    pool: IntArray  # (n,): promising poses, forced ones among them
+    sets: tuple[IntArray, ...]  # sets that promise most, of the whole problem
+    apr: float  # no layout within units, sites and money has a higher APR
+    # Nor a larger sum of weights times margins; infinite where that was not asked [s].
     margins_s: float
 
 

@@ -20,21 +20,13 @@ _LONGEST_S = 1.0e6  # eleven days
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What a solver says of a problem that is maximised.
+    """What a solver says of a problem that is maximised."""
 
-    Attributes
-    ----------
-    is_found : bool
-        Whether the variables hold a feasible point.
-    is_finished : bool
-        Whether that is best, or there is none, rather than the best within the time.
-    bound : float
-        No feasible point has a higher objective; minus infinity if there is none, plus infinity if
-        nothing is known.
-    """
-
-    is_found: bool
+    is_found: bool  # whether the variables hold a feasible point
+    # Whether that is best, or there is none, rather than the best within the time.
     is_finished: bool
+    # No feasible point has a higher objective; minus infinity if there is none, plus infinity if
+    # nothing is known.
     bound: float
 
 

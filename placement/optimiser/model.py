@@ -35,37 +35,21 @@ _OBJECTIVE_SUM = 1.0e4  # HiGHS's tolerances are absolute, 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cut:
-    """At least so many of some poses must be chosen.
+    """At least so many of some poses must be chosen."""
 
-    Attributes
-    ----------
-    is_counted : (n_poses,) bool
-        Which poses count.
-    n_units : int
-        How many of them are needed.
-    """
-
-    is_counted: BoolArray
-    n_units: int
+    is_counted: BoolArray  # (n_poses,): which poses count
+    n_units: int  # how many of them are needed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MilpResult:
-    """What a solver says of a model.
+    """What a solver says of a model."""
 
-    Attributes
-    ----------
-    units : (n,) int or None
-        Poses of the reduced problem; None if no feasible set was found.
-    bound : float
-        No feasible set has a better objective; the worst infinity if there is no set, the best one
-        if nothing is known.
-    is_finished : bool
-        Whether `units` are best (or there are none), rather than the best within the time.
-    """
-
-    units: IntArray | None
+    units: IntArray | None  # (n,): poses of the reduced problem; None if no feasible set was found
+    # No feasible set has a better objective; the worst infinity if there is no set, the best one if
+    # nothing is known.
     bound: float
+    # Whether `units` are best (or there are none), rather than the best within the time.
     is_finished: bool
 
 

@@ -29,39 +29,20 @@ _limit = attrgetter("limit")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoolSizes:
-    """How many poses column generation works with.
+    """How many poses column generation works with."""
 
-    Attributes
-    ----------
-    n_first : int
-        To begin with.
-    n_more : int
-        At most so many join in a round.
-    n_most : int
-        No more are kept when others join.
-    n_rounds : int
-        At most.
-    """
-
-    n_first: int = 1500
-    n_more: int = 1000
-    n_most: int = 3000
-    n_rounds: int = 25
+    n_first: int = 1500  # to begin with
+    n_more: int = 1000  # at most so many join in a round
+    n_most: int = 3000  # no more are kept when others join
+    n_rounds: int = 25  # at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tightened:
-    """Multipliers after some steps.
+    """Multipliers after some steps."""
 
-    Attributes
-    ----------
-    bound : Bound
-        The best.
-    shares : (n_poses,) float
-        How often each pose was picked of late: close to a relaxed solution.
-    """
-
-    bound: Bound
+    bound: Bound  # the best
+    # (n_poses,): how often each pose was picked of late: close to a relaxed solution.
     shares: FloatArray
 
 
@@ -131,24 +112,12 @@ def first_multipliers(coverage: Coverage, chosen: IntArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Columns:
-    """A bound over all poses, and the few poses that it rests on.
+    """A bound over all poses, and the few poses that it rests on."""
 
-    Attributes
-    ----------
-    limit : float
-        No feasible set is worth more: that of `bound`, or what all poses together reach.
-    bound : Bound
-        For all poses.
-    pool : (n,) int
-        Poses that were worked with at last, ascending.
-    shares : (n,) float
-        Their shares in a relaxed solution, roughly.
-    """
-
-    limit: float
-    bound: Bound
-    pool: IntArray
-    shares: FloatArray
+    limit: float  # no feasible set is worth more: that of `bound`, or what all poses together reach
+    bound: Bound  # for all poses
+    pool: IntArray  # (n,): poses that were worked with at last, ascending
+    shares: FloatArray  # (n,): their shares in a relaxed solution, roughly
 
 
 def generate_columns(

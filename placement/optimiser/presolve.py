@@ -22,15 +22,10 @@ WordArray = NDArray[np.uint64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PresolveStatistics:
-    """Sizes before and after.
+    """Sizes before and after."""
 
-    Attributes
-    ----------
-    n_poses, n_frames, n_windows, n_runs : tuple of int
-        Before, after. Windows count once per run before, once if they need the same frames after;
-        runs are left out if nothing avoids them or they have no weight.
-    """
-
+    # Before, after. Windows count once per run before, once if they need the same frames after;
+    # runs are left out if nothing avoids them or they have no weight.
     n_poses: tuple[int, int]
     n_frames: tuple[int, int]
     n_windows: tuple[int, int]
@@ -54,57 +49,28 @@ class ReducedProblem:
 
     A chain is a sequence of windows in the order of time. Runs that go through the same windows,
     to different ends, share one.
-
-    Attributes
-    ----------
-    pose_index : (n_poses,) int
-        Rows of the detection table: the way back.
-    limits : Limits
-        On these poses.
-    run_index : (n_runs,) int
-        Runs of the full problem that some pose avoids.
-    measure : Measure
-        Of these runs, as in the full problem.
-    floors : tuple of Requirement
-        What must be reached in any case.
-    objectives : tuple of Objective
-        In the order in which sets of poses are compared.
-    survive : int
-        Failed units that ``Objective.APR_SURVIVED`` is about.
-    n_frames : int
-        Merged frames.
-    words : (n_poses, n_words) uint64
-        Bits V[c, f] along the merged frames, lowest bit first.
-    window_frames : (n_windows, n_confirmations or 1) int
-        Merged frames that each window needs; one may stand there twice.
-    chain_window : (n_links,) int
-        The windows of all chains, chain after chain.
-    chain_start : (n_chains + 1,) int
-        Links of chain g are chain_start[g] .. chain_start[g + 1] - 1.
-    run_chain : (n_runs,) int
-        Chain of every run.
-    margin_s : (n_runs, longest chain + 1) float
-        Margin if the first window seen is the k-th of the chain; minus infinity from the first
-        one that is too late for this run. [s]
-    statistics : PresolveStatistics
-        Sizes before and after.
     """
 
-    pose_index: IntArray
-    limits: Limits
-    run_index: IntArray
-    measure: Measure
-    floors: tuple[Requirement, ...]
-    objectives: tuple[Objective, ...]
-    survive: int
-    n_frames: int
-    words: WordArray
+    pose_index: IntArray  # (n_poses,): rows of the detection table: the way back
+    limits: Limits  # on these poses
+    run_index: IntArray  # (n_runs,): runs of the full problem that some pose avoids
+    measure: Measure  # of these runs, as in the full problem
+    floors: tuple[Requirement, ...]  # what must be reached in any case
+    objectives: tuple[Objective, ...]  # in the order in which sets of poses are compared
+    survive: int  # failed units that ``Objective.APR_SURVIVED`` is about
+    n_frames: int  # merged frames
+    words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
+    # (n_windows, n_confirmations or 1): merged frames that each window needs; one may stand there
+    # twice.
     window_frames: IntArray
-    chain_window: IntArray
+    chain_window: IntArray  # (n_links,): the windows of all chains, chain after chain
+    # (n_chains + 1,): links of chain g are chain_start[g] .. chain_start[g + 1] - 1.
     chain_start: IntArray
-    run_chain: IntArray
+    run_chain: IntArray  # (n_runs,): chain of every run
+    # (n_runs, longest chain + 1): margin if the first window seen is the k-th of the chain; minus
+    # infinity from the first one that is too late for this run [s].
     margin_s: FloatArray
-    statistics: PresolveStatistics
+    statistics: PresolveStatistics  # sizes before and after
 
     @property
     def n_poses(self) -> int:

@@ -29,27 +29,18 @@ from .objectives import TOLERANCE, VALUE_OBJECTIVES, Goal, Objective, objectives
 class Measure:
     """Accident prevention ratio of what is avoided.
 
-    Attributes
-    ----------
-    weight : (n_runs,) float
-        Weights of the runs that can be avoided; all runs together weigh 1, or what counts does.
-    sample_index : (n_runs,) int
-        Sampled world of each run; all 0 where nothing was sampled.
-    sample_weight : (n_samples,) float
-        What all runs of each world weigh together, also those that nothing avoids.
-    tail : float
-        Share of the worlds that counts, the worst ones: 1 is the expectation, up to
-        1 / n_samples the worst world alone.
-
-    Notes
-    -----
     With a tail, this is the conditional value at risk of Rockafellar and Uryasev (2000): the mean
     over the worst share, in which one world may count in part.
     """
 
+    # (n_runs,): weights of the runs that can be avoided; all runs together weigh 1, or what counts
+    # does.
     weight: FloatArray
-    sample_index: IntArray
+    sample_index: IntArray  # (n_runs,): sampled world of each run; all 0 where nothing was sampled
+    # (n_samples,): what all runs of each world weigh together, also those that nothing avoids.
     sample_weight: FloatArray
+    # Share of the worlds that counts, the worst ones: 1 is the expectation, up to 1 / n_samples the
+    # worst world alone.
     tail: float = 1.0
 
     @property
@@ -396,27 +387,15 @@ _TIME_TOLERANCE_S = 1.0e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Requirement:
-    """A value that must be reached; more poses never reach less of it.
+    """A value that must be reached; more poses never reach less of it."""
 
-    Attributes
-    ----------
-    measure : Measure
-        What is counted, over the runs of the reduced problem.
-    least : float
-        What must be reached, in the measure's unit; times seconds where margins are summed.
-    min_margin_s : float
-        Runs avoided with less than this do not count; minus infinity: just avoided. [s]
-    n_failures : int
-        It must still be reached when any so many units fail.
-    sums_margins : bool
-        Count the weights times the margins instead of the weights.
-    """
-
-    measure: Measure
+    measure: Measure  # what is counted, over the runs of the reduced problem
+    # What must be reached, in the measure's unit; times seconds where margins are summed.
     least: float
+    # Runs avoided with less than this do not count; minus infinity: just avoided [s].
     min_margin_s: float = -np.inf
-    n_failures: int = 0
-    sums_margins: bool = False
+    n_failures: int = 0  # it must still be reached when any so many units fail
+    sums_margins: bool = False  # count the weights times the margins instead of the weights
 
     @property
     def needs_all(self) -> bool:

@@ -39,24 +39,12 @@ _LITTLE = 1.0e-5  # relative; a bound that is better by less is no better
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Relaxed:
-    """A relaxed solution and what it proves.
+    """A relaxed solution and what it proves."""
 
-    Attributes
-    ----------
-    shares : (n_poses,) float
-        x, 0..1; feasible within OSQP's tolerance.
-    bound : Bound
-        Proven by the repaired multipliers, for the poses that were relaxed.
-    is_solved : bool
-        Whether OSQP met its tolerance.
-    n_steps : int
-        Of OSQP.
-    """
-
-    shares: FloatArray
-    bound: Bound
-    is_solved: bool
-    n_steps: int
+    shares: FloatArray  # (n_poses,): x, 0..1; feasible within OSQP's tolerance
+    bound: Bound  # proven by the repaired multipliers, for the poses that were relaxed
+    is_solved: bool  # whether OSQP met its tolerance
+    n_steps: int  # of OSQP
 
 
 class Relaxation:

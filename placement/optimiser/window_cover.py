@@ -49,27 +49,15 @@ _LOCAL_POSES = 2000  # that exchanges choose from
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TimelyWindows:
-    """Windows of consecutive frames that end in time, for runs where there are any.
+    """Windows of consecutive frames that end in time, for runs where there are any."""
 
-    Attributes
-    ----------
-    run_index : (n_rows,) int
-        Runs of the axis with weight and at least one such window.
-    first_frame : (n_rows,) int
-        Frame of the axis at which the run's first window begins.
-    n_windows : (n_rows,) int
-        Windows of each run; window k begins at first_frame + k.
-    margin_s : (n_rows, largest n_windows + 1) float
-        Margin if window k is the first one seen; 0 from k = n_windows on: none. [s]
-    n_confirmations : int
-        Frames of a window.
-    """
-
-    run_index: IntArray
-    first_frame: IntArray
-    n_windows: IntArray
+    run_index: IntArray  # (n_rows,): runs of the axis with weight and at least one such window
+    first_frame: IntArray  # (n_rows,): frame of the axis at which the run's first window begins
+    n_windows: IntArray  # (n_rows,): windows of each run; window k begins at first_frame + k
+    # (n_rows, largest n_windows + 1): margin if window k is the first one seen; 0 from k =
+    # n_windows on: none [s].
     margin_s: FloatArray
-    n_confirmations: int
+    n_confirmations: int  # frames of a window
 
 
 def timely_windows(axis: FrameAxis, rule: AebRule) -> TimelyWindows:
@@ -241,39 +229,19 @@ def _words_from(words: WordArray, first_frame: IntArray) -> WordArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WindowCover:
-    """A set of poses and how good it is proven to be.
+    """A set of poses and how good it is proven to be."""
 
-    Attributes
-    ----------
-    poses : (n_units,) int
-        Ascending.
-    value : float
-        What the windows are worth that they see together.
-    limit : float
-        No feasible set is worth more.
-    frames : (n_rows, largest n_windows) int
-        Frame that each window was asked for.
-    multipliers : (n_rows,) float
-        With the values of `frames`, :func:`placement.optimiser.bounds.prove` gives `root_limit`.
-    root_limit : float
-        What the multipliers prove; `limit` is lower if branching has proven more.
-    pool : (n,) int
-        Poses that the bound rests on: a good place to look for more.
-    n_nodes : int
-        Of branch and bound.
-    seconds : float
-        Spent. [s]
-    """
-
-    poses: IntArray
-    value: float
-    limit: float
-    frames: IntArray
+    poses: IntArray  # (n_units,): ascending
+    value: float  # what the windows are worth that they see together
+    limit: float  # no feasible set is worth more
+    frames: IntArray  # (n_rows, largest n_windows): frame that each window was asked for
+    # (n_rows,): with the values of `frames`, :func:`placement.optimiser.bounds.prove` gives
+    # `root_limit`.
     multipliers: ValueArray
-    root_limit: float
-    pool: IntArray
-    n_nodes: int
-    seconds: float
+    root_limit: float  # what the multipliers prove; `limit` is lower if branching has proven more
+    pool: IntArray  # (n,): poses that the bound rests on: a good place to look for more
+    n_nodes: int  # of branch and bound
+    seconds: float  # spent [s]
 
     @property
     def gap(self) -> float:

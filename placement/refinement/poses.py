@@ -32,25 +32,14 @@ from .proposals import Places
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bench:
-    """Poses that are tried together.
+    """Poses that are tried together."""
 
-    Attributes
-    ----------
-    candidates : tuple of CandidatePose
-        The poses.
-    origin : (n,) int
-        Row of the grid's pose that each one is, or stands in for: it hangs at the same place, and
-        has the same sensor.
-    is_new : (n,) bool
-        Whether it is not in the grid.
-    packed : (n, ceil(n_frames / 8)) uint8
-        Detection rows.
-    """
-
-    candidates: tuple[CandidatePose, ...]
+    candidates: tuple[CandidatePose, ...]  # the poses
+    # (n,): row of the grid's pose that each one is, or stands in for: it hangs at the same place,
+    # and has the same sensor.
     origin: IntArray
-    is_new: NDArray[np.bool_]
-    packed: NDArray[np.uint8]
+    is_new: NDArray[np.bool_]  # (n,): whether it is not in the grid
+    packed: NDArray[np.uint8]  # (n, ceil(n_frames / 8): detection rows
 
     def __len__(self) -> int:
         return len(self.candidates)

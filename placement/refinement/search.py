@@ -85,18 +85,10 @@ STEPS_DEG = (8.0, 4.0, 2.0, 1.0, 0.5)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Turned:
-    """Where the search ended.
+    """Where the search ended."""
 
-    Attributes
-    ----------
-    bench : Bench
-        The one that it began with, and all poses that were tried behind.
-    rows : tuple of int
-        The best set in it.
-    """
-
-    bench: Bench
-    rows: tuple[int, ...]
+    bench: Bench  # the one that it began with, and all poses that were tried behind
+    rows: tuple[int, ...]  # the best set in it
 
 
 def turn(

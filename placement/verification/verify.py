@@ -48,42 +48,21 @@ _SOLVER_TOLERANCE = 1.0e-6  # relative; solvers meet their rows and whole number
 
 
 class Check(NamedTuple):
-    """Something that was looked at.
+    """Something that was looked at."""
 
-    Attributes
-    ----------
-    name : str
-        What.
-    passed : bool
-        Whether it is as it should be.
-    detail : str
-        In words.
-    """
-
-    name: str
-    passed: bool
-    detail: str
+    name: str  # what
+    passed: bool  # whether it is as it should be
+    detail: str  # in words
 
 
 class StageProof(NamedTuple):
-    """What stands behind a stage of a certificate.
+    """What stands behind a stage of a certificate."""
 
-    Attributes
-    ----------
-    name : str
-        The stage.
-    claims_optimum : bool
-        Whether the certificate says that the layout is proven best in this stage.
-    is_proven_again : bool
-        Whether that was proven here, without a solver.
-    reason : str
-        How; or what it rests on instead.
-    """
-
-    name: str
+    name: str  # the stage
+    # Whether the certificate says that the layout is proven best in this stage.
     claims_optimum: bool
-    is_proven_again: bool
-    reason: str
+    is_proven_again: bool  # whether that was proven here, without a solver
+    reason: str  # how; or what it rests on instead
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

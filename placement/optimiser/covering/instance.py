@@ -147,18 +147,10 @@ TOLERANCE = 1.0e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoveringBudget:
-    """What may be chosen.
+    """What may be chosen."""
 
-    Attributes
-    ----------
-    units : int, optional
-        At most so many columns; by default any number.
-    cost : float, optional
-        At most so much money; by default any.
-    """
-
-    units: int | None = None
-    cost: float | None = None
+    units: int | None = None  # at most so many columns; by default any number
+    cost: float | None = None  # at most so much money; by default any
 
     def __post_init__(self) -> None:
         if self.units is None and self.cost is None:

@@ -151,43 +151,23 @@ _MAX_WORK = 5.0e8  # pairs of sets compared in one reduction: a minute at worst
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoveringPresolve:
-    """What the presolve of a covering problem did.
+    """What the presolve of a covering problem did."""
 
-    Attributes
-    ----------
-    n_columns, n_rows : tuple of int
-        Before, after.
-    n_idle_rows : int
-        Rows without weight, or that no column covers.
-    n_idle_columns : int
-        Columns that cover nothing that is left, or cost more than all the money.
-    n_essential_columns : int
-        Chosen already: free of charge, or the only ones that cover some row.
-    n_equal_columns : int
-        Columns that cover what another one covers, at no less cost.
-    n_dominated_columns : int
-        Columns that cover less than another one, at no less cost.
-    n_dear_columns : int
-        Columns that cost more than the cheapest columns of all their rows together.
-    n_equal_rows : int
-        Rows that are covered by the same columns as another one.
-    n_dominated_rows : int
-        Rows that are covered whenever another one is.
-    n_components : int
-        Independent parts that are left.
-    """
-
+    # Before, after.
     n_columns: tuple[int, int]
     n_rows: tuple[int, int]
-    n_idle_rows: int = 0
+    n_idle_rows: int = 0  # rows without weight, or that no column covers
+    # Columns that cover nothing that is left, or cost more than all the money.
     n_idle_columns: int = 0
+    # Chosen already: free of charge, or the only ones that cover some row.
     n_essential_columns: int = 0
-    n_equal_columns: int = 0
-    n_dominated_columns: int = 0
+    n_equal_columns: int = 0  # columns that cover what another one covers, at no less cost
+    n_dominated_columns: int = 0  # columns that cover less than another one, at no less cost
+    # Columns that cost more than the cheapest columns of all their rows together.
     n_dear_columns: int = 0
-    n_equal_rows: int = 0
-    n_dominated_rows: int = 0
-    n_components: int = 0
+    n_equal_rows: int = 0  # rows that are covered by the same columns as another one
+    n_dominated_rows: int = 0  # rows that are covered whenever another one is
+    n_components: int = 0  # independent parts that are left
 
     def __str__(self) -> str:
         sizes = (
@@ -204,24 +184,13 @@ class CoveringPresolve:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReducedCovering:
-    """A covering problem without what does not matter.
+    """A covering problem without what does not matter."""
 
-    Attributes
-    ----------
-    instance : CoveringInstance
-        What is left.
-    column_index : (n_columns,) int
-        The columns that are left, in the full instance: the way back.
-    essential : (n,) int
-        Columns of the full instance that are chosen already.
-    statistics : CoveringPresolve
-        What was done.
-    """
-
-    instance: CoveringInstance
+    instance: CoveringInstance  # what is left
+    # (n_columns,): the columns that are left, in the full instance: the way back.
     column_index: IntArray
-    essential: IntArray
-    statistics: CoveringPresolve
+    essential: IntArray  # (n,): columns of the full instance that are chosen already
+    statistics: CoveringPresolve  # what was done
 
 
 class _Reduction:

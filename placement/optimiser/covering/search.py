@@ -36,21 +36,11 @@ NumberArray = NDArray[Any]  # float32 where that is exact, else float64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SearchResult:
-    """What the search found.
+    """What the search found."""
 
-    Attributes
-    ----------
-    chosen : (n,) int
-        The best columns known.
-    covered_weight : float
-        Of them.
-    bound : float
-        No set of so many columns covers more.
-    """
-
-    chosen: IntArray
-    covered_weight: float
-    bound: float
+    chosen: IntArray  # (n,): the best columns known
+    covered_weight: float  # of them
+    bound: float  # no set of so many columns covers more
 
 
 def search_best_columns(

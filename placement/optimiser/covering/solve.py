@@ -78,18 +78,10 @@ _MIN_PART = 100  # columns: smaller independent parts are solved together
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MilpAnswer:
-    """What a solver knows when it stops.
+    """What a solver knows when it stops."""
 
-    Attributes
-    ----------
-    chosen : (n,) int or None
-        Best columns found; None if none were.
-    bound : float
-        Least cost, or most weight, that its search leaves possible.
-    """
-
-    chosen: IntArray | None
-    bound: float
+    chosen: IntArray | None  # (n,): best columns found; None if none were
+    bound: float  # least cost, or most weight, that its search leaves possible
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
