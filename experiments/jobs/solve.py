@@ -17,7 +17,7 @@ from placement.optimiser import (
     cost_eur,
     solve_placement,
 )
-from placement.optimiser.covering.files import load_instance, save_instance
+from placement.optimiser.covering.instance import load_instance, save_instance
 from placement.optimiser.covering.solve import (
     CoveringInstance,
     CoveringSolution,
@@ -25,8 +25,8 @@ from placement.optimiser.covering.solve import (
     solve_lscp,
     solve_mclp,
 )
-from placement.optimiser.milp import SolverName
-from placement.verification.instances import load_problem
+from placement.optimiser.model import SolverName
+from placement.verification.certificates import load_problem
 
 from ..progress import WRITING, StageProgress
 

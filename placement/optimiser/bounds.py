@@ -7,9 +7,10 @@ in row r, and a set S is worth
 
 the p-median problem turned round (Cornuejols, Fisher, Nemhauser 1977); with v of 0 and 1 the MCLP.
 f is monotone and submodular. Where runs are confirmed by several units together, v from the
-first frame of each window (first_seen.py) makes f a limit of the true value.
+first frame of each window (:func:`first_seen_values`) makes f a limit of the true value.
 """
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -23,6 +24,10 @@ from geometry.arrays import (
     IntArray,
     freeze,
 )
+from scenarios.aeb import AebRule, is_in_time
+from scenarios.runs import FrameAxis
+
+from .presolve import WordArray
 
 # ---------- supply
 
@@ -52,7 +57,8 @@ class Supply:
     site_cost_eur: FloatArray = None  # type: ignore[assignment]
     # All units and sites together; by default as much as one wants [EUR].
     budget_eur: float = np.inf
-    # Each (n,): at least one pose of each must be chosen. They are disjoint, and each stands at one site.
+    # Each (n,): one pose of each at least must be chosen. They are disjoint, and each stands at
+    # one site.
     groups: tuple[IntArray, ...] = ()
 
     def __post_init__(self) -> None:
@@ -363,3 +369,187 @@ def can_matter(coverage: Coverage, bound: Bound, need: float) -> BoolArray:
         limit[group] = fewer.with_groups(others).pick(bound.worth).limit
     mask: BoolArray = fixed + limit + bound.worth > need
     return mask
+
+
+_BLOCK_WORDS = 1 << 18  # 2 MB: what is worked on stays in the cache
+_SHARE_DIGITS = 3  # shares that differ by less are equal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TimelyWindows:
+    """Windows of consecutive frames that end in time, for runs where there are any."""
+
+    run_index: IntArray  # (n_rows,): runs of the axis with weight and at least one such window
+    first_frame: IntArray  # (n_rows,): frame of the axis at which the run's first window begins
+    n_windows: IntArray  # (n_rows,): windows of each run; window k begins at first_frame + k
+    # (n_rows, largest n_windows + 1): margin if window k is the first one seen; 0 from k =
+    # n_windows on: none [s].
+    margin_s: FloatArray
+    n_confirmations: int  # frames of a window
+
+
+def timely_windows(axis: FrameAxis, rule: AebRule) -> TimelyWindows:
+    """Find the windows of a frame axis that end in time."""
+    run = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
+    last_brake_s = axis.last_brake_time_s[run]
+    position = np.arange(axis.n_frames) - axis.run_start[run]
+    counts = (
+        (position >= rule.n_confirmations - 1)
+        & is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s)
+        & (axis.weight[run] > 0.0)
+    )
+    ends = np.flatnonzero(counts)
+    run_index, first, n_windows = np.unique(run[ends], return_index=True, return_counts=True)
+    margin_s = np.zeros((len(run_index), n_windows.max(initial=0) + 1))
+    row = np.repeat(np.arange(len(run_index)), n_windows)
+    margin_s[row, np.arange(len(ends)) - first[row]] = last_brake_s[ends] - (
+        axis.time_s[ends] + rule.latency_s
+    )
+    return TimelyWindows(
+        run_index=run_index,
+        first_frame=ends[first] - (rule.n_confirmations - 1),
+        n_windows=n_windows,
+        margin_s=margin_s,
+        n_confirmations=rule.n_confirmations,
+    )
+
+
+def first_seen_index(
+    packed: NDArray[np.uint8],
+    windows: TimelyWindows,
+    *,
+    frames: slice | IntArray,
+    workers: int = 1,
+) -> NDArray[np.uint16]:
+    """First window of each run of which each pose sees certain frames, (n_poses, n_rows).
+
+    It is the window's number within the run, and n_windows of the run if there is none. `packed`
+    has V[c, f], the lowest bit first. `frames` says which frames of a window count. A slice stands
+    for the same frames of every window, all of which are needed: ``slice(0, 1)`` is the first one,
+    ``slice(None)`` all of them. An array has one frame for each window, see :func:`hardest_frames`.
+
+    Raises ValueError if no frame counts, or one that no window has.
+    """
+    index = np.empty((len(packed), len(windows.run_index)), dtype=np.uint16)
+
+    def keep(rows: slice, found: IntArray) -> None:
+        index[rows] = found.T
+
+    _go_through(packed, windows, frames, keep, workers)
+    return index
+
+
+def first_seen_values(
+    packed: NDArray[np.uint8],
+    windows: TimelyWindows,
+    worth: FloatArray,
+    *,
+    frames: slice | IntArray,
+    out: NDArray[np.float32] | None = None,
+    workers: int = 1,
+) -> NDArray[np.float32]:
+    """What each pose alone is worth in each run, v[c, r] rounded up, (n_poses, n_rows).
+
+    `worth`, (n_rows, largest n_windows + 1), is that of a run if window k is the first one seen,
+    such as weight times margin; it must not grow with k, and its entry at n_windows is for runs
+    that are not seen. For the other arguments and errors see :func:`first_seen_index`.
+
+    With all frames the values are exact where one unit must confirm alone. With one frame of each
+    window the largest of the values of the chosen poses is a limit of what they reach together,
+    whoever sees the frames: where a window is seen as a whole, one of them sees that frame of it.
+    """
+    if worth.shape != windows.margin_s.shape:
+        raise ValueError(f"worth: got {worth.shape}; expected {windows.margin_s.shape}")
+    values = np.empty((len(packed), len(worth)), dtype=np.float32) if out is None else out
+    table = worth.astype(np.float32)
+    is_less = table < worth  # rounded up instead: a limit stays one
+    table[is_less] = np.nextafter(table[is_less], np.float32(np.inf))
+    start = (np.arange(len(worth)) * worth.shape[1])[:, None]
+
+    def keep(rows: slice, found: IntArray) -> None:
+        values[rows] = table.ravel()[start + found].T
+
+    _go_through(packed, windows, frames, keep, workers)
+    return values
+
+
+def hardest_frames(seen_share: FloatArray, windows: TimelyWindows) -> IntArray:
+    """Of each window the frame that is seen least, for :func:`first_seen_values`.
+
+    `seen_share`, (n_frames,), is how much of each frame a relaxed solution sees, 0..1. Whichever
+    frame of a window is asked for, values are limits. To ask for the one that is seen least
+    promises least: for a set it finds exactly the windows that it sees as a whole.
+    """
+    window = np.minimum(np.arange(windows.margin_s.shape[1] - 1), windows.n_windows[:, None] - 1)
+    frame = windows.first_frame[:, None] + window
+    shares = [seen_share[frame + offset] for offset in range(windows.n_confirmations)]
+    frames: IntArray = np.argmin(np.round(np.stack(shares), _SHARE_DIGITS), axis=0)
+    return frames
+
+
+def _go_through(
+    packed: NDArray[np.uint8],
+    windows: TimelyWindows,
+    frames: slice | IntArray,
+    keep: Callable[[slice, IntArray], None],
+    workers: int,
+) -> None:
+    """Call `keep` with the indices, (n_rows, n_poses), of a few poses at a time."""
+    every = range(windows.n_confirmations)
+    if isinstance(frames, slice):
+        is_possible = len(every[frames]) > 0
+    else:
+        shape = (len(windows.run_index), windows.margin_s.shape[1] - 1)
+        is_possible = frames.shape == shape and bool(np.isin(frames, every).all())
+    if not is_possible:
+        raise ValueError(f"frames: got {frames}; expected some of {windows.n_confirmations}")
+    n_poses = max(64, _BLOCK_WORDS // max(1, len(windows.run_index)))
+
+    def work(start: int) -> None:
+        rows = slice(start, start + n_poses)
+        keep(rows, _first_seen(_by_word(packed[rows]), windows, frames))
+
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(work, range(0, len(packed), n_poses)))
+
+
+def _by_word(packed: NDArray[np.uint8]) -> WordArray:
+    """Words of 64 frames, an empty one at the end: (n_words + 1, n_poses) uint64."""
+    n_words = -(-packed.shape[1] // 8)
+    padded = np.zeros((len(packed), 8 * (n_words + 1)), dtype=np.uint8)
+    padded[:, : packed.shape[1]] = packed
+    return np.ascontiguousarray(padded.view("<u8").T)
+
+
+def _first_seen(words: WordArray, windows: TimelyWindows, frames: slice | IntArray) -> IntArray:
+    """Index of the first window of each run, (n_rows, n_poses)."""
+    index = np.repeat(windows.n_windows[:, None], words.shape[1], axis=1)
+    n_rounds = -(-int(windows.n_windows.max(initial=0)) // 64)
+    for first_window in range(64 * (n_rounds - 1), -1, -64):
+        longer = np.flatnonzero(windows.n_windows > first_window)
+        begin = windows.first_frame[longer] + first_window
+        if isinstance(frames, slice):
+            offsets = range(windows.n_confirmations)[frames]
+            seen = _words_from(words, begin + offsets[0])
+            for offset in offsets[1:]:
+                seen &= _words_from(words, begin + offset)
+        else:
+            asked = frames[longer, first_window : first_window + 64]
+            seen = np.zeros((len(longer), words.shape[1]), dtype=np.uint64)
+            for offset in range(windows.n_confirmations):
+                of_window = _by_word(np.packbits(asked == offset, axis=1, bitorder="little"))[0]
+                seen |= _words_from(words, begin + offset) & of_window[:, None]
+        n_left = np.minimum(windows.n_windows[longer] - first_window, 64).astype(np.uint64)
+        seen &= (~np.uint64(0) >> (np.uint64(64) - n_left))[:, None]
+        lowest = np.bitwise_count(~seen & (seen - np.uint64(1)))  # 64 if no bit is set
+        index[longer] = np.where(lowest < 64, first_window + lowest.astype(np.int64), index[longer])
+    return index
+
+
+def _words_from(words: WordArray, first_frame: IntArray) -> WordArray:
+    """The 64 frames from some frame on, a row for each: (n, n_poses) uint64."""
+    word, bit = np.divmod(first_frame, 64)
+    bit = bit.astype(np.uint64)[:, None]
+    # numpy shifts everything out where the shift is 64.
+    result: WordArray = (words[word] >> bit) | (words[word + 1] << (np.uint64(64) - bit))
+    return result

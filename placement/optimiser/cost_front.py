@@ -9,7 +9,6 @@ import numpy as np
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 
-from .feasibility import check_floors, check_limits, check_reach
 from .front import (
     Front,
     FrontPoint,
@@ -23,11 +22,11 @@ from .front import (
 )
 from .greedy import to_full
 from .limits import Limits
-from .milp import Effort
+from .model import Effort
 from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import ReducedProblem, presolve
 from .problem import Floor, PlacementProblem, Requirement
-from .solve import build_stage
+from .solve import build_stage, check_floors, check_limits, check_reach
 from .stages import Stages
 
 # ---------- price levels

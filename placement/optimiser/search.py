@@ -12,8 +12,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from .bitsets import SetValues, no_values, set_values, union_margins_s, unions_of
 from .greedy import extend_greedily, improve, solve_heuristically
 from .limits import Limits, is_allowed
-from .milp import solver_text
-from .model import Cut, entering_poses, last_links, solve_window_model
+from .model import Cut, entering_poses, last_links, solve_window_model, solver_text
 from .objectives import TOLERANCE, VALUE_OBJECTIVES, Objective
 from .presolve import ReducedProblem, WordArray
 from .problem import PlacementValue, Requirement

@@ -8,18 +8,17 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 
 from .bitsets import BestSet, left_after_failures, set_values, union_margins_s, unions_of
-from .bounds import Coverage, Supply
+from .bounds import Coverage, Supply, timely_windows
 from .enumeration import MAX_POSES, MAX_UNITS, best_of_all, best_of_few, best_sets
 from .greedy import lazy_greedy, swap
 from .limits import are_allowed
-from .milp import Effort
-from .multipliers import first_multipliers, tighten
+from .model import Effort
 from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import ReducedProblem
 from .problem import PlacementProblem, Requirement
-from .relaxation import polish, relaxation_text
+from .relaxation import first_multipliers, polish, relaxation_text, tighten
 from .search import Search, settle
-from .window_cover import WindowCover, find_window_cover, timely_windows
+from .window_cover import WindowCover, find_window_cover
 
 _MAX_TRIPLES = 3e8
 _MAX_SETS_BEST_OF = 2_000_000  # that are evaluated one by one

@@ -20,8 +20,7 @@ import numpy as np
 
 from ..layout import Stage
 from ..optimiser.objectives import Objective
-from .certificates import StoredCertificate, model_of
-from .instances import problem_hash
+from .certificates import StoredCertificate, model_of, problem_hash
 from .recomputation import (
     EPSILON,
     all_sets,

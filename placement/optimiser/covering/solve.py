@@ -25,14 +25,7 @@ from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError
 
 from ...layout import relative_gap
-from ..milp import run_solver, solver_text
-from .greedy import (
-    cover_cheaply,
-    cover_much,
-    drop_redundant,
-    least_cost_bound,
-    most_weight_bound,
-)
+from ..model import run_solver, solver_text
 from .instance import (
     TOLERANCE,
     CoveringBudget,
@@ -50,7 +43,16 @@ from .presolve import (
     presolve_full_cover,
     presolve_weighted_cover,
 )
-from .search import MAX_UNITS, SURE_UNITS, search_best_columns
+from .search import (
+    MAX_UNITS,
+    SURE_UNITS,
+    cover_cheaply,
+    cover_much,
+    drop_redundant,
+    least_cost_bound,
+    most_weight_bound,
+    search_best_columns,
+)
 
 if TYPE_CHECKING:  # it takes two seconds to import: done where a model is stated
     import cvxpy as cp
