@@ -18,12 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from scenarios.aeb import AebRule, is_in_time
 from scenarios.runs import FrameAxis
 
@@ -415,11 +410,7 @@ def timely_windows(axis: FrameAxis, rule: AebRule) -> TimelyWindows:
 
 
 def first_seen_index(
-    packed: NDArray[np.uint8],
-    windows: TimelyWindows,
-    *,
-    frames: slice | IntArray,
-    workers: int = 1,
+    packed: NDArray[np.uint8], windows: TimelyWindows, *, frames: slice | IntArray, workers: int = 1
 ) -> NDArray[np.uint16]:
     """First window of each run of which each pose sees certain frames, (n_poses, n_rows).
 

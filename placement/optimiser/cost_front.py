@@ -315,8 +315,7 @@ class _Climb:
         )
         cost = build_stage(Objective.COST, point.value.cost_eur, least_eur, step.seconds)
         return replace(
-            point,
-            certificate=replace(point.certificate, stages=(cost, *point.certificate.stages)),
+            point, certificate=replace(point.certificate, stages=(cost, *point.certificate.stages))
         )
 
     def _floors(self, asked: Sequence[tuple[float, int]]) -> tuple[Floor, ...]:

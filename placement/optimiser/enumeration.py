@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .bitsets import (
-    BestSet,
-    best_set,
-    concatenate_values,
-    set_values,
-    union_apr,
-    unions_of,
-)
+from .bitsets import BestSet, best_set, concatenate_values, set_values, union_apr, unions_of
 from .bounds import Coverage, ValueArray
 from .limits import Limits, are_allowed, costs_eur
 from .objectives import COST_TOLERANCE_EUR, TOLERANCE

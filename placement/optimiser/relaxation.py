@@ -29,12 +29,7 @@ from scipy import sparse
 
 from geometry.arrays import FloatArray, IntArray
 
-from .bounds import (
-    Bound,
-    Coverage,
-    ValueArray,
-    prove,
-)
+from .bounds import Bound, Coverage, ValueArray, prove
 
 _DEFLECTION = 0.7  # of the last direction that is kept
 _CUT = 0.7

@@ -129,13 +129,7 @@ _SOLVER_TOLERANCE = 1.0e-6  # rows, whole numbers and gaps are met up to this
 class Search:
     """Best set of poses so far, and what the proofs rest on; it stops at `end_s`."""
 
-    def __init__(
-        self,
-        reduced: ReducedProblem,
-        *,
-        end_s: float,
-        uses_models: bool = True,
-    ) -> None:
+    def __init__(self, reduced: ReducedProblem, *, end_s: float, uses_models: bool = True) -> None:
         self.reduced = reduced
         self.end_s = end_s
         self.uses_models = uses_models
@@ -244,11 +238,7 @@ class Search:
         while self.uses_models and self.left_s() > 0.0:
             self.proofs[solver_text()] = None
             result = solve_window_model(
-                problem,
-                objective,
-                requirements=demands,
-                cuts=cuts,
-                time_limit_s=self.left_s(),
+                problem, objective, requirements=demands, cuts=cuts, time_limit_s=self.left_s()
             )
             if result.units is None and result.is_finished:
                 return np.inf if is_minimised else -np.inf

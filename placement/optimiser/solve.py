@@ -269,9 +269,7 @@ def margin_limits_s(problem: PlacementProblem) -> FloatArray:
         everything |= np.bitwise_or.reduce(allowed, axis=0)
     one = DetectionTable(pose_ids=("all",), axis=table.axis, packed=everything[None, :])
     alone = replace(
-        problem,
-        table=one,
-        limits=Limits(site_index=np.array([0]), site_capacity=np.array([1])),
+        problem, table=one, limits=Limits(site_index=np.array([0]), site_capacity=np.array([1]))
     )
     return run_margins_s(alone, [0])
 
@@ -341,11 +339,7 @@ def solve_placement(
         return _solve_large(problem, effort, on_stage)
     reduced = presolve(problem) if reduced is None else reduced
     check_reach(problem, reduced)
-    search = Search(
-        reduced,
-        end_s=end_s,
-        uses_models=effort.solver in ("auto", "exact"),
-    )
+    search = Search(reduced, end_s=end_s, uses_models=effort.solver in ("auto", "exact"))
     search.start([_units_of(reduced, poses) for poses in starts])
     check_floors(problem, search)
     stages = Stages(problem, search, effort)
@@ -385,11 +379,7 @@ def _solve_large(
     found = solve_placement(
         part,
         presolve(part),
-        effort=replace(
-            effort,
-            solver="greedy",
-            time_limit_s=max(end_s - time.monotonic(), 1.0e-3),
-        ),
+        effort=replace(effort, solver="greedy", time_limit_s=max(end_s - time.monotonic(), 1.0e-3)),
         starts=places,
         on_stage=on_stage,
     )

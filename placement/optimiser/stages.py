@@ -416,9 +416,7 @@ class Stages:
                 limit = self._bound_failed_by_models(n_failures, limit)
         self._hold(
             Requirement(
-                measure=search.reduced.measure,
-                least=self._left(n_failures),
-                n_failures=n_failures,
+                measure=search.reduced.measure, least=self._left(n_failures), n_failures=n_failures
             )
         )
         return limit

@@ -215,11 +215,7 @@ def find_window_cover(
 
 
 def _columns(
-    coverage: Coverage,
-    best: IntArray,
-    multipliers: ValueArray | None,
-    end_s: float,
-    workers: int,
+    coverage: Coverage, best: IntArray, multipliers: ValueArray | None, end_s: float, workers: int
 ) -> Columns:
     return generate_columns(
         coverage, best, multipliers=multipliers, improve=polish, end_s=end_s, workers=workers
@@ -339,12 +335,7 @@ def choose_greedily(coverage: Coverage, *, workers: int = 1) -> IntArray:
 
 
 def search_near(
-    coverage: Coverage,
-    columns: Columns,
-    best: IntArray,
-    *,
-    n_restarts: int,
-    seed: int = 0,
+    coverage: Coverage, columns: Columns, best: IntArray, *, n_restarts: int, seed: int = 0
 ) -> IntArray:
     """Round the relaxed solution, exchange, and leave local bests again and again."""
     pool = np.union1d(best, worthiest(columns.bound.worth, _LOCAL_POSES))
@@ -492,11 +483,7 @@ class _Tree:
             self._open(limit, pool[some], tuple(pool[group] for group in groups), bound.multipliers)
 
     def _open(
-        self,
-        limit: float,
-        pool: IntArray,
-        groups: tuple[IntArray, ...],
-        multipliers: ValueArray,
+        self, limit: float, pool: IntArray, groups: tuple[IntArray, ...], multipliers: ValueArray
     ) -> None:
         node = _Node(
             priority=-limit,

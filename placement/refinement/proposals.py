@@ -15,12 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site, containing_instance
 from geometry.sensors import CameraModel, with_fov

@@ -255,10 +255,7 @@ class Search:
         self.search_end_s = started_s + (1.0 - _PROOF_SHARE) * effort.time_limit_s
         self.before = self.values = stage_values(self.grid, placement.pose_index)
         pool = promising_rows(
-            presolve(self.grid),
-            placement.pose_index,
-            n_best=effort.n_pool,
-            n_per_site=_N_PER_SITE,
+            presolve(self.grid), placement.pose_index, n_best=effort.n_pool, n_per_site=_N_PER_SITE
         )
         self.bench = grid_bench(self.grid, candidates, pool)
         self.rows = tuple(int(np.searchsorted(pool, pose)) for pose in placement.pose_index)
@@ -541,9 +538,7 @@ def refine(
 
 
 def _check_table(
-    problem: PlacementProblem,
-    setting: Setting,
-    candidates: Sequence[CandidatePose],
+    problem: PlacementProblem, setting: Setting, candidates: Sequence[CandidatePose]
 ) -> None:
     if problem.table.pose_ids != tuple(candidate.id for candidate in candidates):
         raise InputError("candidates", Unquoted("other poses"), "the rows of the placement's table")

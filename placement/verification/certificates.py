@@ -19,26 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    take,
-    take_list,
-    take_number,
-    take_text,
-    write_atomically,
-)
+from geometry.files import take, take_list, take_number, take_text, write_atomically
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
 from ..detection_table import DetectionTable
 from ..layout import Certificate, Stage
-from ..optimiser import (
-    Floor,
-    Fusion,
-    Goal,
-    Limits,
-    PlacementProblem,
-    PresolveStatistics,
-)
+from ..optimiser import Floor, Fusion, Goal, Limits, PlacementProblem, PresolveStatistics
 from ..optimiser.objectives import Objective
 
 SCHEMA = "place-rsus/certificate/1"

@@ -238,11 +238,7 @@ def _stage_checks(
             abs(value - claimed) <= objective.tolerance,
             f"recomputed {value:.9g}, claimed {claimed:.9g}",
         ),
-        Check(
-            f"{name}: bound",
-            fits,
-            f"{bound:.9g} is {'not ' if fits else ''}{side} the value",
-        ),
+        Check(f"{name}: bound", fits, f"{bound:.9g} is {'not ' if fits else ''}{side} the value"),
         Check(
             f"{name}: gap",
             has_gap and is_proven == (stage.gap == 0.0),

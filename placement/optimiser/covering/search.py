@@ -129,10 +129,7 @@ def cover_cheaply(
 
 
 def cover_much(
-    covers: sp.csr_array,
-    cost: FloatArray,
-    weight: FloatArray,
-    budget: CoveringBudget,
+    covers: sp.csr_array, cost: FloatArray, weight: FloatArray, budget: CoveringBudget
 ) -> IntArray:
     """Columns within a budget that cover much.
 
@@ -189,10 +186,7 @@ def least_cost_bound(
 
 
 def most_weight_bound(
-    covers: sp.csr_array,
-    cost: FloatArray,
-    weight: FloatArray,
-    budget: CoveringBudget,
+    covers: sp.csr_array, cost: FloatArray, weight: FloatArray, budget: CoveringBudget
 ) -> float:
     """A weight that no columns within a budget exceed: as if no two covered the same row."""
     gain = np.asarray(covers @ weight, dtype=np.float64)

@@ -271,12 +271,7 @@ def solve_mclp(
             names.append("exact search")
     if is_open() and solver != GREEDY and left_s() > 0.0:
         answer = cover_most_weight(
-            left.covers,
-            left.cost,
-            left.weight,
-            budget,
-            time_limit_s=left_s(),
-            gap=gap,
+            left.covers, left.cost, left.weight, budget, time_limit_s=left_s(), gap=gap
         )
         take(answer.chosen, answer.bound)
         names.append(solver_text())
@@ -321,12 +316,7 @@ def _cover_part(
     if solver == GREEDY or not is_open or left_s <= 0.0:
         return MilpAnswer(chosen=part[found], bound=min(bound, least)), GREEDY
     answer = cover_at_least_cost(
-        covers,
-        cost,
-        weight,
-        needed_weight=needed,
-        time_limit_s=left_s,
-        gap=gap,
+        covers, cost, weight, needed_weight=needed, time_limit_s=left_s, gap=gap
     )
     if answer.chosen is not None and cost[answer.chosen].sum() < least:
         covered = np.unique(covers[answer.chosen].indices)
