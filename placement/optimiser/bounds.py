@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from scenarios.aeb import AebRule, is_in_time
+from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
-from .presolve import WordArray
+from .limits import Limits
+from .presolve import WordArray, timely_windows_end
 
 # ---------- supply
 
@@ -226,6 +227,18 @@ class Supply:
             n_look *= 8
 
 
+def build_supply(limits: Limits) -> Supply:
+    """Supply by the limits of units, sites and money; wishes and rivals are left out."""
+    return Supply(
+        max_units=limits.max_units,
+        site_index=limits.site_index,
+        site_capacity=limits.site_capacity,
+        unit_cost_eur=limits.unit_cost_eur,
+        site_cost_eur=limits.site_cost_eur,
+        budget_eur=np.inf if limits.budget_eur is None else limits.budget_eur,
+    )
+
+
 # ---------- coverage
 
 
@@ -385,21 +398,11 @@ class TimelyWindows:
 
 def timely_windows(axis: FrameAxis, rule: AebRule) -> TimelyWindows:
     """Find the windows of a frame axis that end in time."""
-    run = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
-    last_brake_s = axis.last_brake_time_s[run]
-    position = np.arange(axis.n_frames) - axis.run_start[run]
-    counts = (
-        (position >= rule.n_confirmations - 1)
-        & is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s)
-        & (axis.weight[run] > 0.0)
-    )
-    ends = np.flatnonzero(counts)
-    run_index, first, n_windows = np.unique(run[ends], return_index=True, return_counts=True)
+    ends, run, margin = timely_windows_end(axis, rule)
+    run_index, first, n_windows = np.unique(run, return_index=True, return_counts=True)
     margin_s = np.zeros((len(run_index), n_windows.max(initial=0) + 1))
     row = np.repeat(np.arange(len(run_index)), n_windows)
-    margin_s[row, np.arange(len(ends)) - first[row]] = last_brake_s[ends] - (
-        axis.time_s[ends] + rule.latency_s
-    )
+    margin_s[row, np.arange(len(ends)) - first[row]] = margin
     return TimelyWindows(
         run_index=run_index,
         first_frame=ends[first] - (rule.n_confirmations - 1),

@@ -3,7 +3,7 @@
 Where there are few poses, that is all there are. Otherwise it is quick for up to three units:
 a layout of K units that keeps an APR when any one of them fails consists of sets of K - 1 units
 that all have that APR. Few have: to put together what they allow takes seconds where the cuts of
-cuts.py take minutes.
+the models take minutes.
 """
 
 import time

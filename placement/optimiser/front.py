@@ -47,25 +47,14 @@ FIRST_STAGES = (Objective.APR, Objective.APR_ONE_FAILED)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrontPoint:
-    """The best layout for so many units or so much money.
+    """The best layout for so many units or so much money."""
 
-    Attributes
-    ----------
-    units : int
-        On a front by units those that were allowed, though the layout may have fewer; on one by
-        cost those that it has.
-    pose_index : tuple of int
-        Rows of the detection table, ascending.
-    value : PlacementValue
-        What the layout is worth.
-    certificate : Certificate
-        A stage for every objective that was optimised, in order.
-    """
-
+    # On a front by units those that were allowed, though the layout may have fewer; on one by cost
+    # those that it has.
     units: int
-    pose_index: tuple[int, ...]
-    value: PlacementValue
-    certificate: Certificate
+    pose_index: tuple[int, ...]  # rows of the detection table, ascending
+    value: PlacementValue  # what the layout is worth
+    certificate: Certificate  # a stage for every objective that was optimised, in order
 
     @property
     def seconds(self) -> float:
@@ -475,29 +464,11 @@ def front_below(
     effort: Effort | None = None,
     on_point: OnPoint | None = None,
 ) -> Front:
-    """A front that ends with a layout that is known: what each of its units has bought.
+    """A front that ends with a known layout, which was solved for the best, and its certificate.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        What was solved: for the best.
-    pose_index : tuple of int
-        Its solution, ascending.
-    certificate : Certificate
-        The proof.
-    min_units, effort, on_point
-        As for :func:`pareto_front`; all stages are optimised.
-
-    Returns
-    -------
-    front : Front
-        Points of fewer units, then the one given.
-
-    Raises
-    ------
-    InputError
-        As :func:`pareto_front`, but where the wishes cannot be met with fewer units: there the
-        front has the last point alone.
+    It has points of fewer units, then the one given. The other arguments are as for
+    :func:`pareto_front`; all stages are optimised. Raises InputError as that does, but where the
+    wishes cannot be met with fewer units, the front has the last point alone.
     """
     check_front(problem, "all")
     most = problem.limits.budget_units or len(pose_index)

@@ -25,19 +25,9 @@ def solve_greedy(
 ) -> tuple[int, ...]:
     """Add, one by one, the pose with the highest APR; ties go to the later objectives.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        What to solve.
-    reduced : ReducedProblem, optional
-        Its presolved form, where that is at hand.
-
-    Returns
-    -------
-    pose_index : tuple of int
-        Rows of the detection table, ascending; within the limits if those leave greedy choice a
-        way. No guarantee of quality holds with fusion "any": three units may be needed to
-        complete one window.
+    Returns rows of the detection table, ascending, within the limits if those leave greedy choice a
+    way. No guarantee of quality holds with fusion "any": three units may be needed to complete one
+    window.
     """
     reduced = presolve(problem) if reduced is None else reduced
     return to_full(reduced, extend_greedily(reduced, forced_units(reduced)))

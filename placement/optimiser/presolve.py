@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from scenarios.aeb import is_in_time
+from scenarios.aeb import AebRule, is_in_time
+from scenarios.runs import FrameAxis
 
 from .limits import Limits
 from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
@@ -120,19 +121,7 @@ def unpack_words(words: WordArray, n_bits: int) -> BoolArray:
 def presolve(problem: PlacementProblem) -> ReducedProblem:
     """Reduce a placement problem without changing the best value of any stage.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        To reduce.
-
-    Returns
-    -------
-    reduced : ReducedProblem
-        At least one best set of poses of the full problem is left in it.
-
-    Notes
-    -----
-    Repeated until no pose drops out:
+    At least one best set of poses of the full problem is left. Repeated until no pose drops out:
 
     * Runs without weight, windows that end too late, windows with a frame that nobody sees and
       frames of no window cannot change any value.
@@ -230,6 +219,22 @@ def is_dominated(words: WordArray, limits: Limits, *, max_units: int) -> BoolArr
     return result
 
 
+def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArray, FloatArray]:
+    """Windows of frames in a row that end in time, in runs with weight, each (n_windows,).
+
+    Returns the last frame of each, its run, and the margin that it leaves [s].
+    """
+    run = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
+    last_brake_s = axis.last_brake_time_s[run]
+    counts = (
+        (np.arange(axis.n_frames) - axis.run_start[run] >= rule.n_confirmations - 1)
+        & is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s)
+        & (axis.weight[run] > 0.0)
+    )
+    end = np.flatnonzero(counts)
+    return end, run[end], last_brake_s[end] - (axis.time_s[end] + rule.latency_s)
+
+
 class _Windows:
     """Windows of a problem that end in time, as columns over the poses."""
 
@@ -237,19 +242,8 @@ class _Windows:
         self.problem = problem
         self.measure = problem.measure()
         self.floor_measures = [problem.floor_measure(floor) for floor in problem.floors]
-        axis, rule = problem.table.axis, problem.rule
-        run_of_frame = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
-        position = np.arange(axis.n_frames) - axis.run_start[run_of_frame]
-        last_brake = axis.last_brake_time_s[run_of_frame]
-        counts = (
-            (position >= rule.n_confirmations - 1)
-            & is_in_time(axis.time_s, last_brake, latency_s=rule.latency_s)
-            & (axis.weight[run_of_frame] > 0.0)
-        )
-        self.end = np.flatnonzero(counts)
-        self.run = run_of_frame[self.end]
-        self.margin_s = last_brake[self.end] - (axis.time_s[self.end] + rule.latency_s)
-        frames = self.end[:, None] + np.arange(1 - rule.n_confirmations, 1)
+        end, self.run, self.margin_s = timely_windows_end(problem.table.axis, problem.rule)
+        frames = end[:, None] + np.arange(1 - problem.rule.n_confirmations, 1)
         used, self.frames = np.unique(frames, return_inverse=True)
         detected = problem.table.detected(slice(None))
         self.columns = np.packbits(detected[:, used].T, axis=1, bitorder="little")
@@ -258,7 +252,7 @@ class _Windows:
             for run in np.unique(self.run):
                 of_run = slice(*np.searchsorted(self.run, [run, run + 1]))
                 np.bitwise_or.accumulate(self.columns[of_run], axis=0, out=self.columns[of_run])
-            self.frames = np.arange(len(self.end))[:, None]
+            self.frames = np.arange(len(end))[:, None]
 
     def reduce(self, poses: IntArray) -> ReducedProblem:
         """The problem on some poses, all of them kept."""

@@ -267,19 +267,10 @@ def floor_value(problem: PlacementProblem, floor: Floor, pose_index: Sequence[in
 
 
 def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatArray:
-    """Time left, in every run, between the onset of braking and the last moment for it.
+    """Time left, in every run, between the onset of braking and the last moment for it, (n_runs,).
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The table and the rule.
-    pose_index : sequence of int
-        What is mounted; the problem's budget and capacities do not matter here.
-
-    Returns
-    -------
-    margin_s : (n_runs,) float
-        last brake time - (confirmation + latency); minus infinity if that is too late. [s]
+    It is last brake time - (confirmation + latency), in seconds; minus infinity if that is too
+    late. The problem's budget and capacities do not matter here.
     """
     axis, rule = problem.table.axis, problem.rule
     if len(pose_index) == 0:
@@ -324,15 +315,7 @@ def _left_after_failures(
 
 
 def placement_value(problem: PlacementProblem, pose_index: Sequence[int]) -> PlacementValue:
-    """What a set of poses is worth; runs without weight do not count.
-
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The table and the rule.
-    pose_index : sequence of int
-        What is mounted.
-    """
+    """What a set of poses is worth; runs without weight do not count."""
     weight, margin = problem.table.axis.weight, run_margins_s(problem, pose_index)
     counts = (margin > -np.inf) & (weight > 0.0)
     cost = cost_eur(problem.limits, pose_index)

@@ -18,7 +18,7 @@ from geometry.errors import InputError, Unquoted
 from ..detection_table import DetectionTable
 from ..layout import Certificate, Stage, relative_gap
 from .bitsets import left_after_failures, union_margins_s
-from .bounds import Coverage, Supply, TimelyWindows, first_seen_values, timely_windows
+from .bounds import Coverage, TimelyWindows, build_supply, first_seen_values, timely_windows
 from .greedy import lazy_greedy, swap, to_full
 from .limits import Limits, cost_eur
 from .model import Effort
@@ -226,17 +226,7 @@ def _coverage(problem: PlacementProblem, windows: TimelyWindows, worth: FloatArr
         problem.table.packed, windows, worth, frames=frames, workers=_WORKERS
     )
     values[limits.is_forbidden] = 0.0
-    return Coverage(
-        values=values,
-        supply=Supply(
-            max_units=limits.max_units,
-            site_index=limits.site_index,
-            site_capacity=limits.site_capacity,
-            unit_cost_eur=limits.unit_cost_eur,
-            site_cost_eur=limits.site_cost_eur,
-            budget_eur=np.inf if limits.budget_eur is None else limits.budget_eur,
-        ),
-    )
+    return Coverage(values=values, supply=build_supply(limits))
 
 
 def _promise(coverage: Coverage) -> tuple[IntArray, Columns]:
@@ -279,21 +269,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """Chosen poses, and how good they are proven to be.
+    """Chosen poses, and how good they are proven to be."""
 
-    Attributes
-    ----------
-    pose_index : tuple of int
-        Rows of the detection table, ascending.
-    certificate : Certificate
-        A stage for every objective, in order.
-    presolve : PresolveStatistics
-        What dropped out before.
-    """
-
-    pose_index: tuple[int, ...]
-    certificate: Certificate
-    presolve: PresolveStatistics
+    pose_index: tuple[int, ...]  # rows of the detection table, ascending
+    certificate: Certificate  # a stage for every objective, in order
+    presolve: PresolveStatistics  # what dropped out before
 
 
 def solve_placement(

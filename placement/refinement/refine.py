@@ -87,14 +87,6 @@ STEPS_DEG = (8.0, 4.0, 2.0, 1.0, 0.5)
 """Of yaw and pitch; and, in per cent, of the field of view of a varifocal lens."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Turned:
-    """Where the search ended."""
-
-    bench: Bench  # the one that it began with, and all poses that were tried behind
-    rows: tuple[int, ...]  # the best set in it
-
-
 def turn(
     grid: PlacementProblem,
     bench: Bench,
@@ -103,12 +95,13 @@ def turn(
     places: Places,
     build_rows: RowBuilder,
     end_s: float,
-) -> Turned:
+) -> tuple[Bench, tuple[int, ...]]:
     """Compass search over yaw, pitch and field of view, one unit after the other.
 
-    It begins with the set `rows` of the bench and stops at `end_s` on the monotonic clock. In the
-    end no step of any unit alone improves the set, unless time was up; the set is never worse than
-    before in the order of the stages.
+    It begins with the set `rows` of the bench and stops at `end_s` on the monotonic clock. Returns
+    the bench with all poses that were tried behind, and the best set in it. In the end no step of
+    any unit alone improves the set, unless time was up; it is never worse than before in the order
+    of the stages.
 
     Compass search shrinks its step where none improves (Kolda, Lewis, Torczon, "Optimization by
     direct search", SIAM Review 45, 2003, section 3). What a set is worth is a step function here -
@@ -126,7 +119,7 @@ def turn(
         else:
             n_settled += 1
             position = (position + 1) % len(best)
-    return Turned(bench=bench, rows=tuple(best))
+    return bench, tuple(best)
 
 
 def _best_step(
@@ -295,18 +288,8 @@ class Search:
         return n_rounds
 
     def turn(self) -> bool:
-        """Compass search over yaw, pitch and field of view, one unit after the other.
-
-        It begins with the set `rows` of the bench and stops at `end_s` on the monotonic clock. In
-        the end no step of any unit alone improves the set, unless time was up; the set is never
-        worse than before in the order of the stages.
-
-        Compass search shrinks its step where none improves (Kolda, Lewis, Torczon, "Optimization by
-        direct search", SIAM Review 45, 2003, section 3). What a set is worth is a step function
-        here - runs are avoided or not, frames come every tenth of a second -, so that a larger step
-        may improve where smaller ones change nothing: all steps are tried at once.
-        """
-        turned = turn(
+        """Turn the units one after the other, see :func:`turn`; whether that improves."""
+        self.bench, rows = turn(
             self.grid,
             self.bench,
             self.rows,
@@ -314,8 +297,7 @@ class Search:
             build_rows=self.build_rows,
             end_s=self.search_end_s,
         )
-        self.bench = turned.bench
-        return self._take(turned.rows)
+        return self._take(rows)
 
     def solve(self, end_s: float) -> bool:
         """Solve on all poses at hand; whether that improves."""

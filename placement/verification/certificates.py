@@ -55,42 +55,18 @@ _AVOIDED = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StoredCertificate:
-    """What a ``certificate.json`` claims, read and checked for form only.
+    """What a ``certificate.json`` claims, read and checked for form only."""
 
-    Attributes
-    ----------
-    sha256 : str
-        Hash of the problem, see :func:`placement.verification.certificates.problem_hash`.
-    model : mapping of str to object
-        What :func:`model_of` says, and the names of the "stages" in order.
-    pose_index : tuple of int
-        Rows of the detection table.
-    pose_ids : tuple of str
-        Their names there.
-    units : tuple of mapping
-        The units as ``layout.json`` has them.
-    stages : tuple of Stage
-        Objectives in order, each with what is claimed of it.
-    is_proven : tuple of bool
-        Whether each stage is claimed to be optimal.
-    all_proven : bool
-        Whether the layout is.
-    solver : str
-        Name and version of what the proof rests on.
-    presolve : mapping of str to (int, int)
-        Sizes before and after.
-    """
-
-    sha256: str
-    model: Mapping[str, Any]
-    pose_index: tuple[int, ...]
-    pose_ids: tuple[str, ...]
-    units: tuple[Mapping[str, Any], ...]
-    stages: tuple[Stage, ...]
-    is_proven: tuple[bool, ...]
-    all_proven: bool
-    solver: str
-    presolve: Mapping[str, tuple[int, int]]
+    sha256: str  # hash of the problem, see :func:`problem_hash`
+    model: Mapping[str, Any]  # what :func:`model_of` says, and the names of the "stages" in order
+    pose_index: tuple[int, ...]  # rows of the detection table
+    pose_ids: tuple[str, ...]  # their names there
+    units: tuple[Mapping[str, Any], ...]  # as ``layout.json`` has them
+    stages: tuple[Stage, ...]  # objectives in order, each with what is claimed of it
+    is_proven: tuple[bool, ...]  # whether each stage is claimed to be optimal
+    all_proven: bool  # whether the layout is
+    solver: str  # name and version of what the proof rests on
+    presolve: Mapping[str, tuple[int, int]]  # sizes before and after
 
     def __repr__(self) -> str:
         return f"StoredCertificate({list(self.pose_ids)}, {self.solver!r})"
@@ -154,21 +130,10 @@ def build_certificate(
 
 
 def save_certificate(folder: Path, document: Mapping[str, Any], problem: PlacementProblem) -> None:
-    """Write ``certificate.json`` and ``instance.npz`` into a folder.
+    """Write ``certificate.json`` and ``instance.npz`` into a folder that exists.
 
-    Parameters
-    ----------
-    folder : Path
-        Where; it must exist.
-    document : mapping
-        Of :func:`build_certificate`.
-    problem : PlacementProblem
-        What it is about.
-
-    Raises
-    ------
-    OSError
-        The folder cannot be written to.
+    `document` is that of :func:`build_certificate`. Raises OSError if the folder cannot be written
+    to.
     """
     save_problem(folder / INSTANCE_FILE, problem)
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -377,19 +342,8 @@ _FIELDS: Mapping[str, _Field] = {
 def save_problem(path: Path, problem: PlacementProblem) -> None:
     """Write a problem, whole or not at all; the same problem always makes the same file.
 
-    Parameters
-    ----------
-    path : Path
-        The file; its folder must exist.
-    problem : PlacementProblem
-        What to keep.
-
-    Raises
-    ------
-    InputError
-        A name ends with a null character, which numpy's text cannot hold.
-    OSError
-        The file cannot be written.
+    Raises InputError if a name ends with a null character, which numpy's text cannot hold, and
+    OSError if the file cannot be written.
     """
     arrays = _to_arrays(problem)
     write_atomically(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays))
@@ -441,8 +395,8 @@ def instance_kind(path: Path) -> str:
 def problem_hash(problem: PlacementProblem) -> str:
     """SHA-256 of a problem, 64 hexadecimal digits.
 
-    It is taken over the names, types, shapes and bytes of the fields in alphabetical order, in
-    little- endian order; texts are taken as JSON.
+    It is taken over the names, types, shapes and bytes (little-endian) of the fields in
+    alphabetical order; texts are taken as JSON.
     """
     digest = hashlib.sha256()
     for name, array in sorted(_to_arrays(problem).items()):

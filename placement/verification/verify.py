@@ -66,18 +66,10 @@ class StageProof(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
-    """What a check of a certificate came to.
+    """What a check of a certificate came to."""
 
-    Attributes
-    ----------
-    checks : tuple of Check
-        In the order in which they were made.
-    proofs : tuple of StageProof
-        Of every stage; none if the layout itself could not be made out.
-    """
-
-    checks: tuple[Check, ...]
-    proofs: tuple[StageProof, ...]
+    checks: tuple[Check, ...]  # in the order in which they were made
+    proofs: tuple[StageProof, ...]  # of every stage; none if the layout could not be made out
 
     @property
     def passed(self) -> bool:

@@ -92,17 +92,8 @@ def build_covering_instance(
 ) -> CoveringInstance:
     """Covering instance from any matrix; cost and weight are 1 where they are not given.
 
-    Parameters
-    ----------
-    covers : (n_columns, n_rows) array_like or sparse
-        Whether a column covers a row.
-    cost, weight, names, numbered_from
-        As in :class:`CoveringInstance`.
-
-    Raises
-    ------
-    InputError
-        Shapes do not agree, or a number is negative or not finite.
+    `covers`, (n_columns, n_rows), says whether a column covers a row. Raises InputError if shapes
+    do not agree, or a number is negative or not finite.
 
     Examples
     --------
@@ -183,8 +174,6 @@ class CoveringBudget:
 def simplify_budget(instance: CoveringInstance, budget: CoveringBudget) -> CoveringBudget:
     """Check that money buys anything; where all columns cost the same, it is a number of them.
 
-    Returns: allows the same useful columns.
-
     Raises InputError: there is less money than the cheapest useful column costs.
     """
     is_useful = np.asarray(instance.covers @ instance.weight) > 0.0
@@ -204,12 +193,10 @@ def simplify_budget(instance: CoveringInstance, budget: CoveringBudget) -> Cover
 
 
 def needed_weight(instance: CoveringInstance, target: float | None) -> float | None:
-    """Weight that a target asks for.
+    """Weight that a target, a share of the weight of all rows, asks for.
 
-    `target`: share of the weight of all rows; None: all that can be covered. Returns: None if every
-    row that can be covered is needed.
-
-    Raises InputError: the target is no share, or all columns together do not reach it.
+    None where every row that can be covered is needed, as without a target. Raises InputError: the
+    target is no share, or all columns together do not reach it.
     """
     if target is None:
         return None
@@ -265,21 +252,11 @@ class _MisfitError(Exception):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Numbers:
-    """The numbers of a file and where they stand.
+    """The numbers of a file and where they stand."""
 
-    Attributes
-    ----------
-    data : bytes
-        The file.
-    start : (n,) int
-        Where each number starts.
-    value : (n,) float
-        What it is.
-    """
-
-    data: bytes
-    start: IntArray
-    value: FloatArray
+    data: bytes  # the file
+    start: IntArray  # (n,): where each number starts
+    value: FloatArray  # (n,): what it is
 
     def whole(self, index: int, low: int, high: int, what: str) -> int:
         """A whole number from low to high."""
@@ -308,14 +285,11 @@ class _Numbers:
 
 
 def parse_covering_text(data: bytes, where: str, format_name: str | None) -> CoveringInstance:
-    """Covering instance from the text of a file.
+    """Covering instance from the text of a file; its rows weigh 1.
 
-    `where`: its name, for messages. `format_name`: a name of :data:`TEXT_FORMATS`; None: the one
-    that it fits. Few numbers can fit both: it is GECCO's then if each line is a sample. Returns:
-    rows weigh 1.
-
-    Raises InputError: it is in neither format: the message names the line and the number from which
-    on it fits none of them.
+    `where` is its name, for messages. Without `format_name`, the format is the one that it fits; a
+    few numbers can fit both: it is GECCO's then if each line is a sample. Raises an InputError that
+    names the line and the number from which on it fits no format.
     """
     numbers = _numbers(data, where)
     misfits: dict[str, _MisfitError] = {}
@@ -474,26 +448,10 @@ _MAX_UNPACKED_BYTES = 1 << 32
 
 
 def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInstance:
-    """Read an instance.
+    """Read an instance in one of :data:`FORMATS`; by default the one that the content is in.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    format_name : str, optional
-        One of :data:`FORMATS`; by default the one that the content is in, whatever the name of
-        the file.
-
-    Returns
-    -------
-    instance : CoveringInstance
-        What it holds.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or holds no instance: the message says where, and what is
-        expected there.
+    Raises InputError if the file cannot be read, or holds no instance: the message says where, and
+    what is expected there.
     """
     if format_name is not None and format_name not in FORMATS:
         raise InputError("--format", format_name, "one of " + ", ".join(FORMATS))

@@ -14,6 +14,7 @@ References
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
@@ -32,28 +33,13 @@ WordArray = NDArray[np.uint64]
 _MAX_WORDS = 64  # 4,096 bits to a signature: exact for so many members, a sieve for more
 _BLOCK_BYTES = 1 << 25
 _FIRST_WORDS = 4
-_SEED = 20  # of the hashes; equal sets are equal whatever it is
 
 
 def first_equal(sets: sp.csr_array) -> IntArray:
     """For every set, a row of `sets`, the first one with the same members, (n_sets,)."""
-    n_sets = sets.shape[0]
-    rng = np.random.default_rng(_SEED)
-    hashes = rng.integers(np.iinfo(np.uint64).max, size=(2, sets.shape[1]), dtype=np.uint64)
-    sums = np.zeros((2, sets.indices.size + 1), dtype=np.uint64)
-    np.cumsum(hashes[:, sets.indices], axis=1, out=sums[:, 1:])
-    keys = (sums[:, sets.indptr[1:]] - sums[:, sets.indptr[:-1]]).T  # modulo 2^64
-    size = np.diff(sets.indptr).astype(np.uint64)
-    _, first, group = np.unique(
-        np.column_stack([size, keys]), axis=0, return_index=True, return_inverse=True
-    )
-    first_of: IntArray = first[group.ravel()].astype(np.int64)
-    # A hash is no proof: a set whose members turn out to differ stands for itself.
-    members = _members_of(sets, first_of)
-    differs = np.zeros(sets.indices.size + 1, dtype=np.int64)
-    np.cumsum(members != sets.indices, out=differs[1:])
-    is_same = differs[sets.indptr[1:]] == differs[sets.indptr[:-1]]
-    return np.where(is_same, first_of, np.arange(n_sets))
+    first: dict[bytes, int] = {}
+    members = (sets.indices[start:end].tobytes() for start, end in pairwise(sets.indptr))
+    return np.array([first.setdefault(key, row) for row, key in enumerate(members)], dtype=np.int64)
 
 
 def supersets(
@@ -95,14 +81,6 @@ def supersets(
 
 def _row(sets: sp.csr_array, row: int) -> IntArray:
     return sets.indices[sets.indptr[row] : sets.indptr[row + 1]].astype(np.int64)
-
-
-def _members_of(sets: sp.csr_array, rows: IntArray) -> IntArray:
-    """Members of each row named, as many as the set in that place has, all in a line."""
-    size = np.diff(sets.indptr)
-    offset = np.arange(sets.indices.size) - np.repeat(sets.indptr[:-1], size)
-    members: IntArray = sets.indices[np.repeat(sets.indptr[rows], size) + offset]
-    return members
 
 
 def _rarest_members(sets: sp.csr_array, frequency: IntArray) -> IntArray:
