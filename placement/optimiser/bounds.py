@@ -342,12 +342,11 @@ def gains(
 def prove(coverage: Coverage, multipliers: ValueArray, *, workers: int = 1) -> Bound:
     """Limit of the value of all feasible sets, from any multipliers lambda, (n_rows,).
 
-    The limit is ``sum of lambda + max over feasible S of the sum of rho in S``. It holds whatever
-    lambda is: an approximate dual solution becomes a proof. For every row
-    ``max over S of v[c, r] <= lambda[r] + sum over S of max(0, v[c, r] - lambda[r])``;
-    summed, the second part separates by poses. This is the Lagrangian dual of the p-median
-    problem (Cornuejols, Fisher, Nemhauser 1977); its lowest value is that of the LP relaxation.
-    Rounding errs towards a higher limit.
+    ``sum of lambda + max over feasible S of the sum of rho in S`` holds whatever lambda is: for
+    every row ``max over S of v[c, r] <= lambda[r] + sum over S of max(0, v[c, r] - lambda[r])``,
+    and the second part separates by poses. The Lagrangian dual of the p-median problem (Cornuejols,
+    Fisher, Nemhauser 1977); its lowest value is that of the LP relaxation. Rounding errs towards a
+    higher limit.
     """
     level = np.maximum(multipliers.astype(coverage.values.dtype), coverage.floor)
     worth = gains(coverage.values, level, workers=workers)
@@ -364,9 +363,8 @@ def prove(coverage: Coverage, multipliers: ValueArray, *, workers: int = 1) -> B
 def can_matter(coverage: Coverage, bound: Bound, need: float) -> BoolArray:
     """Poses that a set worth more than `need` may contain, (n_poses,): reduced-cost fixing.
 
-    `need` is such as what the best known set is worth; no feasible set with one of the other poses
-    is worth more. A set with pose c is worth at most ``sum of lambda + rho[c]`` and the best K - 1
-    others, in which the room that c takes and the money that it costs are neglected.
+    A set with pose c is worth at most ``sum of lambda + rho[c]`` and the best K - 1 others, in
+    which the room that c takes and the money that it costs are neglected.
     """
     supply = coverage.supply
     fixed = float(bound.multipliers.sum(dtype=np.float64))
@@ -417,12 +415,10 @@ def first_seen_index(
 ) -> NDArray[np.uint16]:
     """First window of each run of which each pose sees certain frames, (n_poses, n_rows).
 
-    It is the window's number within the run, and n_windows of the run if there is none. `packed`
-    has V[c, f], the lowest bit first. `frames` says which frames of a window count. A slice stands
-    for the same frames of every window, all of which are needed: ``slice(0, 1)`` is the first one,
-    ``slice(None)`` all of them. An array has one frame for each window, see :func:`hardest_frames`.
-
-    Raises ValueError if no frame counts, or one that no window has.
+    It is the window's number within the run, n_windows if there is none. `packed` has V[c, f], the
+    lowest bit first. `frames` says which frames of a window must be seen: a slice stands for the
+    same ones of every window, an array has one for each, see :func:`hardest_frames`. Raises
+    ValueError if no frame counts, or one that no window has.
     """
     index = np.empty((len(packed), len(windows.run_index)), dtype=np.uint16)
 
@@ -444,13 +440,11 @@ def first_seen_values(
 ) -> NDArray[np.float32]:
     """What each pose alone is worth in each run, v[c, r] rounded up, (n_poses, n_rows).
 
-    `worth`, (n_rows, largest n_windows + 1), is that of a run if window k is the first one seen,
-    such as weight times margin; it must not grow with k, and its entry at n_windows is for runs
-    that are not seen. For the other arguments and errors see :func:`first_seen_index`.
-
-    With all frames the values are exact where one unit must confirm alone. With one frame of each
-    window the largest of the values of the chosen poses is a limit of what they reach together,
-    whoever sees the frames: where a window is seen as a whole, one of them sees that frame of it.
+    `worth`, (n_rows, largest n_windows + 1), is that of a run if window k is the first one seen; it
+    must not grow with k, and the last entry is for runs that are not seen. With all frames the
+    values are exact where one unit must confirm alone. With one frame of each window the largest
+    value of the chosen poses is a limit of what they reach together: where a window is seen as a
+    whole, one of them sees that frame of it. For the rest see :func:`first_seen_index`.
     """
     if worth.shape != windows.margin_s.shape:
         raise ValueError(f"worth: got {worth.shape}; expected {windows.margin_s.shape}")
@@ -470,9 +464,8 @@ def first_seen_values(
 def hardest_frames(seen_share: FloatArray, windows: TimelyWindows) -> IntArray:
     """Of each window the frame that is seen least, for :func:`first_seen_values`.
 
-    `seen_share`, (n_frames,), is how much of each frame a relaxed solution sees, 0..1. Whichever
-    frame of a window is asked for, values are limits. To ask for the one that is seen least
-    promises least: for a set it finds exactly the windows that it sees as a whole.
+    `seen_share`, (n_frames,), is how much of each frame a relaxed solution sees, 0..1. Values are
+    limits whichever frame is asked for; the one that is seen least promises least.
     """
     window = np.minimum(np.arange(windows.margin_s.shape[1] - 1), windows.n_windows[:, None] - 1)
     frame = windows.first_frame[:, None] + window

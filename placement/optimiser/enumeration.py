@@ -153,12 +153,10 @@ def best_sets(
 ) -> SmallSets | None:
     """All sets of up to three poses that promise more than `need`; None if they are too many.
 
-    `need` is such as an incumbent's value less a tolerance. A tolerance below the rounding of the
-    values, 6e-8 of them in float32, asks for float64 values. More than `max_triples` triples after
-    the first step are too many (some ten million are gone through a second), and so are ten million
-    sets.
-
-    Raises ValueError for more than three units or 6000 poses.
+    More than `max_triples` triples after the first step are too many (some ten million are gone
+    through a second), and so are ten million sets. A `need` closer to an incumbent's value than the
+    rounding of float32 values, 6e-8 of them, asks for float64 values. Raises ValueError for more
+    than three units or 6000 poses.
     """
     n_units = coverage.supply.max_units
     if not 1 <= n_units <= MAX_UNITS or coverage.n_poses > MAX_POSES:

@@ -225,10 +225,9 @@ def look_around(
 ) -> Search:
     """A good layout for one point, found quickly and without proof.
 
-    `reduced` is presolved with the limits of this point or with wider ones of units and money, and
-    has the limits, floors and goal of this point. `start` are rows of the detection table within
-    the limits, such as what was found for less. The layout is at least as good, but may lack
-    something to the floors. Raises InputError if the limits contradict each other.
+    `reduced` has the limits, floors and goal of this point, though it may be presolved with wider
+    limits. The layout is at least as good as `start`, rows of the table within the limits, but may
+    lack something to the floors. Raises InputError if the limits contradict each other.
     """
     check_limits(problem.limits, problem.table.pose_ids)
     search = Search(
@@ -370,36 +369,18 @@ def pareto_front(
 ) -> Front:
     """Best layouts of so many units and all smaller numbers.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        What to solve. All its limits and floors hold at every point but the number of units; kept
-        units count.
-    max_units, min_units : int
-        Of the last and the first point; no point has fewer units than are forced.
-    stages : {"first", "all"}
-        "first": APR, then APR when one unit fails; "all": then margins and cost.
-    effort : Effort, optional
-        Of all points together: time that a point leaves is there for those after it. By default
-        :class:`placement.optimiser.Effort`'s.
-    on_point : callable, optional
-        Called with every point as soon as it is solved; the next ones may still tighten its bounds.
+    All limits and floors of the problem hold at every point but the number of units; kept units
+    count, and no point has fewer units than are forced. `stages` "first" optimises the APR, then
+    the APR when one unit fails; "all" margins and cost, too. The `effort` is that of all points
+    together: time that a point leaves is there for those after it. `on_point` is called with every
+    point as soon as it is solved; the next ones may still tighten its bounds.
 
-    Returns
-    -------
-    front : Front
-        A point for every number of units with which the wishes can be met. Once nothing can grow,
-        and no more money is saved, the points that are left are copies.
+    The front has a point for every number of units with which the wishes can be met. Once nothing
+    can grow, and no more money is saved, the points that are left are copies. Raises InputError if
+    the wishes cannot be met with any number of units, or ask for more than the best.
 
-    Raises
-    ------
-    InputError
-        The wishes cannot be met with any number of units, or ask for more than the best.
-
-    Notes
-    -----
-    Bounds are exchanged between points. A layout of K units is one of K + 1, too: what none of
-    K + 1 exceeds, none of K does. That holds for a stage if both points hold the same in the stages
+    Bounds are exchanged between points. A layout of K units is one of K + 1, too: what none of K +
+    1 exceeds, none of K does. That holds for a stage if both points hold the same in the stages
     before it. And what is left of K units when one fails is a layout of K - 1, which no wish binds
     if none is there.
     """

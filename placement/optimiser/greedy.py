@@ -96,12 +96,11 @@ def solve_heuristically(
     starts: Sequence[IntArray] = (),
     end_s: float = np.inf,
 ) -> IntArray | None:
-    """Best of several local optima: the greedy set's, and those of random first units.
+    """Best of several local optima: of `starts`, of the greedy set, and of random first units.
 
-    The search begins with `starts`. It ends when a set is as good as `limit`, which none exceeds,
-    or at `end_s` on the monotonic clock, but completes the first start. The result is within the
-    limits and lacks as little to the floors as was found; None if no set within the limits was
-    found.
+    It ends when a set is as good as `limit`, which none exceeds, or at `end_s` on the monotonic
+    clock, but completes the first start. The result is within the limits and lacks as little to the
+    floors as was found; None if no set within the limits was found.
     """
     rng = np.random.default_rng(_SEED)
     forced = forced_units(reduced)

@@ -74,13 +74,11 @@ def tighten(
 ) -> Tightened:
     """Lower the bound by subgradient steps that begin at `multipliers`, (n_rows,).
 
-    The steps aim at `target`, such as the value of the best known set; the first one takes the
-    share `first_length` of the way, which should be small where the multipliers are nearly right.
-    They end below `stop_below`, and are cut after `patience` steps without a better bound.
-
-    Steps of Polyak (1969) towards the target, along subgradients of which a share is carried over
-    (Camerini, Fratta, Maffioli 1975); back to the best point with a shorter step when nothing gets
-    better. Averages of the picked sets tend to a relaxed solution (Barahona, Anbil 2000).
+    The steps aim at `target`, such as the value of the best known set; the first takes the share
+    `first_length` of the way. They end below `stop_below`, and are cut after `patience` steps
+    without a better bound. Steps of Polyak (1969), along subgradients of which a share is carried
+    over (Camerini, Fratta, Maffioli 1975). Averages of the picked sets tend to a relaxed solution
+    (Barahona, Anbil 2000).
     """
     best = bound = prove(coverage, multipliers, workers=workers)
     shares = np.zeros(coverage.n_poses)
@@ -148,14 +146,12 @@ def generate_columns(
 ) -> Columns:
     """Bound all poses by working with few: price the others, add those that are too good.
 
-    `incumbent` is a good set, and `multipliers`, (n_rows,), are those to begin with. `improve` is
-    called with the pool and its multipliers once few poses are left to join. The rounds end when
-    one brings less than the relative `tolerance` and no pose outside the pool is too good, or when
-    `end_s` has passed on the monotonic clock.
-
-    Multipliers that suit a poor pool too well are worth nothing outside it: few steps while many
-    poses still join, more in the end. Where new multipliers are no better for all poses than the
-    best so far, points between the two are tried (in-out separation, Ben-Ameur, Neto 2007).
+    `improve` is called with the pool and its multipliers once few poses are left to join. The
+    rounds end when one brings less than the relative `tolerance` and no pose outside the pool is
+    too good, or at `end_s` on the monotonic clock. Few steps are made while many poses still join,
+    since multipliers that suit a poor pool too well are worth nothing outside it. Where new ones
+    are no better for all poses than the best so far, points between the two are tried (in-out
+    separation, Ben-Ameur, Neto 2007).
     """
     sizes = PoolSizes() if sizes is None else sizes
     slack = tolerance * max(coverage.value(incumbent), 1e-300)

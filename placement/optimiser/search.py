@@ -223,12 +223,11 @@ class Search:
         requirements: Sequence[Requirement],
         reduced: ReducedProblem | None = None,
     ) -> float:
-        """Look for the best set that meets requirements; keep it if it is better than the best.
+        """Look for the best set that meets requirements beside the floors; keep it if it is better.
 
-        The requirements hold beside the floors; None looks for any set that meets them. Sets of
-        another problem on the same poses, `reduced`, are not kept. Returns a bound: no set that
-        meets the requirements has a better objective; the worst infinity if there is none, the
-        best one if nothing is known. See :func:`placement.optimiser.model.solve_window_model`.
+        Without an objective, any set that meets them. Sets of another problem on the same poses,
+        `reduced`, are not kept. Returns a bound: no set that meets the requirements has a better
+        objective; the worst infinity if there is none, the best one if nothing is known.
         """
         problem = self.reduced if reduced is None else reduced
         demands = (*problem.floors, *requirements)

@@ -286,31 +286,15 @@ def solve_placement(
 ) -> Solution:
     """Best poses: by APR, then APR when one unit fails, smallest margin, mean margin, cost.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        What to solve.
-    reduced : ReducedProblem, optional
-        Its presolved form, where that is at hand.
-    effort : Effort, optional
-        How hard to try; by default a minute.
-    starts : sequence of (n,) int
-        Rows of the table that are tried first, such as a good layout for a unit less.
-    on_stage : callable, optional
-        Called with the name of every stage when it begins.
+    `reduced` is the presolved problem, where that is at hand; `starts` are rows of the table that
+    are tried first, (n,) each, such as a good layout for a unit less; `on_stage` is called with the
+    name of every stage when it begins. By default the effort is a minute.
 
-    Returns
-    -------
-    solution : Solution
-        The bound of a stage is what no layout can exceed that is as good in all stages before. A
-        problem whose goal is "fewest" or "cheapest" begins with the stage "units" or "cost_eur",
-        one that must survive failures with "apr_survived".
-
-    Raises
-    ------
-    InputError
-        Nothing meets the wishes: the message says which cannot be met, and the best that can. Or
-        nothing was found that does in the time given.
+    The bound of a stage is what no layout can exceed that is as good in all stages before. A
+    problem whose goal is "fewest" or "cheapest" begins with the stage "units" or "cost_eur", one
+    that must survive failures with "apr_survived". Raises InputError if nothing meets the wishes,
+    with the one that cannot be met and the best that can, or if nothing was found that does in the
+    time given.
     """
     effort = Effort() if effort is None else effort
     end_s = time.monotonic() + effort.time_limit_s

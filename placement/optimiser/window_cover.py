@@ -146,10 +146,9 @@ def find_window_cover(
 ) -> WindowCover:
     """Find a set that is proven to be within a relative gap of the best, if time suffices.
 
-    `packed` has V[c, f], the lowest bit first. `worth`, (n_rows, largest n_windows + 1), is that of
-    each run if window k is the first one seen, and must not grow with k. When the time is up, the
-    step under way is finished; then the best set and what is proven are returned. Without
-    `branches`, only relaxations bound the set. `seed` is that of the restarts.
+    `packed` and `worth` are as in :func:`first_seen_values`. When the time is up, the step under
+    way is finished; then the best set and what is proven are returned. Without `branches`, only
+    relaxations bound the set. `seed` is that of the restarts.
     """
     began_s = time.monotonic()
     end_s, report = began_s + time_limit_s, on_step or _ignore
@@ -395,12 +394,10 @@ def branch_and_bound(
 ) -> BranchResult:
     """Find the best set among thousands of poses, or stop with what is proven.
 
-    It begins with a feasible set and with multipliers, (n_rows,). `evaluate` tells what a set is
-    truly worth where f is only a limit of that. Sets that are better than the incumbent by no more
-    than the relative `gap` need not be found: a finished search has ``limit <= (1 + gap) value``.
-
-    Nodes with the highest limit come first: good sets come from exchanges rather than from the
-    depth, and so the proven limit falls from node to node.
+    `evaluate` tells what a set is truly worth where f is only a limit of that. Sets that are better
+    than the incumbent by no more than the relative `gap` need not be found: a finished search has
+    ``limit <= (1 + gap) value``. Nodes with the highest limit come first: good sets come from
+    exchanges rather than from the depth, and so the proven limit falls from node to node.
     """
     end_s = time.monotonic() + time_limit_s
     with threadpool_limits(1):  # products are too small for BLAS's threads

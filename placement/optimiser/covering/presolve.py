@@ -47,12 +47,10 @@ def supersets(
 ) -> Iterator[tuple[int, IntArray]]:
     """For every set, the larger sets at no higher price of which it is a part: set, and those sets.
 
-    Rows of `sets`, (n_sets, n_members), are neither equal nor empty. The search gives up after
-    `max_work` comparisons of pairs, and begins with sets that have the fewest candidates.
-
-    A whole has all members of its part, the rarest among them: only sets with that one are
-    compared, by signatures. Where there are more members than bits the signature is a sieve, and
-    what passes is compared member by member.
+    Rows of `sets`, (n_sets, n_members), are neither equal nor empty. It gives up after `max_work`
+    comparisons, beginning with sets that have the fewest candidates. A whole has the rarest member
+    of its part: only sets with that one are compared, by signatures, and where there are more
+    members than bits, member by member.
     """
     n_sets, n_members = sets.shape
     if n_sets == 0:

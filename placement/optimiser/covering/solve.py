@@ -140,29 +140,11 @@ def solve_lscp(
 ) -> CoveringSolution:
     """Least cost that covers everything that can be covered, or a share of the weight.
 
-    Parameters
-    ----------
-    instance : CoveringInstance
-        The problem.
-    target : float, optional
-        Share of the weight of all rows to cover, 0 to 1. By default every row with weight that
-        any column covers.
-    solver : str
-        "auto": what proves soonest; "greedy": no proof; "HIGHS": the mixed-integer solver alone.
-    time_limit_s : float
-        When it is up, the best answer found is given with its bound. [s]
-    gap : float
-        Relative gap that is good enough.
-
-    Returns
-    -------
-    solution : CoveringSolution
-        Its objective is the cost.
-
-    Raises
-    ------
-    InputError
-        The target is out of reach, or there is no such solver.
+    The `target` is a share of the weight of all rows, 0 to 1; without it every row with weight that
+    any column covers is covered. The `solver` is "auto" (what proves soonest), "greedy" (no proof)
+    or "HIGHS" (the mixed-integer solver alone). When the time is up, the best answer found is given
+    with its bound; a relative `gap` is good enough. Raises InputError if the target is out of
+    reach, or there is no such solver.
     """
     began_s = time.perf_counter()
     check_effort(time_limit_s=time_limit_s, gap=gap)
@@ -206,28 +188,11 @@ def solve_mclp(
     time_limit_s: float = math.inf,
     gap: float = 0.0,
 ) -> CoveringSolution:
-    """Most weight that a number of columns, or some money, covers.
+    """Most weight that at most so many columns, or so much money, covers; one of the two is given.
 
-    Parameters
-    ----------
-    instance : CoveringInstance
-        The problem.
-    budget_units : int, optional
-        At most so many columns, at least 1. Fewer are chosen where more would add nothing.
-    budget_cost : float, optional
-        At most so much money. One of the two must be given.
-    solver, time_limit_s, gap
-        As for :func:`solve_lscp`.
-
-    Returns
-    -------
-    solution : CoveringSolution
-        Its objective is the weight covered.
-
-    Raises
-    ------
-    InputError
-        There is no budget, it buys nothing, or there is no such solver.
+    Fewer columns are chosen where more would add nothing. The other arguments are those of
+    :func:`solve_lscp`. Raises InputError if there is no budget, it buys nothing, or there is no
+    such solver.
     """
     began_s = time.perf_counter()
     check_effort(time_limit_s=time_limit_s, gap=gap)
