@@ -354,6 +354,9 @@ def _polished(reduced: ReducedProblem, units: IntArray, *, end_s: float) -> IntA
     return better if after.exceeds(before) else units
 
 
+# ---------- a front by units
+
+
 DEFAULT_MAX_UNITS = 8
 _SHARES = 2  # a point may take this part of the time that is left: most leave some of it
 
@@ -394,7 +397,8 @@ def pareto_front(
     check_limits(replace(limits, budget_units=None), problem.table.pose_ids)
     # Poses that are dominated while many units are chosen are dominated while fewer are.
     widest = replace(problem, limits=replace(limits, budget_units=max_units))
-    reduced = None if _is_too_large(problem, effort) else presolve(widest)
+    # Points of a large instance are solved one by one, each from a pool of promising poses.
+    reduced = None if effort.solver != "exact" and is_large(problem) else presolve(widest)
     largest = None if reduced is None else largest_values(reduced, stages)
     full = replace(limits, budget_units=None).max_units
     points: list[FrontPoint] = []
@@ -477,11 +481,6 @@ def front_below(
     last = no_worse(last, fewer.points[-1])
     points = _exchange_bounds([*fewer.points, last], is_free=_is_free(problem))
     return replace(fewer, points=tuple(points))
-
-
-def _is_too_large(problem: PlacementProblem, effort: Effort) -> bool:
-    """Whether every point is better solved by itself, from a pool of promising poses."""
-    return effort.solver != "exact" and is_large(problem)
 
 
 def _solve_point(

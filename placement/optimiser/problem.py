@@ -360,9 +360,6 @@ def is_better(value: PlacementValue, other: PlacementValue) -> bool:
 # ---------- requirements
 
 
-_TIME_TOLERANCE_S = 1.0e-9
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Requirement:
     """A value that must be reached; more poses never reach less of it."""
@@ -383,10 +380,13 @@ class Requirement:
             return False
         return bool(self.least > weight.sum() - weight.min() / 2.0)
 
+    def counts_run(self, margin_s: FloatArray) -> BoolArray:
+        """Which runs count, being avoided with so much margin."""
+        return (margin_s > -np.inf) & (margin_s >= self.min_margin_s - TOLERANCE)
+
     def reached(self, margin_s: FloatArray) -> FloatArray:
         """What sets with these margins reach: (n_sets, n_runs) -> (n_sets,), failures aside."""
-        in_time: BoolArray = margin_s > -np.inf
-        in_time &= margin_s >= self.min_margin_s - _TIME_TOLERANCE_S
+        in_time = self.counts_run(margin_s)
         if self.sums_margins:
             total: FloatArray = np.where(in_time, margin_s, 0.0) @ self.measure.weight
             return total

@@ -226,12 +226,12 @@ def worthiest(worth: FloatArray, n_poses: int) -> IntArray:
     return top
 
 
+# ---------- the relaxation by OSQP
+
+
 _REGULARISATION = 1.0e-3  # of the largest step
 _CHECK_STEPS = 50
-_PENALTY, _OVERRELAXATION = (
-    1.0,
-    1.8,
-)  # of OSQP: measured, two to five times fewer steps than its own
+_PENALTY, _OVERRELAXATION = 1.0, 1.8  # measured: two to five times fewer steps than OSQP's own
 _TOLERANCE = 1.0e-5
 _WAY = (0.2, 0.4, 0.6, 0.8, 1.0)
 _SMALL_SHARE = 0.01

@@ -72,18 +72,13 @@ def violated_cuts(
 def _lost_runs(reduced: ReducedProblem, union: WordArray, requirement: Requirement) -> list[int]:
     """Of every chain, the lost run with the fewest windows: the hardest to avoid."""
     margin = union_margins_s(reduced, union[None, :])[0]
-    is_lost = ~_in_time(margin, requirement) & (requirement.measure.weight > 0.0)
+    is_lost = ~requirement.counts_run(margin) & (requirement.measure.weight > 0.0)
     last = last_links(reduced, min_margin_s=requirement.min_margin_s)
     hardest = []
     for chain in np.unique(reduced.run_chain[is_lost]):
         runs = np.flatnonzero(is_lost & (reduced.run_chain == chain))
         hardest.append(int(runs[np.argmin(last[runs])]))
     return hardest
-
-
-def _in_time(margin: FloatArray, requirement: Requirement) -> BoolArray:
-    in_time: BoolArray = (margin > -np.inf) & (margin >= requirement.min_margin_s - TOLERANCE)
-    return in_time
 
 
 def _fails_requirement(reduced: ReducedProblem, requirement: Requirement) -> Fails:
@@ -97,7 +92,7 @@ def _fails_requirement(reduced: ReducedProblem, requirement: Requirement) -> Fai
 
 def _fails_run(reduced: ReducedProblem, run: int, requirement: Requirement) -> Fails:
     def fails(unions: WordArray) -> BoolArray:
-        return ~_in_time(union_margins_s(reduced, unions)[:, run], requirement)
+        return ~requirement.counts_run(union_margins_s(reduced, unions)[:, run])
 
     return fails
 

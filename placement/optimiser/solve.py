@@ -29,6 +29,8 @@ from .relaxation import Columns, generate_columns, polish, relaxation_text
 from .search import Search
 from .stages import Stages
 
+# ---------- wishes that cannot be met
+
 
 class UnmetError(InputError):
     """A wish that no layout meets, or none that was found."""
@@ -144,6 +146,9 @@ def _reached(search: Search, measure: Measure, n_failures: int) -> float:
 
 def _rounded_down(share: float) -> str:
     return f"{np.floor(share * 1.0e4) / 1.0e4:g}"
+
+
+# ---------- large instances
 
 
 MAX_BITS = 1_000_000_000
@@ -265,6 +270,9 @@ def margin_limits_s(problem: PlacementProblem) -> FloatArray:
 
 
 _log = logging.getLogger(__name__)
+
+
+# ---------- stages in order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

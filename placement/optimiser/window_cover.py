@@ -354,6 +354,9 @@ def _ignore(step: str) -> None:
     """Take no notice."""
 
 
+# ---------- branch and bound
+
+
 _ROOT_STEPS = 300
 _NODE_STEPS = 60
 _LITTLE_USED = 0.2  # units at a site: less, and another question says more

@@ -390,9 +390,6 @@ class Search:
         return self.bench.problem(self.grid)
 
 
-__all__ = ["Refinement", "RefinementEffort", "StageProgress", "refine"]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refinement:
     """A layout, and what it was before.

@@ -280,6 +280,9 @@ def _read_stage(table: Mapping[str, Any], where: str) -> Stage:
     )
 
 
+# ---------- the problem as a file
+
+
 KIND = "place-rsus/placement-problem/1"
 """What such a file says it holds; raise the number whenever the fields change."""
 

@@ -274,6 +274,9 @@ def _slices(matrix: sp.csr_array, rows: IntArray) -> IntArray:
     return members
 
 
+# ---------- exact search for small budgets
+
+
 MAX_UNITS = 8
 """Budgets for which it is worth a try."""
 
