@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from .question import Question, load_question
     from .refinement.refine import refine
     from .setting import Links, Setting, build_setting
-    from .verification.certificates import load_certificate
-    from .verification.instances import load_problem
+    from .verification.certificates import load_certificate, load_problem
     from .verification.verify import verify_certificate
     from .wishes import Wishes
 
@@ -80,8 +79,7 @@ _HOMES = {
     ".question": ("Question", "load_question"),
     ".refinement.refine": ("refine",),
     ".setting": ("Links", "Setting", "build_setting"),
-    ".verification.certificates": ("load_certificate",),
-    ".verification.instances": ("load_problem",),
+    ".verification.certificates": ("load_certificate", "load_problem"),
     ".verification.verify": ("verify_certificate",),
     ".wishes": ("Wishes",),
 }

@@ -132,8 +132,8 @@ def solve(
     """
     _check_one_question()
     progress.start(quiet=quiet)
-    from placement.optimiser.covering.files import instance_kind
-    from placement.verification.instances import KIND
+    from placement.optimiser.covering.instance import instance_kind
+    from placement.verification.certificates import KIND
 
     from ..jobs import solve
 

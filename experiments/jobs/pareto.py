@@ -14,8 +14,7 @@ from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.optimiser import PlacementProblem
 from placement.optimiser.cost_front import cost_front
-from placement.optimiser.front import Front, StageChoice
-from placement.optimiser.units_front import pareto_front
+from placement.optimiser.front import Front, StageChoice, pareto_front
 from placement.pipeline import obtain_table
 from placement.planning import Plan, build_plan
 from placement.question import Question

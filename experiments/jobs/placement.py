@@ -16,8 +16,7 @@ from placement.evaluator import evaluate_layouts
 from placement.explain.sensitivity import find_sensitivity
 from placement.layout import Layout, check_layout
 from placement.optimiser import Fusion
-from placement.optimiser.front import Front
-from placement.optimiser.units_front import front_below
+from placement.optimiser.front import Front, front_below
 from placement.pipeline import Placement, place
 from placement.planning import Plan, build_plan
 from placement.private_ground import load_private_ground

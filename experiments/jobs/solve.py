@@ -16,14 +16,14 @@ from placement.optimiser import (
     cost_eur,
     solve_placement,
 )
-from placement.optimiser.covering.files import load_instance, save_instance
+from placement.optimiser.covering.instance import load_instance, save_instance
 from placement.optimiser.covering.solve import (
     check_solver,
     solve_lscp,
     solve_mclp,
 )
-from placement.optimiser.milp import SolverName
-from placement.verification.instances import load_problem
+from placement.optimiser.model import SolverName
+from placement.verification.certificates import load_problem
 
 from ..progress import WRITING, StageProgress
 from ..results.record import build_stage_records

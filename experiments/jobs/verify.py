@@ -7,8 +7,12 @@ from typing import Any
 
 from geometry.errors import InputError, Unquoted
 from placement.layout import layout_records, load_layout
-from placement.verification.certificates import CERTIFICATE_FILE, INSTANCE_FILE, load_certificate
-from placement.verification.instances import load_problem
+from placement.verification.certificates import (
+    CERTIFICATE_FILE,
+    INSTANCE_FILE,
+    load_certificate,
+    load_problem,
+)
 from placement.verification.verify import verify_certificate
 
 from ..progress import StageProgress

@@ -19,12 +19,12 @@ from ..optimiser import (
 )
 from ..optimiser.bitsets import left_after_failures, set_values, union_margins_s
 from ..optimiser.enumeration import best_of_few
-from ..optimiser.feasibility import check_limits
 from ..optimiser.greedy import forced_units, improve, to_full
 from ..optimiser.limits import fitting
 from ..optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from ..optimiser.problem import Measure, Requirement
 from ..optimiser.search import Search
+from ..optimiser.solve import check_limits
 from .set_values import QuickRows
 
 # ---------- greedy choice

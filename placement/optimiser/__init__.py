@@ -1,19 +1,18 @@
 """From a detection table to the best poses, proven.
 
 ``problem`` says what is asked and what a set of poses is worth, ``objectives`` in which order sets
-are compared, ``limits`` what may be mounted together, ``feasibility`` which wish cannot be met.
+are compared, ``limits`` what may be mounted together.
 ``presolve`` drops what does not matter; ``bitsets`` values many sets at once. ``greedy`` finds good
 sets quickly, and ``enumeration`` goes through all sets that may be better. Bounds come from
-``bounds`` (Lagrangian), ``multipliers`` (subgradient steps), ``relaxation`` (OSQP),
-``window_cover`` with ``branch_and_bound``, and ``model``, which ``milp`` hands to HiGHS. ``stages``
-takes the objectives in order with ``search``, and ``solve`` calls it all; ``large`` is for tables
-that no model takes. ``units_front`` and ``cost_front`` say what more units or more money buy.
+``bounds`` (Lagrangian), ``relaxation`` (subgradient steps and OSQP), ``window_cover`` (branch and
+bound) and ``model`` (HiGHS). ``stages`` takes the objectives in order with ``search``. ``solve``
+calls it all, says which wish cannot be met, and solves tables that are too large for models.
+``front`` and ``cost_front`` say what more units or more money buy.
 """
 
-from .feasibility import UnmetError
 from .greedy import solve_greedy
 from .limits import Limits, cost_eur, is_allowed
-from .milp import Effort
+from .model import Effort
 from .objectives import Goal, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
@@ -30,7 +29,7 @@ from .problem import (
     placement_value,
     run_margins_s,
 )
-from .solve import Solution, solve_placement
+from .solve import Solution, UnmetError, solve_placement
 
 __all__ = [
     "Effort",

@@ -20,18 +20,11 @@ _DECIMALS = 8  # differences below are rounding noise
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetValues:
-    """What sets of poses are worth: what they lack to the floors, then objective by objective.
+    """What sets of poses are worth: what they lack to the floors, then objective by objective."""
 
-    Attributes
-    ----------
-    objectives : tuple of Objective
-        In the order in which sets are compared.
-    gains : (n_sets, 1 + n_objectives) or (1 + n_objectives,) float
-        The larger the better: minus what is lacking, then each objective, the minimised ones
-        negative. One row for a single set.
-    """
-
-    objectives: tuple[Objective, ...]
+    objectives: tuple[Objective, ...]  # in the order in which sets are compared
+    # (n_sets, 1 + n_objectives): the larger the better: minus what is lacking, then each objective,
+    # the minimised ones negative. One row for a single set.
     gains: FloatArray
 
     def __len__(self) -> int:

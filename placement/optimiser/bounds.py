@@ -7,9 +7,10 @@ in row r, and a set S is worth
 
 the p-median problem turned round (Cornuejols, Fisher, Nemhauser 1977); with v of 0 and 1 the MCLP.
 f is monotone and submodular. Where runs are confirmed by several units together, v from the
-first frame of each window (first_seen.py) makes f a limit of the true value.
+first frame of each window (:func:`first_seen_values`) makes f a limit of the true value.
 """
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -17,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from scenarios.aeb import AebRule
+from scenarios.runs import FrameAxis
+
+from .limits import Limits
+from .presolve import WordArray, timely_windows_end
 
 # ---------- supply
 
@@ -32,51 +33,28 @@ _MAX_LINES = 60  # of the search for the price of money: it ends long before
 
 
 class Pick(NamedTuple):
-    """The most that a choice can be worth, and what it consists of.
+    """The most that a choice can be worth, and what it consists of."""
 
-    Attributes
-    ----------
-    limit : float
-        No feasible set is worth more.
-    poses : (n,) int
-        Poses that are chosen, in whole or in part.
-    shares : (n,) float
-        How much of each, 0..1; all 1 without a budget of money.
-    """
-
-    limit: float
-    poses: IntArray
-    shares: FloatArray
+    limit: float  # no feasible set is worth more
+    poses: IntArray  # (n,): poses that are chosen, in whole or in part
+    shares: FloatArray  # (n,): how much of each, 0..1; all 1 without a budget of money
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Supply:
-    """Units, room at the sites, and money.
+    """Units, room at the sites, and money."""
 
-    Attributes
-    ----------
-    max_units : int
-        At most so many poses.
-    site_index : (n_poses,) int
-        Site of every pose.
-    site_capacity : (n_sites,) int
-        Units that each site can carry.
-    unit_cost_eur : (n_poses,) float, optional
-        Of each pose. [EUR]
-    site_cost_eur : (n_sites,) float, optional
-        Once for each site that carries units. [EUR]
-    budget_eur : float
-        All units and sites together; by default as much as one wants. [EUR]
-    groups : tuple of (n,) int
-        At least one pose of each must be chosen. They are disjoint, and each stands at one site.
-    """
-
-    max_units: int
-    site_index: IntArray
-    site_capacity: IntArray
+    max_units: int  # at most so many poses
+    site_index: IntArray  # (n_poses,): site of every pose
+    site_capacity: IntArray  # (n_sites,): units that each site can carry
+    # (n_poses,): of each pose [EUR].
     unit_cost_eur: FloatArray = None  # type: ignore[assignment]  # filled in below
+    # (n_sites,): once for each site that carries units [EUR].
     site_cost_eur: FloatArray = None  # type: ignore[assignment]
+    # All units and sites together; by default as much as one wants [EUR].
     budget_eur: float = np.inf
+    # Each (n,): one pose of each at least must be chosen. They are disjoint, and each stands at
+    # one site.
     groups: tuple[IntArray, ...] = ()
 
     def __post_init__(self) -> None:
@@ -249,6 +227,18 @@ class Supply:
             n_look *= 8
 
 
+def build_supply(limits: Limits) -> Supply:
+    """Supply by the limits of units, sites and money; wishes and rivals are left out."""
+    return Supply(
+        max_units=limits.max_units,
+        site_index=limits.site_index,
+        site_capacity=limits.site_capacity,
+        unit_cost_eur=limits.unit_cost_eur,
+        site_cost_eur=limits.site_cost_eur,
+        budget_eur=np.inf if limits.budget_eur is None else limits.budget_eur,
+    )
+
+
 # ---------- coverage
 
 
@@ -260,20 +250,11 @@ _WORTH_THREADS = 1 << 21  # values: with fewer, threads take longer to start tha
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Coverage:
-    """Poses to choose from, and what each is worth in every row.
+    """Poses to choose from, and what each is worth in every row."""
 
-    Attributes
-    ----------
-    values : (n_poses, n_rows) float32 or float64
-        v[c, r], at least 0; never copied.
-    supply : Supply
-        Which sets are feasible.
-    reached : (n_rows,) float, optional
-        What units that stand already are worth; by default 0.
-    """
-
-    values: ValueArray
-    supply: Supply
+    values: ValueArray  # (n_poses, n_rows): v[c, r], at least 0; never copied
+    supply: Supply  # which sets are feasible
+    # (n_rows,): what units that stand already are worth; by default 0.
     reached: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -322,24 +303,12 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bound:
-    """A limit that multipliers prove.
+    """A limit that multipliers prove."""
 
-    Attributes
-    ----------
-    limit : float
-        No feasible set is worth more.
-    multipliers : (n_rows,) float
-        lambda, as it was used: at least what is reached already.
-    worth : (n_poses,) float
-        rho: what each pose has beyond lambda, summed over the rows.
-    pick : Pick
-        The poses whose worth makes the limit.
-    """
-
-    limit: float
-    multipliers: ValueArray
-    worth: FloatArray
-    pick: Pick
+    limit: float  # no feasible set is worth more
+    multipliers: ValueArray  # (n_rows,): lambda, as it was used: at least what is reached already
+    worth: FloatArray  # (n_poses,): rho: what each pose has beyond lambda, summed over the rows
+    pick: Pick  # the poses whose worth makes the limit
 
 
 def gains(
@@ -373,12 +342,11 @@ def gains(
 def prove(coverage: Coverage, multipliers: ValueArray, *, workers: int = 1) -> Bound:
     """Limit of the value of all feasible sets, from any multipliers lambda, (n_rows,).
 
-    The limit is ``sum of lambda + max over feasible S of the sum of rho in S``. It holds whatever
-    lambda is: an approximate dual solution becomes a proof. For every row
-    ``max over S of v[c, r] <= lambda[r] + sum over S of max(0, v[c, r] - lambda[r])``;
-    summed, the second part separates by poses. This is the Lagrangian dual of the p-median
-    problem (Cornuejols, Fisher, Nemhauser 1977); its lowest value is that of the LP relaxation.
-    Rounding errs towards a higher limit.
+    ``sum of lambda + max over feasible S of the sum of rho in S`` holds whatever lambda is: for
+    every row ``max over S of v[c, r] <= lambda[r] + sum over S of max(0, v[c, r] - lambda[r])``,
+    and the second part separates by poses. The Lagrangian dual of the p-median problem (Cornuejols,
+    Fisher, Nemhauser 1977); its lowest value is that of the LP relaxation. Rounding errs towards a
+    higher limit.
     """
     level = np.maximum(multipliers.astype(coverage.values.dtype), coverage.floor)
     worth = gains(coverage.values, level, workers=workers)
@@ -395,9 +363,8 @@ def prove(coverage: Coverage, multipliers: ValueArray, *, workers: int = 1) -> B
 def can_matter(coverage: Coverage, bound: Bound, need: float) -> BoolArray:
     """Poses that a set worth more than `need` may contain, (n_poses,): reduced-cost fixing.
 
-    `need` is such as what the best known set is worth; no feasible set with one of the other poses
-    is worth more. A set with pose c is worth at most ``sum of lambda + rho[c]`` and the best K - 1
-    others, in which the room that c takes and the money that it costs are neglected.
+    A set with pose c is worth at most ``sum of lambda + rho[c]`` and the best K - 1 others, in
+    which the room that c takes and the money that it costs are neglected.
     """
     supply = coverage.supply
     fixed = float(bound.multipliers.sum(dtype=np.float64))
@@ -408,3 +375,168 @@ def can_matter(coverage: Coverage, bound: Bound, need: float) -> BoolArray:
         limit[group] = fewer.with_groups(others).pick(bound.worth).limit
     mask: BoolArray = fixed + limit + bound.worth > need
     return mask
+
+
+_BLOCK_WORDS = 1 << 18  # 2 MB: what is worked on stays in the cache
+_SHARE_DIGITS = 3  # shares that differ by less are equal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TimelyWindows:
+    """Windows of consecutive frames that end in time, for runs where there are any."""
+
+    run_index: IntArray  # (n_rows,): runs of the axis with weight and at least one such window
+    first_frame: IntArray  # (n_rows,): frame of the axis at which the run's first window begins
+    n_windows: IntArray  # (n_rows,): windows of each run; window k begins at first_frame + k
+    # (n_rows, largest n_windows + 1): margin if window k is the first one seen; 0 from k =
+    # n_windows on: none [s].
+    margin_s: FloatArray
+    n_confirmations: int  # frames of a window
+
+
+def timely_windows(axis: FrameAxis, rule: AebRule) -> TimelyWindows:
+    """Find the windows of a frame axis that end in time."""
+    ends, run, margin = timely_windows_end(axis, rule)
+    run_index, first, n_windows = np.unique(run, return_index=True, return_counts=True)
+    margin_s = np.zeros((len(run_index), n_windows.max(initial=0) + 1))
+    row = np.repeat(np.arange(len(run_index)), n_windows)
+    margin_s[row, np.arange(len(ends)) - first[row]] = margin
+    return TimelyWindows(
+        run_index=run_index,
+        first_frame=ends[first] - (rule.n_confirmations - 1),
+        n_windows=n_windows,
+        margin_s=margin_s,
+        n_confirmations=rule.n_confirmations,
+    )
+
+
+def first_seen_index(
+    packed: NDArray[np.uint8], windows: TimelyWindows, *, frames: slice | IntArray, workers: int = 1
+) -> NDArray[np.uint16]:
+    """First window of each run of which each pose sees certain frames, (n_poses, n_rows).
+
+    It is the window's number within the run, n_windows if there is none. `packed` has V[c, f], the
+    lowest bit first. `frames` says which frames of a window must be seen: a slice stands for the
+    same ones of every window, an array has one for each, see :func:`hardest_frames`. Raises
+    ValueError if no frame counts, or one that no window has.
+    """
+    index = np.empty((len(packed), len(windows.run_index)), dtype=np.uint16)
+
+    def keep(rows: slice, found: IntArray) -> None:
+        index[rows] = found.T
+
+    _go_through(packed, windows, frames, keep, workers)
+    return index
+
+
+def first_seen_values(
+    packed: NDArray[np.uint8],
+    windows: TimelyWindows,
+    worth: FloatArray,
+    *,
+    frames: slice | IntArray,
+    out: NDArray[np.float32] | None = None,
+    workers: int = 1,
+) -> NDArray[np.float32]:
+    """What each pose alone is worth in each run, v[c, r] rounded up, (n_poses, n_rows).
+
+    `worth`, (n_rows, largest n_windows + 1), is that of a run if window k is the first one seen; it
+    must not grow with k, and the last entry is for runs that are not seen. With all frames the
+    values are exact where one unit must confirm alone. With one frame of each window the largest
+    value of the chosen poses is a limit of what they reach together: where a window is seen as a
+    whole, one of them sees that frame of it. For the rest see :func:`first_seen_index`.
+    """
+    if worth.shape != windows.margin_s.shape:
+        raise ValueError(f"worth: got {worth.shape}; expected {windows.margin_s.shape}")
+    values = np.empty((len(packed), len(worth)), dtype=np.float32) if out is None else out
+    table = worth.astype(np.float32)
+    is_less = table < worth  # rounded up instead: a limit stays one
+    table[is_less] = np.nextafter(table[is_less], np.float32(np.inf))
+    start = (np.arange(len(worth)) * worth.shape[1])[:, None]
+
+    def keep(rows: slice, found: IntArray) -> None:
+        values[rows] = table.ravel()[start + found].T
+
+    _go_through(packed, windows, frames, keep, workers)
+    return values
+
+
+def hardest_frames(seen_share: FloatArray, windows: TimelyWindows) -> IntArray:
+    """Of each window the frame that is seen least, for :func:`first_seen_values`.
+
+    `seen_share`, (n_frames,), is how much of each frame a relaxed solution sees, 0..1. Values are
+    limits whichever frame is asked for; the one that is seen least promises least.
+    """
+    window = np.minimum(np.arange(windows.margin_s.shape[1] - 1), windows.n_windows[:, None] - 1)
+    frame = windows.first_frame[:, None] + window
+    shares = [seen_share[frame + offset] for offset in range(windows.n_confirmations)]
+    frames: IntArray = np.argmin(np.round(np.stack(shares), _SHARE_DIGITS), axis=0)
+    return frames
+
+
+def _go_through(
+    packed: NDArray[np.uint8],
+    windows: TimelyWindows,
+    frames: slice | IntArray,
+    keep: Callable[[slice, IntArray], None],
+    workers: int,
+) -> None:
+    """Call `keep` with the indices, (n_rows, n_poses), of a few poses at a time."""
+    every = range(windows.n_confirmations)
+    if isinstance(frames, slice):
+        is_possible = len(every[frames]) > 0
+    else:
+        shape = (len(windows.run_index), windows.margin_s.shape[1] - 1)
+        is_possible = frames.shape == shape and bool(np.isin(frames, every).all())
+    if not is_possible:
+        raise ValueError(f"frames: got {frames}; expected some of {windows.n_confirmations}")
+    n_poses = max(64, _BLOCK_WORDS // max(1, len(windows.run_index)))
+
+    def work(start: int) -> None:
+        rows = slice(start, start + n_poses)
+        keep(rows, _first_seen(_by_word(packed[rows]), windows, frames))
+
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(work, range(0, len(packed), n_poses)))
+
+
+def _by_word(packed: NDArray[np.uint8]) -> WordArray:
+    """Words of 64 frames, an empty one at the end: (n_words + 1, n_poses) uint64."""
+    n_words = -(-packed.shape[1] // 8)
+    padded = np.zeros((len(packed), 8 * (n_words + 1)), dtype=np.uint8)
+    padded[:, : packed.shape[1]] = packed
+    return np.ascontiguousarray(padded.view("<u8").T)
+
+
+def _first_seen(words: WordArray, windows: TimelyWindows, frames: slice | IntArray) -> IntArray:
+    """Index of the first window of each run, (n_rows, n_poses)."""
+    index = np.repeat(windows.n_windows[:, None], words.shape[1], axis=1)
+    n_rounds = -(-int(windows.n_windows.max(initial=0)) // 64)
+    for first_window in range(64 * (n_rounds - 1), -1, -64):
+        longer = np.flatnonzero(windows.n_windows > first_window)
+        begin = windows.first_frame[longer] + first_window
+        if isinstance(frames, slice):
+            offsets = range(windows.n_confirmations)[frames]
+            seen = _words_from(words, begin + offsets[0])
+            for offset in offsets[1:]:
+                seen &= _words_from(words, begin + offset)
+        else:
+            asked = frames[longer, first_window : first_window + 64]
+            seen = np.zeros((len(longer), words.shape[1]), dtype=np.uint64)
+            for offset in range(windows.n_confirmations):
+                of_window = _by_word(np.packbits(asked == offset, axis=1, bitorder="little"))[0]
+                seen |= _words_from(words, begin + offset) & of_window[:, None]
+        n_left = np.minimum(windows.n_windows[longer] - first_window, 64).astype(np.uint64)
+        seen &= (~np.uint64(0) >> (np.uint64(64) - n_left))[:, None]
+        lowest = np.bitwise_count(~seen & (seen - np.uint64(1)))  # 64 if no bit is set
+        index[longer] = np.where(lowest < 64, first_window + lowest.astype(np.int64), index[longer])
+    return index
+
+
+def _words_from(words: WordArray, first_frame: IntArray) -> WordArray:
+    """The 64 frames from some frame on, a row for each: (n, n_poses) uint64."""
+    word, bit = np.divmod(first_frame, 64)
+    bit = bit.astype(np.uint64)[:, None]
+    # numpy shifts everything out where the shift is 64.
+    result: WordArray = (words[word] >> bit) | (words[word + 1] << (np.uint64(64) - bit))
+    return result

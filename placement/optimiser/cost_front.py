@@ -9,7 +9,6 @@ import numpy as np
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 
-from .feasibility import check_floors, check_limits, check_reach
 from .front import (
     Front,
     FrontPoint,
@@ -23,11 +22,11 @@ from .front import (
 )
 from .greedy import to_full
 from .limits import Limits
-from .milp import Effort
+from .model import Effort
 from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import ReducedProblem, presolve
 from .problem import Floor, PlacementProblem, Requirement
-from .solve import build_stage
+from .solve import build_stage, check_floors, check_limits, check_reach
 from .stages import Stages
 
 # ---------- price levels
@@ -114,35 +113,15 @@ def cost_front(
 ) -> Front:
     """Cheapest layouts for a growing APR, and for a growing APR when one unit fails.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        What to solve. All its limits and floors hold at every point.
-    step_apr : float, optional
-        A point must be better than the one before it by so much; by default by the smallest weight
-        of a run. Where runs weigh differently, points that are closer are left out.
-    max_points : int
-        Stop after so many.
-    stages : {"first", "all"}
-        "first": APR, then APR when one unit fails; "all": then margins.
-    effort : Effort, optional
-        Of all points together; by default :class:`placement.optimiser.Effort`'s.
-    on_point : callable, optional
-        Called with every point.
+    All limits and floors of the problem hold at every point. A point must be better than the one
+    before it by `step_apr`, by default the smallest weight of a run: where runs weigh differently,
+    points that are closer are left out. `stages` "first" optimises the APR, then the APR when one
+    unit fails; "all" margins, too. The `effort` is that of all points together.
 
-    Returns
-    -------
-    front : Front
-        The first point is the cheapest that avoids anything. Its certificate's first stage is the
-        cost: nothing that is better than the point before costs less.
+    The first point is the cheapest that avoids anything. The first stage of a certificate is the
+    cost: nothing that is better than the point before costs less. Raises InputError if no layout
+    meets the wishes or avoids anything, or more is asked for than the best.
 
-    Raises
-    ------
-    InputError
-        No layout meets the wishes or avoids anything, or more is asked for than the best.
-
-    Notes
-    -----
     The epsilon-constraint method of Haimes, Lasdon and Wismer (1971), in lexicographic order: the
     next point is the cheapest layout whose APR is higher, or that has the same APR and keeps more
     of it when one unit fails.
@@ -316,8 +295,7 @@ class _Climb:
         )
         cost = build_stage(Objective.COST, point.value.cost_eur, least_eur, step.seconds)
         return replace(
-            point,
-            certificate=replace(point.certificate, stages=(cost, *point.certificate.stages)),
+            point, certificate=replace(point.certificate, stages=(cost, *point.certificate.stages))
         )
 
     def _floors(self, asked: Sequence[tuple[float, int]]) -> tuple[Floor, ...]:

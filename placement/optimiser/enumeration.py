@@ -3,7 +3,7 @@
 Where there are few poses, that is all there are. Otherwise it is quick for up to three units:
 a layout of K units that keeps an APR when any one of them fails consists of sets of K - 1 units
 that all have that APR. Few have: to put together what they allow takes seconds where the cuts of
-cuts.py take minutes.
+the models take minutes.
 """
 
 import time
@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .bitsets import (
-    BestSet,
-    best_set,
-    concatenate_values,
-    set_values,
-    union_apr,
-    unions_of,
-)
+from .bitsets import BestSet, best_set, concatenate_values, set_values, union_apr, unions_of
 from .bounds import Coverage, ValueArray
 from .limits import Limits, are_allowed, costs_eur
 from .objectives import COST_TOLERANCE_EUR, TOLERANCE
@@ -148,21 +141,11 @@ PairArray = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SmallSets:
-    """Sets that are worth more than a need.
+    """Sets that are worth more than a need."""
 
-    Attributes
-    ----------
-    sets : (n_sets, n_units) int
-        Feasible, poses ascending in each, all that there are.
-    values : (n_sets,) float
-        f of each.
-    n_looked_at : int
-        Sets that were looked at one by one.
-    """
-
-    sets: IntArray
-    values: FloatArray
-    n_looked_at: int
+    sets: IntArray  # (n_sets, n_units): feasible, poses ascending in each, all that there are
+    values: FloatArray  # (n_sets,): f of each
+    n_looked_at: int  # sets that were looked at one by one
 
 
 def best_sets(
@@ -170,12 +153,10 @@ def best_sets(
 ) -> SmallSets | None:
     """All sets of up to three poses that promise more than `need`; None if they are too many.
 
-    `need` is such as an incumbent's value less a tolerance. A tolerance below the rounding of the
-    values, 6e-8 of them in float32, asks for float64 values. More than `max_triples` triples after
-    the first step are too many (some ten million are gone through a second), and so are ten million
-    sets.
-
-    Raises ValueError for more than three units or 6000 poses.
+    More than `max_triples` triples after the first step are too many (some ten million are gone
+    through a second), and so are ten million sets. A `need` closer to an incumbent's value than the
+    rounding of float32 values, 6e-8 of them, asks for float64 values. Raises ValueError for more
+    than three units or 6000 poses.
     """
     n_units = coverage.supply.max_units
     if not 1 <= n_units <= MAX_UNITS or coverage.n_poses > MAX_POSES:

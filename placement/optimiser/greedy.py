@@ -25,19 +25,9 @@ def solve_greedy(
 ) -> tuple[int, ...]:
     """Add, one by one, the pose with the highest APR; ties go to the later objectives.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        What to solve.
-    reduced : ReducedProblem, optional
-        Its presolved form, where that is at hand.
-
-    Returns
-    -------
-    pose_index : tuple of int
-        Rows of the detection table, ascending; within the limits if those leave greedy choice a
-        way. No guarantee of quality holds with fusion "any": three units may be needed to
-        complete one window.
+    Returns rows of the detection table, ascending, within the limits if those leave greedy choice a
+    way. No guarantee of quality holds with fusion "any": three units may be needed to complete one
+    window.
     """
     reduced = presolve(problem) if reduced is None else reduced
     return to_full(reduced, extend_greedily(reduced, forced_units(reduced)))
@@ -106,12 +96,11 @@ def solve_heuristically(
     starts: Sequence[IntArray] = (),
     end_s: float = np.inf,
 ) -> IntArray | None:
-    """Best of several local optima: the greedy set's, and those of random first units.
+    """Best of several local optima: of `starts`, of the greedy set, and of random first units.
 
-    The search begins with `starts`. It ends when a set is as good as `limit`, which none exceeds,
-    or at `end_s` on the monotonic clock, but completes the first start. The result is within the
-    limits and lacks as little to the floors as was found; None if no set within the limits was
-    found.
+    It ends when a set is as good as `limit`, which none exceeds, or at `end_s` on the monotonic
+    clock, but completes the first start. The result is within the limits and lacks as little to the
+    floors as was found; None if no set within the limits was found.
     """
     rng = np.random.default_rng(_SEED)
     forced = forced_units(reduced)

@@ -6,12 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 
 from .objectives import COST_TOLERANCE_EUR

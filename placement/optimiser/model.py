@@ -1,4 +1,4 @@
-"""The placement model, in the field's letters, one function per family of constraints.
+"""The placement model, one function per family of constraints, and its solution by HiGHS.
 
 x_c = 1: pose c is chosen. y_f: frame f is seen. z_w: window w is seen as a whole. a_k: one of the
 windows of a chain up to its k-th link is seen; run r is avoided if a of its last link in time is
@@ -9,23 +9,108 @@ values they can take they are zeros and ones themselves.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import scipy.sparse as sp
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.errors import InputError
 
 from .limits import Limits
-from .milp import run_solver
 from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import ReducedProblem
 from .problem import Measure, Requirement
 
-if TYPE_CHECKING:  # it takes a second to import: done where a model is stated
+if TYPE_CHECKING:
     import cvxpy as cp
+
+
+_LONGEST_S = 1.0e6  # eleven days
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What a solver says of a problem that is maximised."""
+
+    is_found: bool  # whether the variables hold a feasible point
+    # Whether that is best, or there is none, rather than the best within the time.
+    is_finished: bool
+    # No feasible point has a higher objective; minus infinity if there is none, plus infinity if
+    # nothing is known.
+    bound: float
+
+
+def solver_text() -> str:
+    """Solver and versions, for a certificate."""
+    return f"HiGHS {version('highspy')} through cvxpy {version('cvxpy')}"
+
+
+def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) -> Answer:
+    """Maximise by HiGHS, as far as the time goes or down to a relative gap.
+
+    All variables of the problem are bounded.
+    """
+    import cvxpy as cp
+
+    with warnings.catch_warnings():
+        # cvxpy calls a solution inaccurate when the time was up.
+        warnings.filterwarnings("ignore", "Solution may be inaccurate")
+        try:
+            problem.solve(
+                solver="HIGHS",
+                time_limit=min(max(time_limit_s, 0.0), _LONGEST_S),
+                mip_rel_gap=gap,
+                mip_abs_gap=0.0,
+            )
+        except cp.SolverError:  # nothing is known then, and nothing is lost
+            return Answer(is_found=False, is_finished=False, bound=np.inf)
+    if problem.status in (cp.INFEASIBLE, cp.settings.INFEASIBLE_OR_UNBOUNDED):  # all is bounded
+        return Answer(is_found=False, is_finished=True, bound=-np.inf)
+    info = problem.solver_stats.extra_stats
+    return Answer(
+        is_found=info.primal_solution_status == 2,  # kSolutionStatusFeasible
+        is_finished=problem.status == cp.OPTIMAL,
+        bound=-info.mip_dual_bound,  # cvxpy minimises the negative
+    )
+
+
+SolverName = Literal["auto", "exact", "relax", "greedy"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effort:
+    """How hard to try.
+
+    Attributes
+    ----------
+    solver : {"auto", "exact", "relax", "greedy"}
+        "greedy": search only, bounded by what all poses together reach; "relax": the bounds of
+        relaxations, too; "exact": mixed-integer models and enumeration, too, until the time is up;
+        "auto": the same, but relaxations alone where the instance is too large for models.
+    time_limit_s : float
+        For all stages together; presolve and the first layout are finished in any case. When it is
+        up, the best layout found is kept and the gaps say what is not proven. [s]
+    gap : float
+        Relative gap at which a stage counts as settled.
+    """
+
+    solver: SolverName = "auto"
+    time_limit_s: float = 60.0
+    gap: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.solver not in ("auto", "exact", "relax", "greedy"):
+            raise InputError("--solver", self.solver, "one of auto, exact, relax, greedy")
+        if not self.time_limit_s > 0.0:
+            raise InputError("--time-limit", self.time_limit_s, "seconds, more than 0")
+        if not 0.0 <= self.gap < 1.0:
+            raise InputError("--gap", self.gap, "a share, 0 <= gap < 1")
+
 
 # Of the mean weight. What is held is relaxed by it, well above HiGHS's own 1e-6: asking for a sum
 # to the last digit made it call feasible problems infeasible. Answers are checked exactly anyway.
@@ -35,37 +120,21 @@ _OBJECTIVE_SUM = 1.0e4  # HiGHS's tolerances are absolute, 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cut:
-    """At least so many of some poses must be chosen.
+    """At least so many of some poses must be chosen."""
 
-    Attributes
-    ----------
-    is_counted : (n_poses,) bool
-        Which poses count.
-    n_units : int
-        How many of them are needed.
-    """
-
-    is_counted: BoolArray
-    n_units: int
+    is_counted: BoolArray  # (n_poses,): which poses count
+    n_units: int  # how many of them are needed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MilpResult:
-    """What a solver says of a model.
+    """What a solver says of a model."""
 
-    Attributes
-    ----------
-    units : (n,) int or None
-        Poses of the reduced problem; None if no feasible set was found.
-    bound : float
-        No feasible set has a better objective; the worst infinity if there is no set, the best one
-        if nothing is known.
-    is_finished : bool
-        Whether `units` are best (or there are none), rather than the best within the time.
-    """
-
-    units: IntArray | None
+    units: IntArray | None  # (n,): poses of the reduced problem; None if no feasible set was found
+    # No feasible set has a better objective; the worst infinity if there is no set, the best one if
+    # nothing is known.
     bound: float
+    # Whether `units` are best (or there are none), rather than the best within the time.
     is_finished: bool
 
 

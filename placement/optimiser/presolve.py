@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from scenarios.aeb import is_in_time
+from scenarios.aeb import AebRule, is_in_time
+from scenarios.runs import FrameAxis
 
 from .limits import Limits
 from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
@@ -22,15 +23,10 @@ WordArray = NDArray[np.uint64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PresolveStatistics:
-    """Sizes before and after.
+    """Sizes before and after."""
 
-    Attributes
-    ----------
-    n_poses, n_frames, n_windows, n_runs : tuple of int
-        Before, after. Windows count once per run before, once if they need the same frames after;
-        runs are left out if nothing avoids them or they have no weight.
-    """
-
+    # Before, after. Windows count once per run before, once if they need the same frames after;
+    # runs are left out if nothing avoids them or they have no weight.
     n_poses: tuple[int, int]
     n_frames: tuple[int, int]
     n_windows: tuple[int, int]
@@ -54,57 +50,28 @@ class ReducedProblem:
 
     A chain is a sequence of windows in the order of time. Runs that go through the same windows,
     to different ends, share one.
-
-    Attributes
-    ----------
-    pose_index : (n_poses,) int
-        Rows of the detection table: the way back.
-    limits : Limits
-        On these poses.
-    run_index : (n_runs,) int
-        Runs of the full problem that some pose avoids.
-    measure : Measure
-        Of these runs, as in the full problem.
-    floors : tuple of Requirement
-        What must be reached in any case.
-    objectives : tuple of Objective
-        In the order in which sets of poses are compared.
-    survive : int
-        Failed units that ``Objective.APR_SURVIVED`` is about.
-    n_frames : int
-        Merged frames.
-    words : (n_poses, n_words) uint64
-        Bits V[c, f] along the merged frames, lowest bit first.
-    window_frames : (n_windows, n_confirmations or 1) int
-        Merged frames that each window needs; one may stand there twice.
-    chain_window : (n_links,) int
-        The windows of all chains, chain after chain.
-    chain_start : (n_chains + 1,) int
-        Links of chain g are chain_start[g] .. chain_start[g + 1] - 1.
-    run_chain : (n_runs,) int
-        Chain of every run.
-    margin_s : (n_runs, longest chain + 1) float
-        Margin if the first window seen is the k-th of the chain; minus infinity from the first
-        one that is too late for this run. [s]
-    statistics : PresolveStatistics
-        Sizes before and after.
     """
 
-    pose_index: IntArray
-    limits: Limits
-    run_index: IntArray
-    measure: Measure
-    floors: tuple[Requirement, ...]
-    objectives: tuple[Objective, ...]
-    survive: int
-    n_frames: int
-    words: WordArray
+    pose_index: IntArray  # (n_poses,): rows of the detection table: the way back
+    limits: Limits  # on these poses
+    run_index: IntArray  # (n_runs,): runs of the full problem that some pose avoids
+    measure: Measure  # of these runs, as in the full problem
+    floors: tuple[Requirement, ...]  # what must be reached in any case
+    objectives: tuple[Objective, ...]  # in the order in which sets of poses are compared
+    survive: int  # failed units that ``Objective.APR_SURVIVED`` is about
+    n_frames: int  # merged frames
+    words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
+    # (n_windows, n_confirmations or 1): merged frames that each window needs; one may stand there
+    # twice.
     window_frames: IntArray
-    chain_window: IntArray
+    chain_window: IntArray  # (n_links,): the windows of all chains, chain after chain
+    # (n_chains + 1,): links of chain g are chain_start[g] .. chain_start[g + 1] - 1.
     chain_start: IntArray
-    run_chain: IntArray
+    run_chain: IntArray  # (n_runs,): chain of every run
+    # (n_runs, longest chain + 1): margin if the first window seen is the k-th of the chain; minus
+    # infinity from the first one that is too late for this run [s].
     margin_s: FloatArray
-    statistics: PresolveStatistics
+    statistics: PresolveStatistics  # sizes before and after
 
     @property
     def n_poses(self) -> int:
@@ -154,19 +121,7 @@ def unpack_words(words: WordArray, n_bits: int) -> BoolArray:
 def presolve(problem: PlacementProblem) -> ReducedProblem:
     """Reduce a placement problem without changing the best value of any stage.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        To reduce.
-
-    Returns
-    -------
-    reduced : ReducedProblem
-        At least one best set of poses of the full problem is left in it.
-
-    Notes
-    -----
-    Repeated until no pose drops out:
+    At least one best set of poses of the full problem is left. Repeated until no pose drops out:
 
     * Runs without weight, windows that end too late, windows with a frame that nobody sees and
       frames of no window cannot change any value.
@@ -264,6 +219,22 @@ def is_dominated(words: WordArray, limits: Limits, *, max_units: int) -> BoolArr
     return result
 
 
+def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArray, FloatArray]:
+    """Windows of frames in a row that end in time, in runs with weight, each (n_windows,).
+
+    Returns the last frame of each, its run, and the margin that it leaves [s].
+    """
+    run = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
+    last_brake_s = axis.last_brake_time_s[run]
+    counts = (
+        (np.arange(axis.n_frames) - axis.run_start[run] >= rule.n_confirmations - 1)
+        & is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s)
+        & (axis.weight[run] > 0.0)
+    )
+    end = np.flatnonzero(counts)
+    return end, run[end], last_brake_s[end] - (axis.time_s[end] + rule.latency_s)
+
+
 class _Windows:
     """Windows of a problem that end in time, as columns over the poses."""
 
@@ -271,19 +242,8 @@ class _Windows:
         self.problem = problem
         self.measure = problem.measure()
         self.floor_measures = [problem.floor_measure(floor) for floor in problem.floors]
-        axis, rule = problem.table.axis, problem.rule
-        run_of_frame = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
-        position = np.arange(axis.n_frames) - axis.run_start[run_of_frame]
-        last_brake = axis.last_brake_time_s[run_of_frame]
-        counts = (
-            (position >= rule.n_confirmations - 1)
-            & is_in_time(axis.time_s, last_brake, latency_s=rule.latency_s)
-            & (axis.weight[run_of_frame] > 0.0)
-        )
-        self.end = np.flatnonzero(counts)
-        self.run = run_of_frame[self.end]
-        self.margin_s = last_brake[self.end] - (axis.time_s[self.end] + rule.latency_s)
-        frames = self.end[:, None] + np.arange(1 - rule.n_confirmations, 1)
+        end, self.run, self.margin_s = timely_windows_end(problem.table.axis, problem.rule)
+        frames = end[:, None] + np.arange(1 - problem.rule.n_confirmations, 1)
         used, self.frames = np.unique(frames, return_inverse=True)
         detected = problem.table.detected(slice(None))
         self.columns = np.packbits(detected[:, used].T, axis=1, bitorder="little")
@@ -292,7 +252,7 @@ class _Windows:
             for run in np.unique(self.run):
                 of_run = slice(*np.searchsorted(self.run, [run, run + 1]))
                 np.bitwise_or.accumulate(self.columns[of_run], axis=0, out=self.columns[of_run])
-            self.frames = np.arange(len(self.end))[:, None]
+            self.frames = np.arange(len(end))[:, None]
 
     def reduce(self, poses: IntArray) -> ReducedProblem:
         """The problem on some poses, all of them kept."""

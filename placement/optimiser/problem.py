@@ -8,12 +8,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 from scenarios.aeb import AebRule, is_in_time
 from scenarios.runs import confirmation_times_s
@@ -29,27 +24,18 @@ from .objectives import TOLERANCE, VALUE_OBJECTIVES, Goal, Objective, objectives
 class Measure:
     """Accident prevention ratio of what is avoided.
 
-    Attributes
-    ----------
-    weight : (n_runs,) float
-        Weights of the runs that can be avoided; all runs together weigh 1, or what counts does.
-    sample_index : (n_runs,) int
-        Sampled world of each run; all 0 where nothing was sampled.
-    sample_weight : (n_samples,) float
-        What all runs of each world weigh together, also those that nothing avoids.
-    tail : float
-        Share of the worlds that counts, the worst ones: 1 is the expectation, up to
-        1 / n_samples the worst world alone.
-
-    Notes
-    -----
     With a tail, this is the conditional value at risk of Rockafellar and Uryasev (2000): the mean
     over the worst share, in which one world may count in part.
     """
 
+    # (n_runs,): weights of the runs that can be avoided; all runs together weigh 1, or what counts
+    # does.
     weight: FloatArray
-    sample_index: IntArray
+    sample_index: IntArray  # (n_runs,): sampled world of each run; all 0 where nothing was sampled
+    # (n_samples,): what all runs of each world weigh together, also those that nothing avoids.
     sample_weight: FloatArray
+    # Share of the worlds that counts, the worst ones: 1 is the expectation, up to 1 / n_samples the
+    # worst world alone.
     tail: float = 1.0
 
     @property
@@ -281,19 +267,10 @@ def floor_value(problem: PlacementProblem, floor: Floor, pose_index: Sequence[in
 
 
 def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatArray:
-    """Time left, in every run, between the onset of braking and the last moment for it.
+    """Time left, in every run, between the onset of braking and the last moment for it, (n_runs,).
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The table and the rule.
-    pose_index : sequence of int
-        What is mounted; the problem's budget and capacities do not matter here.
-
-    Returns
-    -------
-    margin_s : (n_runs,) float
-        last brake time - (confirmation + latency); minus infinity if that is too late. [s]
+    It is last brake time - (confirmation + latency), in seconds; minus infinity if that is too
+    late. The problem's budget and capacities do not matter here.
     """
     axis, rule = problem.table.axis, problem.rule
     if len(pose_index) == 0:
@@ -338,15 +315,7 @@ def _left_after_failures(
 
 
 def placement_value(problem: PlacementProblem, pose_index: Sequence[int]) -> PlacementValue:
-    """What a set of poses is worth; runs without weight do not count.
-
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The table and the rule.
-    pose_index : sequence of int
-        What is mounted.
-    """
+    """What a set of poses is worth; runs without weight do not count."""
     weight, margin = problem.table.axis.weight, run_margins_s(problem, pose_index)
     counts = (margin > -np.inf) & (weight > 0.0)
     cost = cost_eur(problem.limits, pose_index)
@@ -391,32 +360,17 @@ def is_better(value: PlacementValue, other: PlacementValue) -> bool:
 # ---------- requirements
 
 
-_TIME_TOLERANCE_S = 1.0e-9
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Requirement:
-    """A value that must be reached; more poses never reach less of it.
+    """A value that must be reached; more poses never reach less of it."""
 
-    Attributes
-    ----------
-    measure : Measure
-        What is counted, over the runs of the reduced problem.
-    least : float
-        What must be reached, in the measure's unit; times seconds where margins are summed.
-    min_margin_s : float
-        Runs avoided with less than this do not count; minus infinity: just avoided. [s]
-    n_failures : int
-        It must still be reached when any so many units fail.
-    sums_margins : bool
-        Count the weights times the margins instead of the weights.
-    """
-
-    measure: Measure
+    measure: Measure  # what is counted, over the runs of the reduced problem
+    # What must be reached, in the measure's unit; times seconds where margins are summed.
     least: float
+    # Runs avoided with less than this do not count; minus infinity: just avoided [s].
     min_margin_s: float = -np.inf
-    n_failures: int = 0
-    sums_margins: bool = False
+    n_failures: int = 0  # it must still be reached when any so many units fail
+    sums_margins: bool = False  # count the weights times the margins instead of the weights
 
     @property
     def needs_all(self) -> bool:
@@ -426,10 +380,13 @@ class Requirement:
             return False
         return bool(self.least > weight.sum() - weight.min() / 2.0)
 
+    def counts_run(self, margin_s: FloatArray) -> BoolArray:
+        """Which runs count, being avoided with so much margin."""
+        return (margin_s > -np.inf) & (margin_s >= self.min_margin_s - TOLERANCE)
+
     def reached(self, margin_s: FloatArray) -> FloatArray:
         """What sets with these margins reach: (n_sets, n_runs) -> (n_sets,), failures aside."""
-        in_time: BoolArray = margin_s > -np.inf
-        in_time &= margin_s >= self.min_margin_s - _TIME_TOLERANCE_S
+        in_time = self.counts_run(margin_s)
         if self.sums_margins:
             total: FloatArray = np.where(in_time, margin_s, 0.0) @ self.measure.weight
             return total

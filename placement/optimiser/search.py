@@ -12,8 +12,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from .bitsets import SetValues, no_values, set_values, union_margins_s, unions_of
 from .greedy import extend_greedily, improve, solve_heuristically
 from .limits import Limits, is_allowed
-from .milp import solver_text
-from .model import Cut, entering_poses, last_links, solve_window_model
+from .model import Cut, entering_poses, last_links, solve_window_model, solver_text
 from .objectives import TOLERANCE, VALUE_OBJECTIVES, Objective
 from .presolve import ReducedProblem, WordArray
 from .problem import PlacementValue, Requirement
@@ -73,18 +72,13 @@ def violated_cuts(
 def _lost_runs(reduced: ReducedProblem, union: WordArray, requirement: Requirement) -> list[int]:
     """Of every chain, the lost run with the fewest windows: the hardest to avoid."""
     margin = union_margins_s(reduced, union[None, :])[0]
-    is_lost = ~_in_time(margin, requirement) & (requirement.measure.weight > 0.0)
+    is_lost = ~requirement.counts_run(margin) & (requirement.measure.weight > 0.0)
     last = last_links(reduced, min_margin_s=requirement.min_margin_s)
     hardest = []
     for chain in np.unique(reduced.run_chain[is_lost]):
         runs = np.flatnonzero(is_lost & (reduced.run_chain == chain))
         hardest.append(int(runs[np.argmin(last[runs])]))
     return hardest
-
-
-def _in_time(margin: FloatArray, requirement: Requirement) -> BoolArray:
-    in_time: BoolArray = (margin > -np.inf) & (margin >= requirement.min_margin_s - TOLERANCE)
-    return in_time
 
 
 def _fails_requirement(reduced: ReducedProblem, requirement: Requirement) -> Fails:
@@ -98,7 +92,7 @@ def _fails_requirement(reduced: ReducedProblem, requirement: Requirement) -> Fai
 
 def _fails_run(reduced: ReducedProblem, run: int, requirement: Requirement) -> Fails:
     def fails(unions: WordArray) -> BoolArray:
-        return ~_in_time(union_margins_s(reduced, unions)[:, run], requirement)
+        return ~requirement.counts_run(union_margins_s(reduced, unions)[:, run])
 
     return fails
 
@@ -130,13 +124,7 @@ _SOLVER_TOLERANCE = 1.0e-6  # rows, whole numbers and gaps are met up to this
 class Search:
     """Best set of poses so far, and what the proofs rest on; it stops at `end_s`."""
 
-    def __init__(
-        self,
-        reduced: ReducedProblem,
-        *,
-        end_s: float,
-        uses_models: bool = True,
-    ) -> None:
+    def __init__(self, reduced: ReducedProblem, *, end_s: float, uses_models: bool = True) -> None:
         self.reduced = reduced
         self.end_s = end_s
         self.uses_models = uses_models
@@ -230,12 +218,11 @@ class Search:
         requirements: Sequence[Requirement],
         reduced: ReducedProblem | None = None,
     ) -> float:
-        """Look for the best set that meets requirements; keep it if it is better than the best.
+        """Look for the best set that meets requirements beside the floors; keep it if it is better.
 
-        The requirements hold beside the floors; None looks for any set that meets them. Sets of
-        another problem on the same poses, `reduced`, are not kept. Returns a bound: no set that
-        meets the requirements has a better objective; the worst infinity if there is none, the
-        best one if nothing is known. See :func:`placement.optimiser.model.solve_window_model`.
+        Without an objective, any set that meets them. Sets of another problem on the same poses,
+        `reduced`, are not kept. Returns a bound: no set that meets the requirements has a better
+        objective; the worst infinity if there is none, the best one if nothing is known.
         """
         problem = self.reduced if reduced is None else reduced
         demands = (*problem.floors, *requirements)
@@ -245,11 +232,7 @@ class Search:
         while self.uses_models and self.left_s() > 0.0:
             self.proofs[solver_text()] = None
             result = solve_window_model(
-                problem,
-                objective,
-                requirements=demands,
-                cuts=cuts,
-                time_limit_s=self.left_s(),
+                problem, objective, requirements=demands, cuts=cuts, time_limit_s=self.left_s()
             )
             if result.units is None and result.is_finished:
                 return np.inf if is_minimised else -np.inf

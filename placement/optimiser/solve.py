@@ -1,4 +1,9 @@
-"""The stages in order, each holding those before it, each with a proven bound."""
+"""Layouts with proofs: wishes are checked, stages solved in order, large instances by their pool.
+
+A table that is too large for models is gone through once, to see what each pose alone promises in
+every run. On these promises, prices for poses bound every layout there is, and tell which poses
+can matter. Among those the layout is sought on the real windows.
+"""
 
 import logging
 import time
@@ -7,45 +12,276 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import IntArray
+from geometry.arrays import FloatArray, IntArray
+from geometry.errors import InputError, Unquoted
 
+from ..detection_table import DetectionTable
 from ..layout import Certificate, Stage, relative_gap
-from .feasibility import check_floors, check_limits, check_reach
-from .greedy import to_full
-from .large import (
-    is_large,
-    look_out,
-    margin_limits_s,
-    of_pool,
-)
-from .milp import Effort
-from .objectives import Objective
+from .bitsets import left_after_failures, union_margins_s
+from .bounds import Coverage, TimelyWindows, build_supply, first_seen_values, timely_windows
+from .greedy import lazy_greedy, swap, to_full
+from .limits import Limits, cost_eur
+from .model import Effort
+from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import PlacementProblem, objective_values
-from .relaxation import relaxation_text
+from .problem import Measure, PlacementProblem, objective_values, run_margins_s
+from .relaxation import Columns, generate_columns, polish, relaxation_text
 from .search import Search
 from .stages import Stages
+
+# ---------- wishes that cannot be met
+
+
+class UnmetError(InputError):
+    """A wish that no layout meets, or none that was found."""
+
+
+def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
+    """Check limits against each other, before anything is solved.
+
+    `pose_ids` are the names of the poses in messages.
+
+    Raises UnmetError: two of them cannot both be met: forced and forbidden, a site that is too
+    small, money that does not suffice, rivals that are both forced, or no unit at all.
+    """
+    forced = np.flatnonzero(limits.is_forced)
+    both = np.flatnonzero(limits.is_forced & limits.is_forbidden)
+    if len(both):
+        raise UnmetError(
+            pose_ids[int(both[0])], Unquoted("forced and forbidden"), "one of the two at most"
+        )
+    at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
+    for site in np.flatnonzero(at_site > limits.site_capacity):
+        names = ", ".join(pose_ids[int(pose)] for pose in forced if limits.site_index[pose] == site)
+        raise UnmetError(
+            "forced units",
+            Unquoted(f"{at_site[site]} at one site ({names})"),
+            f"at most {limits.site_capacity[site]}, what the site can carry",
+        )
+    usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
+    if not usable.any():
+        raise UnmetError("candidates", Unquoted("none that may be used"), "at least one")
+    for site in np.flatnonzero(limits.is_forced_site):
+        if not usable[limits.site_index == site].any():
+            raise UnmetError(
+                "forced sites", Unquoted("a site without a pose that may be used"), "one or more"
+            )
+    must_carry = limits.is_forced_site | (at_site > 0)
+    for one, other in limits.rivals:
+        if must_carry[one] and must_carry[other]:
+            raise UnmetError(
+                "--separation",
+                Unquoted("two sites nearer than that which must both carry units"),
+                "one of them at most",
+            )
+    n_needed = len(forced) + int((limits.is_forced_site & (at_site == 0)).sum())
+    if limits.budget_units is not None and n_needed > limits.budget_units:
+        raise UnmetError(
+            "--budget",
+            limits.budget_units,
+            f"at least {n_needed}, the units that are forced or stand at forced sites",
+        )
+    if limits.budget_eur is None:
+        return
+    price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
+    needed = cost_eur(limits, forced)
+    what = "the price of the forced units"
+    if not len(forced):
+        needed, what = float(price[usable].min()), "the price of the cheapest unit with its site"
+    if needed > limits.budget_eur + COST_TOLERANCE_EUR:
+        raise UnmetError("--budget-cost", limits.budget_eur, f"at least {needed:.2f} EUR, {what}")
+
+
+def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
+    """Check that all poses together reach every floor.
+
+    Raises UnmetError: they do not.
+    """
+    everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
+    is_avoided = union_margins_s(reduced, everything) > -np.inf
+    for floor, requirement in zip(problem.floors, reduced.floors, strict=True):
+        reached = float(requirement.measure.of(is_avoided)[0])
+        if reached < floor.share - TOLERANCE:
+            raise UnmetError(
+                floor.name,
+                Unquoted(f"{floor.share:g}"),
+                f"at most {_rounded_down(reached)}, what all candidate poses together reach",
+            )
+
+
+def check_floors(problem: PlacementProblem, search: Search) -> None:
+    """Check that the set that was found reaches all floors.
+
+    Raises UnmetError: it does not: out of reach, and the best that can be reached, or not found in
+    time.
+    """
+    if search.units is not None and search.shortfall == 0.0:
+        return
+    reduced = search.reduced
+    if search.units is None:
+        why = "no set of poses meets all of them" if search.nothing_meets_all else "none was found"
+        raise UnmetError("limits", Unquoted(why), "limits that leave a choice")
+    worst = max(
+        zip(problem.floors, reduced.floors, strict=True),
+        key=lambda pair: pair[1].least - _reached(search, pair[1].measure, pair[1].n_failures),
+    )
+    floor, requirement = worst
+    reached = _reached(search, requirement.measure, requirement.n_failures)
+    failing = f" when any {floor.n_failures} fail" if floor.n_failures else ""
+    if search.nothing_meets_all:
+        expected = f"at most {_rounded_down(reached)}{failing}, what the best set found reaches"
+    else:
+        expected = (
+            f"more time than the limit, or at most {_rounded_down(reached)}{failing}, what the "
+            "best set found in it reaches"
+        )
+    raise UnmetError(floor.name, Unquoted(f"{floor.share:g}"), expected)
+
+
+def _reached(search: Search, measure: Measure, n_failures: int) -> float:
+    assert search.units is not None
+    left = left_after_failures(search.reduced, measure, n_failures, search.units[None, :])
+    return float(left[0])
+
+
+def _rounded_down(share: float) -> str:
+    return f"{np.floor(share * 1.0e4) / 1.0e4:g}"
+
+
+# ---------- large instances
+
+
+MAX_BITS = 1_000_000_000
+"""Detections in a table that is still solved as a whole."""
+_POOL = 400
+_WORKERS = 2
+_BLOCK_POSES = 1 << 14
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outlook:
+    """What can be known of a large instance without solving it."""
+
+    pool: IntArray  # (n,): promising poses, forced ones among them
+    sets: tuple[IntArray, ...]  # sets that promise most, of the whole problem
+    apr: float  # no layout within units, sites and money has a higher APR
+    # Nor a larger sum of weights times margins; infinite where that was not asked [s].
+    margins_s: float
+
+
+def is_large(problem: PlacementProblem) -> bool:
+    """Whether a problem is better not solved as a whole."""
+    return problem.table.n_poses * problem.table.axis.n_frames > MAX_BITS
+
+
+def look_out(
+    problem: PlacementProblem,
+    *,
+    has_margins: bool = True,
+    on_step: Callable[[str], None] | None = None,
+) -> Outlook:
+    """Bound all poses, and pick the promising ones.
+
+    The problem's measure is a mean. Wishes are left out, which only makes bounds higher. To bound
+    margins, too, takes another pass through the table.
+    """
+    windows = timely_windows(problem.table.axis, problem.rule)
+    weight = problem.table.axis.weight[windows.run_index]
+    last = np.arange(windows.margin_s.shape[1]) < windows.n_windows[:, None]
+    worths: list[FloatArray] = [np.where(last, weight[:, None], 0.0)]
+    if has_margins:
+        worths.append(np.where(last, np.maximum(windows.margin_s, 0.0), 0.0) * weight[:, None])
+    limits, sets = [], []
+    pools = [np.flatnonzero(problem.limits.is_forced)]
+    for number, worth in enumerate(worths):
+        if on_step is not None:
+            on_step("margins of all poses" if number else "all poses")
+        chosen, columns = _promise(_coverage(problem, windows, worth))
+        limits.append(columns.bound.limit)
+        best_first = np.argsort(-columns.bound.worth[columns.pool], kind="stable")
+        pools += [chosen, columns.pool[best_first[:_POOL]]]
+        sets.append(chosen)
+    pool = np.unique(np.concatenate(pools))
+    return Outlook(
+        pool=pool[~problem.limits.is_forbidden[pool]],
+        sets=tuple(sets),
+        apr=min(limits[0], 1.0),
+        margins_s=limits[1] if has_margins else np.inf,
+    )
+
+
+def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
+    """The same problem on some of the poses."""
+    table = problem.table
+    return replace(
+        problem,
+        table=DetectionTable(
+            pose_ids=tuple(table.pose_ids[pose] for pose in pool),
+            axis=table.axis,
+            packed=table.packed[pool],
+        ),
+        limits=problem.limits.of_poses(pool),
+    )
+
+
+def _coverage(problem: PlacementProblem, windows: TimelyWindows, worth: FloatArray) -> Coverage:
+    limits = problem.limits
+    frames = slice(0, 1) if problem.fusion == "any" else slice(None)
+    values = first_seen_values(
+        problem.table.packed, windows, worth, frames=frames, workers=_WORKERS
+    )
+    values[limits.is_forbidden] = 0.0
+    return Coverage(values=values, supply=build_supply(limits))
+
+
+def _promise(coverage: Coverage) -> tuple[IntArray, Columns]:
+    """A set that promises much, and the bound of all."""
+    chosen = lazy_greedy(coverage, workers=_WORKERS)
+    columns = generate_columns(coverage, chosen, improve=polish, workers=_WORKERS)
+    better = swap(coverage, chosen, pool=columns.pool)
+    if coverage.value(better) <= coverage.value(chosen) + 1.0e-9:
+        return chosen, columns
+    columns = generate_columns(
+        coverage,
+        better,
+        multipliers=columns.bound.multipliers.astype(np.float64),
+        improve=polish,
+        workers=_WORKERS,
+    )
+    return better, columns
+
+
+def margin_limits_s(problem: PlacementProblem) -> FloatArray:
+    """Margins of all runs with every allowed pose mounted, (n_runs,); minus infinity: not avoided.
+
+    With fusion "single", no less than what any one pose reaches.
+    """
+    table, limits = problem.table, problem.limits
+    everything = np.zeros(table.packed.shape[1], dtype=np.uint8)
+    for start in range(0, table.n_poses, _BLOCK_POSES):
+        rows = slice(start, start + _BLOCK_POSES)
+        allowed = table.packed[rows][~limits.is_forbidden[rows]]
+        everything |= np.bitwise_or.reduce(allowed, axis=0)
+    one = DetectionTable(pose_ids=("all",), axis=table.axis, packed=everything[None, :])
+    alone = replace(
+        problem, table=one, limits=Limits(site_index=np.array([0]), site_capacity=np.array([1]))
+    )
+    return run_margins_s(alone, [0])
+
 
 _log = logging.getLogger(__name__)
 
 
+# ---------- stages in order
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """Chosen poses, and how good they are proven to be.
+    """Chosen poses, and how good they are proven to be."""
 
-    Attributes
-    ----------
-    pose_index : tuple of int
-        Rows of the detection table, ascending.
-    certificate : Certificate
-        A stage for every objective, in order.
-    presolve : PresolveStatistics
-        What dropped out before.
-    """
-
-    pose_index: tuple[int, ...]
-    certificate: Certificate
-    presolve: PresolveStatistics
+    pose_index: tuple[int, ...]  # rows of the detection table, ascending
+    certificate: Certificate  # a stage for every objective, in order
+    presolve: PresolveStatistics  # what dropped out before
 
 
 def solve_placement(
@@ -58,31 +294,15 @@ def solve_placement(
 ) -> Solution:
     """Best poses: by APR, then APR when one unit fails, smallest margin, mean margin, cost.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        What to solve.
-    reduced : ReducedProblem, optional
-        Its presolved form, where that is at hand.
-    effort : Effort, optional
-        How hard to try; by default a minute.
-    starts : sequence of (n,) int
-        Rows of the table that are tried first, such as a good layout for a unit less.
-    on_stage : callable, optional
-        Called with the name of every stage when it begins.
+    `reduced` is the presolved problem, where that is at hand; `starts` are rows of the table that
+    are tried first, (n,) each, such as a good layout for a unit less; `on_stage` is called with the
+    name of every stage when it begins. By default the effort is a minute.
 
-    Returns
-    -------
-    solution : Solution
-        The bound of a stage is what no layout can exceed that is as good in all stages before. A
-        problem whose goal is "fewest" or "cheapest" begins with the stage "units" or "cost_eur",
-        one that must survive failures with "apr_survived".
-
-    Raises
-    ------
-    InputError
-        Nothing meets the wishes: the message says which cannot be met, and the best that can. Or
-        nothing was found that does in the time given.
+    The bound of a stage is what no layout can exceed that is as good in all stages before. A
+    problem whose goal is "fewest" or "cheapest" begins with the stage "units" or "cost_eur", one
+    that must survive failures with "apr_survived". Raises InputError if nothing meets the wishes,
+    with the one that cannot be met and the best that can, or if nothing was found that does in the
+    time given.
     """
     effort = Effort() if effort is None else effort
     end_s = time.monotonic() + effort.time_limit_s
@@ -91,11 +311,7 @@ def solve_placement(
         return _solve_large(problem, effort, on_stage)
     reduced = presolve(problem) if reduced is None else reduced
     check_reach(problem, reduced)
-    search = Search(
-        reduced,
-        end_s=end_s,
-        uses_models=effort.solver in ("auto", "exact"),
-    )
+    search = Search(reduced, end_s=end_s, uses_models=effort.solver in ("auto", "exact"))
     search.start([_units_of(reduced, poses) for poses in starts])
     check_floors(problem, search)
     stages = Stages(problem, search, effort)
@@ -135,11 +351,7 @@ def _solve_large(
     found = solve_placement(
         part,
         presolve(part),
-        effort=replace(
-            effort,
-            solver="greedy",
-            time_limit_s=max(end_s - time.monotonic(), 1.0e-3),
-        ),
+        effort=replace(effort, solver="greedy", time_limit_s=max(end_s - time.monotonic(), 1.0e-3)),
         starts=places,
         on_stage=on_stage,
     )

@@ -8,18 +8,17 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 
 from .bitsets import BestSet, left_after_failures, set_values, union_margins_s, unions_of
-from .bounds import Coverage, Supply
+from .bounds import Coverage, build_supply, timely_windows
 from .enumeration import MAX_POSES, MAX_UNITS, best_of_all, best_of_few, best_sets
 from .greedy import lazy_greedy, swap
 from .limits import are_allowed
-from .milp import Effort
-from .multipliers import first_multipliers, tighten
+from .model import Effort
 from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import ReducedProblem
 from .problem import PlacementProblem, Requirement
-from .relaxation import polish, relaxation_text
+from .relaxation import first_multipliers, polish, relaxation_text, tighten
 from .search import Search, settle
-from .window_cover import WindowCover, find_window_cover, timely_windows
+from .window_cover import WindowCover, find_window_cover
 
 _MAX_TRIPLES = 3e8
 _MAX_SETS_BEST_OF = 2_000_000  # that are evaluated one by one
@@ -49,23 +48,20 @@ def build_coverage(reduced: ReducedProblem, worth: Objective) -> Coverage:
         if worth is Objective.APR:
             amount = np.ones(margin.shape)
         values[:, runs] = np.where(is_avoided, amount, 0.0) * reduced.weight[runs]
-    limits = reduced.limits
+    limits, supply = reduced.limits, build_supply(reduced.limits)
     forced = np.flatnonzero(limits.is_forced)
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
-    budget = np.inf if limits.budget_eur is None else limits.budget_eur
-    site_cost = np.where(at_site > 0, 0.0, limits.site_cost_eur)
     spent = limits.unit_cost_eur[forced].sum() + limits.site_cost_eur[at_site > 0].sum()
     reached = values[forced].max(axis=0, initial=0.0)
     values[forced] = 0.0  # they cannot join once more
     return Coverage(
         values=values,
-        supply=Supply(
-            max_units=max(limits.max_units - len(forced), 0),
-            site_index=limits.site_index,
-            site_capacity=np.maximum(limits.site_capacity - at_site, 0),
-            unit_cost_eur=limits.unit_cost_eur,
-            site_cost_eur=site_cost,
-            budget_eur=max(budget - float(spent), 0.0),
+        supply=replace(
+            supply,
+            max_units=max(supply.max_units - len(forced), 0),
+            site_capacity=np.maximum(supply.site_capacity - at_site, 0),
+            site_cost_eur=np.where(at_site > 0, 0.0, limits.site_cost_eur),
+            budget_eur=max(supply.budget_eur - float(spent), 0.0),
         ),
         reached=reached,
     )
@@ -119,19 +115,11 @@ def cover_windows(
         gap = _WHOLE_GAP / float(amount.sum())
     elif worth is Objective.MEAN_MARGIN:
         amount = amount * np.maximum(windows.margin_s, 0.0)
-    limits = reduced.limits
     cover = find_window_cover(
         problem.table.packed[reduced.pose_index],
         windows,
         np.where(in_time, amount, 0.0),
-        Supply(
-            max_units=limits.max_units,
-            site_index=limits.site_index,
-            site_capacity=limits.site_capacity,
-            unit_cost_eur=limits.unit_cost_eur,
-            site_cost_eur=limits.site_cost_eur,
-            budget_eur=np.inf if limits.budget_eur is None else limits.budget_eur,
-        ),
+        build_supply(reduced.limits),
         gap=gap,
         time_limit_s=time_limit_s,
         branches=branches,
@@ -417,9 +405,7 @@ class Stages:
                 limit = self._bound_failed_by_models(n_failures, limit)
         self._hold(
             Requirement(
-                measure=search.reduced.measure,
-                least=self._left(n_failures),
-                n_failures=n_failures,
+                measure=search.reduced.measure, least=self._left(n_failures), n_failures=n_failures
             )
         )
         return limit

@@ -7,32 +7,39 @@ by window, and the bound is as good as the choice. It starts with the first fram
 where a VRU that comes into sight stays in sight; then each window is asked for the frame that the
 relaxed solution sees least, which is what the set pays for missed detections and gaps.
 
-The values of the poses are read straight from the bits of a detection table, which may have
-hundreds of thousands of poses.
+Branch and bound finds the best set of more than three poses, or how much better one could be.
+Near copies of a pose (a few degrees of yaw) make "with this pose, or without" a poor question: the
+answer "without" changes nothing. So a node asks whether a site carries a unit that is not yet
+accounted for, and then which half of its poses that unit is among.
 """
 
+import heapq
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from geometry.arrays import FloatArray, IntArray
-from scenarios.aeb import AebRule, is_in_time
-from scenarios.runs import FrameAxis
 
-from .bounds import Coverage, Supply, ValueArray, can_matter, gains, prove
-from .branch_and_bound import branch_and_bound
-from .greedy import lazy_greedy, round_shares, search_around
-from .multipliers import Columns, Tightened, generate_columns, tighten, worthiest
-from .presolve import WordArray
-from .relaxation import polish
+from .bounds import (
+    Bound,
+    Coverage,
+    Supply,
+    TimelyWindows,
+    ValueArray,
+    can_matter,
+    first_seen_values,
+    gains,
+    hardest_frames,
+    prove,
+)
+from .greedy import fill, lazy_greedy, round_shares, search_around, swap
+from .relaxation import Columns, Tightened, generate_columns, polish, tighten, worthiest
 
-_BLOCK_WORDS = 1 << 18  # 2 MB: what is worked on stays in the cache
-_SHARE_DIGITS = 3  # shares that differ by less are equal
 _POOL_POSES = 5000
 _EXCHANGE_POSES = 1000
 _N_ROUNDS = 6
@@ -48,232 +55,20 @@ _LOCAL_POSES = 2000  # that exchanges choose from
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TimelyWindows:
-    """Windows of consecutive frames that end in time, for runs where there are any.
-
-    Attributes
-    ----------
-    run_index : (n_rows,) int
-        Runs of the axis with weight and at least one such window.
-    first_frame : (n_rows,) int
-        Frame of the axis at which the run's first window begins.
-    n_windows : (n_rows,) int
-        Windows of each run; window k begins at first_frame + k.
-    margin_s : (n_rows, largest n_windows + 1) float
-        Margin if window k is the first one seen; 0 from k = n_windows on: none. [s]
-    n_confirmations : int
-        Frames of a window.
-    """
-
-    run_index: IntArray
-    first_frame: IntArray
-    n_windows: IntArray
-    margin_s: FloatArray
-    n_confirmations: int
-
-
-def timely_windows(axis: FrameAxis, rule: AebRule) -> TimelyWindows:
-    """Find the windows of a frame axis that end in time."""
-    run = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
-    last_brake_s = axis.last_brake_time_s[run]
-    position = np.arange(axis.n_frames) - axis.run_start[run]
-    counts = (
-        (position >= rule.n_confirmations - 1)
-        & is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s)
-        & (axis.weight[run] > 0.0)
-    )
-    ends = np.flatnonzero(counts)
-    run_index, first, n_windows = np.unique(run[ends], return_index=True, return_counts=True)
-    margin_s = np.zeros((len(run_index), n_windows.max(initial=0) + 1))
-    row = np.repeat(np.arange(len(run_index)), n_windows)
-    margin_s[row, np.arange(len(ends)) - first[row]] = last_brake_s[ends] - (
-        axis.time_s[ends] + rule.latency_s
-    )
-    return TimelyWindows(
-        run_index=run_index,
-        first_frame=ends[first] - (rule.n_confirmations - 1),
-        n_windows=n_windows,
-        margin_s=margin_s,
-        n_confirmations=rule.n_confirmations,
-    )
-
-
-def first_seen_index(
-    packed: NDArray[np.uint8],
-    windows: TimelyWindows,
-    *,
-    frames: slice | IntArray,
-    workers: int = 1,
-) -> NDArray[np.uint16]:
-    """First window of each run of which each pose sees certain frames, (n_poses, n_rows).
-
-    It is the window's number within the run, and n_windows of the run if there is none. `packed`
-    has V[c, f], the lowest bit first. `frames` says which frames of a window count. A slice stands
-    for the same frames of every window, all of which are needed: ``slice(0, 1)`` is the first one,
-    ``slice(None)`` all of them. An array has one frame for each window, see :func:`hardest_frames`.
-
-    Raises ValueError if no frame counts, or one that no window has.
-    """
-    index = np.empty((len(packed), len(windows.run_index)), dtype=np.uint16)
-
-    def keep(rows: slice, found: IntArray) -> None:
-        index[rows] = found.T
-
-    _go_through(packed, windows, frames, keep, workers)
-    return index
-
-
-def first_seen_values(
-    packed: NDArray[np.uint8],
-    windows: TimelyWindows,
-    worth: FloatArray,
-    *,
-    frames: slice | IntArray,
-    out: NDArray[np.float32] | None = None,
-    workers: int = 1,
-) -> NDArray[np.float32]:
-    """What each pose alone is worth in each run, v[c, r] rounded up, (n_poses, n_rows).
-
-    `worth`, (n_rows, largest n_windows + 1), is that of a run if window k is the first one seen,
-    such as weight times margin; it must not grow with k, and its entry at n_windows is for runs
-    that are not seen. For the other arguments and errors see :func:`first_seen_index`.
-
-    With all frames the values are exact where one unit must confirm alone. With one frame of each
-    window the largest of the values of the chosen poses is a limit of what they reach together,
-    whoever sees the frames: where a window is seen as a whole, one of them sees that frame of it.
-    """
-    if worth.shape != windows.margin_s.shape:
-        raise ValueError(f"worth: got {worth.shape}; expected {windows.margin_s.shape}")
-    values = np.empty((len(packed), len(worth)), dtype=np.float32) if out is None else out
-    table = worth.astype(np.float32)
-    is_less = table < worth  # rounded up instead: a limit stays one
-    table[is_less] = np.nextafter(table[is_less], np.float32(np.inf))
-    start = (np.arange(len(worth)) * worth.shape[1])[:, None]
-
-    def keep(rows: slice, found: IntArray) -> None:
-        values[rows] = table.ravel()[start + found].T
-
-    _go_through(packed, windows, frames, keep, workers)
-    return values
-
-
-def hardest_frames(seen_share: FloatArray, windows: TimelyWindows) -> IntArray:
-    """Of each window the frame that is seen least, for :func:`first_seen_values`.
-
-    `seen_share`, (n_frames,), is how much of each frame a relaxed solution sees, 0..1. Whichever
-    frame of a window is asked for, values are limits. To ask for the one that is seen least
-    promises least: for a set it finds exactly the windows that it sees as a whole.
-    """
-    window = np.minimum(np.arange(windows.margin_s.shape[1] - 1), windows.n_windows[:, None] - 1)
-    frame = windows.first_frame[:, None] + window
-    shares = [seen_share[frame + offset] for offset in range(windows.n_confirmations)]
-    frames: IntArray = np.argmin(np.round(np.stack(shares), _SHARE_DIGITS), axis=0)
-    return frames
-
-
-def _go_through(
-    packed: NDArray[np.uint8],
-    windows: TimelyWindows,
-    frames: slice | IntArray,
-    keep: Callable[[slice, IntArray], None],
-    workers: int,
-) -> None:
-    """Call `keep` with the indices, (n_rows, n_poses), of a few poses at a time."""
-    every = range(windows.n_confirmations)
-    if isinstance(frames, slice):
-        is_possible = len(every[frames]) > 0
-    else:
-        shape = (len(windows.run_index), windows.margin_s.shape[1] - 1)
-        is_possible = frames.shape == shape and bool(np.isin(frames, every).all())
-    if not is_possible:
-        raise ValueError(f"frames: got {frames}; expected some of {windows.n_confirmations}")
-    n_poses = max(64, _BLOCK_WORDS // max(1, len(windows.run_index)))
-
-    def work(start: int) -> None:
-        rows = slice(start, start + n_poses)
-        keep(rows, _first_seen(_by_word(packed[rows]), windows, frames))
-
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(work, range(0, len(packed), n_poses)))
-
-
-def _by_word(packed: NDArray[np.uint8]) -> WordArray:
-    """Words of 64 frames, an empty one at the end: (n_words + 1, n_poses) uint64."""
-    n_words = -(-packed.shape[1] // 8)
-    padded = np.zeros((len(packed), 8 * (n_words + 1)), dtype=np.uint8)
-    padded[:, : packed.shape[1]] = packed
-    return np.ascontiguousarray(padded.view("<u8").T)
-
-
-def _first_seen(words: WordArray, windows: TimelyWindows, frames: slice | IntArray) -> IntArray:
-    """Index of the first window of each run, (n_rows, n_poses)."""
-    index = np.repeat(windows.n_windows[:, None], words.shape[1], axis=1)
-    n_rounds = -(-int(windows.n_windows.max(initial=0)) // 64)
-    for first_window in range(64 * (n_rounds - 1), -1, -64):
-        longer = np.flatnonzero(windows.n_windows > first_window)
-        begin = windows.first_frame[longer] + first_window
-        if isinstance(frames, slice):
-            offsets = range(windows.n_confirmations)[frames]
-            seen = _words_from(words, begin + offsets[0])
-            for offset in offsets[1:]:
-                seen &= _words_from(words, begin + offset)
-        else:
-            asked = frames[longer, first_window : first_window + 64]
-            seen = np.zeros((len(longer), words.shape[1]), dtype=np.uint64)
-            for offset in range(windows.n_confirmations):
-                of_window = _by_word(np.packbits(asked == offset, axis=1, bitorder="little"))[0]
-                seen |= _words_from(words, begin + offset) & of_window[:, None]
-        n_left = np.minimum(windows.n_windows[longer] - first_window, 64).astype(np.uint64)
-        seen &= (~np.uint64(0) >> (np.uint64(64) - n_left))[:, None]
-        lowest = np.bitwise_count(~seen & (seen - np.uint64(1)))  # 64 if no bit is set
-        index[longer] = np.where(lowest < 64, first_window + lowest.astype(np.int64), index[longer])
-    return index
-
-
-def _words_from(words: WordArray, first_frame: IntArray) -> WordArray:
-    """The 64 frames from some frame on, a row for each: (n, n_poses) uint64."""
-    word, bit = np.divmod(first_frame, 64)
-    bit = bit.astype(np.uint64)[:, None]
-    # numpy shifts everything out where the shift is 64.
-    result: WordArray = (words[word] >> bit) | (words[word + 1] << (np.uint64(64) - bit))
-    return result
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WindowCover:
-    """A set of poses and how good it is proven to be.
+    """A set of poses and how good it is proven to be."""
 
-    Attributes
-    ----------
-    poses : (n_units,) int
-        Ascending.
-    value : float
-        What the windows are worth that they see together.
-    limit : float
-        No feasible set is worth more.
-    frames : (n_rows, largest n_windows) int
-        Frame that each window was asked for.
-    multipliers : (n_rows,) float
-        With the values of `frames`, :func:`placement.optimiser.bounds.prove` gives `root_limit`.
-    root_limit : float
-        What the multipliers prove; `limit` is lower if branching has proven more.
-    pool : (n,) int
-        Poses that the bound rests on: a good place to look for more.
-    n_nodes : int
-        Of branch and bound.
-    seconds : float
-        Spent. [s]
-    """
-
-    poses: IntArray
-    value: float
-    limit: float
-    frames: IntArray
+    poses: IntArray  # (n_units,): ascending
+    value: float  # what the windows are worth that they see together
+    limit: float  # no feasible set is worth more
+    frames: IntArray  # (n_rows, largest n_windows): frame that each window was asked for
+    # (n_rows,): with the values of `frames`, :func:`placement.optimiser.bounds.prove` gives
+    # `root_limit`.
     multipliers: ValueArray
-    root_limit: float
-    pool: IntArray
-    n_nodes: int
-    seconds: float
+    root_limit: float  # what the multipliers prove; `limit` is lower if branching has proven more
+    pool: IntArray  # (n,): poses that the bound rests on: a good place to look for more
+    n_nodes: int  # of branch and bound
+    seconds: float  # spent [s]
 
     @property
     def gap(self) -> float:
@@ -351,10 +146,9 @@ def find_window_cover(
 ) -> WindowCover:
     """Find a set that is proven to be within a relative gap of the best, if time suffices.
 
-    `packed` has V[c, f], the lowest bit first. `worth`, (n_rows, largest n_windows + 1), is that of
-    each run if window k is the first one seen, and must not grow with k. When the time is up, the
-    step under way is finished; then the best set and what is proven are returned. Without
-    `branches`, only relaxations bound the set. `seed` is that of the restarts.
+    `packed` and `worth` are as in :func:`first_seen_values`. When the time is up, the step under
+    way is finished; then the best set and what is proven are returned. Without `branches`, only
+    relaxations bound the set. `seed` is that of the restarts.
     """
     began_s = time.monotonic()
     end_s, report = began_s + time_limit_s, on_step or _ignore
@@ -420,11 +214,7 @@ def find_window_cover(
 
 
 def _columns(
-    coverage: Coverage,
-    best: IntArray,
-    multipliers: ValueArray | None,
-    end_s: float,
-    workers: int,
+    coverage: Coverage, best: IntArray, multipliers: ValueArray | None, end_s: float, workers: int
 ) -> Columns:
     return generate_columns(
         coverage, best, multipliers=multipliers, improve=polish, end_s=end_s, workers=workers
@@ -544,12 +334,7 @@ def choose_greedily(coverage: Coverage, *, workers: int = 1) -> IntArray:
 
 
 def search_near(
-    coverage: Coverage,
-    columns: Columns,
-    best: IntArray,
-    *,
-    n_restarts: int,
-    seed: int = 0,
+    coverage: Coverage, columns: Columns, best: IntArray, *, n_restarts: int, seed: int = 0
 ) -> IntArray:
     """Round the relaxed solution, exchange, and leave local bests again and again."""
     pool = np.union1d(best, worthiest(columns.bound.worth, _LOCAL_POSES))
@@ -567,3 +352,205 @@ def search_near(
 
 def _ignore(step: str) -> None:
     """Take no notice."""
+
+
+# ---------- branch and bound
+
+
+_ROOT_STEPS = 300
+_NODE_STEPS = 60
+_LITTLE_USED = 0.2  # units at a site: less, and another question says more
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BranchResult:
+    """What branch and bound found."""
+
+    poses: IntArray  # (n_units,): the best set
+    value: float  # f of it
+    limit: float  # no feasible set is worth more
+    n_nodes: int  # looked at
+    is_finished: bool  # False: the time was up
+
+
+@dataclass(order=True, slots=True)
+class _Node:
+    """Sets that have one pose of each group, others from the rest of the pool."""
+
+    priority: float  # minus the limit: the highest comes first
+    number: int
+    pool: IntArray = field(compare=False)
+    groups: tuple[IntArray, ...] = field(compare=False)  # poses of the whole coverage
+    multipliers: ValueArray = field(compare=False)
+
+
+def branch_and_bound(
+    coverage: Coverage,
+    incumbent: IntArray,
+    multipliers: ValueArray,
+    *,
+    evaluate: Callable[[IntArray], float] | None = None,
+    gap: float = 0.0,
+    time_limit_s: float = 60.0,
+    max_nodes: int | None = None,
+    workers: int = 1,
+) -> BranchResult:
+    """Find the best set among thousands of poses, or stop with what is proven.
+
+    `evaluate` tells what a set is truly worth where f is only a limit of that. Sets that are better
+    than the incumbent by no more than the relative `gap` need not be found: a finished search has
+    ``limit <= (1 + gap) value``. Nodes with the highest limit come first: good sets come from
+    exchanges rather than from the depth, and so the proven limit falls from node to node.
+    """
+    end_s = time.monotonic() + time_limit_s
+    with threadpool_limits(1):  # products are too small for BLAS's threads
+        tree = _Tree(coverage, incumbent, multipliers, evaluate or coverage.value, gap, workers)
+        while tree.is_open and tree.n_nodes != max_nodes and time.monotonic() <= end_s:
+            tree.look_at_next()
+    return BranchResult(
+        poses=tree.best,
+        value=tree.value,
+        limit=tree.limit,
+        n_nodes=tree.n_nodes,
+        is_finished=not tree.is_open,
+    )
+
+
+class _Tree:
+    """Open nodes, the best set so far, and what has been given up."""
+
+    def __init__(
+        self,
+        coverage: Coverage,
+        incumbent: IntArray,
+        multipliers: ValueArray,
+        evaluate: Callable[[IntArray], float],
+        gap: float,
+        workers: int,
+    ) -> None:
+        self.coverage, self.evaluate = coverage, evaluate
+        self.gap, self.workers = gap, workers
+        self.best, self.value = incumbent, evaluate(incumbent)
+        self.n_nodes = 0
+        self.given_up = -np.inf  # no set that was left aside is worth more
+        self.numbers = count()
+        self.heap: list[_Node] = []
+        self._open(np.inf, np.arange(coverage.n_poses), coverage.supply.groups, multipliers)
+
+    @property
+    def enough(self) -> float:
+        """Sets worth no more are not looked for."""
+        rounding = 4.0 * float(np.finfo(self.coverage.values.dtype).eps)
+        return self.value * (1.0 + max(self.gap, rounding, _LEAST_GAIN))
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a node may hold a set that is looked for."""
+        return bool(self.heap) and -self.heap[0].priority > self.enough
+
+    @property
+    def limit(self) -> float:
+        """No set is worth more."""
+        return max([self.value, self.given_up] + [-node.priority for node in self.heap])
+
+    def look_at_next(self) -> None:
+        """Bound the node with the highest limit; ask a question about it."""
+        node = heapq.heappop(self.heap)
+        self.n_nodes += 1
+        part = _part(self.coverage, node.pool, node.groups)
+        tightened = tighten(
+            part,
+            node.multipliers,
+            target=self.value,
+            n_steps=_NODE_STEPS if self.n_nodes > 1 else _ROOT_STEPS,
+            stop_below=self.enough,
+            workers=self.workers,
+        )
+        bound = tightened.bound
+        limit = min(bound.limit, -node.priority)
+        for trial in _sets_near(part, bound):
+            self._offer(node.pool[trial], part.value(trial))
+        if limit <= self.enough:
+            self.given_up = max(self.given_up, limit)
+            return
+        left = np.flatnonzero(can_matter(part, bound, self.enough))
+        if len(left) < part.n_poses:
+            self.given_up = max(self.given_up, min(self.enough, limit))
+        part, pool = part.of_poses(left), node.pool[left]
+        if not all(map(len, part.supply.groups)):
+            return
+        for some, groups in _children(part, tightened.shares[left]):
+            self._open(limit, pool[some], tuple(pool[group] for group in groups), bound.multipliers)
+
+    def _open(
+        self, limit: float, pool: IntArray, groups: tuple[IntArray, ...], multipliers: ValueArray
+    ) -> None:
+        node = _Node(
+            priority=-limit,
+            number=next(self.numbers),
+            pool=pool,
+            groups=groups,
+            multipliers=multipliers,
+        )
+        heapq.heappush(self.heap, node)
+
+    def _offer(self, poses: IntArray, promise: float) -> None:
+        """Keep a set if it is better; what it promises is a limit of its value."""
+        if promise <= self.value * (1.0 + _LEAST_GAIN) or not self.coverage.supply.allows(poses):
+            return
+        value = self.evaluate(poses)
+        if value > self.value * (1.0 + _LEAST_GAIN):
+            self.best, self.value = poses, value
+
+
+def _part(coverage: Coverage, pool: IntArray, groups: tuple[IntArray, ...]) -> Coverage:
+    """The coverage of a node."""
+    supply = coverage.supply.with_groups(groups)
+    grouped = Coverage(values=coverage.values, supply=supply, reached=coverage.reached)
+    return grouped.of_poses(pool)
+
+
+def _sets_near(part: Coverage, bound: Bound) -> list[IntArray]:
+    """Sets near what the bound picks: filled up, and exchanged until that does not help."""
+    chosen = np.empty(0, dtype=np.int64)
+    for pose in bound.pick.poses[np.argsort(-bound.pick.shares, kind="stable")]:
+        if part.supply.has_room(chosen)[pose]:
+            chosen = np.append(chosen, pose)
+    every = np.arange(part.n_poses)
+    filled = fill(part, chosen, every)
+    return [filled, swap(part, filled, every)]
+
+
+def _children(part: Coverage, shares: FloatArray) -> list[tuple[IntArray, tuple[IntArray, ...]]]:
+    """Pools and groups of the nodes that a node falls apart into; none if it is one set.
+
+    Every set of the node is in one of them.
+    """
+    supply = part.supply
+    groups, every = supply.groups, np.arange(part.n_poses)
+    is_free = np.ones(part.n_poses, dtype=bool)
+    for group in groups:
+        is_free[group] = False
+    if len(groups) == supply.max_units:
+        is_free[:] = False
+        every = np.sort(np.concatenate(groups)) if groups else every[:0]
+    at_site = np.bincount(supply.site_index, weights=shares * is_free)
+    sizes = [len(group) for group in groups]
+    if is_free.any() and (at_site.max() > _LITTLE_USED or max(sizes, default=1) == 1):
+        site = supply.site_index[is_free][at_site[supply.site_index[is_free]].argmax()]
+        asked = np.flatnonzero(is_free & (supply.site_index == site))
+        return [(every, (*groups, asked)), (np.setdiff1d(every, asked), groups)]
+    if max(sizes, default=1) == 1:
+        return []
+    undecided = [
+        shares[group].sum() - shares[group].max() if len(group) > 1 else -1.0 for group in groups
+    ]
+    number = int(np.argmax(undecided))
+    group = groups[number]
+    pivot = part.values[group[shares[group].argmax()]]
+    distance = np.abs(part.values[group] - pivot).sum(axis=1)
+    order = group[np.argsort(distance, kind="stable")]
+    near, far = np.sort(order[: (len(order) + 1) // 2]), np.sort(order[(len(order) + 1) // 2 :])
+    others = (*groups[:number], *groups[number + 1 :])
+    left = np.setdiff1d(every, far) if len(groups) == supply.max_units else every
+    return [(left, (*others, near)), (np.setdiff1d(every, near), (*others, far))]

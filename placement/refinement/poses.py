@@ -32,25 +32,14 @@ from .proposals import Places
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bench:
-    """Poses that are tried together.
+    """Poses that are tried together."""
 
-    Attributes
-    ----------
-    candidates : tuple of CandidatePose
-        The poses.
-    origin : (n,) int
-        Row of the grid's pose that each one is, or stands in for: it hangs at the same place, and
-        has the same sensor.
-    is_new : (n,) bool
-        Whether it is not in the grid.
-    packed : (n, ceil(n_frames / 8)) uint8
-        Detection rows.
-    """
-
-    candidates: tuple[CandidatePose, ...]
+    candidates: tuple[CandidatePose, ...]  # the poses
+    # (n,): row of the grid's pose that each one is, or stands in for: it hangs at the same place,
+    # and has the same sensor.
     origin: IntArray
-    is_new: NDArray[np.bool_]
-    packed: NDArray[np.uint8]
+    is_new: NDArray[np.bool_]  # (n,): whether it is not in the grid
+    packed: NDArray[np.uint8]  # (n, ceil(n_frames / 8)): detection rows
 
     def __len__(self) -> int:
         return len(self.candidates)
@@ -255,55 +244,46 @@ _SAME_PLACE_M = 1.0e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Move:
-    """One unit before and after.
+    """One unit before and after."""
 
-    Attributes
-    ----------
-    before : CandidatePose, optional
-        None: the unit is new.
-    after : CandidatePose, optional
-        None: the unit is gone.
-    """
-
-    before: CandidatePose | None
-    after: CandidatePose | None
+    before: CandidatePose | None  # None: the unit is new
+    after: CandidatePose | None  # None: the unit is gone
 
     @property
     def is_same_place(self) -> bool:
         """Whether the same sensor still hangs at the same place, maybe higher or lower."""
-        return (
-            self.before is not None
-            and self.after is not None
-            and is_same_place(self.before, self.after)
-        )
+        before, after = self.before, self.after
+        return before is not None and after is not None and is_same_place(before, after)
+
+    @property
+    def _both(self) -> tuple[CandidatePose, CandidatePose]:
+        """The unit before and after, where it is neither new nor gone."""
+        assert self.before is not None
+        assert self.after is not None
+        return self.before, self.after
 
     @property
     def turn_deg(self) -> float:
         """Change of the yaw, counter-clockwise."""
-        assert self.before is not None
-        assert self.after is not None
-        return float(wrap_deg(self.after.pose.yaw_deg - self.before.pose.yaw_deg))
+        before, after = self._both
+        return float(wrap_deg(after.pose.yaw_deg - before.pose.yaw_deg))
 
     @property
     def tilt_deg(self) -> float:
         """Change of the pitch, up."""
-        assert self.before is not None
-        assert self.after is not None
-        return self.after.pose.pitch_deg - self.before.pose.pitch_deg
+        before, after = self._both
+        return after.pose.pitch_deg - before.pose.pitch_deg
 
     @property
     def lift_m(self) -> float:
         """Change of the height, up."""
-        assert self.before is not None
-        assert self.after is not None
-        return float(self.after.pose.position_m[2] - self.before.pose.position_m[2])
+        before, after = self._both
+        return float(after.pose.position_m[2] - before.pose.position_m[2])
 
     @property
     def zoom_deg(self) -> float:
         """Change of the horizontal field of view; 0 for what has no lens."""
-        assert self.before is not None
-        assert self.after is not None
-        old, new = self.before.sensor, self.after.sensor
+        old, new = (unit.sensor for unit in self._both)
         if not isinstance(old, CameraModel) or not isinstance(new, CameraModel):
             return 0.0
         return new.horizontal_fov_deg - old.horizontal_fov_deg

@@ -15,12 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site, containing_instance
 from geometry.sensors import CameraModel, with_fov
@@ -40,21 +35,12 @@ _SMALL_SHARE = 0.1  # of the avoided runs, those with the smallest margins
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WeakSpots:
-    """Frames that are worth seeing better.
+    """Frames that are worth seeing better."""
 
-    Attributes
-    ----------
-    frame_index : (n,) int
-        Frames of the axis.
-    probability : (n,) float
-        How often each is to be aimed at; they sum to 1, or there is no frame at all.
-    vru_m : (n, 3) float
-        Middle of the VRU's body. [m]
-    """
-
-    frame_index: IntArray
+    frame_index: IntArray  # (n,): frames of the axis
+    # (n,): how often each is to be aimed at; they sum to 1, or there is no frame at all.
     probability: FloatArray
-    vru_m: FloatArray
+    vru_m: FloatArray  # (n, 3): middle of the VRU's body [m]
 
     def __post_init__(self) -> None:
         for field in ("frame_index", "probability", "vru_m"):
@@ -142,27 +128,14 @@ _AIM_SD_DEG = 8.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Places:
-    """Where poses of a grid may be moved to.
+    """Where poses of a grid may be moved to."""
 
-    Attributes
-    ----------
-    scene : Scene
-        Its sites say how high.
-    candidates : tuple of CandidatePose
-        The grid.
-    is_free : (n,) bool
-        Which of them stand for poses that may be chosen: not forbidden, and not kept.
-    site_index : (n,) int
-        Equal for poses of one site.
-    row_of : mapping of str to int
-        Row of every id.
-    """
-
-    scene: Scene
-    candidates: tuple[CandidatePose, ...]
+    scene: Scene  # its sites say how high
+    candidates: tuple[CandidatePose, ...]  # the grid
+    # (n,): which of them stand for poses that may be chosen: not forbidden, and not kept.
     is_free: BoolArray
-    site_index: IntArray
-    row_of: Mapping[str, int]
+    site_index: IntArray  # (n,): equal for poses of one site
+    row_of: Mapping[str, int]  # row of every id
 
     def height_range_m(self, origin: int) -> tuple[float, float]:
         """Lowest and highest position for a row of the grid, in the world frame, in metres."""

@@ -152,11 +152,6 @@ def floor_values(problem: "PlacementProblem", floor: "Floor", sets: IntArray) ->
     return _of_blocks(problem, sets, lambda block: _left(problem, block, floor.n_failures, floor))
 
 
-def apr_of_margins(problem: "PlacementProblem", margin_s: FloatArray) -> FloatArray:
-    """Accident prevention ratio of sets by the margins of all runs, (n_sets,)."""
-    return _apr(problem, margin_s)
-
-
 def _any(flags: BoolArray) -> BoolArray:
     """Rows with a flag that is set."""
     result: BoolArray = np.logical_or.reduce(flags, axis=1)
@@ -300,7 +295,7 @@ def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[
     usable = usable_poses(problem)
     margin_s = margins_of_all_s(problem, usable)
     counts = (margin_s > -np.inf) & (weight > 0.0)
-    most_apr = float(apr_of_margins(problem, margin_s[None, :])[0])
+    most_apr = float(_apr(problem, margin_s[None, :])[0])
     smallest_s = mean_s = float(margin_s[counts].max(initial=-np.inf)) if counts.any() else 0.0
     claimed = {stage.name: stage.objective for stage in stages}
     if (

@@ -20,8 +20,7 @@ import numpy as np
 
 from ..layout import Stage
 from ..optimiser.objectives import Objective
-from .certificates import StoredCertificate, model_of
-from .instances import problem_hash
+from .certificates import StoredCertificate, model_of, problem_hash
 from .recomputation import (
     EPSILON,
     all_sets,
@@ -48,58 +47,29 @@ _SOLVER_TOLERANCE = 1.0e-6  # relative; solvers meet their rows and whole number
 
 
 class Check(NamedTuple):
-    """Something that was looked at.
+    """Something that was looked at."""
 
-    Attributes
-    ----------
-    name : str
-        What.
-    passed : bool
-        Whether it is as it should be.
-    detail : str
-        In words.
-    """
-
-    name: str
-    passed: bool
-    detail: str
+    name: str  # what
+    passed: bool  # whether it is as it should be
+    detail: str  # in words
 
 
 class StageProof(NamedTuple):
-    """What stands behind a stage of a certificate.
+    """What stands behind a stage of a certificate."""
 
-    Attributes
-    ----------
-    name : str
-        The stage.
-    claims_optimum : bool
-        Whether the certificate says that the layout is proven best in this stage.
-    is_proven_again : bool
-        Whether that was proven here, without a solver.
-    reason : str
-        How; or what it rests on instead.
-    """
-
-    name: str
+    name: str  # the stage
+    # Whether the certificate says that the layout is proven best in this stage.
     claims_optimum: bool
-    is_proven_again: bool
-    reason: str
+    is_proven_again: bool  # whether that was proven here, without a solver
+    reason: str  # how; or what it rests on instead
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
-    """What a check of a certificate came to.
+    """What a check of a certificate came to."""
 
-    Attributes
-    ----------
-    checks : tuple of Check
-        In the order in which they were made.
-    proofs : tuple of StageProof
-        Of every stage; none if the layout itself could not be made out.
-    """
-
-    checks: tuple[Check, ...]
-    proofs: tuple[StageProof, ...]
+    checks: tuple[Check, ...]  # in the order in which they were made
+    proofs: tuple[StageProof, ...]  # of every stage; none if the layout could not be made out
 
     @property
     def passed(self) -> bool:
@@ -260,11 +230,7 @@ def _stage_checks(
             abs(value - claimed) <= objective.tolerance,
             f"recomputed {value:.9g}, claimed {claimed:.9g}",
         ),
-        Check(
-            f"{name}: bound",
-            fits,
-            f"{bound:.9g} is {'not ' if fits else ''}{side} the value",
-        ),
+        Check(f"{name}: bound", fits, f"{bound:.9g} is {'not ' if fits else ''}{side} the value"),
         Check(
             f"{name}: gap",
             has_gap and is_proven == (stage.gap == 0.0),

@@ -14,6 +14,7 @@ References
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
@@ -32,28 +33,13 @@ WordArray = NDArray[np.uint64]
 _MAX_WORDS = 64  # 4,096 bits to a signature: exact for so many members, a sieve for more
 _BLOCK_BYTES = 1 << 25
 _FIRST_WORDS = 4
-_SEED = 20  # of the hashes; equal sets are equal whatever it is
 
 
 def first_equal(sets: sp.csr_array) -> IntArray:
     """For every set, a row of `sets`, the first one with the same members, (n_sets,)."""
-    n_sets = sets.shape[0]
-    rng = np.random.default_rng(_SEED)
-    hashes = rng.integers(np.iinfo(np.uint64).max, size=(2, sets.shape[1]), dtype=np.uint64)
-    sums = np.zeros((2, sets.indices.size + 1), dtype=np.uint64)
-    np.cumsum(hashes[:, sets.indices], axis=1, out=sums[:, 1:])
-    keys = (sums[:, sets.indptr[1:]] - sums[:, sets.indptr[:-1]]).T  # modulo 2^64
-    size = np.diff(sets.indptr).astype(np.uint64)
-    _, first, group = np.unique(
-        np.column_stack([size, keys]), axis=0, return_index=True, return_inverse=True
-    )
-    first_of: IntArray = first[group.ravel()].astype(np.int64)
-    # A hash is no proof: a set whose members turn out to differ stands for itself.
-    members = _members_of(sets, first_of)
-    differs = np.zeros(sets.indices.size + 1, dtype=np.int64)
-    np.cumsum(members != sets.indices, out=differs[1:])
-    is_same = differs[sets.indptr[1:]] == differs[sets.indptr[:-1]]
-    return np.where(is_same, first_of, np.arange(n_sets))
+    first: dict[bytes, int] = {}
+    members = (sets.indices[start:end].tobytes() for start, end in pairwise(sets.indptr))
+    return np.array([first.setdefault(key, row) for row, key in enumerate(members)], dtype=np.int64)
 
 
 def supersets(
@@ -61,12 +47,10 @@ def supersets(
 ) -> Iterator[tuple[int, IntArray]]:
     """For every set, the larger sets at no higher price of which it is a part: set, and those sets.
 
-    Rows of `sets`, (n_sets, n_members), are neither equal nor empty. The search gives up after
-    `max_work` comparisons of pairs, and begins with sets that have the fewest candidates.
-
-    A whole has all members of its part, the rarest among them: only sets with that one are
-    compared, by signatures. Where there are more members than bits the signature is a sieve, and
-    what passes is compared member by member.
+    Rows of `sets`, (n_sets, n_members), are neither equal nor empty. It gives up after `max_work`
+    comparisons, beginning with sets that have the fewest candidates. A whole has the rarest member
+    of its part: only sets with that one are compared, by signatures, and where there are more
+    members than bits, member by member.
     """
     n_sets, n_members = sets.shape
     if n_sets == 0:
@@ -95,14 +79,6 @@ def supersets(
 
 def _row(sets: sp.csr_array, row: int) -> IntArray:
     return sets.indices[sets.indptr[row] : sets.indptr[row + 1]].astype(np.int64)
-
-
-def _members_of(sets: sp.csr_array, rows: IntArray) -> IntArray:
-    """Members of each row named, as many as the set in that place has, all in a line."""
-    size = np.diff(sets.indptr)
-    offset = np.arange(sets.indices.size) - np.repeat(sets.indptr[:-1], size)
-    members: IntArray = sets.indices[np.repeat(sets.indptr[rows], size) + offset]
-    return members
 
 
 def _rarest_members(sets: sp.csr_array, frequency: IntArray) -> IntArray:
@@ -151,43 +127,23 @@ _MAX_WORK = 5.0e8  # pairs of sets compared in one reduction: a minute at worst
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoveringPresolve:
-    """What the presolve of a covering problem did.
+    """What the presolve of a covering problem did."""
 
-    Attributes
-    ----------
-    n_columns, n_rows : tuple of int
-        Before, after.
-    n_idle_rows : int
-        Rows without weight, or that no column covers.
-    n_idle_columns : int
-        Columns that cover nothing that is left, or cost more than all the money.
-    n_essential_columns : int
-        Chosen already: free of charge, or the only ones that cover some row.
-    n_equal_columns : int
-        Columns that cover what another one covers, at no less cost.
-    n_dominated_columns : int
-        Columns that cover less than another one, at no less cost.
-    n_dear_columns : int
-        Columns that cost more than the cheapest columns of all their rows together.
-    n_equal_rows : int
-        Rows that are covered by the same columns as another one.
-    n_dominated_rows : int
-        Rows that are covered whenever another one is.
-    n_components : int
-        Independent parts that are left.
-    """
-
+    # Before, after.
     n_columns: tuple[int, int]
     n_rows: tuple[int, int]
-    n_idle_rows: int = 0
+    n_idle_rows: int = 0  # rows without weight, or that no column covers
+    # Columns that cover nothing that is left, or cost more than all the money.
     n_idle_columns: int = 0
+    # Chosen already: free of charge, or the only ones that cover some row.
     n_essential_columns: int = 0
-    n_equal_columns: int = 0
-    n_dominated_columns: int = 0
+    n_equal_columns: int = 0  # columns that cover what another one covers, at no less cost
+    n_dominated_columns: int = 0  # columns that cover less than another one, at no less cost
+    # Columns that cost more than the cheapest columns of all their rows together.
     n_dear_columns: int = 0
-    n_equal_rows: int = 0
-    n_dominated_rows: int = 0
-    n_components: int = 0
+    n_equal_rows: int = 0  # rows that are covered by the same columns as another one
+    n_dominated_rows: int = 0  # rows that are covered whenever another one is
+    n_components: int = 0  # independent parts that are left
 
     def __str__(self) -> str:
         sizes = (
@@ -204,24 +160,13 @@ class CoveringPresolve:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReducedCovering:
-    """A covering problem without what does not matter.
+    """A covering problem without what does not matter."""
 
-    Attributes
-    ----------
-    instance : CoveringInstance
-        What is left.
-    column_index : (n_columns,) int
-        The columns that are left, in the full instance: the way back.
-    essential : (n,) int
-        Columns of the full instance that are chosen already.
-    statistics : CoveringPresolve
-        What was done.
-    """
-
-    instance: CoveringInstance
+    instance: CoveringInstance  # what is left
+    # (n_columns,): the columns that are left, in the full instance: the way back.
     column_index: IntArray
-    essential: IntArray
-    statistics: CoveringPresolve
+    essential: IntArray  # (n,): columns of the full instance that are chosen already
+    statistics: CoveringPresolve  # what was done
 
 
 class _Reduction:

@@ -25,14 +25,7 @@ from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError
 
 from ...layout import relative_gap
-from ..milp import run_solver, solver_text
-from .greedy import (
-    cover_cheaply,
-    cover_much,
-    drop_redundant,
-    least_cost_bound,
-    most_weight_bound,
-)
+from ..model import run_solver, solver_text
 from .instance import (
     TOLERANCE,
     CoveringBudget,
@@ -50,7 +43,16 @@ from .presolve import (
     presolve_full_cover,
     presolve_weighted_cover,
 )
-from .search import MAX_UNITS, SURE_UNITS, search_best_columns
+from .search import (
+    MAX_UNITS,
+    SURE_UNITS,
+    cover_cheaply,
+    cover_much,
+    drop_redundant,
+    least_cost_bound,
+    most_weight_bound,
+    search_best_columns,
+)
 
 if TYPE_CHECKING:  # it takes two seconds to import: done where a model is stated
     import cvxpy as cp
@@ -78,18 +80,10 @@ _MIN_PART = 100  # columns: smaller independent parts are solved together
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MilpAnswer:
-    """What a solver knows when it stops.
+    """What a solver knows when it stops."""
 
-    Attributes
-    ----------
-    chosen : (n,) int or None
-        Best columns found; None if none were.
-    bound : float
-        Least cost, or most weight, that its search leaves possible.
-    """
-
-    chosen: IntArray | None
-    bound: float
+    chosen: IntArray | None  # (n,): best columns found; None if none were
+    bound: float  # least cost, or most weight, that its search leaves possible
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -146,29 +140,11 @@ def solve_lscp(
 ) -> CoveringSolution:
     """Least cost that covers everything that can be covered, or a share of the weight.
 
-    Parameters
-    ----------
-    instance : CoveringInstance
-        The problem.
-    target : float, optional
-        Share of the weight of all rows to cover, 0 to 1. By default every row with weight that
-        any column covers.
-    solver : str
-        "auto": what proves soonest; "greedy": no proof; "HIGHS": the mixed-integer solver alone.
-    time_limit_s : float
-        When it is up, the best answer found is given with its bound. [s]
-    gap : float
-        Relative gap that is good enough.
-
-    Returns
-    -------
-    solution : CoveringSolution
-        Its objective is the cost.
-
-    Raises
-    ------
-    InputError
-        The target is out of reach, or there is no such solver.
+    The `target` is a share of the weight of all rows, 0 to 1; without it every row with weight that
+    any column covers is covered. The `solver` is "auto" (what proves soonest), "greedy" (no proof)
+    or "HIGHS" (the mixed-integer solver alone). When the time is up, the best answer found is given
+    with its bound; a relative `gap` is good enough. Raises InputError if the target is out of
+    reach, or there is no such solver.
     """
     began_s = time.perf_counter()
     check_effort(time_limit_s=time_limit_s, gap=gap)
@@ -212,28 +188,11 @@ def solve_mclp(
     time_limit_s: float = math.inf,
     gap: float = 0.0,
 ) -> CoveringSolution:
-    """Most weight that a number of columns, or some money, covers.
+    """Most weight that at most so many columns, or so much money, covers; one of the two is given.
 
-    Parameters
-    ----------
-    instance : CoveringInstance
-        The problem.
-    budget_units : int, optional
-        At most so many columns, at least 1. Fewer are chosen where more would add nothing.
-    budget_cost : float, optional
-        At most so much money. One of the two must be given.
-    solver, time_limit_s, gap
-        As for :func:`solve_lscp`.
-
-    Returns
-    -------
-    solution : CoveringSolution
-        Its objective is the weight covered.
-
-    Raises
-    ------
-    InputError
-        There is no budget, it buys nothing, or there is no such solver.
+    Fewer columns are chosen where more would add nothing. The other arguments are those of
+    :func:`solve_lscp`. Raises InputError if there is no budget, it buys nothing, or there is no
+    such solver.
     """
     began_s = time.perf_counter()
     check_effort(time_limit_s=time_limit_s, gap=gap)
@@ -277,12 +236,7 @@ def solve_mclp(
             names.append("exact search")
     if is_open() and solver != GREEDY and left_s() > 0.0:
         answer = cover_most_weight(
-            left.covers,
-            left.cost,
-            left.weight,
-            budget,
-            time_limit_s=left_s(),
-            gap=gap,
+            left.covers, left.cost, left.weight, budget, time_limit_s=left_s(), gap=gap
         )
         take(answer.chosen, answer.bound)
         names.append(solver_text())
@@ -327,12 +281,7 @@ def _cover_part(
     if solver == GREEDY or not is_open or left_s <= 0.0:
         return MilpAnswer(chosen=part[found], bound=min(bound, least)), GREEDY
     answer = cover_at_least_cost(
-        covers,
-        cost,
-        weight,
-        needed_weight=needed,
-        time_limit_s=left_s,
-        gap=gap,
+        covers, cost, weight, needed_weight=needed, time_limit_s=left_s, gap=gap
     )
     if answer.chosen is not None and cost[answer.chosen].sum() < least:
         covered = np.unique(covers[answer.chosen].indices)

@@ -23,8 +23,7 @@ from experiments.jobs.pareto import describe_front, front_table
 from experiments.results.record import to_plain
 from placement.layout import layout_from_records
 from placement.optimiser.cost_front import cost_front
-from placement.optimiser.front import tightened
-from placement.optimiser.units_front import pareto_front
+from placement.optimiser.front import pareto_front, tightened
 
 HEAVY = ("numpy", "scipy", "open3d", "trimesh", "cvxpy", "matplotlib", "pandas", "rich")
 

@@ -14,7 +14,7 @@ from experiments.jobs import placement, writing
 from experiments.progress import StageProgress
 from placement.compute import Compute
 from placement.question import Question
-from placement.verification.instances import load_problem, save_problem
+from placement.verification.certificates import load_problem, save_problem
 
 
 @pytest.fixture(scope="module")

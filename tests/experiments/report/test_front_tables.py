@@ -23,7 +23,7 @@ from experiments.results.record import to_plain
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.optimiser import solve_placement
-from placement.optimiser.units_front import front_below, pareto_front
+from placement.optimiser.front import front_below, pareto_front
 
 
 def record_of(summary):

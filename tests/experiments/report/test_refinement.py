@@ -11,8 +11,7 @@ from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.layout import Certificate, Layout, Stage
 from placement.refinement.poses import rename
-from placement.refinement.refine import Refinement
-from placement.refinement.search import StageValue
+from placement.refinement.refine import Refinement, StageValue
 
 MINUS = "\N{MINUS SIGN}"
 NAMES = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eur")

@@ -7,8 +7,7 @@ from experiments.report.front import describe_money, describe_units
 from placement.layout import Certificate, Stage, relative_gap
 from placement.optimiser import PlacementValue
 from placement.optimiser.cost_front import cost_front
-from placement.optimiser.front import Front, FrontPoint
-from placement.optimiser.units_front import pareto_front
+from placement.optimiser.front import Front, FrontPoint, pareto_front
 
 NAMES = PlacementValue._fields
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from geometry.arrays import IntArray
 from placement.optimiser.bounds import Coverage
-from placement.optimiser.branch_and_bound import branch_and_bound
+from placement.optimiser.window_cover import branch_and_bound
 
 NOTHING: IntArray = np.empty(0, dtype=np.int64)
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from placement.optimiser.window_cover import (
+from placement.optimiser.bounds import (
     TimelyWindows,
     first_seen_index,
     first_seen_values,

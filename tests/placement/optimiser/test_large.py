@@ -15,14 +15,14 @@ from placement.optimiser import (
     placement_value,
     solve_placement,
 )
-from placement.optimiser.large import look_out, margin_limits_s
+from placement.optimiser.solve import look_out, margin_limits_s
 
 
 @given(problem=st.from_type(PlacementProblem))
 @settings(max_examples=80)
 def test_all_poses_are_bounded_by_what_they_promise(problem: PlacementProblem) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.large.MAX_BITS", 0)
+        patch.setattr("placement.optimiser.solve.MAX_BITS", 0)
         solution = solve_placement(problem, effort=Effort(solver="relax"))
     n_poses, most = problem.table.n_poses, problem.limits.max_units
     values = [

@@ -8,14 +8,14 @@ from hypothesis import strategies as st
 
 from placement.optimiser.bounds import Coverage, Supply, prove
 from placement.optimiser.greedy import lazy_greedy
-from placement.optimiser.multipliers import (
+from placement.optimiser.relaxation import (
     PoolSizes,
     first_multipliers,
     generate_columns,
+    polish,
     tighten,
     worthiest,
 )
-from placement.optimiser.relaxation import polish
 
 SEED = st.integers(0, 2**32 - 1)
 SMALL_POOL = PoolSizes(n_first=5, n_more=4, n_most=20, n_rounds=30)

@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from placement.optimiser.bounds import Coverage, Supply, prove
-from placement.optimiser.multipliers import tighten
-from placement.optimiser.relaxation import Relaxation, polish
+from placement.optimiser.relaxation import Relaxation, polish, tighten
 
 
 def draw_coverage(seed: int, n_poses: int = 30, n_rows: int = 10) -> Coverage:

@@ -21,9 +21,8 @@ from placement.optimiser import (
     placement_value,
     solve_placement,
 )
-from placement.optimiser.front import FIRST_STAGES, one_failed_limit
+from placement.optimiser.front import FIRST_STAGES, front_below, one_failed_limit, pareto_front
 from placement.optimiser.presolve import presolve
-from placement.optimiser.units_front import front_below, pareto_front
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 ANY_STAGES = st.sampled_from(["first", "all"])
@@ -181,7 +180,7 @@ def test_points_of_large_tables_are_solved_by_themselves_and_never_fall(
     problem: PlacementProblem, stages: str
 ) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.large.MAX_BITS", 0)
+        patch.setattr("placement.optimiser.solve.MAX_BITS", 0)
         front = pareto_front(problem, max_units=3, stages=stages)
     assert front.presolve is None
     for fewer, point in pairwise(front.points):

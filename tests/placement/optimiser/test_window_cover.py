@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.bench.optimiser import SyntheticSize, build_synthetic_instance
-from placement.optimiser.bounds import Coverage, Supply, prove
-from placement.optimiser.window_cover import find_window_cover, first_seen_values, timely_windows
+from placement.optimiser.bounds import Coverage, Supply, first_seen_values, prove, timely_windows
+from placement.optimiser.window_cover import find_window_cover
 from scenarios.aeb import AebRule
 
 RULE = AebRule(deceleration_mps2=7.72, latency_s=0.025, n_confirmations=3, frame_rate_hz=10.0)

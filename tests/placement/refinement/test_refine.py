@@ -10,8 +10,7 @@ from placement.compute import Compute
 from placement.layout import check_layout, layout_from_records, layout_records
 from placement.optimiser import is_feasible, placement_value
 from placement.pipeline import place
-from placement.refinement.refine import RefinementEffort, refine
-from placement.refinement.search import improves, stage_values
+from placement.refinement.refine import RefinementEffort, improves, refine, stage_values
 from placement.visibility import build_detection_table
 from placement.wishes import Wishes
 

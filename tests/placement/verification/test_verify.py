@@ -27,9 +27,9 @@ from placement.verification.certificates import (
     CERTIFICATE_FILE,
     INSTANCE_FILE,
     load_certificate,
+    load_problem,
     save_certificate,
 )
-from placement.verification.instances import load_problem
 from placement.verification.recomputation import stage_names, stage_values
 from placement.verification.verify import Verification, verify_certificate
 

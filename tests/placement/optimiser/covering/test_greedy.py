@@ -4,14 +4,14 @@ from covering_oracle import EverySet, instances
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from placement.optimiser.covering.greedy import (
+from placement.optimiser.covering.instance import CoveringBudget, build_covering_instance
+from placement.optimiser.covering.search import (
     cover_cheaply,
     cover_much,
     drop_redundant,
     least_cost_bound,
     most_weight_bound,
 )
-from placement.optimiser.covering.instance import CoveringBudget, build_covering_instance
 
 
 @given(instance=instances(), share=st.floats(0.0, 1.0), n_rounds=st.integers(0, 5))

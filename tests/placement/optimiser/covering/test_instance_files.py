@@ -10,15 +10,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from placement.optimiser.covering import files
-from placement.optimiser.covering.files import (
+from placement.optimiser.covering.instance import (
     FORMATS,
     KIND,
+    build_covering_instance,
     instance_kind,
     load_instance,
     save_instance,
 )
-from placement.optimiser.covering.instance import build_covering_instance
 
 ORLIB = """\
  3 4
@@ -269,7 +268,7 @@ def test_a_file_that_cannot_be_read_says_why(tmp_path):
 
 
 def test_a_huge_file_is_not_read(write, monkeypatch):
-    monkeypatch.setattr(files, "_MAX_BYTES", 20)
+    monkeypatch.setattr("placement.optimiser.covering.instance._MAX_BYTES", 20)
     assert refusal(write(ORLIB)) == (
         f"FILE: got {len(ORLIB)} bytes; expected an instance of at most 20 bytes"
     )
@@ -337,7 +336,7 @@ def test_a_file_that_unpacks_to_too_much_is_not_unpacked(write, monkeypatch):
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("cost.npy", bytes(10_000_000))
-    monkeypatch.setattr(files, "_MAX_UNPACKED_BYTES", 1_000_000)
+    monkeypatch.setattr("placement.optimiser.covering.instance._MAX_UNPACKED_BYTES", 1_000_000)
     assert refusal(write(buffer.getvalue())) == (
         "FILE: got 10,000,000 bytes when unpacked; expected an instance of at most 1,000,000"
     )
