@@ -87,23 +87,10 @@ class GroundCoverage:
 
 
 def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> GroundCoverage:
-    """How finely cameras see the ground around a junction.
+    """How finely cameras see the ground around a junction, where nothing drives or parks.
 
-    Parameters
-    ----------
-    scene : Scene
-        What hides it; nothing that drives or parks.
-    units : sequence of CandidatePose
-        LiDARs take no pictures.
-
-    Returns
-    -------
-    coverage : GroundCoverage
-        Cells of a square metre, up to 45 m around the junction's middle, one metre above the road.
-
-    Notes
-    -----
-    Pixels per metre across the line of sight, focal length over depth.
+    Cells of a square metre, up to 45 m around the junction's middle, one metre above the road.
+    Pixels per metre across the line of sight are focal length over depth. LiDARs take no pictures.
     """
     import shapely
 

@@ -268,10 +268,8 @@ def layout_from_records(
 def load_layout(path: Path) -> Layout:
     """Layout from a JSON file: an object with the key "layout", a list of units.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is not JSON, of another version, or a field is wrong.
+    Raises InputError if the file cannot be read, is not JSON, of another version, or a field is
+    wrong.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))

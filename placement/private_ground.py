@@ -51,20 +51,10 @@ class PrivateGround:
 
 
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
-    """Private ground from a file of polygons, in a scene's world frame.
+    """Private ground in a scene's world frame from GeoJSON, GeoPackage or Shapefile.
 
-    Parameters
-    ----------
-    path : Path
-        GeoJSON, GeoPackage or Shapefile; a column "name" or "id" names an area.
-    scene : Scene
-        The junction.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or has no polygon, or the file has coordinates on earth and the
-        scene has none.
+    A column "name" or "id" names an area. Raises InputError if the file cannot be read or has no
+    polygon, or has coordinates on earth while the scene has none.
     """
     import shapely
 

@@ -455,10 +455,7 @@ def question_fields() -> dict[str, Answerable]:
 def load_answers(path: Path) -> dict[str, Any]:
     """Read a question file: the values that it gives, by the names of the fields.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or has an unknown key or a value that cannot be.
+    Raises InputError if it cannot be read, or has an unknown key or a value that cannot be.
     """
     from geometry.errors import InputError
     from geometry.files import load_toml, read_table
@@ -492,13 +489,7 @@ def load_question(path: Path) -> Question:
 
 
 def save_question(path: Path, question: Question) -> None:
-    """Write a question file: every field that differs from its default, below its help.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
-    """
+    """Write a question file: every field that differs from its default, below its help."""
     import textwrap
 
     import tomlkit

@@ -225,27 +225,13 @@ def find_retrofit(
     budget_eur: float | None = None,
     effort: Effort | None = None,
 ) -> Retrofit:
-    """Find the best change of every kind.
+    """Find the best change of every kind: by APR, APR when one unit fails, margins, then price.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        On the table of all poses. Its limits are those of units to be added, with those already
-        mounted as forced ones that cost nothing, see :func:`placement.wishes.build_limits`; budgets
-        and forced sites do not matter.
-    poses : RetrofitPoses
-        The rows of the table.
-    labour : Labour
-        Prices of removals and re-aims.
-    budget_eur : float, optional
-        For the combination; an addition must not cost more, either. [EUR]
-    effort : Effort, optional
-        For the combination; all others are tried one by one.
-
-    Returns
-    -------
-    retrofit : Retrofit
-        Best by APR, then APR when one unit fails, smallest and mean margin, then price.
+    The problem is on the table of all poses. Its limits are those of units to be added, with those
+    already mounted as forced ones that cost nothing, see :func:`placement.wishes.build_limits`;
+    budgets and forced sites do not matter. `budget_eur` is for the combination; an addition must
+    not cost more, either. `effort` is for the combination, too; all other changes are tried one by
+    one.
     """
     effort = Effort() if effort is None else effort
     standing = tuple(range(poses.n_units))

@@ -119,10 +119,7 @@ _log = logging.getLogger(__name__)
 def build_rule(question: Question) -> AebRule:
     """The study's braking rule, with what the question changes.
 
-    Raises
-    ------
-    InputError
-        The latency budget is unknown, or a latency is given beside it.
+    Raises InputError if the latency budget is unknown, or a latency is given beside it.
     """
     changes = {
         name: getattr(question, name)
@@ -192,13 +189,7 @@ def drive(question: Question, scene: Scene) -> Drives:
 
 
 def drive_one(question: Question, scene: Scene) -> Run:
-    """The only run of a question.
-
-    Raises
-    ------
-    InputError
-        As :func:`drive`; the question names no run, or several.
-    """
+    """The only run of a question; raises InputError if it names no run, or several."""
     drives = drive(question, scene)
     if not drives.runs and (*drives.refused, *drives.left_out):
         refusal = (*drives.refused, *drives.left_out)[0]

@@ -91,10 +91,7 @@ class Wishes:
 def check_wishes(wishes: Wishes, scene: Scene) -> None:
     """Check wishes against the scene alone, before anything is computed.
 
-    Raises
-    ------
-    InputError
-        More units than the sites can carry, or a site that does not exist.
+    Raises InputError for more units than the sites can carry, or a site that does not exist.
     """
     known = {site.id: site for site in scene.sites}
     for option, names in (

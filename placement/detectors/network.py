@@ -176,24 +176,9 @@ def load_onnx_model(path: Path, *, classes: str | None = None, threads: int = 1)
 
     A grey image is shown to the network once, to see what it gives. YOLOX cannot be distinguished
     from YOLOv5, but expects blue first and 0 .. 255, and gives steps of its grid instead of pixels:
-    its boxes come out wrong.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    classes : str, optional
-        "coco80" or "coco91"; by default decided by the number of classes, 91 where the file gives
-        labels only. Class names in the file's metadata take precedence.
-    threads : int
-        That the runtime may use.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is no detector.
-    MissingExtraError
-        onnxruntime is not installed.
+    its boxes come out wrong. `classes` is "coco80" or "coco91", by default decided by the number of
+    classes, 91 where the file gives labels only; class names in the file's metadata take
+    precedence. Raises InputError, or MissingExtraError if onnxruntime is not installed.
     """
     if not path.is_file():
         raise InputError(str(path), Unquoted("no such file"), "an ONNX file")

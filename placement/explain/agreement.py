@@ -51,21 +51,8 @@ def find_disagreements(
 ) -> tuple[Disagreement, ...]:
     """Runs on which table and evaluator disagree, for each unit alone and for all fused.
 
-    Parameters
-    ----------
-    setting : Setting
-        What both were made for.
-    table : DetectionTable
-        The surrogate.
-    evaluation : Evaluation
-        Of a layout.
-    pose_index : sequence of int
-        The table's rows of the layout's units, in their order.
-
-    Returns
-    -------
-    disagreements : tuple of Disagreement
-        In the order of units and runs; those of all units fused come last.
+    `pose_index` are the table's rows of the layout's units, in their order. Results are in the
+    order of units and runs; those of all units fused come last.
     """
     units = evaluation.layout.units
     on_table = dict(zip((unit.id for unit in units), table.detected(list(pose_index)), strict=True))

@@ -60,20 +60,7 @@ class Contribution:
 def find_contributions(
     problem: PlacementProblem, pose_index: Sequence[int]
 ) -> tuple[Contribution, ...]:
-    """What each unit of a set adds to the others.
-
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The table and the rule; limits and floors do not matter.
-    pose_index : sequence of int
-        What is mounted.
-
-    Returns
-    -------
-    contributions : tuple of Contribution
-        In the order of `pose_index`.
-    """
+    """What each unit of a set adds to the others, in order; limits and floors do not matter."""
     poses = list(pose_index)
     value, margin_s = placement_value(problem, poses), run_margins_s(problem, poses)
     shares = first_shares(problem, poses)

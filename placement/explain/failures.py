@@ -64,22 +64,9 @@ class Failures:
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     """What a layout achieves when each of its units fails, and each pair.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of the layout; only its units' detected frames are used.
-    rule : AebRule
-        Confirmation and latency.
-
-    Returns
-    -------
-    failures : Failures
-        The worst first: the lowest APR, then the smallest margin, then the layout's order.
-
-    Notes
-    -----
-    In each frame any remaining unit may be the one that detects. The smallest APR of
-    `one_failed` is :func:`placement.evaluation.apr_one_failed`.
+    In each frame any remaining unit may be the one that detects. The worst comes first: the lowest
+    APR (:func:`placement.evaluation.apr_one_failed` is that of `one_failed`), then the smallest
+    margin, then the layout's order.
     """
     axis, units = evaluation.axis, evaluation.layout.units
     arrivals_s = np.stack(

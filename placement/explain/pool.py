@@ -365,32 +365,15 @@ def find_pool(
 ) -> Pool:
     """The best sets of poses, of those that are as good as the solution in the first stage.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        What was solved.
-    pose_index : sequence of int
-        Its solution: within the limits, and reaching the floors.
-    n_sets : int
-        How many to list.
-    max_prefixes : int
-        All sets of K units are gone through if there are no more sets of K - 1 units than this:
-        each of them is looked at together with every pose at once.
-    max_looks : int
-        Else: of sets with one unit taken away, together with every pose, while exchanging.
+    `pose_index` is a solution of the problem. All sets of K units are gone through if there are at
+    most `max_prefixes` sets of K - 1 units: each of them is looked at together with every pose at
+    once. Else exchanges look at up to `max_looks` sets with one unit taken away, together with
+    every pose.
 
-    Returns
-    -------
-    pool : Pool
-        No two sets are equal. Poses that are dominated, or detect the same as others, are poses
-        like all others here: to a planner another pole is another answer. Only poses that detect
-        nothing that could save a run any sooner are left out, unless they are asked for: a set is
-        listed without such needless units.
-
-    Raises
-    ------
-    InputError
-        The poses are no solution, or a number cannot be.
+    Poses that are dominated, or detect the same as others, are poses like all others here: to a
+    planner another pole is another answer. Only poses that detect nothing that could save a run any
+    sooner are left out, unless they are asked for. Raises InputError if the poses are no solution,
+    or a number cannot be.
     """
     if n_sets < 1:
         raise InputError("--pool", n_sets, "a number of layouts, at least 1")

@@ -335,33 +335,13 @@ def find_sensitivity(
     assumptions: Sequence[Assumption] | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Sensitivity, ...]:
-    """How much what a layout achieves depends on each assumption.
+    """How much what a layout achieves depends on each assumption (``data/sensitivity.toml``).
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene, runs, braking rule, planning detector.
-    layout : Layout
-        The units.
-    fusion : {"any", "single"}
-        See :class:`Watched`.
-    assumptions : sequence of Assumption, optional
-        What to vary; by default ``data/sensitivity.toml``.
-    compute : Compute
-        Progress is told how many poses the scene was looked at from.
-
-    Returns
-    -------
-    sensitivities : tuple of Sensitivity
-        In the order of the assumptions. All by the detection table's rules: as planned they say
-        what the table says of the layout.
-
-    Notes
-    -----
-    Latency, confirmations, losses and braking leave the detected frames as they are; only frames
-    under another detector or from other poses are detected anew. Mounting errors are common to
-    all units: each is turned, lifted or moved alike, which hits a layout harder than independent
-    errors would.
+    All is judged by the detection table's rules. Latency, confirmations, losses and braking leave
+    the detected frames as they are; only frames under another detector or from other poses are
+    detected anew. Mounting errors are common to all units: each is turned, lifted or moved alike,
+    which hits a layout harder than independent errors would. Progress is told from how many poses
+    the scene was looked at.
     """
     assumptions = load_assumptions() if assumptions is None else assumptions
     units, rule = layout.units, setting.rule

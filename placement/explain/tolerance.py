@@ -50,24 +50,10 @@ def find_tolerances(
     fusion: Fusion = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Tolerance, ...]:
-    """By how much each unit of a layout may be off.
+    """By how much each unit of a layout may be off; `compute` has the seed of the layout's table.
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene, runs, planning detector.
-    units : sequence of CandidatePose
-        The layout's.
-    fusion : str
-        See :class:`placement.optimiser.PlacementProblem`.
-    compute : Compute
-        With the seed of the layout's own table.
-
-    Returns
-    -------
-    tolerances : tuple of Tolerance
-        One for each unit. One thing is off at a time: a unit that is turned and too low at once
-        may lose a run within both tolerances.
+    One thing is off at a time: a unit that is turned and too low at once may lose a run within both
+    tolerances.
     """
     variants = [variant for unit in units for variant in _variants(unit)]
     everyone = [*units, *variants]

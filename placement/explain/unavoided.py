@@ -297,30 +297,11 @@ def find_unavoided(
 ) -> tuple[Unavoided, ...]:
     """Runs that a set of poses does not avoid on the detection table, and why.
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene, runs, planning detector.
-    problem : PlacementProblem
-        On a table of the setting's runs and of `candidates`.
-    candidates : sequence of CandidatePose
-        The rows of the table.
-    pose_index : sequence of int
-        What is mounted: at least one.
-    compute : Compute
-        With the seed of the table.
-
-    Returns
-    -------
-    unavoided : tuple of Unavoided
-        In the order of the runs; runs of weight 0, which no ratio knows, are not among them. A
-        candidate that would save one is not forbidden, finds room at its site and is not too near
-        to another unit; what it costs does not matter.
-
-    Raises
-    ------
-    InputError
-        The table has other runs, other candidates, or nothing is mounted.
+    `candidates` are the rows of the problem's table; at least one is mounted (`pose_index`);
+    `compute` has the table's seed. Runs of weight 0, which no ratio counts, are left out. A
+    candidate that would save a run is not forbidden, finds room at its site and is not too near to
+    another unit; what it costs does not matter. Raises InputError if the table does not belong to
+    runs and candidates.
     """
     axis, chosen = problem.table.axis, list(pose_index)
     if axis.run_ids != setting.axis.run_ids or axis.n_frames != setting.axis.n_frames:

@@ -349,31 +349,10 @@ def draw_picture(
     with_vut: bool = True,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Picture:
-    """Render one frame of a run.
+    """Render one frame of a run, at the camera's resolution.
 
-    Parameters
-    ----------
-    backdrop : Backdrop
-        Of the run's scene and obstruction.
-    run : Run
-        What drives.
-    frame_index : int
-        When: 0 .. number of frames - 1.
-    pose : Pose
-        Of the camera, world frame.
-    camera : CameraModel
-        Resolution, field of view, nearest distance that is drawn.
-    weather : Weather
-        Light and air.
-    with_vut : bool
-        Whether the VUT is drawn; its own camera does not see it. Its headlights shine in any case.
-    compute : Compute
-        Its seed is that of sensor noise and drops.
-
-    Returns
-    -------
-    picture : Picture
-        At the camera's resolution.
+    The VUT's own camera does not see the VUT (`with_vut`); its headlights shine in any case. The
+    seed is that of sensor noise and drops.
     """
     mesh = build_frame_mesh(backdrop.mesh, run, frame_index, pose.position_m, with_vut=with_vut)
     lamps: tuple[Lamp, ...] = ()

@@ -56,31 +56,10 @@ def scan_cloud(
     with_vut: bool = True,
     seed: int = 0,
 ) -> PointCloud:
-    """Scan one frame of a run.
+    """Scan one frame of a run: one point for each pulse that comes back.
 
-    Parameters
-    ----------
-    scene : Scene
-        The junction.
-    run : Run
-        What drives.
-    frame_index : int
-        When.
-    pose : Pose
-        Of the LiDAR, world frame.
-    lidar : LidarModel
-        Scan pattern, range, noise.
-    weather : Weather
-        What the air takes.
-    with_vut : bool
-        Whether the VUT is there; its own LiDAR does not see it.
-    seed : int
-        Of noise, and of which pulses come back.
-
-    Returns
-    -------
-    cloud : PointCloud
-        One point for each pulse that comes back.
+    The VUT's own LiDAR does not see the VUT (`with_vut`). The seed is that of noise, and of which
+    pulses come back.
     """
     static = build_static_mesh(scene, run.obstruction)
     mesh = build_frame_mesh(static, run, frame_index, pose.position_m, with_vut=with_vut)

@@ -72,28 +72,13 @@ def write_recording(
     n_reset_frames: int | None = None,
     left_out: Collection[str] = (),
 ) -> None:
-    """Write drives as the study's generator does, whole or not at all.
+    """Write drives (with the same units) as the study's generator does, whole or not at all.
 
-    Frame numbers run on over all drives. After each drive there are frames with the bodies back at
-    their starts, as in its first frame.
-
-    Parameters
-    ----------
-    folder : Path
-        New or empty.
-    drives : sequence of WrittenDrive
-        At least one, all with the same units.
-    bicycle_name : str
-        How a bicycle is spelled; the study's paper: "bycicle".
-    n_reset_frames : int, optional
-        Frames between drives; by default as many as the generator's.
-    left_out : collection of str
-        Files that shall be missing, such as "3/0_17.txt".
-
-    Raises
-    ------
-    InputError
-        There is no drive, units differ, or the folder is not empty or cannot be written.
+    Frame numbers run on over all drives. After each drive there are `n_reset_frames` frames, by
+    default as many as the generator's, with the bodies back at their starts, as in its first frame.
+    `bicycle_name` is spelled as in the study's paper; `left_out` are files that shall be missing,
+    such as "3/0_17.txt". Raises InputError if units differ, or the folder is not empty or not
+    writable.
     """
     form = load_format()
     if not drives:

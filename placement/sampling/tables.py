@@ -141,13 +141,9 @@ class FrameLinks:
 
 
 def link_frames(frames: IntArray) -> FrameLinks:
-    """Find out which frames belong together.
+    """Find out which frames belong together, from numbers as `draw_index` gives, (n_frames,).
 
-    Parameters
-    ----------
-    frames : (n_frames,) int
-        Numbers, see :func:`placement.evaluator.surroundings.draw_index`: equal ones share their
-        luck, those that follow one another are linked.
+    Equal ones share their luck, those that follow one another are linked.
     """
     draws, index = np.unique(frames, return_inverse=True)
     starts = np.flatnonzero(np.diff(draws, prepend=draws[0] - 2) != 1)
@@ -261,36 +257,12 @@ def sampled_table(
     n_samples: int,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> SampledTable:
-    """Detections of every candidate pose in many sampled worlds.
+    """Detections of every candidate pose in many sampled worlds, one after the other.
 
-    Parameters
-    ----------
-    setting : Setting
-        What is planned in.
-    candidates : sequence of CandidatePose
-        Poses as planned: the rows.
-    uncertainty : Uncertainty
-        What is drawn.
-    n_samples : int
-        How many worlds.
-    compute : Compute
-        Its cache keeps the tables of single worlds; progress is told the mount positions of all.
-
-    Returns
-    -------
-    sampled : SampledTable
-        Worlds one after the other, the runs of each in the setting's order.
-
-    Raises
-    ------
-    InputError
-        See :func:`placement.sampling.worlds.draw_samples`.
-
-    Notes
-    -----
     Where mounts, the street or detections are drawn, every world takes about as long as the plan's
-    own table: rays are cast anew, for other things stand in their way. A packed table has
-    n_poses x n_frames / 8 bytes per world, in memory and in the cache.
+    own table: rays are cast anew, for other things stand in their way. A packed table has n_poses x
+    n_frames / 8 bytes per world, in memory and in the cache. The cache keeps the tables of single
+    worlds; progress is told the mount positions of all.
     """
     samples = draw_samples(setting, candidates, uncertainty, n_samples=n_samples, seed=compute.seed)
     compute.progress(STAGE, 0, 0)

@@ -197,11 +197,7 @@ class Street:
     def draw(self, rng: Rng) -> tuple[PlacedActor, ...]:
         """Vehicles of one sampled world, clear of the scene and of one another.
 
-        Parameters
-        ----------
-        rng : callable
-            From the key of a thing to its generator: what stands in one lane does not depend on
-            the others.
+        `rng` gives each thing its generator: what stands in one lane does not depend on the others.
         """
         kept: list[PlacedActor] = []
         taken: list[FloatArray] = []

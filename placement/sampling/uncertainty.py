@@ -292,24 +292,10 @@ _T = TypeVar("_T")
 def load_uncertainty(
     name_or_path: str = DEFAULT_UNCERTAINTY, *, where: str = "uncertainty"
 ) -> Uncertainty:
-    """Uncertainty by name or file.
+    """Uncertainty by name ("default", "none"), or a file like ``data/uncertainty.toml``.
 
-    Parameters
-    ----------
-    name_or_path : str
-        "default", "none", or a ``.toml`` file with the sections of ``data/uncertainty.toml``.
-    where : str
-        What named it, for error messages.
-
-    Returns
-    -------
-    uncertainty : Uncertainty
-        Checked.
-
-    Raises
-    ------
-    InputError
-        The name is unknown, or the file or a field is not what it should be.
+    `where` says what named it, for error messages. Raises InputError if the name is unknown, or the
+    file or a field is not what it should be.
     """
     if name_or_path in UNCERTAINTY_NAMES:
         return _load_named(name_or_path)

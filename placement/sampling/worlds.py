@@ -93,37 +93,15 @@ def draw_samples(
 ) -> Iterator[Sample]:
     """Draw worlds, one after the other: each is built when it is asked for.
 
-    Parameters
-    ----------
-    setting : Setting
-        What is planned in.
-    candidates : sequence of CandidatePose
-        Poses as planned.
-    uncertainty : Uncertainty
-        What is drawn.
-    n_samples : int
-        How many worlds; the first ones are the same whatever their number.
-    seed : int
-        Of all draws.
-    purpose : {"choose", "judge"}
-        Worlds of the one share no random number with worlds of the other.
+    The first worlds are the same whatever their number. `purpose` is "choose" or "judge": worlds of
+    the one share no random number with worlds of the other.
 
-    Yields
-    ------
-    sample : Sample
-        The next world.
-
-    Raises
-    ------
-    InputError
-        A number cannot be, or vehicles shall stand in a scene without a junction.
-
-    Notes
-    -----
     All poses of one site are off by the same yaw, pitch and height: those of the mount. So they
     stay comparable with one another, and share their rays as in the plan; two units on one pole
     are off in the same way. What stands in the street is one and the same in all runs of a world,
     but for what would stand in the way of a case from an approach: it is left out in those runs.
+
+    Raises InputError for a number that cannot be, or vehicles in a scene without a junction.
     """
     check_whole("--samples", n_samples, least=1)
     traffic = uncertainty.traffic

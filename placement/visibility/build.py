@@ -37,27 +37,10 @@ def build_detection_table(
     detector: PlanningDetector,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> DetectionTable:
-    """Detections of every candidate pose in every frame.
+    """Detections V[c, f] of every candidate pose in every frame; all runs have the same VUT.
 
-    Parameters
-    ----------
-    scene : Scene
-        What stands still.
-    candidates : sequence of CandidatePose
-        The rows of the table.
-    runs : sequence of Run
-        All with the same VUT.
-    axis : FrameAxis
-        Of `runs`: the columns of the table.
-    detector : PlanningDetector
-        What counts as a detection of a camera; a LiDAR counts points.
-    compute : Compute
-        Progress is told the mount positions.
-
-    Returns
-    -------
-    table : DetectionTable
-        V[c, f].
+    The detector says what counts as a detection of a camera; a LiDAR counts points. Progress is
+    told the mount positions.
     """
     world = build_world(scene, runs, n_points=N_POINTS, seed=compute.seed)
     mounts = _group_by_mount(candidates)
