@@ -1,12 +1,22 @@
-"""Pixel density: what cameras see of the ground, and at how many pixels per metre."""
+"""What cameras see of the ground: pixels per metre, and how much of private areas."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.arrays import BoolArray, FloatArray, freeze
+from geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    freeze,
+)
+from geometry.errors import InputError, Unquoted
+from geometry.maps.georeferences import transform
+from geometry.maps.gis_files import read_features
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene, road_area
 from geometry.sensors import CameraModel, project_points
@@ -122,3 +132,166 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
         density=freeze(density.reshape(len(north), len(east))),
         is_road=freeze(np.asarray(is_road, dtype=bool)),
     )
+
+
+EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
+_POINT_SPACING_M = 1.0
+_MAX_POINTS = 20_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PrivateGround:
+    """Areas that cameras must not look into.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the areas.
+    points_m : (n, 3) float
+        Points all over them, at the height of people's eyes. World frame. [m]
+    area_index : (n,) int
+        Area of each point.
+    area_m2 : (n_areas,) float
+        How large they are. [m^2]
+    """
+
+    names: tuple[str, ...]
+    points_m: FloatArray
+    area_index: IntArray
+    area_m2: FloatArray
+
+
+def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
+    """Private ground in a scene's world frame from GeoJSON, GeoPackage or Shapefile.
+
+    A column "name" or "id" names an area. Raises InputError if the file cannot be read or has no
+    polygon, or has coordinates on earth while the scene has none.
+    """
+    import shapely
+
+    found = read_features(path)
+    if found.crs and not scene.crs:
+        raise InputError(
+            str(path),
+            Unquoted(f"coordinates in {found.crs}"),
+            "a scene that says where on earth it lies, or coordinates of its map without a crs",
+        )
+
+    def to_world(points: Any) -> Any:
+        if not found.crs:
+            return points - scene.source_origin_m if not scene.crs else points
+        return transform(points, found.crs, scene.crs)
+
+    areas = []
+    for number, feature in enumerate(found.features, start=1):
+        shape = feature.geometry
+        if shape is None or shape.geom_type not in ("Polygon", "MultiPolygon"):
+            continue
+        name = str(feature.values.get("name") or feature.values.get("id") or f"area {number}")
+        world = shapely.make_valid(shapely.transform(shapely.force_2d(shape), to_world))
+        if not np.isfinite(world.bounds).all():
+            raise InputError(feature.where, Unquoted("coordinates that cannot be"), "a polygon")
+        areas.append((name, world))
+    if not areas:
+        raise InputError(str(path), Unquoted("no polygon"), "areas that cameras must not look into")
+    return build_private_ground(areas)
+
+
+def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
+    """Points all over areas: one for each square metre, at least one for each area.
+
+    Areas are names and shapely polygons in the world frame, in metres. Raises InputError where one
+    is empty, or all together are too large.
+    """
+    import shapely
+
+    total_m2 = sum(float(shape.area) for _, shape in areas)
+    if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
+        raise InputError(
+            "--no-look", Unquoted(f"{total_m2:,.0f} square metres"), f"at most {_MAX_POINTS:,}"
+        )
+    points, index = [], []
+    for number, (name, shape) in enumerate(areas):
+        if not shape.area > 0.0:
+            raise InputError(f"--no-look: {name}", Unquoted("no area"), "a polygon")
+        west, south, east, north = shape.bounds
+        x, y = np.meshgrid(
+            np.arange(west + 0.5 * _POINT_SPACING_M, east, _POINT_SPACING_M),
+            np.arange(south + 0.5 * _POINT_SPACING_M, north, _POINT_SPACING_M),
+        )
+        inside = shapely.contains_xy(shape, x, y)
+        here = np.stack([x[inside], y[inside]], axis=1)
+        if not len(here):
+            inner = shape.representative_point()
+            here = np.array([[inner.x, inner.y]])
+        points.append(here)
+        index.append(np.full(len(here), number))
+    flat = np.concatenate(points)
+    return PrivateGround(
+        names=tuple(name for name, _ in areas),
+        points_m=freeze(np.column_stack([flat, np.full(len(flat), EYE_HEIGHT_M)])),
+        area_index=freeze(np.concatenate(index)),
+        area_m2=freeze(np.array([float(shape.area) for _, shape in areas])),
+    )
+
+
+def private_shares(
+    scene: Scene, candidates: Sequence[CandidatePose], ground: PrivateGround
+) -> FloatArray:
+    """How much of each private area each pose has in its picture, (n_candidates, n_areas).
+
+    The share of an area's points that are in the picture and not hidden, however small they are
+    there. What parks or drives hides nothing for long. LiDARs take no pictures: they see none.
+    """
+    origin = np.append(scene.outline_m.mean(axis=0), 0.0)
+    caster = build_caster(scene.vertices_m - origin, scene.triangles)
+    mounts: dict[tuple[float, ...], list[int]] = {}
+    for index, candidate in enumerate(candidates):
+        mounts.setdefault(tuple(candidate.pose.position_m.tolist()), []).append(index)
+    n_areas = len(ground.names)
+    counts = np.bincount(ground.area_index, minlength=n_areas)
+    share = np.zeros((len(candidates), n_areas))
+    for position, indices in mounts.items():
+        is_open = is_in_sight(
+            caster,
+            np.array(position) - origin,
+            ground.points_m - origin,
+            near_m=candidates[indices[0]].sensor.near_m,
+        )
+        for index in indices:
+            seen = is_open & _in_picture(ground.points_m, candidates[index])
+            share[index] = np.bincount(ground.area_index[seen], minlength=n_areas) / counts
+    return share
+
+
+def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArray:
+    """Which candidates see at most `max_share` of each private area, (n_candidates,) bool.
+
+    `shares` is that of :func:`private_shares`. Raises InputError where no candidate is left.
+    """
+    share: FloatArray = shares.max(axis=1)
+    kept: BoolArray = share <= max_share
+    if not kept.any():
+        least = np.ceil(1000.0 * share.min()) / 1000.0
+        raise InputError(
+            "--no-look-share",
+            Unquoted(f"{100.0 * max_share:.1f} %"),
+            f"at least {least:g}, the share that the pose with the least in its picture sees",
+        )
+    return kept
+
+
+def _in_picture(points_m: FloatArray, candidate: CandidatePose) -> BoolArray:
+    camera = candidate.sensor
+    if not isinstance(camera, CameraModel):
+        return np.zeros(len(points_m), dtype=bool)
+    column, row, depth = project_points(points_m, candidate.pose, camera).T
+    with np.errstate(invalid="ignore"):
+        inside: BoolArray = (
+            (depth > camera.near_m)
+            & (column >= 0.0)
+            & (column < camera.width_px)
+            & (row >= 0.0)
+            & (row < camera.height_px)
+        )
+    return inside

@@ -19,14 +19,14 @@ from .candidates import (
     build_candidates,
     load_candidate_grid,
 )
-from .layout import Layout, check_layout, load_layout
-from .optimiser import Effort
-from .private_ground import (
+from .ground_coverage import (
     PrivateGround,
     load_private_ground,
     private_shares,
     respects_private_ground,
 )
+from .layout import Layout, check_layout, load_layout
+from .optimiser import Effort
 from .question import BASELINE_NAME, Question
 from .wishes import Wishes, check_wishes
 

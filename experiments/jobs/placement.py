@@ -14,13 +14,13 @@ from placement.compute import Compute
 from placement.evaluation import apr
 from placement.evaluator import evaluate_layouts
 from placement.explain.sensitivity import find_sensitivity
+from placement.ground_coverage import load_private_ground
 from placement.layout import Layout, check_layout
 from placement.optimiser import Fusion
 from placement.optimiser.front import Front
 from placement.optimiser.units_front import front_below
 from placement.pipeline import Placement, place
 from placement.planning import Plan, build_plan
-from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
 from placement.sampling import load_uncertainty, out_of_sample_layouts

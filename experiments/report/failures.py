@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from placement.evaluation import Evaluation
-from placement.explain.failures import (
+from placement.explain.contributions import (
     MAX_PAIR_UNITS,
     Failure,
     Failures,

@@ -1,11 +1,17 @@
 """Detectors: image evidence in, boxes with confidence out.
 
-``evidence`` says what they get and give. ``box_rule`` looks at boxes alone, ``response`` misses
-with a probability, ``network`` shows rendered pictures to an ONNX file, whose outputs
-``onnx_exports`` recognises. ``loading`` finds detectors by name.
+``evidence`` says what they get and give. ``built_in`` has one that looks at boxes alone and one
+that misses with a probability, and finds detectors by name or file. ``network`` shows rendered
+pictures to an ONNX file, whose outputs ``onnx_exports`` recognises.
 """
 
-from .box_rule import GeometricDetector, is_matched, load_min_iou
+from .built_in import (
+    DETECTOR_NAMES,
+    GeometricDetector,
+    ResponseDetector,
+    load_detector,
+    load_planning_detector,
+)
 from .evidence import (
     VRU_CLASSES,
     Detections,
@@ -13,10 +19,10 @@ from .evidence import (
     Evidence,
     PlanningDetector,
     aspects_deg,
+    is_matched,
+    load_min_iou,
     vru_class,
 )
-from .loading import DETECTOR_NAMES, load_detector, load_planning_detector
-from .response import ResponseDetector
 
 __all__ = [
     "DETECTOR_NAMES",

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 from typing import Any, Protocol
 
 import numpy as np
@@ -9,6 +11,8 @@ from numpy.typing import NDArray
 
 from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.files import load_toml, take_number
+from geometry.image_boxes import iou
 
 VRU_CLASSES = ("pedestrian", "child", "cyclist")
 _ADULT_FROM_M = 1.4  # between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets
@@ -131,3 +135,22 @@ class PlanningDetector(Detector, Protocol):
 
     def fingerprint(self) -> tuple[Any, ...]:
         """Everything that `is_expected` depends on."""
+
+
+@cache
+def load_min_iou() -> float:
+    """Overlap (IoU) that a box must exceed to count, from ``data/detectors.toml``."""
+    file = "detectors.toml"
+    table = load_toml(files(__package__) / "data" / file)
+    return take_number(table["box_rule"], "min_iou", f"{file}: box_rule")
+
+
+def is_matched(detections: Detections, truth_px: FloatArray, *, min_iou: float) -> BoolArray:
+    """Rows in which some detection overlaps the VRU's box by more than `min_iou`, (n,).
+
+    `truth_px` (n, 4) is the box of the VRU's visible part, as in the study.
+    """
+    matched = np.zeros(len(truth_px), dtype=bool)
+    hits = iou(detections.boxes_px, truth_px[detections.row_index]) > min_iou
+    matched[detections.row_index[hits]] = True
+    return matched

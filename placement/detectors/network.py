@@ -14,8 +14,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
 from geometry.image_boxes import clip_boxes, iou
 
-from .box_rule import load_min_iou
-from .evidence import VRU_CLASSES, Detections, Evidence
+from .evidence import VRU_CLASSES, Detections, Evidence, load_min_iou
 from .onnx_exports import Array, Export, onnx_setting, recognise_export
 
 

@@ -1,7 +1,9 @@
-"""What each chosen unit is there for: what it saves, what its loss costs, who confirms first."""
+"""What each unit of a layout contributes, and what the others achieve when units fail."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -11,8 +13,11 @@ from geometry.arrays import (
     IntArray,
     freeze,
 )
-from scenarios.aeb import confirmation_mask
+from scenarios.aeb import AebRule, confirmation_mask, is_in_time
+from scenarios.exposure import weight_share
+from scenarios.runs import onset_times_s
 
+from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out
 from ..optimiser import (
     PlacementProblem,
     PlacementValue,
@@ -129,3 +134,109 @@ def _parts_of_firsts(detected: BoolArray, *, n_confirmations: int) -> FloatArray
     is_first = confirmed[:, int(np.argmax(confirmed.any(axis=0)))]
     parts: FloatArray = is_first / is_first.sum()
     return parts
+
+
+# ---------- failures
+
+MAX_PAIR_UNITS = 12
+"""For layouts with more units, only single failures are evaluated."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failure:
+    """What a layout achieves without some of its units.
+
+    Attributes
+    ----------
+    unit_ids : tuple of str
+        The units that fail.
+    apr : float
+        Accident prevention ratio of the others, fused, 0 .. 1; 0 where there are no others.
+    smallest_margin_s : float
+        Of the runs with weight that the others still avoid, the least time from the onset of
+        braking to the last moment; NaN where they avoid none. [s]
+    lost_run_ids : tuple of str
+        Runs with weight that all units together avoid and the others do not, those with the
+        highest speed first.
+    """
+
+    unit_ids: tuple[str, ...]
+    apr: float
+    smallest_margin_s: float
+    lost_run_ids: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failures:
+    """All evaluated failures of a layout, the worst first.
+
+    Attributes
+    ----------
+    none_failed : Failure
+        Of all units together.
+    one_failed : tuple of Failure
+        One for each unit.
+    two_failed : tuple of Failure
+        One for each pair; empty for a layout of one unit or of more than ``MAX_PAIR_UNITS``.
+    """
+
+    none_failed: Failure
+    one_failed: tuple[Failure, ...]
+    two_failed: tuple[Failure, ...]
+
+
+def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
+    """What a layout achieves when each of its units fails, and each pair.
+
+    In each frame any remaining unit may be the one that detects. The worst comes first: the lowest
+    APR (:func:`placement.evaluation.apr_one_failed` is that of `one_failed`), then the smallest
+    margin, then the layout's order.
+    """
+    axis, units = evaluation.axis, evaluation.layout.units
+    arrivals_s = np.stack(
+        [
+            earliest_arrival_s([(evaluation.units[unit.id].detected, unit.latency(rule))], axis)
+            for unit in units
+        ]
+    )
+    earliest_s, without = leave_each_out(arrivals_s)
+    pairs = combinations(range(len(units)), 2) if len(units) <= MAX_PAIR_UNITS else ()
+    counts = axis.weight > 0.0
+
+    def find_onset(arrival_s: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Onset of braking in each run, and whether it avoids."""
+        _, onset_s = onset_times_s(arrival_s, axis, n_confirmations=rule.n_confirmations)
+        return onset_s, is_in_time(onset_s, axis.last_brake_time_s, latency_s=0.0)
+
+    _, avoided_by_all = find_onset(earliest_s)
+
+    def failure(failed: tuple[int, ...], arrival_s: FloatArray) -> Failure:
+        onset_s, avoided = find_onset(arrival_s)
+        margin = (axis.last_brake_time_s - onset_s)[avoided & counts]
+        lost = np.flatnonzero(avoided_by_all & ~avoided & counts)
+        fastest_first = lost[np.argsort(-axis.vut_speed_kmh[lost], kind="stable")]
+        return Failure(
+            unit_ids=tuple(units[index].id for index in failed),
+            apr=weight_share(avoided, axis.weight),
+            smallest_margin_s=float(margin.min()) if len(margin) else math.nan,
+            lost_run_ids=tuple(axis.run_ids[index] for index in fastest_first),
+        )
+
+    return Failures(
+        none_failed=failure((), earliest_s),
+        one_failed=_worst_first([failure((unit,), left) for unit, left in enumerate(without)]),
+        two_failed=_worst_first(
+            [
+                failure(pair, np.delete(arrivals_s, pair, axis=0).min(axis=0, initial=np.inf))
+                for pair in pairs
+            ]
+        ),
+    )
+
+
+def _worst_first(failures: Sequence[Failure]) -> tuple[Failure, ...]:
+    def key(failure: Failure) -> tuple[float, float]:
+        margin_s = failure.smallest_margin_s
+        return failure.apr, -math.inf if math.isnan(margin_s) else margin_s
+
+    return tuple(sorted(failures, key=key))

@@ -22,8 +22,7 @@ from ..optimiser.bitsets import SetValues, concatenate_values, set_values, value
 from ..optimiser.greedy import extend_greedily, forced_units
 from ..optimiser.limits import are_allowed, is_allowed
 from ..optimiser.objectives import COST_TOLERANCE_EUR, Objective
-from .feasible_sets import presolve_undominated
-from .set_values import QuickRows, exceeds_clearly, is_within, site_counts
+from .feasible_sets import QuickRows, exceeds_clearly, is_within, presolve_undominated, site_counts
 
 # ---------- every set
 

@@ -27,6 +27,8 @@ from .light import (
     Lamp,
     Sky,
     StreetLamp,
+    add_glare,
+    add_rain,
     build_headlights,
     build_sky,
     build_street_lamps,
@@ -57,7 +59,6 @@ from .mesh import (
     build_static_mesh,
     vut_pose,
 )
-from .rain_and_glare import add_glare, add_rain
 
 _OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
 _LEAST_MIRROR = 0.012  # share; less is not worth a ray

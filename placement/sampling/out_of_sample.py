@@ -19,10 +19,9 @@ from ..compute import DEFAULT_COMPUTE, Compute, silent
 from ..evaluation import earliest_arrival_s
 from ..layout import Layout
 from ..setting import Setting
-from .random_streams import pose_key
 from .tables import build_sample_tables
 from .uncertainty import Uncertainty
-from .worlds import draw_samples
+from .worlds import draw_samples, pose_key
 
 # ---------- statistics of many worlds
 

@@ -37,9 +37,8 @@ from ..visibility import (
 from ..visibility.build import N_POINTS
 from ..visibility.casting import World, build_world, cast_sight
 from ..visibility.sensing import build_sensing, reach_m
-from .random_streams import Luck, pose_key
 from .uncertainty import Uncertainty
-from .worlds import Sample, draw_samples
+from .worlds import Luck, Sample, draw_samples, pose_key
 
 # ---------- misses and lost messages
 

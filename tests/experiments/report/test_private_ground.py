@@ -15,12 +15,12 @@ from experiments.study.layout import load_carlancap_layout
 from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.scene_files import load_study_scene
-from placement.planning import build_plan
-from placement.private_ground import (
+from placement.ground_coverage import (
     load_private_ground,
     private_shares,
     respects_private_ground,
 )
+from placement.planning import build_plan
 from placement.question import Question
 
 

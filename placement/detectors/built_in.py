@@ -1,0 +1,353 @@
+"""The built-in detectors, by boxes alone and by probability, and detectors by name or file."""
+
+import re
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr
+
+from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
+from geometry.errors import InputError, Unquoted
+from geometry.files import Table, load_toml, read_table, take, take_list, take_number
+from geometry.image_boxes import box_height_px, iou
+
+from .evidence import VRU_CLASSES, Detections, Detector, Evidence, PlanningDetector, load_min_iou
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeometricDetector:
+    """Detects by boxes alone: the same evidence always gives the same answer.
+
+    Attributes
+    ----------
+    min_iou : float
+        The box of the visible part must overlap that of the whole VRU (amodal) by more than this.
+    min_box_height_px : float
+        The visible box must be at least this high. [px]
+    min_contrast : float
+        The VRU must stand out by at least this much.
+    """
+
+    min_iou: float
+    min_box_height_px: float
+    min_contrast: float = 0.0
+
+    name = "geometric"
+    needs_shares = False
+    needs_pictures = False
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.min_iou < 1.0:
+            raise InputError("detector.min_iou", self.min_iou, "0 <= IoU < 1")
+        if not (np.isfinite(self.min_box_height_px) and self.min_box_height_px >= 0.0):
+            raise InputError(
+                "detector.min_box_height_px", self.min_box_height_px, "pixels, at least 0"
+            )
+        if not 0.0 <= self.min_contrast <= 1.0:
+            raise InputError("detector.min_contrast", self.min_contrast, "0 .. 1")
+
+    @property
+    def description(self) -> str:
+        """When it detects."""
+        return (
+            "A road user counts as detected in a frame if the box around its visible part overlaps "
+            f"the box around all of it by more than {self.min_iou:g} (intersection over union), is "
+            f"at least {self.min_box_height_px:g} pixels high, and light and air leave it a "
+            f"contrast of at least {100.0 * self.min_contrast:g} %."
+        )
+
+    def is_expected(self, evidence: Evidence) -> BoolArray:
+        """Rows that it detects, (n,)."""
+        expected: BoolArray = (
+            (iou(evidence.visible_px, evidence.amodal_px) > self.min_iou)
+            & (box_height_px(evidence.visible_px) >= self.min_box_height_px)
+            & (evidence.contrast >= self.min_contrast)
+        )
+        return expected
+
+    def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
+        """The visible boxes of what it detects; `rng` is not used."""
+        rows = np.flatnonzero(self.is_expected(evidence))
+        return Detections(
+            row_index=rows, boxes_px=evidence.visible_px[rows], confidence=np.ones(len(rows))
+        )
+
+    def fingerprint(self) -> tuple[object, ...]:
+        """Everything that it depends on."""
+        return (self.name, self.min_iou, self.min_box_height_px, self.min_contrast)
+
+
+_POSITIVES = (
+    "height_half_px",
+    "height_steepness",
+    "min_box_height_px",
+    "contrast_half",
+    "contrast_steepness",
+)
+_PROBABILITIES = ("cyclist_end_on", "box_noise_share", "frame_correlation", "plan_probability")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ResponseDetector:
+    """Detects with a probability; each frame is drawn at random.
+
+    Attributes
+    ----------
+    name : str
+        "response", or the file that it comes from.
+    seen_share, recall : (n,) float
+        Share of the VRU that is seen, ascending from 0 to 1, and the probability of a correct
+        detection there; linear between.
+    height_half_px, height_steepness : float
+        Factor 1 / (1 + (half / height)^steepness) of the visible box. [px]
+    min_box_height_px : float
+        Smaller boxes are never detected. [px]
+    class_factor : (n_classes,) float
+        In the order of ``VRU_CLASSES``.
+    cyclist_end_on : float
+        Factor for a cyclist seen from straight behind or ahead; 1 from the side.
+    contrast_half, contrast_steepness : float
+        Factor 1 / (1 + (half / contrast)^steepness), relative to that at full contrast.
+    box_noise_share : float
+        Standard deviation of each side, as a share of the box's width or height.
+    frame_correlation : float
+        Between the random draws of consecutive frames.
+    plan_probability : float
+        A plan counts on a detection from this probability on.
+    """
+
+    name: str
+    seen_share: FloatArray
+    recall: FloatArray
+    height_half_px: float
+    height_steepness: float
+    min_box_height_px: float
+    class_factor: FloatArray
+    cyclist_end_on: float
+    contrast_half: float
+    contrast_steepness: float
+    box_noise_share: float
+    frame_correlation: float
+    plan_probability: float
+
+    needs_shares = True
+    needs_pictures = False
+
+    @property
+    def description(self) -> str:
+        """When it detects."""
+        return (
+            "Whether a road user is detected in a frame is drawn by the response model "
+            f"{self.name}: the probability depends on its height in pixels, the share that is "
+            "seen, its class, the side that it shows and its contrast in light and weather. The "
+            "detection table counts on frames with a probability of at least "
+            f"{self.plan_probability:g}."
+        )
+
+    def __post_init__(self) -> None:
+        for field, length in (
+            ("seen_share", len(self.seen_share)),
+            ("recall", len(self.seen_share)),
+            ("class_factor", len(VRU_CLASSES)),
+        ):
+            object.__setattr__(self, field, float_array(getattr(self, field), (length,), field))
+        share = self.seen_share
+        if len(share) < 2 or (share[0], share[-1]) != (0.0, 1.0) or (np.diff(share) <= 0.0).any():
+            raise InputError("seen_share", share.tolist(), "shares that ascend from 0 to 1")
+        for field in (*_PROBABILITIES, "recall", "class_factor"):
+            values = np.atleast_1d(getattr(self, field))
+            outside = values[~((values >= 0.0) & (values <= 1.0))]
+            if len(outside):
+                raise InputError(field, float(outside[0]), "0 .. 1")
+        for field in _POSITIVES:
+            value = getattr(self, field)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(field, value, "a number, > 0")
+
+    def probability(self, evidence: Evidence) -> FloatArray:
+        """Probability of a correct detection, (n,); 0 where nothing is seen."""
+        height = box_height_px(evidence.visible_px)
+        seen = evidence.visible_share * evidence.inside_share
+        probability: FloatArray = (
+            np.interp(seen, self.seen_share, self.recall)
+            * _rising(height, half=self.height_half_px, steepness=self.height_steepness)
+            * self.class_factor[evidence.vru_class]
+            * self._aspect_factor(evidence.aspect_deg, evidence.vru_class)
+            * self._contrast_factor(evidence.contrast)
+        )
+        return np.where(height >= max(self.min_box_height_px, 1.0e-9), probability, 0.0)
+
+    def is_expected(self, evidence: Evidence) -> BoolArray:
+        """Rows that are detected with at least `plan_probability`, (n,)."""
+        expected: BoolArray = self.probability(evidence) >= self.plan_probability
+        return expected
+
+    def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
+        """Draw which rows are detected, and the errors of their boxes."""
+        draws, row_draw = np.unique(evidence.draw_index, return_inverse=True)
+        chance = ndtr(_linked_noise(draws, self.frame_correlation, rng))[row_draw]
+        noise = rng.standard_normal((len(draws), 4))[row_draw]
+        probability = self.probability(evidence)
+        rows = np.flatnonzero(chance < probability)
+        boxes = evidence.visible_px[rows]
+        size = np.tile(boxes[:, 2:] - boxes[:, :2], 2)
+        return Detections(
+            row_index=rows,
+            boxes_px=boxes + self.box_noise_share * size * noise[rows],
+            confidence=probability[rows],
+        )
+
+    def fingerprint(self) -> tuple[object, ...]:
+        """Everything that `is_expected` depends on."""
+        return (
+            "response",
+            *(getattr(self, name).tobytes() for name in ("seen_share", "recall", "class_factor")),
+            *(getattr(self, name) for name in (*_POSITIVES, "cyclist_end_on", "plan_probability")),
+        )
+
+    def _aspect_factor(self, aspect_deg: FloatArray, vru_class: IntArray) -> FloatArray:
+        end_on = np.cos(np.radians(aspect_deg)) ** 2
+        factor = 1.0 - (1.0 - self.cyclist_end_on) * end_on
+        return np.where(vru_class == VRU_CLASSES.index("cyclist"), factor, 1.0)
+
+    def _contrast_factor(self, contrast: FloatArray) -> FloatArray:
+        half, steepness = self.contrast_half, self.contrast_steepness
+        full = _rising(np.ones(1), half=half, steepness=steepness)
+        return _rising(contrast, half=half, steepness=steepness) / full
+
+
+def _rising(values: FloatArray, *, half: float, steepness: float) -> FloatArray:
+    """A curve that rises from 0 to 1 and is 0.5 at `half`."""
+    powers = np.maximum(values, 0.0) ** steepness
+    rising: FloatArray = powers / (powers + half**steepness)
+    return rising
+
+
+def _linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator) -> FloatArray:
+    """Standard normal numbers, each correlated with that of the frame before, (n,)."""
+    fresh = rng.standard_normal(len(draws))
+    linked = fresh.copy()
+    step = np.sqrt(1.0 - correlation**2)
+    for index in np.flatnonzero(np.diff(draws) == 1) + 1:
+        linked[index] = correlation * linked[index - 1] + step * fresh[index]
+    return linked
+
+
+DETECTOR_NAMES = ("geometric", "response")
+_FILE = "detectors.toml"
+
+
+def load_detector(name: str = "geometric", *, where: str = "detector") -> Detector:
+    """Detector by name or file.
+
+    Parameters
+    ----------
+    name : str
+        "geometric", "response", a ``.toml`` file with a table ``[response]`` as in
+        ``data/detectors.toml``, or an ``.onnx`` file.
+    where : str
+        What named it, for error messages.
+
+    Returns
+    -------
+    detector : Detector
+        Ready.
+
+    Raises
+    ------
+    InputError
+        The name is unknown, or the file cannot be used.
+    MissingExtraError
+        An ONNX file without onnxruntime.
+    """
+    if name in DETECTOR_NAMES:
+        return load_planning_detector(name)
+    path = Path(name)
+    if path.suffix == ".toml":
+        return _read_response(path, load_toml(path), name=path.name)
+    if path.suffix == ".onnx":
+        from .network import NetworkDetector, load_onnx_model
+
+        limits = read_table(_defaults()["onnx"], dict[str, float], f"{_FILE}: onnx")
+        return NetworkDetector(name=path.name, model=load_onnx_model(path), **limits)
+    known = ", ".join(DETECTOR_NAMES)
+    raise InputError(where, name, f"{known}, a .toml file with a response table, or an .onnx file")
+
+
+@cache
+def load_planning_detector(name: str = "geometric") -> PlanningDetector:
+    """One of the built-in detectors, "geometric" or "response", from ``data/detectors.toml``."""
+    table = take(_defaults(), name, _FILE)
+    if name == "response":
+        return _read_response(_source(), _defaults(), name=name)
+    limits = read_table(table, dict[str, float], f"{_FILE}: {name}")
+    return GeometricDetector(min_iou=load_min_iou(), **limits)
+
+
+def _source() -> Traversable:
+    return files(__package__) / "data" / _FILE
+
+
+@cache
+def _defaults() -> dict[str, Any]:
+    return load_toml(_source())
+
+
+_NUMBERS = (
+    "height_half_px",
+    "height_steepness",
+    "min_box_height_px",
+    "cyclist_end_on",
+    "contrast_half",
+    "contrast_steepness",
+    "box_noise_share",
+    "frame_correlation",
+    "plan_probability",
+)
+
+
+def _read_response(source: Path | Traversable, document: Table, *, name: str) -> ResponseDetector:
+    """Response table of a document; errors name the file and the line."""
+    table = document.get("response")
+    if not isinstance(table, dict):
+        raise InputError(str(source), Unquoted("no table [response]"), "a table [response]")
+    try:
+        shares, recall = (
+            float_array(take_list(table, key, "response"), (-1,), key)
+            for key in ("seen_share", "recall")
+        )
+        numbers = {key: take_number(table, key, "response") for key in _NUMBERS}
+        factors = {key: take_number(table, key, "response") for key in VRU_CLASSES}
+        for key, factor in factors.items():
+            if not 0.0 <= factor <= 1.0:
+                raise InputError(key, factor, "0 .. 1")
+        return ResponseDetector(
+            name=name,
+            seen_share=shares,
+            recall=recall,
+            class_factor=float_array(list(factors.values()), (-1,), "class_factor"),
+            **numbers,
+        )
+    except InputError as error:
+        key = error.where.removeprefix("response.")
+        where = f"{source}:{_line(source, key)}: {key}"
+        raise InputError(where, error.got, error.expected) from None
+
+
+def _line(source: Path | Traversable, key: str) -> int:
+    """Line of a key in the table ``[response]``; that of the table if the key is missing."""
+    lines = source.read_text(encoding="utf-8").splitlines()
+    header = next(
+        (index for index, text in enumerate(lines) if re.match(r"\s*\[\s*response\s*\]", text)), 0
+    )
+    for index in range(header + 1, len(lines)):
+        if re.match(r"\s*\[", lines[index]):
+            break
+        if re.match(rf"\s*{re.escape(key)}\s*=", lines[index]):
+            return index + 1
+    return header + 1
