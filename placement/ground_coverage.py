@@ -65,22 +65,14 @@ def is_in_sight(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundCoverage:
-    """Pixel density over the roads around a junction.
+    """Pixel density over the roads around a junction."""
 
-    Attributes
-    ----------
-    east_m, north_m : (n_east,), (n_north,) float
-        Middles of the cells. World frame. [m]
-    density : (n_north, n_east) float
-        The highest of all cameras; 0: none sees the cell. [px/m]
-    is_road : (n_north, n_east) bool
-        Cells on a lane or in the junction.
-    """
-
+    # east_m, north_m: (n_east,), (n_north,): middles of the cells. World frame. [m]
     east_m: FloatArray
     north_m: FloatArray
+    # (n_north, n_east): the highest of all cameras; 0: none sees the cell. [px/m]
     density: FloatArray
-    is_road: BoolArray
+    is_road: BoolArray  # (n_north, n_east): cells on a lane or in the junction
 
     def shares(self) -> dict[str, float]:
         """Share of the road's cells in each band, "unseen" last; together 1."""
@@ -141,24 +133,13 @@ _MAX_POINTS = 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PrivateGround:
-    """Areas that cameras must not look into.
+    """Areas that cameras must not look into."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the areas.
-    points_m : (n, 3) float
-        Points all over them, at the height of people's eyes. World frame. [m]
-    area_index : (n,) int
-        Area of each point.
-    area_m2 : (n_areas,) float
-        How large they are. [m^2]
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the areas
+    # (n, 3): points all over them, at the height of people's eyes. World frame. [m]
     points_m: FloatArray
-    area_index: IntArray
-    area_m2: FloatArray
+    area_index: IntArray  # (n,): area of each point
+    area_m2: FloatArray  # (n_areas,): how large they are. [m^2]
 
 
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:

@@ -35,25 +35,14 @@ _FIXED, _RANGE, _REASONS = ("fixed_s",), ("low_s", "high_s"), ("source", "assump
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyPart:
-    """One of the steps that take time.
-
-    Attributes
-    ----------
-    name : str
-        Name.
-    low_s, high_s : float
-        Anything between is equally likely; a fixed value where they are equal. [s]
-    source : str
-        Where the numbers come from, or why they are likely.
-    is_assumption : bool
-        Whether they are an assumption of this project.
-    """
+    """One of the steps that take time."""
 
     name: str
+    # low_s, high_s: anything between is equally likely; a fixed value where they are equal. [s]
     low_s: float
     high_s: float
-    source: str
-    is_assumption: bool = False
+    source: str  # where the numbers come from, or why they are likely
+    is_assumption: bool = False  # whether they are an assumption of this project
 
     def __post_init__(self) -> None:
         if not (self.name.strip() and self.name.isprintable()):
@@ -265,19 +254,12 @@ _DECIMALS = 9  # of a second: as fine as the tolerance of is_in_time
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LatencyCurve:
-    """What latency does to one sensing party.
+    """What latency does to one sensing party."""
 
-    Attributes
-    ----------
-    last_latency_s : (n_runs,) float
-        Longest latency with which each run is still avoided. Negative: with none; minus infinity:
-        never confirmed, or no braking avoids; infinite: with any. [s]
-    weight : (n_runs,) float
-        Of the runs.
-    """
-
+    # (n_runs,): longest latency with which each run is still avoided. Negative: with none; minus
+    # infinity: never confirmed, or no braking avoids; infinite: with any. [s]
     last_latency_s: FloatArray
-    weight: FloatArray
+    weight: FloatArray  # (n_runs,): of the runs
 
     def __post_init__(self) -> None:
         for name in ("last_latency_s", "weight"):

@@ -136,21 +136,11 @@ def build_rule(question: Question) -> AebRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drives:
-    """What a question makes of a scene.
+    """What a question makes of a scene."""
 
-    Attributes
-    ----------
-    runs : tuple of Run
-        What is driven.
-    refused : tuple of Refusal
-        What the junction does not carry.
-    left_out : tuple of Refusal
-        Cases none of whose speeds were asked for.
-    """
-
-    runs: tuple[Run, ...]
-    refused: tuple[Refusal, ...]
-    left_out: tuple[Refusal, ...]
+    runs: tuple[Run, ...]  # what is driven
+    refused: tuple[Refusal, ...]  # what the junction does not carry
+    left_out: tuple[Refusal, ...]  # cases none of whose speeds were asked for
 
 
 def drive(question: Question, scene: Scene) -> Drives:

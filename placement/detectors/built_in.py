@@ -21,21 +21,12 @@ from .evidence import VRU_CLASSES, Detections, Detector, Evidence, PlanningDetec
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeometricDetector:
-    """Detects by boxes alone: the same evidence always gives the same answer.
+    """Detects by boxes alone: the same evidence always gives the same answer."""
 
-    Attributes
-    ----------
-    min_iou : float
-        The box of the visible part must overlap that of the whole VRU (amodal) by more than this.
-    min_box_height_px : float
-        The visible box must be at least this high. [px]
-    min_contrast : float
-        The VRU must stand out by at least this much.
-    """
-
+    # the box of the visible part must overlap that of the whole VRU (amodal) by more than this
     min_iou: float
-    min_box_height_px: float
-    min_contrast: float = 0.0
+    min_box_height_px: float  # the visible box must be at least this high. [px]
+    min_contrast: float = 0.0  # the VRU must stand out by at least this much
 
     name = "geometric"
     needs_shares = False
@@ -94,46 +85,29 @@ _PROBABILITIES = ("cyclist_end_on", "box_noise_share", "frame_correlation", "pla
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ResponseDetector:
-    """Detects with a probability; each frame is drawn at random.
+    """Detects with a probability; each frame is drawn at random."""
 
-    Attributes
-    ----------
-    name : str
-        "response", or the file that it comes from.
-    seen_share, recall : (n,) float
-        Share of the VRU that is seen, ascending from 0 to 1, and the probability of a correct
-        detection there; linear between.
-    height_half_px, height_steepness : float
-        Factor 1 / (1 + (half / height)^steepness) of the visible box. [px]
-    min_box_height_px : float
-        Smaller boxes are never detected. [px]
-    class_factor : (n_classes,) float
-        In the order of ``VRU_CLASSES``.
-    cyclist_end_on : float
-        Factor for a cyclist seen from straight behind or ahead; 1 from the side.
-    contrast_half, contrast_steepness : float
-        Factor 1 / (1 + (half / contrast)^steepness), relative to that at full contrast.
-    box_noise_share : float
-        Standard deviation of each side, as a share of the box's width or height.
-    frame_correlation : float
-        Between the random draws of consecutive frames.
-    plan_probability : float
-        A plan counts on a detection from this probability on.
-    """
-
-    name: str
+    name: str  # "response", or the file that it comes from
+    # seen_share, recall: (n,): share of the VRU that is seen, ascending from 0 to 1, and the
+    # probability of a correct detection there; linear between
     seen_share: FloatArray
     recall: FloatArray
+    # height_half_px, height_steepness: factor 1 / (1 + (half / height)^steepness) of the visible
+    # box. [px]
     height_half_px: float
     height_steepness: float
-    min_box_height_px: float
-    class_factor: FloatArray
+    min_box_height_px: float  # smaller boxes are never detected. [px]
+    class_factor: FloatArray  # (n_classes,): in the order of ``VRU_CLASSES``
+    # factor for a cyclist seen from straight behind or ahead; 1 from the side
     cyclist_end_on: float
+    # contrast_half, contrast_steepness: factor 1 / (1 + (half / contrast)^steepness), relative to
+    # that at full contrast
     contrast_half: float
     contrast_steepness: float
+    # standard deviation of each side, as a share of the box's width or height
     box_noise_share: float
-    frame_correlation: float
-    plan_probability: float
+    frame_correlation: float  # between the random draws of consecutive frames
+    plan_probability: float  # a plan counts on a detection from this probability on
 
     needs_shares = True
     needs_pictures = False

@@ -307,24 +307,12 @@ def _first_line(error: Exception) -> Unquoted:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetworkDetector:
-    """Detects by a network; pictures in which the VRU is too small are not shown to it.
+    """Detects by a network; pictures in which the VRU is too small are not shown to it."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the file.
-    model : OnnxModel
-        The network.
-    min_box_height_px : float
-        Of the visible box. [px]
-    min_confidence : float
-        Boxes below it do not count.
-    """
-
-    name: str
+    name: str  # name of the file
     model: OnnxModel
-    min_box_height_px: float
-    min_confidence: float
+    min_box_height_px: float  # of the visible box. [px]
+    min_confidence: float  # boxes below it do not count
 
     needs_shares = False
     needs_pictures = True

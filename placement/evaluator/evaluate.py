@@ -72,18 +72,13 @@ class Judge:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VamRule:
-    """When a device sends: see ``data/vam.toml``.
+    """When a device sends: see ``data/vam.toml``."""
 
-    Attributes
-    ----------
-    min_interval_s, max_interval_s : float
-        Not sooner after the last message, and not later. [s]
-    position_change_m, speed_change_mps, heading_change_deg : float
-        What makes a message due. [m], [m/s], [deg]
-    """
-
+    # min_interval_s, max_interval_s: not sooner after the last message, and not later. [s]
     min_interval_s: float
     max_interval_s: float
+    # position_change_m, speed_change_mps, heading_change_deg: what makes a message due. [m], [m/s],
+    # [deg]
     position_change_m: float
     speed_change_mps: float
     heading_change_deg: float

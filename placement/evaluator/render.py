@@ -34,62 +34,35 @@ STATIC, VRU, VUT = 0, 1, 2  # instance codes; STATIC also where nothing is hit
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
-    """Triangles that keep together, ready for rays in their own frame.
+    """Triangles that keep together, ready for rays in their own frame."""
 
-    Attributes
-    ----------
-    caster : RayCaster
-        Rays against the triangles.
-    hull_m : (n, 3) float
-        Vertices of the convex hull; none for the static world. [m]
-    normals : (n_triangles, 3) float
-        Unit normals; none for the static world.
-    """
-
-    caster: RayCaster
-    hull_m: FloatArray
-    normals: FloatArray
+    caster: RayCaster  # Rays against the triangles
+    hull_m: FloatArray  # (n, 3): vertices of the convex hull; none for the static world. [m]
+    normals: FloatArray  # (n_triangles, 3): unit normals; none for the static world
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lens:
-    """A camera at its place, with the rays of its pixels.
+    """A camera at its place, with the rays of its pixels."""
 
-    Attributes
-    ----------
-    camera : CameraModel
-        Resolution, field of view, nearest distance that is drawn.
-    pose : Pose
-        Where it is and looks: in the world frame, or in that of the vehicle that carries it.
-    across, down : (width_px, 3) and (height_px, 3) float32
-        The ray of pixel (row, column), one metre deep, is ``across[column] + down[row]``.
-    """
-
-    camera: CameraModel
+    camera: CameraModel  # resolution, field of view, nearest distance that is drawn
+    # where it is and looks: in the world frame, or in that of the vehicle that carries it
     pose: Pose
+    # across, down: (width_px, 3), (height_px, 3): the ray of pixel (row, column), one metre deep,
+    # is ``across[column] + down[row]``
     across: FloatRays
     down: FloatRays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """What a camera sees in a part of its image.
+    """What a camera sees in a part of its image."""
 
-    Attributes
-    ----------
-    instance : (h, w) uint8
-        The nearest thing: ``STATIC`` (also where nothing is hit), ``VRU`` or ``VUT``.
-    depth_m : (h, w) float32
-        Along the optical axis; infinite where nothing is hit. [m]
-    amodal_mask : (h, w) bool
-        Pixels of the whole VRU, hidden parts too.
-    x_min_px, y_min_px : int
-        Where the first pixel lies in the image. [px]
-    """
-
+    # (h, w): the nearest thing: ``STATIC`` (also where nothing is hit), ``VRU`` or ``VUT``
     instance: NDArray[np.uint8]
-    depth_m: FloatRays
-    amodal_mask: BoolArray
+    depth_m: FloatRays  # (h, w): along the optical axis; infinite where nothing is hit. [m]
+    amodal_mask: BoolArray  # (h, w): pixels of the whole VRU, hidden parts too
+    # x_min_px, y_min_px: where the first pixel lies in the image. [px]
     x_min_px: int
     y_min_px: int
 

@@ -23,27 +23,13 @@ FUSED = "all, fused"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disagreement:
-    """A run that one calls avoided, and the other does not.
+    """A run that one calls avoided, and the other does not."""
 
-    Attributes
-    ----------
-    party : str
-        Id of a unit, or ``FUSED``.
-    run_id : str
-        Which run.
-    on_table : bool
-        Whether the detection table calls it avoided; the evaluator says the opposite.
-    n_frames : int
-        Frames of the run before its last brake time in which they differ.
-    cause : str
-        What the evaluator sees in the first of them.
-    """
-
-    party: str
-    run_id: str
-    on_table: bool
-    n_frames: int
-    cause: str
+    party: str  # id of a unit, or ``FUSED``
+    run_id: str  # which run
+    on_table: bool  # whether the detection table calls it avoided; the evaluator says the opposite
+    n_frames: int  # frames of the run before its last brake time in which they differ
+    cause: str  # what the evaluator sees in the first of them
 
 
 def find_disagreements(

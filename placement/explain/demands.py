@@ -55,21 +55,11 @@ class Demand:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Separation:
-    """What a least distance between units has made of the limits.
+    """What a least distance between units has made of the limits."""
 
-    Attributes
-    ----------
-    distance_m : float
-        Pairs of sites that are nearer are rivals. [m]
-    pair_distance_m : (n_pairs,) float
-        Distances of the limits' rivals. [m]
-    site_capacity : (n_sites,) int
-        Units that each site could carry without it.
-    """
-
-    distance_m: float
-    pair_distance_m: FloatArray
-    site_capacity: IntArray
+    distance_m: float  # pairs of sites that are nearer are rivals. [m]
+    pair_distance_m: FloatArray  # (n_pairs,): distances of the limits' rivals. [m]
+    site_capacity: IntArray  # (n_sites,): units that each site could carry without it
 
 
 class Wish:

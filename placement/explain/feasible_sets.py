@@ -204,20 +204,11 @@ _SHARE_OF_TIME = 0.4  # that one question may take of what is left
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What is known of a wish.
+    """What is known of a wish."""
 
-    Attributes
-    ----------
-    pose_index : tuple of int or None
-        A set of poses that meets it; None: none was found.
-    is_proven : bool
-        That there is none; or that none has a better `value`.
-    value : float
-        Where a number was asked for: the least, or the most, that was found; else NaN.
-    """
-
-    pose_index: tuple[int, ...] | None
-    is_proven: bool
+    pose_index: tuple[int, ...] | None  # a set of poses that meets it; None: none was found
+    is_proven: bool  # that there is none; or that none has a better `value`
+    # where a number was asked for: the least, or the most, that was found; else NaN
     value: float = np.nan
 
 

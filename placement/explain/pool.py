@@ -33,30 +33,14 @@ _PART_SETS = 1 << 12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Listed:
-    """Sets of poses of a reduced problem, the best first.
+    """Sets of poses of a reduced problem, the best first."""
 
-    Attributes
-    ----------
-    sets : tuple of (n_units,) int
-        Poses of the reduced problem.
-    values : SetValues
-        What they are worth.
-    n_within : int
-        Sets that were counted.
-    pose_count : (n_poses,) int
-        How many of these have each pose.
-    site_count : (n_sites,) int
-        How many of them have a unit at each site.
-    best : float
-        The best value of the first stage among them.
-    """
-
-    sets: tuple[IntArray, ...]
-    values: SetValues
-    n_within: int
-    pose_count: IntArray
-    site_count: IntArray
-    best: float
+    sets: tuple[IntArray, ...]  # (n_units,): poses of the reduced problem
+    values: SetValues  # what they are worth
+    n_within: int  # sets that were counted
+    pose_count: IntArray  # (n_poses,): how many of these have each pose
+    site_count: IntArray  # (n_sites,): how many of them have a unit at each site
+    best: float  # the best value of the first stage among them
 
 
 def list_every_set(

@@ -121,49 +121,29 @@ SURE = 0.99
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Watched:
-    """Units, the frames that they detect, and how these are judged.
+    """Units, the frames that they detect, and how these are judged."""
 
-    Attributes
-    ----------
-    units : tuple of CandidatePose
-        At least one. A unit with a latency of its own keeps it, whatever the rule says.
-    detected : (n_units, n_frames) bool
-        By each of them.
-    axis : FrameAxis
-        Runs and frames.
-    rule : AebRule
-        Confirmation and latency.
-    fusion : {"any", "single"}
-        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    """
-
+    # at least one. A unit with a latency of its own keeps it, whatever the rule says.
     units: tuple[CandidatePose, ...]
-    detected: BoolArray
-    axis: FrameAxis
-    rule: AebRule
+    detected: BoolArray  # (n_units, n_frames): by each of them
+    axis: FrameAxis  # runs and frames
+    rule: AebRule  # confirmation and latency
+    # {"any", "single"}: "any": a frame counts if any unit detects; "single": one unit must confirm
+    # alone
     fusion: Fusion = "any"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """What a layout is worth.
+    """What a layout is worth."""
 
-    Attributes
-    ----------
-    apr : float
-        Accident prevention ratio; where messages are lost by chance, its expectation. 0 .. 1
-    apr_one_failed : float
-        The same when the most needed unit fails; 0 for a single unit. 0 .. 1
-    smallest_margin_s : float or None
-        Least time to spare in the runs that are avoided and have weight; None where there is none,
-        or where messages are lost by chance. [s]
-    avoided_share : (n_runs,) float
-        Probability that each run is avoided: 0 or 1 unless messages are lost by chance.
-    """
-
+    # accident prevention ratio; where messages are lost by chance, its expectation. 0 .. 1
     apr: float
-    apr_one_failed: float
+    apr_one_failed: float  # the same when the most needed unit fails; 0 for a single unit. 0 .. 1
+    # least time to spare in the runs that are avoided and have weight; None where there is none, or
+    # where messages are lost by chance. [s]
     smallest_margin_s: float | None
+    # (n_runs,): probability that each run is avoided: 0 or 1 unless messages are lost by chance
     avoided_share: FloatArray
 
     def __post_init__(self) -> None:
@@ -284,24 +264,14 @@ _DETECTOR = ("min_box_height_share", "min_iou")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Varied:
-    """A value that an assumption may have instead, and its consequences.
+    """A value that an assumption may have instead, and its consequences."""
 
-    Attributes
-    ----------
-    value : float
-        In the unit of the assumption's name.
-    outcome : Outcome
-        Of the layout.
-    lost_runs : tuple of str
-        Ids of the runs that the layout avoids as planned, and now no longer; where messages are
-        lost by chance, with a probability below ``SURE``.
-    unmoved : tuple of str
-        Ids of units that had to stay where they are, since the new place is inside something.
-    """
-
-    value: float
-    outcome: Outcome
+    value: float  # in the unit of the assumption's name
+    outcome: Outcome  # of the layout
+    # ids of the runs that the layout avoids as planned, and now no longer; where messages are lost
+    # by chance, with a probability below ``SURE``
     lost_runs: tuple[str, ...]
+    # ids of units that had to stay where they are, since the new place is inside something
     unmoved: tuple[str, ...] = ()
 
 

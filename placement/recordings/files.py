@@ -246,33 +246,20 @@ CONFIDENCE = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WrittenDrive:
-    """A drive to write.
+    """A drive to write."""
 
-    Attributes
-    ----------
-    scenario : int
-        Index in the recording.
-    vru_class : str
-        "pedestrian" or "bicycle".
-    vut_speed_mps, vru_speed_mps : float
-        Target speeds. [m/s]
-    distance_m : (n_frames,) float
-        Between the origins of VUT and VRU; the last frame is that of the impact. [m]
-    labels_px, detections_px : mapping of str to (n_frames, 4) float
-        Per unit, by the name of its folder, the VRU's box and what was found; a box without area
-        stands for none. [px]
-    label_distance_m : mapping of str to (n_frames,) float
-        Per unit, how far the VRU is. [m]
-    """
-
-    scenario: int
-    vru_class: str
+    scenario: int  # index in the recording
+    vru_class: str  # "pedestrian" or "bicycle"
+    # vut_speed_mps, vru_speed_mps: target speeds. [m/s]
     vut_speed_mps: float
     vru_speed_mps: float
+    # (n_frames,): between the origins of VUT and VRU; the last frame is that of the impact. [m]
     distance_m: FloatArray
+    # labels_px, detections_px: (n_frames, 4): per unit, by the name of its folder, the VRU's box
+    # and what was found; a box without area stands for none. [px]
     labels_px: Mapping[str, FloatArray]
     detections_px: Mapping[str, FloatArray]
-    label_distance_m: Mapping[str, FloatArray]
+    label_distance_m: Mapping[str, FloatArray]  # (n_frames,): per unit, how far the VRU is. [m]
 
     def __post_init__(self) -> None:
         if self.vru_class not in VRU_CLASSES:

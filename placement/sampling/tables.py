@@ -110,18 +110,12 @@ def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameLinks:
-    """Which frames share their luck, and which follow one another.
+    """Which frames share their luck, and which follow one another."""
 
-    Attributes
-    ----------
-    is_frame : (n_runs, longest) bool
-        Runs side by side, the same run in several weathers once; the rest of a row is empty.
-    index : (n_frames,) int
-        Which of its true entries each frame is.
-    """
-
+    # (n_runs, longest): runs side by side, the same run in several weathers once; the rest of a row
+    # is empty
     is_frame: BoolArray
-    index: IntArray
+    index: IntArray  # (n_frames,): which of its true entries each frame is
 
     def noise(self, correlation: float, rng: np.random.Generator) -> FloatArray:
         """Standard normal numbers, (n_frames,): a first-order autoregression in each run.
@@ -208,21 +202,12 @@ _ROWS = 256  # unpacked at a time
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledTable:
-    """Detections in many sampled worlds: every run once in each.
+    """Detections in many sampled worlds: every run once in each."""
 
-    Attributes
-    ----------
-    table : DetectionTable
-        Run ids end in "#1", "#2" and so on; weights are divided by the number of worlds; last
-        brake times have lost what messages take longer than the rule says.
-    sample_index : (n_runs,) int
-        World of each run of `table`, from 0.
-    n_samples : int
-        Number of worlds.
-    """
-
+    # run ids end in "#1", "#2" and so on; weights are divided by the number of worlds; last brake
+    # times have lost what messages take longer than the rule says
     table: DetectionTable
-    sample_index: IntArray
+    sample_index: IntArray  # (n_runs,): world of each run of `table`, from 0
     n_samples: int
 
     def __post_init__(self) -> None:

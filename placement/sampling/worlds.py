@@ -33,21 +33,11 @@ PURPOSES = ("choose", "judge")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Luck:
-    """Where the random numbers of one sampled world come from.
+    """Where the random numbers of one sampled world come from."""
 
-    Attributes
-    ----------
-    seed : int
-        The user's.
-    purpose : {"choose", "judge"}
-        What the world is for.
-    index : int
-        Number of the world.
-    """
-
-    seed: int
-    purpose: str
-    index: int
+    seed: int  # the user's
+    purpose: str  # {"choose", "judge"}: what the world is for
+    index: int  # number of the world
 
     def __post_init__(self) -> None:
         check_whole("--seed", self.seed, least=0)
@@ -83,34 +73,18 @@ _LOWEST_M = 0.1  # above the road
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sample:
-    """One world that may turn out to be.
+    """One world that may turn out to be."""
 
-    Attributes
-    ----------
-    luck : Luck
-        Where its random numbers come from.
-    uncertainty : Uncertainty
-        What they are drawn of.
-    setting : Setting
-        The runs with all that stands in the street in them; deadlines less what messages take
-        longer than the rule says; the share of messages that is lost.
-    planned : tuple of CandidatePose
-        Poses as planned.
-    candidates : tuple of CandidatePose
-        The same as they really hang; ids, sites and sensors are as planned.
-    vehicles : tuple of PlacedActor
-        All that stands in the street, in whichever runs.
-    extra_latency_s : (n_runs,) float
-        What messages take longer than the rule says. [s]
-    """
-
-    luck: Luck
-    uncertainty: Uncertainty
+    luck: Luck  # where its random numbers come from
+    uncertainty: Uncertainty  # what they are drawn of
+    # the runs with all that stands in the street in them; deadlines less what messages take longer
+    # than the rule says; the share of messages that is lost
     setting: Setting
-    planned: tuple[CandidatePose, ...]
+    planned: tuple[CandidatePose, ...]  # poses as planned
+    # the same as they really hang; ids, sites and sensors are as planned
     candidates: tuple[CandidatePose, ...]
-    vehicles: tuple[PlacedActor, ...]
-    extra_latency_s: FloatArray
+    vehicles: tuple[PlacedActor, ...]  # all that stands in the street, in whichever runs
+    extra_latency_s: FloatArray  # (n_runs,): what messages take longer than the rule says. [s]
 
     @property
     def drawn_detector(self) -> ResponseDetector | None:

@@ -33,40 +33,19 @@ _MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outsid
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sensing:
-    """One mount position and all that is seen from it, whatever hangs there.
+    """One mount position and all that is seen from it, whatever hangs there."""
 
-    Attributes
-    ----------
-    world : World
-        What is looked at.
-    sight : Sight
-        Which points the rays reach.
-    detector : PlanningDetector
-        Of cameras.
-    offsets_m : (n, n_points, 3) float32
-        Points of each entry, from the mount. [m]
-    middle_m, distance_m : (n, 3), (n,) float
-        Mean of the points, and how far it is. [m]
-    half_angle_rad : (n,) float
-        Within which the body lies around its middle. [rad]
-    contrast : (n_weathers, n) float
-        Of the VRU in each weather.
-    vru_class : (n,) int
-        Into ``VRU_CLASSES``.
-    aspect_deg : (n,) float
-        Between line of sight and heading. [deg]
-    """
-
-    world: World
-    sight: Sight
-    detector: PlanningDetector
-    offsets_m: FloatRays
+    world: World  # what is looked at
+    sight: Sight  # which points the rays reach
+    detector: PlanningDetector  # of cameras
+    offsets_m: FloatRays  # (n, n_points, 3): points of each entry, from the mount. [m]
+    # middle_m, distance_m: (n, 3), (n,): mean of the points, and how far it is. [m]
     middle_m: FloatArray
     distance_m: FloatArray
-    half_angle_rad: FloatArray
-    contrast: FloatArray
-    vru_class: IntArray
-    aspect_deg: FloatArray
+    half_angle_rad: FloatArray  # (n,): within which the body lies around its middle. [rad]
+    contrast: FloatArray  # (n_weathers, n): of the VRU in each weather
+    vru_class: IntArray  # (n,): into ``VRU_CLASSES``
+    aspect_deg: FloatArray  # (n,): between line of sight and heading. [deg]
 
     def detected(self, candidate: CandidatePose) -> BoolArray:
         """Whether each entry is detected in each weather, (n_weathers, n)."""
