@@ -26,12 +26,7 @@ from .optimiser import (
 from .optimiser.problem import Fusion
 from .sampling import Uncertainty, sampled_table
 from .setting import Setting
-from .visibility import (
-    build_detection_table,
-    load_table,
-    save_table,
-    table_fingerprint,
-)
+from .visibility import build_detection_table, load_table, save_table, table_fingerprint
 from .wishes import Wishes, build_problem, check_wishes
 
 _log = logging.getLogger(__name__)

@@ -13,12 +13,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import pick
 from geometry.scene import Scene
 
-from .candidates import (
-    CandidateGrid,
-    CandidatePose,
-    build_candidates,
-    load_candidate_grid,
-)
+from .candidates import CandidateGrid, CandidatePose, build_candidates, load_candidate_grid
 from .ground_coverage import (
     PrivateGround,
     load_private_ground,

@@ -13,21 +13,9 @@ from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule
 from scenarios.cases import select_cases
 from scenarios.exposure import weigh
-from scenarios.runs import (
-    WEATHERS,
-    FrameAxis,
-    Refusal,
-    Run,
-    build_frame_axis,
-    build_runs,
-)
+from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, build_runs
 
-from .detectors import (
-    Detector,
-    PlanningDetector,
-    load_detector,
-    load_planning_detector,
-)
+from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
 from .latency import load_latency_budget
 from .question import Question
 

@@ -11,13 +11,7 @@ from geometry.scene import Scene
 
 from .candidates import CandidatePose
 from .detection_table import DetectionTable
-from .optimiser import (
-    Floor,
-    Goal,
-    Limits,
-    PlacementProblem,
-    apr,
-)
+from .optimiser import Floor, Goal, Limits, PlacementProblem, apr
 from .optimiser.problem import Fusion
 from .setting import Setting
 

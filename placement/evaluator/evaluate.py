@@ -20,14 +20,7 @@ from ..evaluation import Evaluation, Verdict, earliest_arrival_s
 from ..layout import Layout
 from ..setting import Links, Setting
 from .surroundings import draw_index
-from .watch import (
-    STAGE,
-    VUT_KEY,
-    UnitKey,
-    build_rng,
-    unit_key,
-    watch,
-)
+from .watch import STAGE, VUT_KEY, UnitKey, build_rng, unit_key, watch
 
 # ---------- verdicts: confirmation, braking, contact
 

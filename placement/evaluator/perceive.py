@@ -9,26 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.image_boxes import mask_box
 from geometry.poses import Pose
 from geometry.raycast import FloatRays
 from geometry.sensors import CameraModel
 
 from ..detectors import Evidence, aspects_deg
-from .render import (
-    Lens,
-    Solid,
-    build_lens,
-    cast_crops,
-    crop_boxes,
-    inside_shares,
-)
+from .render import Lens, Solid, build_lens, cast_crops, crop_boxes, inside_shares
 from .surroundings import Surroundings, VutCamera, relative_road_poses
 
 _MAX_RAYS = 1 << 16  # per cast: large enough for numpy's overhead, small enough for the cache

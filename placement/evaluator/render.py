@@ -14,18 +14,8 @@ from scipy.spatial import ConvexHull
 from geometry.actors import PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.image_boxes import mask_box
-from geometry.poses import (
-    Pose,
-    body_rotation,
-    camera_rotation,
-    to_world,
-)
-from geometry.raycast import (
-    FloatRays,
-    RayCaster,
-    build_caster,
-    ray_lengths_m,
-)
+from geometry.poses import Pose, body_rotation, camera_rotation, to_world
+from geometry.raycast import FloatRays, RayCaster, build_caster, ray_lengths_m
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, pixel_rays
 
@@ -36,7 +26,7 @@ STATIC, VRU, VUT = 0, 1, 2  # instance codes; STATIC also where nothing is hit
 class Solid:
     """Triangles that keep together, ready for rays in their own frame."""
 
-    caster: RayCaster  # Rays against the triangles
+    caster: RayCaster  # rays against the triangles
     hull_m: FloatArray  # (n, 3): vertices of the convex hull; none for the static world. [m]
     normals: FloatArray  # (n_triangles, 3): unit normals; none for the static world
 

@@ -11,12 +11,7 @@ from geometry.actors import Actor
 from geometry.arrays import FloatArray, IntArray
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError
-from geometry.files import (
-    load_toml,
-    pick,
-    take_number,
-    take_text,
-)
+from geometry.files import load_toml, pick, take_number, take_text
 from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose, body_rotation, wrap_deg
 from geometry.scene import Scene
@@ -25,14 +20,7 @@ from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
 from ..detectors import VRU_CLASSES, vru_class
-from .render import (
-    Solid,
-    View,
-    build_body,
-    build_lens,
-    build_static,
-    render_view,
-)
+from .render import Solid, View, build_body, build_lens, build_static, render_view
 
 # ---------- surroundings of runs
 

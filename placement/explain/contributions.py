@@ -7,23 +7,13 @@ from itertools import combinations
 
 import numpy as np
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from scenarios.aeb import AebRule, confirmation_mask, is_in_time
 from scenarios.exposure import weight_share
 from scenarios.runs import onset_times_s
 
 from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out
-from ..optimiser import (
-    PlacementProblem,
-    PlacementValue,
-    placement_value,
-    run_margins_s,
-)
+from ..optimiser import PlacementProblem, PlacementValue, placement_value, run_margins_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,13 +9,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 
-from ..optimiser import (
-    Floor,
-    Limits,
-    PlacementProblem,
-    floor_value,
-    is_allowed,
-)
+from ..optimiser import Floor, Limits, PlacementProblem, floor_value, is_allowed
 from ..optimiser.objectives import TOLERANCE
 from .feasible_sets import Answer, Oracle
 

@@ -11,14 +11,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError
 
-from ..optimiser import (
-    Limits,
-    PlacementProblem,
-    ReducedProblem,
-    cost_eur,
-    is_allowed,
-    presolve,
-)
+from ..optimiser import Limits, PlacementProblem, ReducedProblem, cost_eur, is_allowed, presolve
 from ..optimiser.bitsets import (
     SetValues,
     avoided_with_each,

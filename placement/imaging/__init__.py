@@ -6,13 +6,7 @@
 """
 
 from .mesh import PointCloud, scan_cloud
-from .picture import (
-    Backdrop,
-    Picture,
-    build_backdrop,
-    draw_picture,
-    render_picture,
-)
+from .picture import Backdrop, Picture, build_backdrop, draw_picture, render_picture
 
 __all__ = [
     "Backdrop",

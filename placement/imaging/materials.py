@@ -14,14 +14,7 @@ from geometry.errors import InputError
 from geometry.files import load_toml, read_table
 from geometry.raycast import FloatRays
 
-from .ground import (
-    PAINT,
-    ROAD,
-    SKY,
-    GroundMap,
-    grain_at,
-    soft_noise_at,
-)
+from .ground import PAINT, ROAD, SKY, GroundMap, grain_at, soft_noise_at
 from .mesh import Index, Thing
 
 _WHERE = "materials.toml"

@@ -50,15 +50,7 @@ from .materials import (
     coat_wall,
     load_materials,
 )
-from .mesh import (
-    ROUND,
-    FrameMesh,
-    Index,
-    Mesh,
-    build_frame_mesh,
-    build_static_mesh,
-    vut_pose,
-)
+from .mesh import ROUND, FrameMesh, Index, Mesh, build_frame_mesh, build_static_mesh, vut_pose
 
 _OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
 _LEAST_MIRROR = 0.012  # share; less is not worth a ray

@@ -12,12 +12,7 @@ from scipy.signal import lfilter
 from scipy.special import ndtr
 from threadpoolctl import threadpool_limits
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.lidar import LidarModel
 from scenarios.runs import FrameAxis
@@ -28,12 +23,7 @@ from ..detection_table import DetectionTable
 from ..detectors import Evidence, PlanningDetector, ResponseDetector
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
-from ..visibility import (
-    build_detection_table,
-    load_table,
-    save_table,
-    table_fingerprint,
-)
+from ..visibility import build_detection_table, load_table, save_table, table_fingerprint
 from ..visibility.build import N_POINTS
 from ..visibility.casting import World, build_world, cast_sight
 from ..visibility.sensing import build_sensing, reach_m

@@ -8,12 +8,7 @@ import numpy as np
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray
 from geometry.footprints import footprint_corners, footprint_separation
-from geometry.junction import (
-    Arm,
-    build_junction,
-    lane_length_m,
-    lane_line,
-)
+from geometry.junction import Arm, build_junction, lane_length_m, lane_line
 from geometry.poses import Pose
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Lane, Scene

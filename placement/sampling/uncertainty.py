@@ -12,14 +12,7 @@ import numpy as np
 from geometry.actors import Actor, Shape, pick_actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    Table,
-    load_toml,
-    take,
-    take_list,
-    take_number,
-    take_text,
-)
+from geometry.files import Table, load_toml, take, take_list, take_number, take_text
 
 from ..latency import LatencyBudget, load_latency_budget
 

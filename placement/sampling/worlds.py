@@ -16,15 +16,7 @@ from ..candidates import CandidatePose
 from ..compute import check_whole
 from ..detectors import ResponseDetector
 from ..setting import Setting
-from .traffic import (
-    GroupKey,
-    Street,
-    Ways,
-    build_street,
-    build_ways,
-    clear_of_ways,
-    group_key,
-)
+from .traffic import GroupKey, Street, Ways, build_street, build_ways, clear_of_ways, group_key
 from .uncertainty import MountingErrors, Uncertainty
 
 PURPOSES = ("choose", "judge")

@@ -16,12 +16,7 @@ from scipy.spatial import cKDTree
 from geometry.actors import Actor, PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.poses import body_rotation, to_world
-from geometry.raycast import (
-    FloatRays,
-    RayCaster,
-    build_caster,
-    ray_lengths_m,
-)
+from geometry.raycast import FloatRays, RayCaster, build_caster, ray_lengths_m
 from geometry.scene import Scene
 from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run

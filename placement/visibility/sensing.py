@@ -8,24 +8,13 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.catalogue import Sensor
-from geometry.lidar import (
-    LidarModel,
-    beams_per_steradian,
-    load_lidar_detection,
-    return_probability,
-)
+from geometry.lidar import LidarModel, beams_per_steradian, load_lidar_detection, return_probability
 from geometry.poses import body_rotation, camera_rotation
 from geometry.raycast import FloatRays
 from geometry.sensors import CameraModel
 
 from ..candidates import CandidatePose
-from ..detectors import (
-    VRU_CLASSES,
-    Evidence,
-    PlanningDetector,
-    aspects_deg,
-    vru_class,
-)
+from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vru_class
 from .casting import Sight, World
 
 _MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outside the image
