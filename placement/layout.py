@@ -198,11 +198,7 @@ def _lens_record(sensor: Sensor) -> dict[str, float]:
 
 
 def layout_from_records(
-    name: str,
-    records: Sequence[Any],
-    where: str,
-    *,
-    sensors: Mapping[str, Sensor] | None = None,
+    name: str, records: Sequence[Any], where: str, *, sensors: Mapping[str, Sensor] | None = None
 ) -> Layout:
     """Layout from plain records as :func:`layout_records` writes them; "site" may be missing.
 

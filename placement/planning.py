@@ -134,11 +134,7 @@ def build_plan(question: Question, scene: Scene, *, study: Layout | None = None)
 
 def build_effort(question: Question) -> Effort:
     """How hard the optimiser tries. Raises InputError for a number that cannot be."""
-    return Effort(
-        solver=question.solver,
-        time_limit_s=question.time_limit_s,
-        gap=question.gap,
-    )
+    return Effort(solver=question.solver, time_limit_s=question.time_limit_s, gap=question.gap)
 
 
 def build_grid(sensors: str) -> CandidateGrid:

@@ -322,9 +322,7 @@ class Question:
     vut_sensors: Annotated[
         str,
         Option(
-            section=SEEN,
-            help="What the VUT itself looks with: camera,lidar.",
-            metavar="SENSORS",
+            section=SEEN, help="What the VUT itself looks with: camera,lidar.", metavar="SENSORS"
         ),
     ] = "camera"
     packet_loss: Annotated[
@@ -337,8 +335,7 @@ class Question:
     vam_rate: Annotated[
         Annotated[float, _share("a share of equipped road users")],
         Option(
-            section=SEEN,
-            help="Of the road users who announce themselves (VRU awareness messages).",
+            section=SEEN, help="Of the road users who announce themselves (VRU awareness messages)."
         ),
     ] = 0.0
     n_confirmations: Annotated[

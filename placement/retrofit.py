@@ -234,11 +234,7 @@ def find_retrofit(
         best = aims[best_joining(problem, others, aims)]
         re_aims.append(
             _change(
-                problem,
-                poses,
-                [*others, int(best)],
-                price_eur=labour.re_aim_eur,
-                n_compared=n_aims,
+                problem, poses, [*others, int(best)], price_eur=labour.re_aim_eur, n_compared=n_aims
             )
         )
     return Retrofit(

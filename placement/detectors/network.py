@@ -186,10 +186,7 @@ def load_onnx_model(path: Path, *, classes: str | None = None, threads: int = 1)
     shape = (session.height_px or side, session.width_px or side, 3)
     grey = np.full(shape, onnx_setting("fill"), dtype=np.uint8)
     export = recognise_export(
-        session.run(grey, is_imagenet=False),
-        path=path,
-        names=session.class_names,
-        classes=classes,
+        session.run(grey, is_imagenet=False), path=path, names=session.class_names, classes=classes
     )
     return OnnxModel(path=path, _session=session, _export=export)
 

@@ -139,20 +139,14 @@ _ROUNDING_S = 1.0e-6
 
 
 def evaluate_layout(
-    layout: Layout,
-    setting: Setting,
-    *,
-    compute: Compute = DEFAULT_COMPUTE,
+    layout: Layout, setting: Setting, *, compute: Compute = DEFAULT_COMPUTE
 ) -> Evaluation:
     """Evaluate one layout; see :func:`evaluate_layouts`."""
     return evaluate_layouts([layout], setting, compute=compute)[0]
 
 
 def evaluate_layouts(
-    layouts: Sequence[Layout],
-    setting: Setting,
-    *,
-    compute: Compute = DEFAULT_COMPUTE,
+    layouts: Sequence[Layout], setting: Setting, *, compute: Compute = DEFAULT_COMPUTE
 ) -> list[Evaluation]:
     """Verdicts of layouts by rendering every frame, detecting, confirming and braking.
 
@@ -195,11 +189,7 @@ def _check(setting: Setting) -> None:
 
 
 def _evaluate(
-    layout: Layout,
-    setting: Setting,
-    detected: Mapping[UnitKey, BoolArray],
-    judge: Judge,
-    seed: int,
+    layout: Layout, setting: Setting, detected: Mapping[UnitKey, BoolArray], judge: Judge, seed: int
 ) -> Evaluation:
     links, rule = setting.links, setting.rule
     draws, frame_draw = np.unique(draw_index(setting.runs), return_inverse=True)

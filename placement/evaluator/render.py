@@ -186,10 +186,7 @@ def crop_boxes(
     reaches_behind = depths[:, 0] <= _MIN_DEPTH_M
     low[reaches_behind], high[reaches_behind] = 0.0, size_px
     crops = np.concatenate(
-        [
-            np.clip(np.floor(low) - 1.0, 0.0, size_px),
-            np.clip(np.ceil(high) + 1.0, 0.0, size_px),
-        ],
+        [np.clip(np.floor(low) - 1.0, 0.0, size_px), np.clip(np.ceil(high) + 1.0, 0.0, size_px)],
         axis=1,
     ).astype(np.int64)
     crops[is_outside | (crops[:, 2:] <= crops[:, :2]).any(axis=1)] = 0

@@ -137,10 +137,7 @@ def _smallest_hitting_set(sets: Sequence[Set[int]], universe: Set[int]) -> froze
 
 
 def _relaxations(
-    wish: Wish,
-    oracle: Oracle,
-    conflict: frozenset[int],
-    ask: Callable[[frozenset[int]], Answer],
+    wish: Wish, oracle: Oracle, conflict: frozenset[int], ask: Callable[[frozenset[int]], Answer]
 ) -> tuple[Relaxation, ...]:
     found = []
     for number in sorted(conflict):
@@ -173,10 +170,7 @@ def find_refusal(
     """
     separation = build_separation(problem, wishes, scene, candidates)
     conflicts = find_conflicts(
-        problem,
-        separation=separation,
-        keeps_forced=True,
-        time_limit_s=time_limit_s,
+        problem, separation=separation, keeps_forced=True, time_limit_s=time_limit_s
     )
     if not conflicts:
         return None
@@ -190,21 +184,14 @@ def find_refusal(
 
 
 def build_separation(
-    problem: PlacementProblem,
-    wishes: Wishes,
-    scene: Scene,
-    candidates: Sequence[CandidatePose],
+    problem: PlacementProblem, wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePose]
 ) -> Separation | None:
     """What a least distance between units has made of the limits; None where none is asked for."""
     if wishes.separation_m <= 0.0:
         return None
     limits = problem.limits
     free = build_limits(
-        Wishes(
-            budget_units=1,
-            kept=wishes.kept,
-            site_capacity=wishes.site_capacity,
-        ),
+        Wishes(budget_units=1, kept=wishes.kept, site_capacity=wishes.site_capacity),
         scene,
         candidates,
     )

@@ -88,11 +88,7 @@ class Wish:
             floor if survives else replace(floor, n_failures=0) for floor in self._floors(active)
         )
         return replace(
-            self.problem,
-            limits=self._limits_of(active),
-            floors=floors,
-            goal="best",
-            survive=0,
+            self.problem, limits=self._limits_of(active), floors=floors, goal="best", survive=0
         )
 
     def met_by(self, poses: Sequence[int], active: Set[int]) -> frozenset[int]:

@@ -354,9 +354,7 @@ class Oracle:
             for floor in problem.floors
         )
         return replace(
-            reduced,
-            limits=problem.limits.of_poses(reduced.pose_index),
-            floors=floors,
+            reduced, limits=problem.limits.of_poses(reduced.pose_index), floors=floors
         ).with_goal("fewest")
 
     def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search:

@@ -159,11 +159,7 @@ _FEW_SETS = 100  # up to so many are quicker one by one than by a look at all po
 
 
 def list_by_exchange(
-    reduced: ReducedProblem,
-    start: IntArray,
-    *,
-    n_sets: int,
-    max_looks: int,
+    reduced: ReducedProblem, start: IntArray, *, n_sets: int, max_looks: int
 ) -> Listed:
     """The best `n_sets` sets that exchanges lead to from `start`, which meets limits and floors.
 
@@ -389,11 +385,7 @@ def _bounded(reduced: ReducedProblem, most: float) -> ReducedProblem:
 
 
 def _build_pool(
-    problem: PlacementProblem,
-    reduced: ReducedProblem,
-    listed: Listed,
-    *,
-    scope: Scope,
+    problem: PlacementProblem, reduced: ReducedProblem, listed: Listed, *, scope: Scope
 ) -> Pool:
     limits, first = problem.limits, problem.objectives[0]
     sets = []
@@ -401,9 +393,7 @@ def _build_pool(
         poses = tuple(sorted(reduced.pose_index[units].tolist()))
         sets.append(
             PooledSet(
-                pose_index=poses,
-                value=placement_value(problem, poses),
-                objective=float(objective),
+                pose_index=poses, value=placement_value(problem, poses), objective=float(objective)
             )
         )
     pose_share = np.zeros(limits.n_poses)

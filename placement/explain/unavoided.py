@@ -400,10 +400,7 @@ def _who_should_see(run: Run, units: Sequence[CandidatePose], frames: IntArray) 
     If none has, the nearest of all: another one may look elsewhere on purpose.
     """
     middle_m = np.column_stack(
-        [
-            run.vru_position_m[frames],
-            np.full(len(frames), 0.5 * run.encounter.vru.height_m),
-        ]
+        [run.vru_position_m[frames], np.full(len(frames), 0.5 * run.encounter.vru.height_m)]
     )
     away_m = [np.hypot(*(unit.pose.position_m[:2] - middle_m[-1, :2])) for unit in units]
     looks_elsewhere = [not is_in_view(unit, middle_m).any() for unit in units]

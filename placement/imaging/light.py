@@ -265,11 +265,7 @@ def build_sky(weather: Weather) -> Sky:
         sky_lux=scale * level,
         sun_lux=weather.sun_lux * _colour(table, "sun", _SKY),
         to_sun=np.array(
-            [
-                np.cos(elevation) * np.cos(yaw),
-                np.cos(elevation) * np.sin(yaw),
-                np.sin(elevation),
-            ]
+            [np.cos(elevation) * np.cos(yaw), np.cos(elevation) * np.sin(yaw), np.sin(elevation)]
         ),
         haze_height_m=take_number(table["haze_height_m"], kind, f"{_SKY}.haze_height_m"),
         extinction_per_m=weather.extinction_per_m,

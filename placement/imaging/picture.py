@@ -433,10 +433,7 @@ def find_edges(radiance: FloatRays, tile_px: tuple[int, int]) -> IntArray:
     """
     green = np.ascontiguousarray(radiance[..., 1])
     is_edge = np.zeros(green.shape, dtype=bool)
-    for one, other in (
-        (np.s_[:, :-1], np.s_[:, 1:]),
-        (np.s_[:-1], np.s_[1:]),
-    ):
+    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         a, b = green[one], green[other]
         differs = np.abs(a - b) > np.float32(0.5 * _CONTRAST) * (a + b)
         is_edge[one] |= differs

@@ -143,11 +143,7 @@ def is_longitudinal(drive: Drive) -> bool:
 
 
 def is_same_direction(
-    *,
-    vut_speed_mps: float,
-    vru_speed_mps: float,
-    closing_speed_mps: float,
-    form: RecordingFormat,
+    *, vut_speed_mps: float, vru_speed_mps: float, closing_speed_mps: float, form: RecordingFormat
 ) -> bool:
     """Whether the VUT catches up with a VRU that goes its way, by the law of cosines.
 

@@ -142,9 +142,7 @@ def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
     fields = once.split()
     if len(fields) != len(form.world_fields):
         raise InputError(
-            f"{path}:1",
-            text,
-            f"{' '.join(form.world_fields)}, once or repeated exactly",
+            f"{path}:1", text, f"{' '.join(form.world_fields)}, once or repeated exactly"
         )
     distance, vut_speed, vru_speed = fields
     world = World(
@@ -212,9 +210,7 @@ def _box(words: Sequence[str], names: Sequence[str], path: Path, number: int) ->
     )
     if x_max < x_min or y_max < y_min:
         raise InputError(
-            f"{path}:{number}: box",
-            Unquoted(" ".join(words)),
-            "min_x <= max_x and min_y <= max_y",
+            f"{path}:{number}: box", Unquoted(" ".join(words)), "min_x <= max_x and min_y <= max_y"
         )
     return x_min, y_min, x_max, y_max
 

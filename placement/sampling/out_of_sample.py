@@ -190,12 +190,7 @@ def out_of_sample(
 ) -> SampledApr:
     """Evaluate one layout in new worlds; see :func:`out_of_sample_layouts`."""
     (judged,) = out_of_sample_layouts(
-        setting,
-        [layout],
-        uncertainty,
-        n_samples=n_samples,
-        fusion=fusion,
-        compute=compute,
+        setting, [layout], uncertainty, n_samples=n_samples, fusion=fusion, compute=compute
     )
     return judged
 

@@ -34,10 +34,7 @@ from .worlds import Luck, Sample, draw_samples, pose_key
 
 
 def build_drawn_table(
-    sample: Sample,
-    detector: ResponseDetector,
-    *,
-    compute: Compute,
+    sample: Sample, detector: ResponseDetector, *, compute: Compute
 ) -> DetectionTable:
     """Detection table of a sampled world in which chance decides every frame of a camera.
 

@@ -115,11 +115,7 @@ Look = tuple[CandidatePose, PlanningDetector]
 
 
 def detected_frames(
-    setting: Setting,
-    looks: Sequence[Look],
-    *,
-    pool: ThreadPoolExecutor,
-    compute: Compute,
+    setting: Setting, looks: Sequence[Look], *, pool: ThreadPoolExecutor, compute: Compute
 ) -> BoolArray:
     """Frames in which units detect, each with a detector of its own, (n_looks, n_frames) bool.
 

@@ -29,9 +29,7 @@ def obstruction_key(run: Run) -> tuple[object, ...]:
     return tuple(parked.key for parked in run.obstruction)
 
 
-def find_obstructions(
-    runs: Sequence[Run],
-) -> dict[tuple[object, ...], tuple[PlacedActor, ...]]:
+def find_obstructions(runs: Sequence[Run]) -> dict[tuple[object, ...], tuple[PlacedActor, ...]]:
     """Distinct obstructions in the order of `World.static`, by their content."""
     return {obstruction_key(run): run.obstruction for run in runs}
 
@@ -327,12 +325,7 @@ def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> B
 
 
 def _is_blocked_by_static(
-    world: World,
-    eye_m: FloatArray,
-    view_index: IntArray,
-    is_asked: BoolArray,
-    *,
-    near_m: float,
+    world: World, eye_m: FloatArray, view_index: IntArray, is_asked: BoolArray, *, near_m: float
 ) -> BoolArray:
     """Points hidden by the scene or the case's obstruction, (n, n_points)."""
     views = world.views
