@@ -1,4 +1,4 @@
-"""What cameras see of the ground: pixels per metre, and how much of private areas."""
+"""Ground that cameras see: pixels per metre, and shares of private areas."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

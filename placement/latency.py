@@ -254,7 +254,7 @@ _DECIMALS = 9  # of a second: as fine as the tolerance of is_in_time
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LatencyCurve:
-    """What latency does to one sensing party."""
+    """The effect of latency on one sensing party."""
 
     # (n_runs,): longest latency with which each run is still avoided. Negative: with none; minus
     # infinity: never confirmed, or no braking avoids; infinite: with any. [s]

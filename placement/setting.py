@@ -124,7 +124,7 @@ def build_rule(question: Question) -> AebRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drives:
-    """What a question makes of a scene."""
+    """The runs that a question lays on a scene."""
 
     runs: tuple[Run, ...]  # what is driven
     refused: tuple[Refusal, ...]  # what the junction does not carry
@@ -234,7 +234,7 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
 
 
 def _planner(detector: Detector) -> PlanningDetector:
-    """What the detection table counts on: a network cannot be foretold, boxes stand in for it."""
+    """The detector of the detection table: a network cannot be predicted, boxes stand in for it."""
     if not detector.needs_pictures:
         return cast(PlanningDetector, detector)
     _log.warning(

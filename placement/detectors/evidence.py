@@ -1,4 +1,4 @@
-"""What images show of road users, what detectors find in them, and what a detector is."""
+"""Types of image evidence and detections, the interface of detectors, and the matching of boxes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """What images show of VRUs: a row for each VRU in a unit's image in a frame."""
+    """Image evidence: a row for each VRU in a unit's image in a frame."""
 
     # visible_px, amodal_px: (n, 4): box of what is seen, and of the whole VRU inside the image;
     # zeros where there is none. [px]
@@ -82,7 +82,7 @@ class Detector(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is called in reports."""
+        """Its name in reports."""
 
     @property
     def description(self) -> str:

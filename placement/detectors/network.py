@@ -64,7 +64,7 @@ _SIDE_INPUTS = ("pixel_mask", "orig_target_sizes")  # of DETR and RT-DETR: known
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageBoxes:
-    """What a network finds in an image, in descending order of confidence."""
+    """Boxes that a network finds in an image, in descending order of confidence."""
 
     boxes_px: FloatArray  # (n, 4), inside the image
     class_ids: IntArray  # (n,), as the network numbers its classes

@@ -224,5 +224,5 @@ def _read_names(text: str, where: str) -> _Numbering | None:
 
 
 def _kind_of_name() -> dict[str, str]:
-    """What class names mean here."""
+    """The meaning of class names."""
     return {word: kind for kind, words in onnx_setting("names").items() for word in words}

@@ -46,7 +46,7 @@ class Lens:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """What a camera sees in a part of its image."""
+    """A part of a camera's image: instances and depths."""
 
     # (h, w): the nearest thing: ``STATIC`` (also where nothing is hit), ``VRU`` or ``VUT``
     instance: NDArray[np.uint8]

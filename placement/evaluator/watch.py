@@ -171,7 +171,7 @@ class _Watcher:
     def look(
         self, units: Mapping[UnitKey, CandidatePose]
     ) -> tuple[dict[UnitKey, Evidence], dict[UnitKey, BoolArray]]:
-        """What cameras show, and the frames in which LiDARs detect."""
+        """Evidence of cameras, and the frames in which LiDARs detect."""
         n_frames = self._setting.axis.n_frames
         parts = np.array_split(np.arange(n_frames), min(_VUT_JOBS, n_frames))
         looks: dict[UnitKey, Future[Evidence]] = {}

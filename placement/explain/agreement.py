@@ -94,7 +94,7 @@ def _cause(
     differing: Sequence[tuple[CandidatePose, IntArray]],
     on_table: dict[str, BoolArray],
 ) -> str:
-    """What is seen in the first frame that differs."""
+    """Description of the first frame that differs."""
     somewhere = [(int(frames[0]), unit) for unit, frames in differing if len(frames)]
     if not somewhere:
         return "messages: latency or packets lost"

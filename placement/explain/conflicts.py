@@ -186,7 +186,7 @@ def find_refusal(
 def build_separation(
     problem: PlacementProblem, wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePose]
 ) -> Separation | None:
-    """What a least distance between units has made of the limits; None where none is asked for."""
+    """The effect of a least distance between units on the limits; None where none is asked for."""
     if wishes.separation_m <= 0.0:
         return None
     limits = problem.limits

@@ -1,4 +1,4 @@
-"""What each unit of a layout contributes, and what the others achieve when units fail."""
+"""Contribution of each unit to a layout, and the achievement of the others when units fail."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from ..optimiser import PlacementProblem, PlacementValue, placement_value, run_m
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contribution:
-    """What one unit of a set adds to the others, on the detection table.
+    """The contribution of one unit of a set, on the detection table.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Contribution:
 def find_contributions(
     problem: PlacementProblem, pose_index: Sequence[int]
 ) -> tuple[Contribution, ...]:
-    """What each unit of a set adds to the others, in order; limits and floors do not matter."""
+    """The contribution of each unit of a set, in order; limits and floors do not matter."""
     poses = list(pose_index)
     value, margin_s = placement_value(problem, poses), run_margins_s(problem, poses)
     shares = first_shares(problem, poses)
@@ -134,7 +134,7 @@ MAX_PAIR_UNITS = 12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """What a layout achieves without some of its units.
+    """The achievement of a layout without some of its units.
 
     Attributes
     ----------
@@ -176,7 +176,7 @@ class Failures:
 
 
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
-    """What a layout achieves when each of its units fails, and each pair.
+    """Evaluate the failure of each unit of a layout, and of each pair.
 
     In each frame any remaining unit may be the one that detects. The worst comes first: the lowest
     APR (:func:`placement.evaluation.apr_one_failed` is that of `one_failed`), then the smallest

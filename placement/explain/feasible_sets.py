@@ -61,7 +61,7 @@ class QuickRows:
         )
 
     def _left(self, measure: Measure, n_failures: int, units: IntArray) -> FloatArray:
-        """What is left of each set when its worst units fail, (n_poses,)."""
+        """Ratio that each set still reaches when its most needed units fail, (n_poses,)."""
         if n_failures > len(units):
             return np.zeros(self.reduced.n_poses)
         smallest = np.full(self.reduced.n_poses, np.inf)
@@ -87,7 +87,7 @@ class QuickRows:
 
 
 def _ratios(measure: Measure, is_avoided: BoolArray) -> FloatArray:
-    """What a measure makes of avoided runs, (n_sets, n_runs) -> (n_sets,)."""
+    """Value of a measure by avoided runs, (n_sets, n_runs) -> (n_sets,)."""
     if not measure.is_mean:
         return measure.of(is_avoided)
     total = np.zeros(len(is_avoided))
@@ -120,7 +120,7 @@ def site_counts(reduced: ReducedProblem, sets: IntArray) -> IntArray:
 # ---------- greedy choice
 
 
-_MAX_ADDED = 12  # what is left when units fail takes too long to tell of more
+_MAX_ADDED = 12  # values with failed units take too long to compute for more
 
 
 def choose_greedily(reduced: ReducedProblem) -> IntArray:
@@ -192,12 +192,12 @@ def presolve_undominated(problem: PlacementProblem) -> ReducedProblem:
 
 _NO_OBJECTIVE: dict[str, Any] = {"floors": (), "goal": "best", "survive": 0}
 _FEW_UNITS = 6
-_SHARE_OF_TIME = 0.4  # that one question may take of what is left
+_SHARE_OF_TIME = 0.4  # of the remaining time, that one question may take
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What is known of a wish."""
+    """The answer to whether a wish can be met."""
 
     pose_index: tuple[int, ...] | None  # a set of poses that meets it; None: none was found
     is_proven: bool  # that there is none; or that none has a better `value`
@@ -254,7 +254,7 @@ class Oracle:
         return _NONE if units is None or not meets(reduced, units) else _found(reduced, units)
 
     def least_units(self, problem: PlacementProblem, *, more_than: int) -> Answer:
-        """The fewest units that meet limits and floors, where so many are known not to."""
+        """The fewest units that meet limits and floors; it is known how many do not suffice."""
         is_proven = True
         for n_units in range(more_than + 1, problem.limits.max_units + 1):
             if self.left_s() <= 0.0:
@@ -400,7 +400,7 @@ def _left(reduced: ReducedProblem, units: IntArray, n_failures: int) -> float:
 
 
 def _raise_ratio(search: Search, n_failures: int) -> bool:
-    """Raise what is left of the best set when units fail; whether that is proven to be the most."""
+    """Raise the ratio of the best set when units fail; True if it is proven to be the highest."""
     reduced = search.reduced
     while True:
         assert search.units is not None

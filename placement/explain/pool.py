@@ -27,7 +27,7 @@ from .feasible_sets import QuickRows, exceeds_clearly, is_within, presolve_undom
 # ---------- every set
 
 
-_MAX_CONTENDERS = 20_000  # sets whose margins are told
+_MAX_CONTENDERS = 20_000  # sets whose margins are computed
 _PART_SETS = 1 << 12
 
 
@@ -49,7 +49,7 @@ def list_every_set(
     """The best sets of poses, and how often each pose appears in all that reach a threshold.
 
     The threshold is one of the first stage. None if more than `max_prefixes` sets would have to be
-    looked at together with every pose, or if too many sets are told apart by their margins alone.
+    looked at together with every pose, or if too many sets differ by their margins alone.
     """
     most = reduced.limits.max_units
     if sum(comb(reduced.n_poses, size) for size in range(most)) > max_prefixes:

@@ -1,4 +1,4 @@
-"""What becomes of a layout if an assumption is wrong, or a unit is mounted differently."""
+"""Sensitivity of a layout to wrong assumptions, and tolerances of mounting."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -135,7 +135,7 @@ class Watched:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """What a layout is worth."""
+    """The value of a layout."""
 
     # accident prevention ratio; where messages are lost by chance, its expectation. 0 .. 1
     apr: float
@@ -151,7 +151,7 @@ class Outcome:
 
 
 def find_outcome(watched: Watched) -> Outcome:
-    """What units achieve when every message arrives."""
+    """Outcome of units when every message arrives."""
     axis, rule = watched.axis, watched.rule
     arrival_s = np.where(watched.detected, axis.time_s + _latencies_s(watched)[:, None], np.inf)
 
@@ -183,7 +183,7 @@ def find_outcome(watched: Watched) -> Outcome:
 
 
 def find_expected_outcome(watched: Watched, *, packet_loss: float) -> Outcome:
-    """What units achieve on average when messages are lost: exact, not drawn.
+    """Average outcome of units when messages are lost: exact, not drawn.
 
     `packet_loss` is the probability that the message of a unit on a frame does not arrive, each
     independently. The APR with one unit failed is the smallest expectation.
@@ -392,7 +392,7 @@ def find_sensitivity(
 
 
 def _planned_value(name: str, setting: Setting) -> float | None:
-    """What the plan assumes; None where the question does not arise."""
+    """The value that the plan assumes; None where the assumption does not apply."""
     rule, planner = setting.rule, setting.planner
     if name in ("latency_s", "n_confirmations", "deceleration_mps2"):
         return float(getattr(rule, name))

@@ -160,7 +160,7 @@ def _things_between(
     frames: IntArray,
     open_sight: Sight,
 ) -> list[str]:
-    """What blocks most of the rays to the road user in each frame; empty where nothing does."""
+    """The thing that blocks most rays to the road user in each frame; empty where nothing does."""
     views = world.views
     eye = unit.pose.position_m - world.origin_m
     things = []
@@ -358,7 +358,7 @@ def _find_miss(
     chosen: list[int],
     run: int,
 ) -> _Miss:
-    """What the chosen units achieve in a run, and what one of them should have seen."""
+    """Outcome of a run with the chosen units, and the frames that one of them should have seen."""
     axis, rule = problem.table.axis, problem.rule
     time_s = axis.time_s[axis.frames_of(run)]
     last_brake_s = axis.last_brake_time_s[run]

@@ -87,7 +87,7 @@ class Shot:
 
 
 def shade_rays(shot: Shot, ways: FloatRays) -> tuple[FloatRays, Index, FloatRays]:
-    """What rays see: radiance (n, 3) in cd/m^2, index of the thing (n,), depth (n,) in metres.
+    """Radiance of rays (n, 3) in cd/m^2, index of the thing (n,), depth (n,) in metres.
 
     The rays (n, 3) start at the camera, are one metre deep and have the world's axes. Where there
     is sky the index is -1 and the depth infinite.

@@ -76,7 +76,7 @@ class Label(NamedTuple):
 
 
 class Detection(NamedTuple):
-    """What a detector found in a unit's image."""
+    """A detection in a unit's image."""
 
     unit: str  # as in the file
     class_name: str  # "pedestrian", "bicycle" or "other"

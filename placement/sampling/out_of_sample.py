@@ -32,7 +32,7 @@ _NO_SPREAD = 1.0e-12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeanEstimate:
-    """What is known of a mean from samples.
+    """A mean that is estimated from samples.
 
     Attributes
     ----------

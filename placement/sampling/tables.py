@@ -176,7 +176,7 @@ def _probabilities(
 
 
 def drawing_key(luck: Luck, detector: ResponseDetector) -> str:
-    """What a drawn table depends on beside the probabilities."""
+    """Everything that a drawn table depends on beside the probabilities."""
     return f"{luck.seed} {luck.purpose} {luck.index} {detector.frame_correlation!r}"
 
 

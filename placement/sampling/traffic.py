@@ -29,7 +29,7 @@ GroupKey = tuple[str, str]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ways:
-    """What the runs of one case from one approach sweep over, at any speed."""
+    """The ground that runs of one case from one approach sweep over, at any speed."""
 
     # (n, 4, 2): footprints of VUT and VRU, close to one another along their ways. World frame. [m]
     corners_m: FloatArray

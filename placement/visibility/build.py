@@ -268,8 +268,6 @@ def load_table(
             )
     except FileNotFoundError:
         return None
-    except (
-        Exception
-    ) as error:  # what damaged archives raise has no end: zipfile's, zlib's, tokenize's
+    except Exception as error:  # damaged archives raise many kinds: zipfile's, zlib's, tokenize's
         _log.warning("cached detection table not used, made anew: %s: %s", path, error)
         return None

@@ -156,7 +156,7 @@ class World:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sight:
-    """What one mount position sees of the VRU, whatever the camera's direction."""
+    """Visible points of the VRU from one mount position, whatever the camera's direction."""
 
     view_index: IntArray  # (n,): view of each entry
     is_visible: BoolArray  # (n, n_points): points that the rays reach

@@ -124,7 +124,7 @@ def max_distance_m(
 def _project(
     sensing: Sensing, entries: IntArray, rotation: FloatArray, camera: CameraModel
 ) -> Evidence:
-    """What one camera shows of some entries, at full contrast."""
+    """Evidence of one camera for some entries, at full contrast."""
     sight = sensing.sight
     offsets_m = sensing.offsets_m[entries]
     in_camera = offsets_m.reshape(-1, 3) @ rotation.astype(np.float32)
