@@ -1,4 +1,4 @@
-"""How to compute, as opposed to what: seed, threads, cache and progress in one value."""
+"""The options of a computation in one value: seed, threads, cache and progress."""
 
 import os
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 
 class Progress(Protocol):
-    """Whoever is told how far a computation is."""
+    """A function that is called as a computation progresses."""
 
     def __call__(self, stage: str, done: int, total: int, /) -> None:
         """Take note of the stage that runs, and of its steps done and all; 0 of 0: not known."""

@@ -1,4 +1,4 @@
-"""Pixel density: what cameras see of the ground, and at how many pixels per metre."""
+"""Ground that cameras see: pixels per metre, and shares of private areas."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -55,22 +55,14 @@ def is_in_sight(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundCoverage:
-    """Pixel density over the roads around a junction.
+    """Pixel density over the roads around a junction."""
 
-    Attributes
-    ----------
-    east_m, north_m : (n_east,), (n_north,) float
-        Middles of the cells. World frame. [m]
-    density : (n_north, n_east) float
-        The highest of all cameras; 0: none sees the cell. [px/m]
-    is_road : (n_north, n_east) bool
-        Cells on a lane or in the junction.
-    """
-
+    # east_m, north_m: (n_east,), (n_north,): middles of the cells. World frame. [m]
     east_m: FloatArray
     north_m: FloatArray
+    # (n_north, n_east): the highest of all cameras; 0: none sees the cell. [px/m]
     density: FloatArray
-    is_road: BoolArray
+    is_road: BoolArray  # (n_north, n_east): cells on a lane or in the junction
 
     def shares(self) -> dict[str, float]:
         """Share of the road's cells in each band, "unseen" last; together 1."""
@@ -87,23 +79,10 @@ class GroundCoverage:
 
 
 def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> GroundCoverage:
-    """How finely cameras see the ground around a junction.
+    """How finely cameras see the ground around a junction, where nothing drives or parks.
 
-    Parameters
-    ----------
-    scene : Scene
-        What hides it; nothing that drives or parks.
-    units : sequence of CandidatePose
-        LiDARs take no pictures.
-
-    Returns
-    -------
-    coverage : GroundCoverage
-        Cells of a square metre, up to 45 m around the junction's middle, one metre above the road.
-
-    Notes
-    -----
-    Pixels per metre across the line of sight, focal length over depth.
+    Cells of a square metre, up to 45 m around the junction's middle, one metre above the road.
+    Pixels per metre across the line of sight are focal length over depth. LiDARs take no pictures.
     """
     import shapely
 

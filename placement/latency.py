@@ -35,25 +35,14 @@ _FIXED, _RANGE, _REASONS = ("fixed_s",), ("low_s", "high_s"), ("source", "assump
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyPart:
-    """One of the steps that take time.
-
-    Attributes
-    ----------
-    name : str
-        Name.
-    low_s, high_s : float
-        Anything between is equally likely; a fixed value where they are equal. [s]
-    source : str
-        Where the numbers come from, or why they are likely.
-    is_assumption : bool
-        Whether they are an assumption of this project.
-    """
+    """One of the steps that take time."""
 
     name: str
+    # low_s, high_s: anything between is equally likely; a fixed value where they are equal. [s]
     low_s: float
     high_s: float
-    source: str
-    is_assumption: bool = False
+    source: str  # where the numbers come from, or why they are likely
+    is_assumption: bool = False  # whether they are an assumption of this project
 
     def __post_init__(self) -> None:
         if not (self.name.strip() and self.name.isprintable()):
@@ -174,24 +163,10 @@ def fixed_latency(latency_s: float) -> LatencyBudget:
 def load_latency_budget(
     name_or_path: str = DEFAULT_LATENCY_BUDGET, *, where: str = "latency budget"
 ) -> LatencyBudget:
-    """Latency budget by name or file.
+    """Latency budget by a name of ``data/latency.toml``, or from a TOML file of that layout.
 
-    Parameters
-    ----------
-    name_or_path : str
-        A name of ``data/latency.toml``, or a ``.toml`` file of that layout with one budget.
-    where : str
-        What named it, for error messages.
-
-    Returns
-    -------
-    budget : LatencyBudget
-        Checked.
-
-    Raises
-    ------
-    InputError
-        The name is unknown, or the file, a part or a field is not what it should be.
+    `where` says what named it, for error messages. Raises InputError if the name is unknown, or the
+    file, a part or a field is not what it should be.
     """
     known = load_latency_budgets()
     if name_or_path in known:
@@ -279,19 +254,12 @@ _DECIMALS = 9  # of a second: as fine as the tolerance of is_in_time
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LatencyCurve:
-    """What latency does to one sensing party.
+    """The effect of latency on one sensing party."""
 
-    Attributes
-    ----------
-    last_latency_s : (n_runs,) float
-        Longest latency with which each run is still avoided. Negative: with none; minus infinity:
-        never confirmed, or no braking avoids; infinite: with any. [s]
-    weight : (n_runs,) float
-        Of the runs.
-    """
-
+    # (n_runs,): longest latency with which each run is still avoided. Negative: with none; minus
+    # infinity: never confirmed, or no braking avoids; infinite: with any. [s]
     last_latency_s: FloatArray
-    weight: FloatArray
+    weight: FloatArray  # (n_runs,): of the runs
 
     def __post_init__(self) -> None:
         for name in ("last_latency_s", "weight"):
@@ -345,30 +313,14 @@ def apr_by_latency(
 ) -> dict[str, LatencyCurve]:
     """How the APR of every sensing party depends on the latency from a frame to braking.
 
-    Detected frames do not depend on it, so one evaluation is enough.
+    Detected frames do not depend on it, so one evaluation is enough; the rule's latency does not
+    count. The VUT's own sensors wait for no message: `vut_latency_s` [s]; by default they take as
+    long as all others, as in the study.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of a layout.
-    rule : AebRule
-        Confirmation. Its latency does not count.
-    vut_latency_s : float, optional
-        Of the VUT's own sensors, which wait for no message; by default they take as long as all
-        others, as in the study. [s]
-
-    Returns
-    -------
-    curves : dict of str to LatencyCurve
-        "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. At latency L a curve says what
-        an evaluation with ``replace(rule, latency_s=L)`` does by the last brake time: a unit with a
-        latency of its own keeps it at every L, so that its curve is flat. Fused parties mix both
-        kinds frame by frame.
-
-    Raises
-    ------
-    InputError
-        `vut_latency_s` is negative or not finite.
+    Keys are "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. At latency L a curve says
+    what an evaluation with ``replace(rule, latency_s=L)`` does by the last brake time: a unit with
+    a latency of its own keeps it at every L, so that its curve is flat. Fused parties mix both
+    kinds frame by frame. Raises InputError if `vut_latency_s` is negative or not finite.
     """
     if vut_latency_s is not None and not 0.0 <= vut_latency_s < math.inf:
         raise InputError("vut_latency_s", vut_latency_s, "seconds, at least 0")

@@ -198,11 +198,7 @@ def _lens_record(sensor: Sensor) -> dict[str, float]:
 
 
 def layout_from_records(
-    name: str,
-    records: Sequence[Any],
-    where: str,
-    *,
-    sensors: Mapping[str, Sensor] | None = None,
+    name: str, records: Sequence[Any], where: str, *, sensors: Mapping[str, Sensor] | None = None
 ) -> Layout:
     """Layout from plain records as :func:`layout_records` writes them; "site" may be missing.
 
@@ -268,10 +264,8 @@ def layout_from_records(
 def load_layout(path: Path) -> Layout:
     """Layout from a JSON file: an object with the key "layout", a list of units.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is not JSON, of another version, or a field is wrong.
+    Raises InputError if the file cannot be read, is not JSON, of another version, or a field is
+    wrong.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))

@@ -26,12 +26,7 @@ from .optimiser import (
 from .optimiser.problem import Fusion
 from .sampling import Uncertainty, sampled_table
 from .setting import Setting
-from .visibility import (
-    build_detection_table,
-    load_table,
-    save_table,
-    table_fingerprint,
-)
+from .visibility import build_detection_table, load_table, save_table, table_fingerprint
 from .wishes import Wishes, build_problem, check_wishes
 
 _log = logging.getLogger(__name__)
@@ -134,11 +129,7 @@ def place(
     sample_index = None
     if uncertainty is not None and n_samples:
         sampled = sampled_table(
-            setting,
-            candidates,
-            uncertainty,
-            n_samples=n_samples,
-            compute=compute,
+            setting, candidates, uncertainty, n_samples=n_samples, compute=compute
         )
         table, sample_index = sampled.table, sampled.sample_index
     else:
@@ -162,11 +153,7 @@ def place(
         compute.progress("what has to give way", 0, 0)
         effort = effort or Effort()
         refusal = find_refusal(
-            problem,
-            wishes,
-            setting.scene,
-            candidates,
-            time_limit_s=effort.time_limit_s,
+            problem, wishes, setting.scene, candidates, time_limit_s=effort.time_limit_s
         )
         raise refusal or error from None
     optimised = time.perf_counter()
@@ -194,10 +181,7 @@ def place(
 
 
 def obtain_table(
-    setting: Setting,
-    candidates: Sequence[CandidatePose],
-    *,
-    compute: Compute,
+    setting: Setting, candidates: Sequence[CandidatePose], *, compute: Compute
 ) -> DetectionTable:
     """Detection table of a setting, from the cache or built anew."""
     if compute.cache_folder is not None:
@@ -234,12 +218,7 @@ def _alone(
     """A layout in the world as planned."""
     units = [candidates[index] for index in pose_index]
     table = build_detection_table(
-        setting.scene,
-        units,
-        setting.runs,
-        setting.axis,
-        detector=setting.planner,
-        compute=compute,
+        setting.scene, units, setting.runs, setting.axis, detector=setting.planner, compute=compute
     )
     wishes = Wishes(budget_units=1, kept=tuple(unit.id for unit in units[1:]))
     return build_problem(setting, units, table, wishes=wishes, fusion=fusion)

@@ -13,12 +13,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import pick
 from geometry.scene import Scene
 
-from .candidates import (
-    CandidateGrid,
-    CandidatePose,
-    build_candidates,
-    load_candidate_grid,
-)
+from .candidates import CandidateGrid, CandidatePose, build_candidates, load_candidate_grid
 from .layout import Layout, check_layout, load_layout
 from .optimiser import Effort
 from .private_ground import (
@@ -138,18 +133,8 @@ def build_plan(question: Question, scene: Scene, *, study: Layout | None = None)
 
 
 def build_effort(question: Question) -> Effort:
-    """How hard the optimiser tries.
-
-    Raises
-    ------
-    InputError
-        A number that cannot be.
-    """
-    return Effort(
-        solver=question.solver,
-        time_limit_s=question.time_limit_s,
-        gap=question.gap,
-    )
+    """How hard the optimiser tries. Raises InputError for a number that cannot be."""
+    return Effort(solver=question.solver, time_limit_s=question.time_limit_s, gap=question.gap)
 
 
 def build_grid(sensors: str) -> CandidateGrid:
@@ -172,13 +157,7 @@ def _sensors(word: str) -> Sequence[Sensor]:
 
 
 def find_layout(name: str, option: str, *, study: Layout | None = None) -> Layout:
-    """A layout from a file, or the study's by the name that a user gives it.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is no layout.
-    """
+    """A layout from a file, or the study's by the name that a user gives it; else an InputError."""
     if study is not None and name == BASELINE_NAME:
         return study
     if not os.path.lexists(name):

@@ -1,4 +1,4 @@
-"""Private ground (gardens, terraces, window fronts), and how much of it cameras see."""
+"""Private ground - gardens, terraces, window fronts - and how much of it cameras have in view."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,12 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.maps.georeferences import transform
 from geometry.maps.gis_files import read_features
@@ -24,47 +19,30 @@ from .candidates import CandidatePose
 from .ground_coverage import is_in_sight
 
 EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
-_SPACING_M = 1.0
+
+
+_POINT_SPACING_M = 1.0
+
+
 _MAX_POINTS = 20_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PrivateGround:
-    """Areas that cameras must not look into.
+    """Areas that cameras must not look into."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the areas.
-    points_m : (n, 3) float
-        Points all over them, at the height of people's eyes. World frame. [m]
-    area_index : (n,) int
-        Area of each point.
-    area_m2 : (n_areas,) float
-        How large they are. [m^2]
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the areas
+    # (n, 3): points all over them, at the height of people's eyes. World frame. [m]
     points_m: FloatArray
-    area_index: IntArray
-    area_m2: FloatArray
+    area_index: IntArray  # (n,): area of each point
+    area_m2: FloatArray  # (n_areas,): how large they are. [m^2]
 
 
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
-    """Private ground from a file of polygons, in a scene's world frame.
+    """Private ground in a scene's world frame from GeoJSON, GeoPackage or Shapefile.
 
-    Parameters
-    ----------
-    path : Path
-        GeoJSON, GeoPackage or Shapefile; a column "name" or "id" names an area.
-    scene : Scene
-        The junction.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or has no polygon, or the file has coordinates on earth and the
-        scene has none.
+    A column "name" or "id" names an area. Raises InputError if the file cannot be read or has no
+    polygon, or has coordinates on earth while the scene has none.
     """
     import shapely
 
@@ -105,7 +83,7 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
     import shapely
 
     total_m2 = sum(float(shape.area) for _, shape in areas)
-    if total_m2 > _MAX_POINTS * _SPACING_M**2:
+    if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
         raise InputError(
             "--no-look", Unquoted(f"{total_m2:,.0f} square metres"), f"at most {_MAX_POINTS:,}"
         )
@@ -115,8 +93,8 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
             raise InputError(f"--no-look: {name}", Unquoted("no area"), "a polygon")
         west, south, east, north = shape.bounds
         x, y = np.meshgrid(
-            np.arange(west + 0.5 * _SPACING_M, east, _SPACING_M),
-            np.arange(south + 0.5 * _SPACING_M, north, _SPACING_M),
+            np.arange(west + 0.5 * _POINT_SPACING_M, east, _POINT_SPACING_M),
+            np.arange(south + 0.5 * _POINT_SPACING_M, north, _POINT_SPACING_M),
         )
         inside = shapely.contains_xy(shape, x, y)
         here = np.stack([x[inside], y[inside]], axis=1)

@@ -26,29 +26,16 @@ SECTIONS = (ASKED, MOUNTED, SOUGHT, DRIVEN, SEEN)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Option:
-    """How a user meets a field of :class:`Question`.
+    """How a user meets a field of :class:`Question`."""
 
-    Attributes
-    ----------
-    section, help : str
-        Where and how the help describes it.
-    metavar : str
-        What the help shows for a value; empty: what the type says.
-    name : str
-        Without dashes in front; empty: the field's name. In a question file, dashes are
-        underscores.
-    is_common : bool
-        Whether most people need it: the short help shows it.
-    is_path : bool
-        Whether a shell completes the value as a path.
-    """
-
+    # section, help: where and how the help describes it
     section: str
     help: str
-    metavar: str = ""
+    metavar: str = ""  # what the help shows for a value; empty: what the type says
+    # without dashes in front; empty: the field's name. In a question file, dashes are underscores.
     name: str = ""
-    is_common: bool = False
-    is_path: bool = False
+    is_common: bool = False  # whether most people need it: the short help shows it
+    is_path: bool = False  # whether a shell completes the value as a path
 
 
 def _share(of: str) -> Meta:
@@ -336,9 +323,7 @@ class Question:
     vut_sensors: Annotated[
         str,
         Option(
-            section=SEEN,
-            help="What the VUT itself looks with: camera,lidar.",
-            metavar="SENSORS",
+            section=SEEN, help="What the VUT itself looks with: camera,lidar.", metavar="SENSORS"
         ),
     ] = "camera"
     packet_loss: Annotated[
@@ -351,8 +336,7 @@ class Question:
     vam_rate: Annotated[
         Annotated[float, _share("a share of equipped road users")],
         Option(
-            section=SEEN,
-            help="Of the road users who announce themselves (VRU awareness messages).",
+            section=SEEN, help="Of the road users who announce themselves (VRU awareness messages)."
         ),
     ] = 0.0
     n_confirmations: Annotated[
@@ -403,25 +387,14 @@ class Question:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QuestionField:
-    """A field of :class:`Question`, taken apart.
+    """A field of :class:`Question`, taken apart."""
 
-    Attributes
-    ----------
-    name : str
-        Of the field.
-    kind : type
-        int, float, bool or str, or one of the words of a Literal; with limits in a
-        :class:`msgspec.Meta`.
-    default : object
-        Of the field; None: nothing is given.
-    option : Option
-        How the user meets it.
-    """
-
-    name: str
+    name: str  # of the field
+    # int, float, bool or str, or one of the words of a Literal; with limits in a
+    # :class:`msgspec.Meta`
     kind: Any
-    default: Any
-    option: Option
+    default: Any  # of the field; None: nothing is given
+    option: Option  # how the user meets it
 
     @property
     def option_name(self) -> str:
@@ -456,10 +429,7 @@ def question_fields() -> dict[str, QuestionField]:
 def load_question_values(path: Path) -> dict[str, Any]:
     """Read a question file: the values that it gives, by the names of the fields.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or has an unknown key or a value that cannot be.
+    Raises InputError if it cannot be read, or has an unknown key or a value that cannot be.
     """
     from geometry.errors import InputError
     from geometry.files import load_toml, read_table
@@ -493,13 +463,7 @@ def load_question(path: Path) -> Question:
 
 
 def save_question(path: Path, question: Question) -> None:
-    """Write a question file: every field that differs from its default, below its help.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
-    """
+    """Write a question file: every field that differs from its default, below its help."""
     import textwrap
 
     import tomlkit

@@ -40,18 +40,11 @@ _SAME_DEG = 1.0e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RetrofitPoses:
-    """All poses that may be mounted in the end.
+    """All poses that may be mounted in the end."""
 
-    Attributes
-    ----------
-    candidates : tuple of CandidatePose
-        The units as they are, in the layout's order; then their re-aims; then what can be added.
-    unit_index : (n_poses,) int
-        Which unit each of them is; -1: a new one.
-    """
-
+    # the units as they are, in the layout's order; then their re-aims; then what can be added
     candidates: tuple[CandidatePose, ...]
-    unit_index: IntArray
+    unit_index: IntArray  # (n_poses,): which unit each of them is; -1: a new one
 
     @property
     def n_units(self) -> int:
@@ -156,35 +149,21 @@ def load_labour(name: str = "default") -> Labour:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """A change, and what it brings.
+    """A change, and what it brings."""
 
-    Attributes
-    ----------
-    removed, added : tuple of int
-        Poses that go and that come, as rows of the table; a unit that is re-aimed is in both.
-    price_eur : float
-        Labour, units and sites. [EUR]
-    pose_index : tuple of int
-        What is mounted afterwards, ascending.
-    value : PlacementValue
-        Of what is mounted afterwards.
-    gained, lost : tuple of str
-        Ids of runs that are avoided only afterwards, and only before.
-    n_compared : int
-        Number of alternatives of its kind that were tried, including itself; 0 for a combination.
-    certificate : Certificate, optional
-        Of a combination.
-    """
-
+    # removed, added: poses that go and that come, as rows of the table; a unit that is re-aimed is
+    # in both
     removed: tuple[int, ...]
     added: tuple[int, ...]
-    price_eur: float
-    pose_index: tuple[int, ...]
-    value: PlacementValue
+    price_eur: float  # labour, units and sites. [EUR]
+    pose_index: tuple[int, ...]  # what is mounted afterwards, ascending
+    value: PlacementValue  # of what is mounted afterwards
+    # gained, lost: ids of runs that are avoided only afterwards, and only before
     gained: tuple[str, ...]
     lost: tuple[str, ...]
+    # number of alternatives of its kind that were tried, including itself; 0 for a combination
     n_compared: int = 0
-    certificate: Certificate | None = None
+    certificate: Certificate | None = None  # of a combination
 
     @property
     def is_proven(self) -> bool:
@@ -225,27 +204,13 @@ def find_retrofit(
     budget_eur: float | None = None,
     effort: Effort | None = None,
 ) -> Retrofit:
-    """Find the best change of every kind.
+    """Find the best change of every kind: by APR, APR when one unit fails, margins, then price.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        On the table of all poses. Its limits are those of units to be added, with those already
-        mounted as forced ones that cost nothing, see :func:`placement.wishes.build_limits`; budgets
-        and forced sites do not matter.
-    poses : RetrofitPoses
-        The rows of the table.
-    labour : Labour
-        Prices of removals and re-aims.
-    budget_eur : float, optional
-        For the combination; an addition must not cost more, either. [EUR]
-    effort : Effort, optional
-        For the combination; all others are tried one by one.
-
-    Returns
-    -------
-    retrofit : Retrofit
-        Best by APR, then APR when one unit fails, smallest and mean margin, then price.
+    The problem is on the table of all poses. Its limits are those of units to be added, with those
+    already mounted as forced ones that cost nothing, see :func:`placement.wishes.build_limits`;
+    budgets and forced sites do not matter. `budget_eur` is for the combination; an addition must
+    not cost more, either. `effort` is for the combination, too; all other changes are tried one by
+    one.
     """
     effort = Effort() if effort is None else effort
     standing = tuple(range(poses.n_units))
@@ -269,11 +234,7 @@ def find_retrofit(
         best = aims[best_joining(problem, others, aims)]
         re_aims.append(
             _change(
-                problem,
-                poses,
-                [*others, int(best)],
-                price_eur=labour.re_aim_eur,
-                n_compared=n_aims,
+                problem, poses, [*others, int(best)], price_eur=labour.re_aim_eur, n_compared=n_aims
             )
         )
     return Retrofit(

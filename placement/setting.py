@@ -13,21 +13,9 @@ from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule
 from scenarios.cases import select_cases
 from scenarios.exposure import weigh
-from scenarios.runs import (
-    WEATHERS,
-    FrameAxis,
-    Refusal,
-    Run,
-    build_frame_axis,
-    build_runs,
-)
+from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, build_runs
 
-from .detectors import (
-    Detector,
-    PlanningDetector,
-    load_detector,
-    load_planning_detector,
-)
+from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
 from .latency import load_latency_budget
 from .question import Question
 
@@ -119,10 +107,7 @@ _log = logging.getLogger(__name__)
 def build_rule(question: Question) -> AebRule:
     """The study's braking rule, with what the question changes.
 
-    Raises
-    ------
-    InputError
-        The latency budget is unknown, or a latency is given beside it.
+    Raises InputError if the latency budget is unknown, or a latency is given beside it.
     """
     changes = {
         name: getattr(question, name)
@@ -139,21 +124,11 @@ def build_rule(question: Question) -> AebRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drives:
-    """What a question makes of a scene.
+    """The runs that a question lays on a scene."""
 
-    Attributes
-    ----------
-    runs : tuple of Run
-        What is driven.
-    refused : tuple of Refusal
-        What the junction does not carry.
-    left_out : tuple of Refusal
-        Cases none of whose speeds were asked for.
-    """
-
-    runs: tuple[Run, ...]
-    refused: tuple[Refusal, ...]
-    left_out: tuple[Refusal, ...]
+    runs: tuple[Run, ...]  # what is driven
+    refused: tuple[Refusal, ...]  # what the junction does not carry
+    left_out: tuple[Refusal, ...]  # cases none of whose speeds were asked for
 
 
 def drive(question: Question, scene: Scene) -> Drives:
@@ -192,13 +167,7 @@ def drive(question: Question, scene: Scene) -> Drives:
 
 
 def drive_one(question: Question, scene: Scene) -> Run:
-    """The only run of a question.
-
-    Raises
-    ------
-    InputError
-        As :func:`drive`; the question names no run, or several.
-    """
+    """The only run of a question; raises InputError if it names no run, or several."""
     drives = drive(question, scene)
     if not drives.runs and (*drives.refused, *drives.left_out):
         refusal = (*drives.refused, *drives.left_out)[0]
@@ -265,7 +234,7 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
 
 
 def _planner(detector: Detector) -> PlanningDetector:
-    """What the detection table counts on: a network cannot be foretold, boxes stand in for it."""
+    """The detector of the detection table: a network cannot be predicted, boxes stand in for it."""
     if not detector.needs_pictures:
         return cast(PlanningDetector, detector)
     _log.warning(

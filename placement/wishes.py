@@ -11,13 +11,7 @@ from geometry.scene import Scene
 
 from .candidates import CandidatePose
 from .detection_table import DetectionTable
-from .optimiser import (
-    Floor,
-    Goal,
-    Limits,
-    PlacementProblem,
-    apr,
-)
+from .optimiser import Floor, Goal, Limits, PlacementProblem, apr
 from .optimiser.problem import Fusion
 from .setting import Setting
 
@@ -91,10 +85,7 @@ class Wishes:
 def check_wishes(wishes: Wishes, scene: Scene) -> None:
     """Check wishes against the scene alone, before anything is computed.
 
-    Raises
-    ------
-    InputError
-        More units than the sites can carry, or a site that does not exist.
+    Raises InputError for more units than the sites can carry, or a site that does not exist.
     """
     known = {site.id: site for site in scene.sites}
     for option, names in (

@@ -1,11 +1,12 @@
 """Detectors: image evidence in, boxes with confidence out.
 
-``evidence`` says what they get and give. ``box_rule`` looks at boxes alone, ``response`` misses
-with a probability, ``network`` shows rendered pictures to an ONNX file, whose outputs
-``onnx_exports`` recognises. ``loading`` finds detectors by name.
+``evidence`` says what they get and give. ``built_in`` has one that looks at boxes alone and one
+that misses with a probability, and finds detectors by name or file. ``network`` shows rendered
+pictures to an ONNX file, whose outputs ``onnx_exports`` recognises.
 """
 
 from .box_rule import GeometricDetector, is_matched, load_min_iou
+from .built_in import DETECTOR_NAMES, ResponseDetector, load_detector, load_planning_detector
 from .evidence import (
     VRU_CLASSES,
     Detections,
@@ -15,8 +16,6 @@ from .evidence import (
     aspects_deg,
     vru_class,
 )
-from .loading import DETECTOR_NAMES, load_detector, load_planning_detector
-from .response import ResponseDetector
 
 __all__ = [
     "DETECTOR_NAMES",

@@ -1,4 +1,4 @@
-"""The rule that a box counts by its overlap (IoU), and a detector that works by boxes alone."""
+"""The box rule: a detection counts if its box and the true one overlap with IoU > 0.5."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -14,42 +14,14 @@ from geometry.image_boxes import box_height_px, iou
 from .evidence import Detections, Evidence
 
 
-@cache
-def load_min_iou() -> float:
-    """Overlap (IoU) that a box must exceed to count, from ``data/detectors.toml``."""
-    file = "detectors.toml"
-    table = load_toml(files(__package__) / "data" / file)
-    return take_number(table["box_rule"], "min_iou", f"{file}: box_rule")
-
-
-def is_matched(detections: Detections, truth_px: FloatArray, *, min_iou: float) -> BoolArray:
-    """Rows in which some detection overlaps the VRU's box by more than `min_iou`, (n,).
-
-    `truth_px` (n, 4) is the box of the VRU's visible part, as in the study.
-    """
-    matched = np.zeros(len(truth_px), dtype=bool)
-    hits = iou(detections.boxes_px, truth_px[detections.row_index]) > min_iou
-    matched[detections.row_index[hits]] = True
-    return matched
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeometricDetector:
-    """Detects by boxes alone: the same evidence always gives the same answer.
+    """Detects by boxes alone: the same evidence always gives the same answer."""
 
-    Attributes
-    ----------
-    min_iou : float
-        The box of the visible part must overlap that of the whole VRU (amodal) by more than this.
-    min_box_height_px : float
-        The visible box must be at least this high. [px]
-    min_contrast : float
-        The VRU must stand out by at least this much.
-    """
-
+    # the box of the visible part must overlap that of the whole VRU (amodal) by more than this
     min_iou: float
-    min_box_height_px: float
-    min_contrast: float = 0.0
+    min_box_height_px: float  # the visible box must be at least this high. [px]
+    min_contrast: float = 0.0  # the VRU must stand out by at least this much
 
     name = "geometric"
     needs_shares = False
@@ -94,3 +66,22 @@ class GeometricDetector:
     def fingerprint(self) -> tuple[object, ...]:
         """Everything that it depends on."""
         return (self.name, self.min_iou, self.min_box_height_px, self.min_contrast)
+
+
+@cache
+def load_min_iou() -> float:
+    """Overlap (IoU) that a box must exceed to count, from ``data/detectors.toml``."""
+    file = "detectors.toml"
+    table = load_toml(files(__package__) / "data" / file)
+    return take_number(table["box_rule"], "min_iou", f"{file}: box_rule")
+
+
+def is_matched(detections: Detections, truth_px: FloatArray, *, min_iou: float) -> BoolArray:
+    """Rows in which some detection overlaps the VRU's box by more than `min_iou`, (n,).
+
+    `truth_px` (n, 4) is the box of the VRU's visible part, as in the study.
+    """
+    matched = np.zeros(len(truth_px), dtype=bool)
+    hits = iou(detections.boxes_px, truth_px[detections.row_index]) > min_iou
+    matched[detections.row_index[hits]] = True
+    return matched

@@ -1,4 +1,4 @@
-"""What images show of road users, what detectors find in them, and what a detector is."""
+"""Types of image evidence and detections, the interface of detectors, and the matching of boxes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -40,38 +40,25 @@ def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """What images show of VRUs: a row for each VRU in a unit's image in a frame.
+    """Image evidence: a row for each VRU in a unit's image in a frame."""
 
-    Attributes
-    ----------
-    visible_px, amodal_px : (n, 4) float
-        Box of what is seen, and of the whole VRU inside the image; zeros where there is none. [px]
-    contrast : (n,) or (1,) float
-        Of the VRU against what is behind it, as light and air leave it.
-    visible_share : (n,) or (1,) float
-        Share that nothing hides, of what the VRU covers inside the image.
-    inside_share : (n,) or (1,) float
-        Share of the VRU that the image's edges do not cut off.
-    aspect_deg : (n,) or (1,) float
-        Between the line of sight and the VRU's heading: 0 from behind or ahead, 90 from the side.
-    vru_class : (n,) or (1,) int
-        Into ``VRU_CLASSES``.
-    draw_index : (n,) int
-        Rows with the same number share their random draw: the same frame of the same run in
-        different weathers. Consecutive numbers are consecutive frames.
-    picture : callable, optional
-        From a row to its image, (h, w, 3) uint8, RGB.
-    """
-
+    # visible_px, amodal_px: (n, 4): box of what is seen, and of the whole VRU inside the image;
+    # zeros where there is none. [px]
     visible_px: FloatArray
     amodal_px: FloatArray
+    # (n,) or (1,): of the VRU against what is behind it, as light and air leave it
     contrast: FloatArray
+    # (n,) or (1,): share that nothing hides, of what the VRU covers inside the image
     visible_share: FloatArray
-    inside_share: FloatArray
+    inside_share: FloatArray  # (n,) or (1,): share of the VRU that the image's edges do not cut off
+    # (n,) or (1,): between the line of sight and the VRU's heading: 0 from behind or ahead, 90 from
+    # the side
     aspect_deg: FloatArray
-    vru_class: IntArray
+    vru_class: IntArray  # (n,) or (1,): into ``VRU_CLASSES``
+    # (n,): rows with the same number share their random draw: the same frame of the same run in
+    # different weathers. Consecutive numbers are consecutive frames.
     draw_index: IntArray
-    picture: Callable[[int], Image] | None = None
+    picture: Callable[[int], Image] | None = None  # from a row to its image, (h, w, 3) uint8, RGB
 
     def __len__(self) -> int:
         return len(self.visible_px)
@@ -79,21 +66,11 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Detections:
-    """Boxes that a detector finds; there may be several in an image, or none.
+    """Boxes that a detector finds; there may be several in an image, or none."""
 
-    Attributes
-    ----------
-    row_index : (m,) int
-        Row of the evidence in whose image each box lies.
-    boxes_px : (m, 4) float
-        Boxes. [px]
-    confidence : (m,) float
-        0 .. 1.
-    """
-
-    row_index: IntArray
-    boxes_px: FloatArray
-    confidence: FloatArray
+    row_index: IntArray  # (m,): row of the evidence in whose image each box lies
+    boxes_px: FloatArray  # (m, 4): boxes. [px]
+    confidence: FloatArray  # (m,): 0 .. 1.
 
 
 class Detector(Protocol):
@@ -101,7 +78,7 @@ class Detector(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is called in reports."""
+        """Its name in reports."""
 
     @property
     def description(self) -> str:

@@ -65,7 +65,7 @@ _SIDE_INPUTS = ("pixel_mask", "orig_target_sizes")  # of DETR and RT-DETR: known
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageBoxes:
-    """What a network finds in an image, in descending order of confidence."""
+    """Boxes that a network finds in an image, in descending order of confidence."""
 
     boxes_px: FloatArray  # (n, 4), inside the image
     class_ids: IntArray  # (n,), as the network numbers its classes
@@ -176,24 +176,9 @@ def load_onnx_model(path: Path, *, classes: str | None = None, threads: int = 1)
 
     A grey image is shown to the network once, to see what it gives. YOLOX cannot be distinguished
     from YOLOv5, but expects blue first and 0 .. 255, and gives steps of its grid instead of pixels:
-    its boxes come out wrong.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    classes : str, optional
-        "coco80" or "coco91"; by default decided by the number of classes, 91 where the file gives
-        labels only. Class names in the file's metadata take precedence.
-    threads : int
-        That the runtime may use.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is no detector.
-    MissingExtraError
-        onnxruntime is not installed.
+    its boxes come out wrong. `classes` is "coco80" or "coco91", by default decided by the number of
+    classes, 91 where the file gives labels only; class names in the file's metadata take
+    precedence. Raises InputError, or MissingExtraError if onnxruntime is not installed.
     """
     if not path.is_file():
         raise InputError(str(path), Unquoted("no such file"), "an ONNX file")
@@ -202,10 +187,7 @@ def load_onnx_model(path: Path, *, classes: str | None = None, threads: int = 1)
     shape = (session.height_px or side, session.width_px or side, 3)
     grey = np.full(shape, onnx_setting("fill"), dtype=np.uint8)
     export = recognise_export(
-        session.run(grey, is_imagenet=False),
-        path=path,
-        names=session.class_names,
-        classes=classes,
+        session.run(grey, is_imagenet=False), path=path, names=session.class_names, classes=classes
     )
     return OnnxModel(path=path, _session=session, _export=export)
 
@@ -323,24 +305,12 @@ def _first_line(error: Exception) -> Unquoted:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetworkDetector:
-    """Detects by a network; pictures in which the VRU is too small are not shown to it.
+    """Detects by a network; pictures in which the VRU is too small are not shown to it."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the file.
-    model : OnnxModel
-        The network.
-    min_box_height_px : float
-        Of the visible box. [px]
-    min_confidence : float
-        Boxes below it do not count.
-    """
-
-    name: str
+    name: str  # name of the file
     model: OnnxModel
-    min_box_height_px: float
-    min_confidence: float
+    min_box_height_px: float  # of the visible box. [px]
+    min_confidence: float  # boxes below it do not count
 
     needs_shares = False
     needs_pictures = True

@@ -59,21 +59,8 @@ def recognise_export(
 ) -> Export:
     """How the outputs of a trial run, and of all further ones, are to be read.
 
-    Parameters
-    ----------
-    outputs : mapping
-        From name to array.
-    path : Path
-        The file, for error messages.
-    names : str, optional
-        Class names in the file's metadata.
-    classes : str, optional
-        "coco80" or "coco91", for a file without names; by default what fits.
-
-    Raises
-    ------
-    InputError
-        The outputs are no detector's, or no class is known here.
+    `names` are the class names in the file's metadata; without them, `classes` is "coco80" or
+    "coco91", by default what fits. Raises InputError if this is no detector or no class is known.
     """
     where = f"{path}: metadata 'names'"
     export = _recognise(outputs, _numberings(names, classes, where))
@@ -237,5 +224,5 @@ def _read_names(text: str, where: str) -> _Numbering | None:
 
 
 def _kind_of_name() -> dict[str, str]:
-    """What class names mean here."""
+    """The meaning of class names."""
     return {word: kind for kind, words in onnx_setting("names").items() for word in words}

@@ -9,12 +9,7 @@ brakes and looks for contact.
 
 from .evaluate import evaluate_layout, evaluate_layouts
 from .perceive import perceive_from_roadside, perceive_from_vut
-from .render import (
-    STATIC,
-    VRU,
-    VUT,
-    View,
-)
+from .render import STATIC, VRU, VUT, View
 from .surroundings import Surroundings, VutCamera, build_surroundings, load_vut_camera, render_frame
 
 __all__ = [

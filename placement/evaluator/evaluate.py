@@ -20,14 +20,7 @@ from ..evaluation import Evaluation, Verdict, earliest_arrival_s
 from ..layout import Layout
 from ..setting import Links, Setting
 from .surroundings import draw_index
-from .watch import (
-    STAGE,
-    VUT_KEY,
-    UnitKey,
-    build_rng,
-    unit_key,
-    watch,
-)
+from .watch import STAGE, VUT_KEY, UnitKey, build_rng, unit_key, watch
 
 # ---------- verdicts: confirmation, braking, contact
 
@@ -72,18 +65,13 @@ class Judge:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VamRule:
-    """When a device sends: see ``data/vam.toml``.
+    """When a device sends: see ``data/vam.toml``."""
 
-    Attributes
-    ----------
-    min_interval_s, max_interval_s : float
-        Not sooner after the last message, and not later. [s]
-    position_change_m, speed_change_mps, heading_change_deg : float
-        What makes a message due. [m], [m/s], [deg]
-    """
-
+    # min_interval_s, max_interval_s: not sooner after the last message, and not later. [s]
     min_interval_s: float
     max_interval_s: float
+    # position_change_m, speed_change_mps, heading_change_deg: what makes a message due. [m], [m/s],
+    # [deg]
     position_change_m: float
     speed_change_mps: float
     heading_change_deg: float
@@ -151,20 +139,14 @@ _ROUNDING_S = 1.0e-6
 
 
 def evaluate_layout(
-    layout: Layout,
-    setting: Setting,
-    *,
-    compute: Compute = DEFAULT_COMPUTE,
+    layout: Layout, setting: Setting, *, compute: Compute = DEFAULT_COMPUTE
 ) -> Evaluation:
     """Evaluate one layout; see :func:`evaluate_layouts`."""
     return evaluate_layouts([layout], setting, compute=compute)[0]
 
 
 def evaluate_layouts(
-    layouts: Sequence[Layout],
-    setting: Setting,
-    *,
-    compute: Compute = DEFAULT_COMPUTE,
+    layouts: Sequence[Layout], setting: Setting, *, compute: Compute = DEFAULT_COMPUTE
 ) -> list[Evaluation]:
     """Verdicts of layouts by rendering every frame, detecting, confirming and braking.
 
@@ -207,11 +189,7 @@ def _check(setting: Setting) -> None:
 
 
 def _evaluate(
-    layout: Layout,
-    setting: Setting,
-    detected: Mapping[UnitKey, BoolArray],
-    judge: Judge,
-    seed: int,
+    layout: Layout, setting: Setting, detected: Mapping[UnitKey, BoolArray], judge: Judge, seed: int
 ) -> Evaluation:
     links, rule = setting.links, setting.rule
     draws, frame_draw = np.unique(draw_index(setting.runs), return_inverse=True)

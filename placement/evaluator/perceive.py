@@ -9,26 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.image_boxes import mask_box
 from geometry.poses import Pose
 from geometry.raycast import FloatRays
 from geometry.sensors import CameraModel
 
 from ..detectors import Evidence, aspects_deg
-from .render import (
-    Lens,
-    Solid,
-    build_lens,
-    cast_crops,
-    crop_boxes,
-    inside_shares,
-)
+from .render import Lens, Solid, build_lens, cast_crops, crop_boxes, inside_shares
 from .surroundings import Surroundings, VutCamera, relative_road_poses
 
 _MAX_RAYS = 1 << 16  # per cast: large enough for numpy's overhead, small enough for the cache
@@ -45,7 +33,7 @@ def perceive_from_roadside(
     min_height_px: float = 0.0,
     with_shares: bool = False,
 ) -> Evidence:
-    """What a fixed camera sees, one row for each frame.
+    """Evidence of a fixed camera, one row for each frame.
 
     Where the VRU's box cannot be `min_height_px` high, nothing is cast and boxes are zeros.
     Visible share and cut-off share are found `with_shares` only; else they are 1, which saves many
@@ -69,7 +57,7 @@ def perceive_from_vut(
     min_height_px: float = 0.0,
     with_shares: bool = False,
 ) -> Evidence:
-    """What the VUT's own camera sees; the VUT itself is not drawn."""
+    """Evidence of the VUT's own camera; the VUT itself is not drawn."""
     vut_poses = surroundings.vut_poses
     return _perceive(
         surroundings,

@@ -14,18 +14,8 @@ from scipy.spatial import ConvexHull
 from geometry.actors import PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.image_boxes import mask_box
-from geometry.poses import (
-    Pose,
-    body_rotation,
-    camera_rotation,
-    to_world,
-)
-from geometry.raycast import (
-    FloatRays,
-    RayCaster,
-    build_caster,
-    ray_lengths_m,
-)
+from geometry.poses import Pose, body_rotation, camera_rotation, to_world
+from geometry.raycast import FloatRays, RayCaster, build_caster, ray_lengths_m
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, pixel_rays
 
@@ -34,62 +24,35 @@ STATIC, VRU, VUT = 0, 1, 2  # instance codes; STATIC also where nothing is hit
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
-    """Triangles that keep together, ready for rays in their own frame.
+    """Triangles that keep together, ready for rays in their own frame."""
 
-    Attributes
-    ----------
-    caster : RayCaster
-        Rays against the triangles.
-    hull_m : (n, 3) float
-        Vertices of the convex hull; none for the static world. [m]
-    normals : (n_triangles, 3) float
-        Unit normals; none for the static world.
-    """
-
-    caster: RayCaster
-    hull_m: FloatArray
-    normals: FloatArray
+    caster: RayCaster  # rays against the triangles
+    hull_m: FloatArray  # (n, 3): vertices of the convex hull; none for the static world. [m]
+    normals: FloatArray  # (n_triangles, 3): unit normals; none for the static world
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lens:
-    """A camera at its place, with the rays of its pixels.
+    """A camera at its place, with the rays of its pixels."""
 
-    Attributes
-    ----------
-    camera : CameraModel
-        Resolution, field of view, nearest distance that is drawn.
-    pose : Pose
-        Where it is and looks: in the world frame, or in that of the vehicle that carries it.
-    across, down : (width_px, 3) and (height_px, 3) float32
-        The ray of pixel (row, column), one metre deep, is ``across[column] + down[row]``.
-    """
-
-    camera: CameraModel
+    camera: CameraModel  # resolution, field of view, nearest distance that is drawn
+    # where it is and looks: in the world frame, or in that of the vehicle that carries it
     pose: Pose
+    # across, down: (width_px, 3), (height_px, 3): the ray of pixel (row, column), one metre deep,
+    # is ``across[column] + down[row]``
     across: FloatRays
     down: FloatRays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """What a camera sees in a part of its image.
+    """A part of a camera's image: instances and depths."""
 
-    Attributes
-    ----------
-    instance : (h, w) uint8
-        The nearest thing: ``STATIC`` (also where nothing is hit), ``VRU`` or ``VUT``.
-    depth_m : (h, w) float32
-        Along the optical axis; infinite where nothing is hit. [m]
-    amodal_mask : (h, w) bool
-        Pixels of the whole VRU, hidden parts too.
-    x_min_px, y_min_px : int
-        Where the first pixel lies in the image. [px]
-    """
-
+    # (h, w): the nearest thing: ``STATIC`` (also where nothing is hit), ``VRU`` or ``VUT``
     instance: NDArray[np.uint8]
-    depth_m: FloatRays
-    amodal_mask: BoolArray
+    depth_m: FloatRays  # (h, w): along the optical axis; infinite where nothing is hit. [m]
+    amodal_mask: BoolArray  # (h, w): pixels of the whole VRU, hidden parts too
+    # x_min_px, y_min_px: where the first pixel lies in the image. [px]
     x_min_px: int
     y_min_px: int
 
@@ -223,10 +186,7 @@ def crop_boxes(
     reaches_behind = depths[:, 0] <= _MIN_DEPTH_M
     low[reaches_behind], high[reaches_behind] = 0.0, size_px
     crops = np.concatenate(
-        [
-            np.clip(np.floor(low) - 1.0, 0.0, size_px),
-            np.clip(np.ceil(high) + 1.0, 0.0, size_px),
-        ],
+        [np.clip(np.floor(low) - 1.0, 0.0, size_px), np.clip(np.ceil(high) + 1.0, 0.0, size_px)],
         axis=1,
     ).astype(np.int64)
     crops[is_outside | (crops[:, 2:] <= crops[:, :2]).any(axis=1)] = 0

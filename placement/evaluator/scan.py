@@ -45,10 +45,7 @@ def scan_from_roadside(
 
 
 def scan_from_vut(
-    surroundings: Surroundings,
-    mount: VutCamera,
-    lidar: LidarModel,
-    rng: np.random.Generator,
+    surroundings: Surroundings, mount: VutCamera, lidar: LidarModel, rng: np.random.Generator
 ) -> BoolArray:
     """Frames in which the VUT's own LiDAR detects the VRU; see :func:`scan_from_roadside`."""
     vut_poses = surroundings.vut_poses
@@ -120,12 +117,7 @@ def _scan(
 
 
 def _look(
-    pose: Pose,
-    lidar: LidarModel,
-    beams: FloatArray,
-    static: Solid,
-    vru: Solid,
-    poses: FloatArray,
+    pose: Pose, lidar: LidarModel, beams: FloatArray, static: Solid, vru: Solid, poses: FloatArray
 ) -> Iterator[_Echoes]:
     """Beams that reach the VRU before anything that stands still, sight by sight."""
     vru_poses = poses[:, 3:]
@@ -225,11 +217,7 @@ def _before_vut(
 
 
 def _is_enough(
-    echoes: _Echoes,
-    lidar: LidarModel,
-    weather: Weather,
-    vru_class: str,
-    luck: FloatArray,
+    echoes: _Echoes, lidar: LidarModel, weather: Weather, vru_class: str, luck: FloatArray
 ) -> bool:
     """Whether enough pulses come back from the VRU."""
     detection = load_lidar_detection()

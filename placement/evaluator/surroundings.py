@@ -11,12 +11,7 @@ from geometry.actors import Actor
 from geometry.arrays import FloatArray, IntArray
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError
-from geometry.files import (
-    load_toml,
-    pick,
-    take_number,
-    take_text,
-)
+from geometry.files import load_toml, pick, take_number, take_text
 from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose, body_rotation, wrap_deg
 from geometry.scene import Scene
@@ -25,57 +20,32 @@ from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
 from ..detectors import VRU_CLASSES, vru_class
-from .render import (
-    Solid,
-    View,
-    build_body,
-    build_lens,
-    build_static,
-    render_view,
-)
+from .render import Solid, View, build_body, build_lens, build_static, render_view
 
 # ---------- surroundings of runs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
-    """Everything that can be seen in the frames of some runs, laid end to end.
+    """Everything that can be seen in the frames of some runs, laid end to end."""
 
-    Attributes
-    ----------
-    statics, vrus : tuple of Solid
-        Distinct static worlds (one per obstruction) and shapes of VRUs.
-    vut : Solid
-        Body of the VUT.
-    vut_actor : Actor
-        The VUT.
-    static_index, vru_index : (n_frames,) int
-        Which of them is there.
-    static_poses, vru_poses, vut_poses : (n_frames, 3) float
-        Road poses: east, north, yaw. World frame. [m], [deg]
-    draw_index : (n_frames,) int
-        See :class:`placement.detectors.Evidence`.
-    vru_class : (n_frames,) int
-        Into ``VRU_CLASSES``.
-    weathers : tuple of Weather
-        Distinct weathers.
-    weather_index : (n_frames,) int
-        Which of them it is.
-    """
-
+    # statics, vrus: distinct static worlds (one per obstruction) and shapes of VRUs
     statics: tuple[Solid, ...]
     vrus: tuple[Solid, ...]
-    vut: Solid
+    vut: Solid  # body of the VUT
     vut_actor: Actor
+    # static_index, vru_index: (n_frames,): which of them is there
     static_index: IntArray
     vru_index: IntArray
+    # static_poses, vru_poses, vut_poses: (n_frames, 3): road poses: east, north, yaw. World frame.
+    # [m], [deg]
     static_poses: FloatArray
     vru_poses: FloatArray
     vut_poses: FloatArray
-    draw_index: IntArray
-    vru_class: IntArray
-    weathers: tuple[Weather, ...]
-    weather_index: IntArray
+    draw_index: IntArray  # (n_frames,): see :class:`placement.detectors.Evidence`
+    vru_class: IntArray  # (n_frames,): into ``VRU_CLASSES``
+    weathers: tuple[Weather, ...]  # distinct weathers
+    weather_index: IntArray  # (n_frames,): which of them it is
 
     def take(self, frames: IntArray) -> "Surroundings":
         """Keep some frames, by index."""
@@ -210,21 +180,12 @@ def _obstruction_key(run: Run) -> tuple[object, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VutCamera:
-    """A camera on the VUT, level and facing ahead.
+    """A camera on the VUT, level and facing ahead."""
 
-    Attributes
-    ----------
-    camera : CameraModel
-        What is mounted.
-    ahead_per_half_length : float
-        Distance ahead of the VUT's middle, as a share of half its length.
-    up_per_half_height : float
-        Height above the road, as a share of half the VUT's height.
-    """
-
-    camera: CameraModel
+    camera: CameraModel  # what is mounted
+    # distance ahead of the VUT's middle, as a share of half its length
     ahead_per_half_length: float
-    up_per_half_height: float
+    up_per_half_height: float  # height above the road, as a share of half the VUT's height
 
     def pose_on(self, vut: Actor) -> Pose:
         """Where it is in the body frame of a vehicle."""

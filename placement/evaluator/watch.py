@@ -144,10 +144,7 @@ def build_rng(seed: int, *key: object) -> np.random.Generator:
 
 
 def watch(
-    setting: Setting,
-    units: Mapping[UnitKey, CandidatePose],
-    *,
-    compute: Compute,
+    setting: Setting, units: Mapping[UnitKey, CandidatePose], *, compute: Compute
 ) -> dict[UnitKey, BoolArray]:
     """Frames in which each unit, and the VUT under ``VUT_KEY``, detects the VRU, (n_frames,) each.
 
@@ -174,7 +171,7 @@ class _Watcher:
     def look(
         self, units: Mapping[UnitKey, CandidatePose]
     ) -> tuple[dict[UnitKey, Evidence], dict[UnitKey, BoolArray]]:
-        """What cameras show, and the frames in which LiDARs detect."""
+        """Evidence of cameras, and the frames in which LiDARs detect."""
         n_frames = self._setting.axis.n_frames
         parts = np.array_split(np.arange(n_frames), min(_VUT_JOBS, n_frames))
         looks: dict[UnitKey, Future[Evidence]] = {}
@@ -200,9 +197,7 @@ class _Watcher:
         return seen, {key: future.result() for key, future in scans.items()}
 
     def find(
-        self,
-        looks: Mapping[UnitKey, Evidence],
-        units: Mapping[UnitKey, CandidatePose],
+        self, looks: Mapping[UnitKey, Evidence], units: Mapping[UnitKey, CandidatePose]
     ) -> dict[UnitKey, BoolArray]:
         """Frames in which the detector finds the VRU in what each camera shows."""
         detector = self._setting.detector

@@ -1,10 +1,9 @@
 """Explanations of a layout: what its units contribute, what it misses, what else would do.
 
-``contributions`` takes one unit away at a time, ``failures`` asks what the others achieve then;
-``unavoided`` says why runs are not avoided, ``agreement`` where detection table and evaluator
-differ, ``sensitivity`` and ``tolerance`` what wrong assumptions and mounting errors do. ``pool``
-lists other sets that are as good; ``conflicts`` finds the smallest set of ``demands`` that no
-layout meets.
+``contributions`` takes one or two units away; ``unavoided`` says why runs are not avoided,
+``agreement`` where detection table and evaluator differ, ``sensitivity`` what wrong assumptions
+and mounting errors do. ``pool`` lists other sets that are as good; ``conflicts`` finds the
+smallest set of ``demands`` that no layout meets, with the search of ``feasible_sets``.
 """
 
 from .conflicts import Conflict, build_separation, find_conflicts, find_refusal

@@ -23,27 +23,13 @@ FUSED = "all, fused"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disagreement:
-    """A run that one calls avoided, and the other does not.
+    """A run that one calls avoided, and the other does not."""
 
-    Attributes
-    ----------
-    party : str
-        Id of a unit, or ``FUSED``.
-    run_id : str
-        Which run.
-    on_table : bool
-        Whether the detection table calls it avoided; the evaluator says the opposite.
-    n_frames : int
-        Frames of the run before its last brake time in which they differ.
-    cause : str
-        What the evaluator sees in the first of them.
-    """
-
-    party: str
-    run_id: str
-    on_table: bool
-    n_frames: int
-    cause: str
+    party: str  # id of a unit, or ``FUSED``
+    run_id: str  # which run
+    on_table: bool  # whether the detection table calls it avoided; the evaluator says the opposite
+    n_frames: int  # frames of the run before its last brake time in which they differ
+    cause: str  # what the evaluator sees in the first of them
 
 
 def find_disagreements(
@@ -51,21 +37,8 @@ def find_disagreements(
 ) -> tuple[Disagreement, ...]:
     """Runs on which table and evaluator disagree, for each unit alone and for all fused.
 
-    Parameters
-    ----------
-    setting : Setting
-        What both were made for.
-    table : DetectionTable
-        The surrogate.
-    evaluation : Evaluation
-        Of a layout.
-    pose_index : sequence of int
-        The table's rows of the layout's units, in their order.
-
-    Returns
-    -------
-    disagreements : tuple of Disagreement
-        In the order of units and runs; those of all units fused come last.
+    `pose_index` are the table's rows of the layout's units, in their order. Results are in the
+    order of units and runs; those of all units fused come last.
     """
     units = evaluation.layout.units
     on_table = dict(zip((unit.id for unit in units), table.detected(list(pose_index)), strict=True))
@@ -121,7 +94,7 @@ def _cause(
     differing: Sequence[tuple[CandidatePose, IntArray]],
     on_table: dict[str, BoolArray],
 ) -> str:
-    """What is seen in the first frame that differs."""
+    """Description of the first frame that differs."""
     somewhere = [(int(frames[0]), unit) for unit, frames in differing if len(frames)]
     if not somewhere:
         return "messages: latency or packets lost"

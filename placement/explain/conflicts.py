@@ -57,25 +57,13 @@ def find_conflicts(
 ) -> tuple[Conflict, ...]:
     """Why no set of poses meets limits and floors.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The wish.
-    separation : Separation, optional
-        Where its rivals come from, if from a least distance.
-    keeps_forced : bool
-        Forced poses are no demand but a fact, such as units that hang there already.
-    time_limit_s : float
-        For all questions together; presolve is finished in any case. [s]
-    max_sets : int
-        Sets are gone through one by one if there are no more, else by models.
+    With `keeps_forced`, forced poses are no demand but a fact, such as units that hang there
+    already. `time_limit_s` is for all questions together, presolve is finished in any case. Up to
+    `max_sets` sets are gone through one by one, more of them by models.
 
-    Returns
-    -------
-    conflicts : tuple of Conflict
-        A smallest one first, then a smallest one among the demands that are left, and so on: no
-        two share a demand. None if the wish can be met, or it was not found out that it cannot, or
-        nothing would help.
+    A smallest conflict comes first, then a smallest one among the remaining demands, and so on: no
+    two share a demand. There is none if the wish can be met, if it was not found out that it
+    cannot, or if nothing would help.
     """
     if problem.table.n_poses == 0:
         return ()
@@ -149,10 +137,7 @@ def _smallest_hitting_set(sets: Sequence[Set[int]], universe: Set[int]) -> froze
 
 
 def _relaxations(
-    wish: Wish,
-    oracle: Oracle,
-    conflict: frozenset[int],
-    ask: Callable[[frozenset[int]], Answer],
+    wish: Wish, oracle: Oracle, conflict: frozenset[int], ask: Callable[[frozenset[int]], Answer]
 ) -> tuple[Relaxation, ...]:
     found = []
     for number in sorted(conflict):
@@ -178,32 +163,14 @@ def find_refusal(
     *,
     time_limit_s: float = 30.0,
 ) -> InputError | None:
-    """Why wishes cannot be met, in one line.
+    """Why wishes cannot be met, in one line, to be raised.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        What :func:`placement.wishes.build_problem` has made of them.
-    wishes : Wishes
-        What was asked.
-    scene : Scene
-        Its sites.
-    candidates : sequence of CandidatePose
-        Rows of the table.
-    time_limit_s
-        As for :func:`placement.explain.find_conflicts`.
-
-    Returns
-    -------
-    refusal : InputError or None
-        To be raised. None if they can be met, or it was not found out that they cannot.
+    `problem` is what :func:`placement.wishes.build_problem` makes of them, `candidates` are the
+    rows of its table. None if they can be met, or if it was not found out that they cannot.
     """
     separation = build_separation(problem, wishes, scene, candidates)
     conflicts = find_conflicts(
-        problem,
-        separation=separation,
-        keeps_forced=True,
-        time_limit_s=time_limit_s,
+        problem, separation=separation, keeps_forced=True, time_limit_s=time_limit_s
     )
     if not conflicts:
         return None
@@ -217,21 +184,14 @@ def find_refusal(
 
 
 def build_separation(
-    problem: PlacementProblem,
-    wishes: Wishes,
-    scene: Scene,
-    candidates: Sequence[CandidatePose],
+    problem: PlacementProblem, wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePose]
 ) -> Separation | None:
-    """What a least distance between units has made of the limits; None where none is asked for."""
+    """The effect of a least distance between units on the limits; None where none is asked for."""
     if wishes.separation_m <= 0.0:
         return None
     limits = problem.limits
     free = build_limits(
-        Wishes(
-            budget_units=1,
-            kept=wishes.kept,
-            site_capacity=wishes.site_capacity,
-        ),
+        Wishes(budget_units=1, kept=wishes.kept, site_capacity=wishes.site_capacity),
         scene,
         candidates,
     )

@@ -1,29 +1,19 @@
-"""What each chosen unit is there for: what it saves, what its loss costs, who confirms first."""
+"""Contribution of each unit to a layout, and the achievement of the others when units fail."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from scenarios.aeb import confirmation_mask
 
-from ..optimiser import (
-    PlacementProblem,
-    PlacementValue,
-    placement_value,
-    run_margins_s,
-)
+from ..optimiser import PlacementProblem, PlacementValue, placement_value, run_margins_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contribution:
-    """What one unit of a set adds to the others, on the detection table.
+    """The contribution of one unit of a set, on the detection table.
 
     Attributes
     ----------
@@ -60,20 +50,7 @@ class Contribution:
 def find_contributions(
     problem: PlacementProblem, pose_index: Sequence[int]
 ) -> tuple[Contribution, ...]:
-    """What each unit of a set adds to the others.
-
-    Parameters
-    ----------
-    problem : PlacementProblem
-        The table and the rule; limits and floors do not matter.
-    pose_index : sequence of int
-        What is mounted.
-
-    Returns
-    -------
-    contributions : tuple of Contribution
-        In the order of `pose_index`.
-    """
+    """The contribution of each unit of a set, in order; limits and floors do not matter."""
     poses = list(pose_index)
     value, margin_s = placement_value(problem, poses), run_margins_s(problem, poses)
     shares = first_shares(problem, poses)
@@ -142,3 +119,6 @@ def _parts_of_firsts(detected: BoolArray, *, n_confirmations: int) -> FloatArray
     is_first = confirmed[:, int(np.argmax(confirmed.any(axis=0)))]
     parts: FloatArray = is_first / is_first.sum()
     return parts
+
+
+# ---------- failures

@@ -1,4 +1,4 @@
-"""What a placement problem demands, piece by piece, and the problem without some of the pieces."""
+"""The single demands of a placement problem, and the problem without some of them."""
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
@@ -9,13 +9,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 
-from ..optimiser import (
-    Floor,
-    Limits,
-    PlacementProblem,
-    floor_value,
-    is_allowed,
-)
+from ..optimiser import Floor, Limits, PlacementProblem, floor_value, is_allowed
 from ..optimiser.objectives import TOLERANCE
 from .feasible_sets import Answer, Oracle
 
@@ -55,21 +49,11 @@ class Demand:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Separation:
-    """What a least distance between units has made of the limits.
+    """The effect of a least distance between units on the limits."""
 
-    Attributes
-    ----------
-    distance_m : float
-        Pairs of sites that are nearer are rivals. [m]
-    pair_distance_m : (n_pairs,) float
-        Distances of the limits' rivals. [m]
-    site_capacity : (n_sites,) int
-        Units that each site could carry without it.
-    """
-
-    distance_m: float
-    pair_distance_m: FloatArray
-    site_capacity: IntArray
+    distance_m: float  # pairs of sites that are nearer are rivals. [m]
+    pair_distance_m: FloatArray  # (n_pairs,): distances of the limits' rivals. [m]
+    site_capacity: IntArray  # (n_sites,): units that each site could carry without it
 
 
 class Wish:
@@ -104,11 +88,7 @@ class Wish:
             floor if survives else replace(floor, n_failures=0) for floor in self._floors(active)
         )
         return replace(
-            self.problem,
-            limits=self._limits_of(active),
-            floors=floors,
-            goal="best",
-            survive=0,
+            self.problem, limits=self._limits_of(active), floors=floors, goal="best", survive=0
         )
 
     def met_by(self, poses: Sequence[int], active: Set[int]) -> frozenset[int]:
@@ -157,7 +137,7 @@ class Wish:
 
 
 def _list_demands(problem: PlacementProblem, separation: Separation | None) -> tuple[Demand, ...]:
-    """What is demanded; what binds nothing is left out."""
+    """All demands that bind something."""
     limits = problem.limits
     capacity = limits.site_capacity if separation is None else separation.site_capacity
     per_site = np.bincount(limits.site_index, minlength=limits.n_sites)
@@ -322,7 +302,7 @@ def find_relaxation(
 
 
 def _separation_among(wish: Wish, others: frozenset[int]) -> Separation | None:
-    """What the separation holds back where sites may carry any number of units, too."""
+    """The demand of the separation where sites may also carry any number of units."""
     separation = wish.separation
     if separation is None or any(wish.demands[other].kind == "capacity" for other in others):
         return separation
@@ -344,7 +324,7 @@ def _of_value(demand: Demand, answer: Answer) -> Relaxation | None:
 
 
 def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
-    """What a demand lists, in groups that go together: all forbidden poses of a site."""
+    """The entries of a demand, in groups that belong together: all forbidden poses of a site."""
     if demand.kind == "forced":
         return [(pose,) for pose in np.flatnonzero(limits.is_forced).tolist()]
     if demand.kind == "forced_sites":

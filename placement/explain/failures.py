@@ -1,4 +1,4 @@
-"""Failures: what a layout still achieves when one of its units fails (N-1), or two of them."""
+"""Failures of units: what a layout still achieves when any one or two of them fail (N-1, N-2)."""
 
 import math
 from collections.abc import Sequence
@@ -15,12 +15,14 @@ from scenarios.runs import onset_times_s
 from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out
 
 MAX_PAIR_UNITS = 12
+
+
 """For layouts with more units, only single failures are evaluated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """What a layout achieves without some of its units.
+    """The achievement of a layout without some of its units.
 
     Attributes
     ----------
@@ -62,24 +64,11 @@ class Failures:
 
 
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
-    """What a layout achieves when each of its units fails, and each pair.
+    """Evaluate the failure of each unit of a layout, and of each pair.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of the layout; only its units' detected frames are used.
-    rule : AebRule
-        Confirmation and latency.
-
-    Returns
-    -------
-    failures : Failures
-        The worst first: the lowest APR, then the smallest margin, then the layout's order.
-
-    Notes
-    -----
-    In each frame any remaining unit may be the one that detects. The smallest APR of
-    `one_failed` is :func:`placement.evaluation.apr_one_failed`.
+    In each frame any remaining unit may be the one that detects. The worst comes first: the lowest
+    APR (:func:`placement.evaluation.apr_one_failed` is that of `one_failed`), then the smallest
+    margin, then the layout's order.
     """
     axis, units = evaluation.axis, evaluation.layout.units
     arrivals_s = np.stack(

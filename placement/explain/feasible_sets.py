@@ -1,23 +1,26 @@
 """Whether any set of poses meets a wish, and how far one of its numbers has to give way."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from geometry.arrays import BoolArray, IntArray
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError
 
-from ..optimiser import (
-    Limits,
-    PlacementProblem,
-    ReducedProblem,
-    cost_eur,
-    is_allowed,
-    presolve,
+from ..optimiser import Limits, PlacementProblem, ReducedProblem, cost_eur, is_allowed, presolve
+from ..optimiser.bitsets import (
+    SetValues,
+    avoided_with_each,
+    build_values,
+    costs_with_each_eur,
+    left_after_failures,
+    set_values,
+    union_margins_s,
 )
-from ..optimiser.bitsets import left_after_failures, set_values, union_margins_s
 from ..optimiser.enumeration import best_of_few
 from ..optimiser.greedy import forced_units, improve, to_full
 from ..optimiser.limits import fitting
@@ -25,12 +28,99 @@ from ..optimiser.objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from ..optimiser.problem import Measure, Requirement
 from ..optimiser.search import Search
 from ..optimiser.solve import check_limits
-from .set_values import QuickRows
+
+_MAX_REMEMBERED = 4_000_000  # numbers: 32 MB
+_BLOCK_RUNS = 32
+
+
+class QuickRows:
+    """Quick values of a set of poses together with each pose in turn."""
+
+    def __init__(self, reduced: ReducedProblem) -> None:
+        self.reduced = reduced
+        self.measures: list[Measure] = [
+            reduced.measure,
+            *(floor.measure for floor in reduced.floors),
+        ]
+        self._ratios: dict[tuple[int, ...], dict[int, FloatArray]] = {}
+
+    def with_each(self, units: IntArray) -> SetValues:
+        """Quick values of a set together with each pose, up to the APR if a unit fails."""
+        reduced = self.reduced
+        n_poses = reduced.n_poses
+        values: dict[Objective, Callable[[], FloatArray]] = {
+            Objective.UNITS: lambda: np.full(n_poses, len(units) + 1.0),
+            Objective.APR_SURVIVED: lambda: self._left(reduced.measure, reduced.survive, units),
+            Objective.APR: lambda: self._ratio(reduced.measure, units),
+            Objective.APR_ONE_FAILED: lambda: self._left(reduced.measure, 1, units),
+        }
+        if reduced.objectives[0] is Objective.COST:  # else it comes after the margins
+            values[Objective.COST] = lambda: costs_with_each_eur(reduced, units)
+        return build_values(
+            reduced, lambda measure, n_failures: self._left(measure, n_failures, units), values
+        )
+
+    def _left(self, measure: Measure, n_failures: int, units: IntArray) -> FloatArray:
+        """Ratio that each set still reaches when its most needed units fail, (n_poses,)."""
+        if n_failures > len(units):
+            return np.zeros(self.reduced.n_poses)
+        smallest = np.full(self.reduced.n_poses, np.inf)
+        for failed in combinations(range(len(units)), n_failures):
+            left = self._ratio(measure, np.delete(units, failed))
+            smallest = np.minimum(smallest, left)
+        if n_failures:  # the pose that has joined may be among those that fail
+            for failed in combinations(range(len(units)), n_failures - 1):
+                *others, last = np.delete(units, failed).tolist()
+                alone = self._ratio(measure, np.array(others, dtype=np.int64))[last]
+                smallest = np.minimum(smallest, alone)
+        return smallest
+
+    def _ratio(self, measure: Measure, units: IntArray) -> FloatArray:
+        """Ratio of avoided runs of a set together with each pose, (n_poses,)."""
+        key = tuple(units.tolist())
+        if key not in self._ratios:
+            if len(self._ratios) * self.reduced.n_poses > _MAX_REMEMBERED:
+                self._ratios.clear()
+            is_avoided = avoided_with_each(self.reduced, units)
+            self._ratios[key] = {id(each): _ratios(each, is_avoided) for each in self.measures}
+        return self._ratios[key][id(measure)]
+
+
+def _ratios(measure: Measure, is_avoided: BoolArray) -> FloatArray:
+    """Value of a measure by avoided runs, (n_sets, n_runs) -> (n_sets,)."""
+    if not measure.is_mean:
+        return measure.of(is_avoided)
+    total = np.zeros(len(is_avoided))
+    # A few runs at a time stay in the cache: ten times as fast as the product as a whole.
+    for start in range(0, len(measure.weight), _BLOCK_RUNS):
+        block = slice(start, start + _BLOCK_RUNS)
+        total += measure.weight[block] @ is_avoided.T[block].astype(np.float64)
+    return total
+
+
+def is_within(value: float | FloatArray, threshold: float) -> BoolArray:
+    """Whether values reach a threshold, rounding noise aside."""
+    within: BoolArray = np.asarray(value) >= threshold - TOLERANCE * max(1.0, abs(threshold))
+    return within
+
+
+def exceeds_clearly(value: float, other: float) -> bool:
+    """Whether a value is higher than another one by more than any rounding noise."""
+    return value > other + 1.0e-6 * max(1.0, abs(other))
+
+
+def site_counts(reduced: ReducedProblem, sets: IntArray) -> IntArray:
+    """How many of some sets have a unit at each site, (n_sets, n_units) -> (n_sites,)."""
+    sites = np.sort(reduced.limits.site_index[sets], axis=1)
+    is_first = np.ones(sites.shape, dtype=bool)
+    is_first[:, 1:] = sites[:, 1:] != sites[:, :-1]
+    return np.bincount(sites[is_first], minlength=reduced.limits.n_sites)
+
 
 # ---------- greedy choice
 
 
-_MAX_ADDED = 12  # what is left when units fail takes too long to tell of more
+_MAX_ADDED = 12  # values with failed units take too long to compute for more
 
 
 def choose_greedily(reduced: ReducedProblem) -> IntArray:
@@ -102,25 +192,16 @@ def presolve_undominated(problem: PlacementProblem) -> ReducedProblem:
 
 _NO_OBJECTIVE: dict[str, Any] = {"floors": (), "goal": "best", "survive": 0}
 _FEW_UNITS = 6
-_SHARE_OF_TIME = 0.4  # that one question may take of what is left
+_SHARE_OF_TIME = 0.4  # of the remaining time, that one question may take
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What is known of a wish.
+    """The answer to whether a wish can be met."""
 
-    Attributes
-    ----------
-    pose_index : tuple of int or None
-        A set of poses that meets it; None: none was found.
-    is_proven : bool
-        That there is none; or that none has a better `value`.
-    value : float
-        Where a number was asked for: the least, or the most, that was found; else NaN.
-    """
-
-    pose_index: tuple[int, ...] | None
-    is_proven: bool
+    pose_index: tuple[int, ...] | None  # a set of poses that meets it; None: none was found
+    is_proven: bool  # that there is none; or that none has a better `value`
+    # where a number was asked for: the least, or the most, that was found; else NaN
     value: float = np.nan
 
 
@@ -173,7 +254,7 @@ class Oracle:
         return _NONE if units is None or not meets(reduced, units) else _found(reduced, units)
 
     def least_units(self, problem: PlacementProblem, *, more_than: int) -> Answer:
-        """The fewest units that meet limits and floors, where so many are known not to."""
+        """The fewest units that meet limits and floors; it is known how many do not suffice."""
         is_proven = True
         for n_units in range(more_than + 1, problem.limits.max_units + 1):
             if self.left_s() <= 0.0:
@@ -273,9 +354,7 @@ class Oracle:
             for floor in problem.floors
         )
         return replace(
-            reduced,
-            limits=problem.limits.of_poses(reduced.pose_index),
-            floors=floors,
+            reduced, limits=problem.limits.of_poses(reduced.pose_index), floors=floors
         ).with_goal("fewest")
 
     def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search:
@@ -321,7 +400,7 @@ def _left(reduced: ReducedProblem, units: IntArray, n_failures: int) -> float:
 
 
 def _raise_ratio(search: Search, n_failures: int) -> bool:
-    """Raise what is left of the best set when units fail; whether that is proven to be the most."""
+    """Raise the ratio of the best set when units fail; True if it is proven to be the highest."""
     reduced = search.reduced
     while True:
         assert search.units is not None

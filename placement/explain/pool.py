@@ -22,42 +22,25 @@ from ..optimiser.bitsets import SetValues, concatenate_values, set_values, value
 from ..optimiser.greedy import extend_greedily, forced_units
 from ..optimiser.limits import are_allowed, is_allowed
 from ..optimiser.objectives import COST_TOLERANCE_EUR, Objective
-from .feasible_sets import presolve_undominated
-from .set_values import QuickRows, exceeds_clearly, is_within, site_counts
+from .feasible_sets import QuickRows, exceeds_clearly, is_within, presolve_undominated, site_counts
 
 # ---------- every set
 
 
-_MAX_CONTENDERS = 20_000  # sets whose margins are told
+_MAX_CONTENDERS = 20_000  # sets whose margins are computed
 _PART_SETS = 1 << 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Listed:
-    """Sets of poses of a reduced problem, the best first.
+    """Sets of poses of a reduced problem, the best first."""
 
-    Attributes
-    ----------
-    sets : tuple of (n_units,) int
-        Poses of the reduced problem.
-    values : SetValues
-        What they are worth.
-    n_within : int
-        Sets that were counted.
-    pose_count : (n_poses,) int
-        How many of these have each pose.
-    site_count : (n_sites,) int
-        How many of them have a unit at each site.
-    best : float
-        The best value of the first stage among them.
-    """
-
-    sets: tuple[IntArray, ...]
-    values: SetValues
-    n_within: int
-    pose_count: IntArray
-    site_count: IntArray
-    best: float
+    sets: tuple[IntArray, ...]  # (n_units,): poses of the reduced problem
+    values: SetValues  # what they are worth
+    n_within: int  # sets that were counted
+    pose_count: IntArray  # (n_poses,): how many of these have each pose
+    site_count: IntArray  # (n_sites,): how many of them have a unit at each site
+    best: float  # the best value of the first stage among them
 
 
 def list_every_set(
@@ -66,7 +49,7 @@ def list_every_set(
     """The best sets of poses, and how often each pose appears in all that reach a threshold.
 
     The threshold is one of the first stage. None if more than `max_prefixes` sets would have to be
-    looked at together with every pose, or if too many sets are told apart by their margins alone.
+    looked at together with every pose, or if too many sets differ by their margins alone.
     """
     most = reduced.limits.max_units
     if sum(comb(reduced.n_poses, size) for size in range(most)) > max_prefixes:
@@ -176,11 +159,7 @@ _FEW_SETS = 100  # up to so many are quicker one by one than by a look at all po
 
 
 def list_by_exchange(
-    reduced: ReducedProblem,
-    start: IntArray,
-    *,
-    n_sets: int,
-    max_looks: int,
+    reduced: ReducedProblem, start: IntArray, *, n_sets: int, max_looks: int
 ) -> Listed:
     """The best `n_sets` sets that exchanges lead to from `start`, which meets limits and floors.
 
@@ -365,32 +344,15 @@ def find_pool(
 ) -> Pool:
     """The best sets of poses, of those that are as good as the solution in the first stage.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        What was solved.
-    pose_index : sequence of int
-        Its solution: within the limits, and reaching the floors.
-    n_sets : int
-        How many to list.
-    max_prefixes : int
-        All sets of K units are gone through if there are no more sets of K - 1 units than this:
-        each of them is looked at together with every pose at once.
-    max_looks : int
-        Else: of sets with one unit taken away, together with every pose, while exchanging.
+    `pose_index` is a solution of the problem. All sets of K units are gone through if there are at
+    most `max_prefixes` sets of K - 1 units: each of them is looked at together with every pose at
+    once. Else exchanges look at up to `max_looks` sets with one unit taken away, together with
+    every pose.
 
-    Returns
-    -------
-    pool : Pool
-        No two sets are equal. Poses that are dominated, or detect the same as others, are poses
-        like all others here: to a planner another pole is another answer. Only poses that detect
-        nothing that could save a run any sooner are left out, unless they are asked for: a set is
-        listed without such needless units.
-
-    Raises
-    ------
-    InputError
-        The poses are no solution, or a number cannot be.
+    Poses that are dominated, or detect the same as others, are poses like all others here: to a
+    planner another pole is another answer. Only poses that detect nothing that could save a run any
+    sooner are left out, unless they are asked for. Raises InputError if the poses are no solution,
+    or a number cannot be.
     """
     if n_sets < 1:
         raise InputError("--pool", n_sets, "a number of layouts, at least 1")
@@ -423,11 +385,7 @@ def _bounded(reduced: ReducedProblem, most: float) -> ReducedProblem:
 
 
 def _build_pool(
-    problem: PlacementProblem,
-    reduced: ReducedProblem,
-    listed: Listed,
-    *,
-    scope: Scope,
+    problem: PlacementProblem, reduced: ReducedProblem, listed: Listed, *, scope: Scope
 ) -> Pool:
     limits, first = problem.limits, problem.objectives[0]
     sets = []
@@ -435,9 +393,7 @@ def _build_pool(
         poses = tuple(sorted(reduced.pose_index[units].tolist()))
         sets.append(
             PooledSet(
-                pose_index=poses,
-                value=placement_value(problem, poses),
-                objective=float(objective),
+                pose_index=poses, value=placement_value(problem, poses), objective=float(objective)
             )
         )
     pose_share = np.zeros(limits.n_poses)

@@ -1,4 +1,4 @@
-"""Sensitivity: what becomes of a layout if one assumption is wrong and all others hold."""
+"""Sensitivity of a layout to wrong assumptions, and tolerances of mounting."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,9 +26,12 @@ from ..compute import DEFAULT_COMPUTE, Compute
 from ..detectors import GeometricDetector, PlanningDetector, ResponseDetector
 from ..evaluation import leave_each_out
 from ..layout import Layout
+from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.problem import Fusion
 from ..setting import Setting
+from ..visibility import build_detection_table
 from ..visibility.build import Look, detected_frames
+from ..wishes import Wishes, build_problem
 
 # ---------- assumptions: what is varied, and to which values
 
@@ -118,49 +121,29 @@ SURE = 0.99
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Watched:
-    """Units, the frames that they detect, and how these are judged.
+    """Units, the frames that they detect, and how these are judged."""
 
-    Attributes
-    ----------
-    units : tuple of CandidatePose
-        At least one. A unit with a latency of its own keeps it, whatever the rule says.
-    detected : (n_units, n_frames) bool
-        By each of them.
-    axis : FrameAxis
-        Runs and frames.
-    rule : AebRule
-        Confirmation and latency.
-    fusion : {"any", "single"}
-        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    """
-
+    # at least one. A unit with a latency of its own keeps it, whatever the rule says.
     units: tuple[CandidatePose, ...]
-    detected: BoolArray
-    axis: FrameAxis
-    rule: AebRule
+    detected: BoolArray  # (n_units, n_frames): by each of them
+    axis: FrameAxis  # runs and frames
+    rule: AebRule  # confirmation and latency
+    # {"any", "single"}: "any": a frame counts if any unit detects; "single": one unit must confirm
+    # alone
     fusion: Fusion = "any"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """What a layout is worth.
+    """The value of a layout."""
 
-    Attributes
-    ----------
-    apr : float
-        Accident prevention ratio; where messages are lost by chance, its expectation. 0 .. 1
-    apr_one_failed : float
-        The same when the most needed unit fails; 0 for a single unit. 0 .. 1
-    smallest_margin_s : float or None
-        Least time to spare in the runs that are avoided and have weight; None where there is none,
-        or where messages are lost by chance. [s]
-    avoided_share : (n_runs,) float
-        Probability that each run is avoided: 0 or 1 unless messages are lost by chance.
-    """
-
+    # accident prevention ratio; where messages are lost by chance, its expectation. 0 .. 1
     apr: float
-    apr_one_failed: float
+    apr_one_failed: float  # the same when the most needed unit fails; 0 for a single unit. 0 .. 1
+    # least time to spare in the runs that are avoided and have weight; None where there is none, or
+    # where messages are lost by chance. [s]
     smallest_margin_s: float | None
+    # (n_runs,): probability that each run is avoided: 0 or 1 unless messages are lost by chance
     avoided_share: FloatArray
 
     def __post_init__(self) -> None:
@@ -168,7 +151,7 @@ class Outcome:
 
 
 def find_outcome(watched: Watched) -> Outcome:
-    """What units achieve when every message arrives."""
+    """Outcome of units when every message arrives."""
     axis, rule = watched.axis, watched.rule
     arrival_s = np.where(watched.detected, axis.time_s + _latencies_s(watched)[:, None], np.inf)
 
@@ -200,7 +183,7 @@ def find_outcome(watched: Watched) -> Outcome:
 
 
 def find_expected_outcome(watched: Watched, *, packet_loss: float) -> Outcome:
-    """What units achieve on average when messages are lost: exact, not drawn.
+    """Average outcome of units when messages are lost: exact, not drawn.
 
     `packet_loss` is the probability that the message of a unit on a frame does not arrive, each
     independently. The APR with one unit failed is the smallest expectation.
@@ -281,24 +264,14 @@ _DETECTOR = ("min_box_height_share", "min_iou")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Varied:
-    """A value that an assumption may have instead, and its consequences.
+    """A value that an assumption may have instead, and its consequences."""
 
-    Attributes
-    ----------
-    value : float
-        In the unit of the assumption's name.
-    outcome : Outcome
-        Of the layout.
-    lost_runs : tuple of str
-        Ids of the runs that the layout avoids as planned, and now no longer; where messages are
-        lost by chance, with a probability below ``SURE``.
-    unmoved : tuple of str
-        Ids of units that had to stay where they are, since the new place is inside something.
-    """
-
-    value: float
-    outcome: Outcome
+    value: float  # in the unit of the assumption's name
+    outcome: Outcome  # of the layout
+    # ids of the runs that the layout avoids as planned, and now no longer; where messages are lost
+    # by chance, with a probability below ``SURE``
     lost_runs: tuple[str, ...]
+    # ids of units that had to stay where they are, since the new place is inside something
     unmoved: tuple[str, ...] = ()
 
 
@@ -335,33 +308,13 @@ def find_sensitivity(
     assumptions: Sequence[Assumption] | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Sensitivity, ...]:
-    """How much what a layout achieves depends on each assumption.
+    """How much what a layout achieves depends on each assumption (``data/sensitivity.toml``).
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene, runs, braking rule, planning detector.
-    layout : Layout
-        The units.
-    fusion : {"any", "single"}
-        See :class:`Watched`.
-    assumptions : sequence of Assumption, optional
-        What to vary; by default ``data/sensitivity.toml``.
-    compute : Compute
-        Progress is told how many poses the scene was looked at from.
-
-    Returns
-    -------
-    sensitivities : tuple of Sensitivity
-        In the order of the assumptions. All by the detection table's rules: as planned they say
-        what the table says of the layout.
-
-    Notes
-    -----
-    Latency, confirmations, losses and braking leave the detected frames as they are; only frames
-    under another detector or from other poses are detected anew. Mounting errors are common to
-    all units: each is turned, lifted or moved alike, which hits a layout harder than independent
-    errors would.
+    All is judged by the detection table's rules. Latency, confirmations, losses and braking leave
+    the detected frames as they are; only frames under another detector or from other poses are
+    detected anew. Mounting errors are common to all units: each is turned, lifted or moved alike,
+    which hits a layout harder than independent errors would. Progress is told from how many poses
+    the scene was looked at.
     """
     assumptions = load_assumptions() if assumptions is None else assumptions
     units, rule = layout.units, setting.rule
@@ -439,7 +392,7 @@ def find_sensitivity(
 
 
 def _planned_value(name: str, setting: Setting) -> float | None:
-    """What the plan assumes; None where the question does not arise."""
+    """The value that the plan assumes; None where the assumption does not apply."""
     rule, planner = setting.rule, setting.planner
     if name in ("latency_s", "n_confirmations", "deceleration_mps2"):
         return float(getattr(rule, name))
@@ -502,3 +455,111 @@ def _off(unit: CandidatePose, name: str, value: float, scene: Scene) -> Candidat
         return unit
     moved = Pose(position_m=position, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
     return replace(unit, site_id="", pose=moved)
+
+
+# ---------- tolerances of mounting: by how much a unit may be off before a run is lost
+
+TURNS_DEG = (0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
+LIFTS_M = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0)
+STEPS = {"yaw": TURNS_DEG, "pitch": TURNS_DEG, "height": LIFTS_M}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tolerance:
+    """By how much one unit may be off if all others are mounted as planned.
+
+    Attributes
+    ----------
+    unit_id : str
+        The unit.
+    yaw_deg, pitch_deg : (float, float)
+        Clockwise (right) and counter-clockwise (left); down and up: the largest of the tried turns
+        up to which every run that the layout avoids is still avoided; 0: not even the smallest.
+        [deg]
+    height_m : (float, float)
+        Lower and higher, the same. [m]
+    """
+
+    unit_id: str
+    yaw_deg: tuple[float, float]
+    pitch_deg: tuple[float, float]
+    height_m: tuple[float, float]
+
+
+def find_tolerances(
+    setting: Setting,
+    units: Sequence[CandidatePose],
+    *,
+    fusion: Fusion = "any",
+    compute: Compute = DEFAULT_COMPUTE,
+) -> tuple[Tolerance, ...]:
+    """By how much each unit of a layout may be off; `compute` has the seed of the layout's table.
+
+    One thing is off at a time: a unit that is turned and too low at once may lose a run within both
+    tolerances.
+    """
+    variants = [variant for unit in units for variant in _variants(unit)]
+    everyone = [*units, *variants]
+    table = build_detection_table(
+        setting.scene,
+        everyone,
+        setting.runs,
+        setting.axis,
+        detector=setting.planner,
+        compute=compute.within("tolerances"),
+    )
+    wishes = Wishes(budget_units=1, kept=tuple(unit.id for unit in units))
+    problem = build_problem(setting, everyone, table, wishes=wishes, fusion=fusion)
+    rows = {candidate.id: row for row, candidate in enumerate(everyone)}
+    planned = _avoided(problem, range(len(units)))
+
+    def last_good(number: int, kind: str, sign: int) -> float:
+        """The largest step before the first one that loses a run."""
+        good = 0.0
+        for step in STEPS[kind]:
+            row = rows[_name(units[number], kind, sign * step)]
+            chosen = [row if index == number else index for index in range(len(units))]
+            if (planned & ~_avoided(problem, chosen)).any():
+                break
+            good = step
+        return good
+
+    return tuple(
+        Tolerance(
+            unit_id=unit.id,
+            yaw_deg=(last_good(number, "yaw", -1), last_good(number, "yaw", 1)),
+            pitch_deg=(last_good(number, "pitch", -1), last_good(number, "pitch", 1)),
+            height_m=(last_good(number, "height", -1), last_good(number, "height", 1)),
+        )
+        for number, unit in enumerate(units)
+    )
+
+
+def _avoided(problem: PlacementProblem, chosen: Sequence[int]) -> BoolArray:
+    """Runs that poses avoid, (n_runs,)."""
+    is_avoided: BoolArray = run_margins_s(problem, list(chosen)) > -np.inf
+    return is_avoided
+
+
+def _variants(unit: CandidatePose) -> list[CandidatePose]:
+    """The unit with every error of mounting that is tried."""
+    pose = unit.pose
+    found = []
+    for kind, steps in STEPS.items():
+        for size in steps:
+            for step in (-size, size):
+                position = pose.position_m + [0.0, 0.0, step if kind == "height" else 0.0]
+                yaw = float(wrap_deg(pose.yaw_deg + (step if kind == "yaw" else 0.0)))
+                pitch = float(np.clip(pose.pitch_deg + (step if kind == "pitch" else 0.0), -90, 90))
+                moved = Pose(
+                    position_m=np.maximum(position, [-np.inf, -np.inf, 0.1]),
+                    yaw_deg=yaw,
+                    pitch_deg=pitch,
+                )
+                # At no site: it is mounted wrongly, not somewhere else.
+                found.append(replace(unit, id=_name(unit, kind, step), site_id="", pose=moved))
+    return found
+
+
+def _name(unit: CandidatePose, kind: str, step: float) -> str:
+    return f"{unit.id} {kind} {step:+g}"

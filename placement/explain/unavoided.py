@@ -160,7 +160,7 @@ def _things_between(
     frames: IntArray,
     open_sight: Sight,
 ) -> list[str]:
-    """What blocks most of the rays to the road user in each frame; empty where nothing does."""
+    """The thing that blocks most rays to the road user in each frame; empty where nothing does."""
     views = world.views
     eye = unit.pose.position_m - world.origin_m
     things = []
@@ -297,30 +297,11 @@ def find_unavoided(
 ) -> tuple[Unavoided, ...]:
     """Runs that a set of poses does not avoid on the detection table, and why.
 
-    Parameters
-    ----------
-    setting : Setting
-        Scene, runs, planning detector.
-    problem : PlacementProblem
-        On a table of the setting's runs and of `candidates`.
-    candidates : sequence of CandidatePose
-        The rows of the table.
-    pose_index : sequence of int
-        What is mounted: at least one.
-    compute : Compute
-        With the seed of the table.
-
-    Returns
-    -------
-    unavoided : tuple of Unavoided
-        In the order of the runs; runs of weight 0, which no ratio knows, are not among them. A
-        candidate that would save one is not forbidden, finds room at its site and is not too near
-        to another unit; what it costs does not matter.
-
-    Raises
-    ------
-    InputError
-        The table has other runs, other candidates, or nothing is mounted.
+    `candidates` are the rows of the problem's table; at least one is mounted (`pose_index`);
+    `compute` has the table's seed. Runs of weight 0, which no ratio counts, are left out. A
+    candidate that would save a run is not forbidden, finds room at its site and is not too near to
+    another unit; what it costs does not matter. Raises InputError if the table does not belong to
+    runs and candidates.
     """
     axis, chosen = problem.table.axis, list(pose_index)
     if axis.run_ids != setting.axis.run_ids or axis.n_frames != setting.axis.n_frames:
@@ -377,7 +358,7 @@ def _find_miss(
     chosen: list[int],
     run: int,
 ) -> _Miss:
-    """What the chosen units achieve in a run, and what one of them should have seen."""
+    """Outcome of a run with the chosen units, and the frames that one of them should have seen."""
     axis, rule = problem.table.axis, problem.rule
     time_s = axis.time_s[axis.frames_of(run)]
     last_brake_s = axis.last_brake_time_s[run]
@@ -419,10 +400,7 @@ def _who_should_see(run: Run, units: Sequence[CandidatePose], frames: IntArray) 
     If none has, the nearest of all: another one may look elsewhere on purpose.
     """
     middle_m = np.column_stack(
-        [
-            run.vru_position_m[frames],
-            np.full(len(frames), 0.5 * run.encounter.vru.height_m),
-        ]
+        [run.vru_position_m[frames], np.full(len(frames), 0.5 * run.encounter.vru.height_m)]
     )
     away_m = [np.hypot(*(unit.pose.position_m[:2] - middle_m[-1, :2])) for unit in units]
     looks_elsewhere = [not is_in_view(unit, middle_m).any() for unit in units]

@@ -1,4 +1,4 @@
-"""Light on surfaces: sun, sky, street lamps and headlights, with shadows."""
+"""Light on surfaces, from sun, sky and lamps with shadows; glare and drops in a picture."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -264,11 +264,7 @@ def build_sky(weather: Weather) -> Sky:
         sky_lux=scale * level,
         sun_lux=weather.sun_lux * _colour(table, "sun", _SKY),
         to_sun=np.array(
-            [
-                np.cos(elevation) * np.cos(yaw),
-                np.cos(elevation) * np.sin(yaw),
-                np.sin(elevation),
-            ]
+            [np.cos(elevation) * np.cos(yaw), np.cos(elevation) * np.sin(yaw), np.sin(elevation)]
         ),
         haze_height_m=take_number(table["haze_height_m"], kind, f"{_SKY}.haze_height_m"),
         extinction_per_m=weather.extinction_per_m,
@@ -375,3 +371,6 @@ def _add_lamps(
         by_colour[tuple(lamp.colour.tolist())] += strength
     for colour, strength in by_colour.items():
         lux += strength[:, None] * np.array(colour, dtype=np.float32)
+
+
+# ---------- glare of lamps, and drops in front of a camera

@@ -1,4 +1,4 @@
-"""What surfaces look like: albedo, gloss and patterns of ground, houses, vehicles and people."""
+"""Look of surfaces: albedo, gloss and patterns of ground, houses, vehicles and people."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,14 +14,7 @@ from geometry.errors import InputError
 from geometry.files import load_toml, read_table
 from geometry.raycast import FloatRays
 
-from .ground import (
-    PAINT,
-    ROAD,
-    SKY,
-    GroundMap,
-    grain_at,
-    soft_noise_at,
-)
+from .ground import PAINT, ROAD, SKY, GroundMap, grain_at, soft_noise_at
 from .mesh import Index, Thing
 
 _WHERE = "materials.toml"
@@ -64,7 +57,7 @@ class Hits:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Coat:
-    """What surfaces do with light; written to in parts."""
+    """Albedo and gloss of surfaces; written to in parts."""
 
     albedo: FloatRays  # (n, 3): share sent back evenly into all directions
     mirror: FloatRays  # (n,): share mirrored head-on; 0 is dull

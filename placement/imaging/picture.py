@@ -48,15 +48,7 @@ from .materials import (
     coat_wall,
     load_materials,
 )
-from .mesh import (
-    ROUND,
-    FrameMesh,
-    Index,
-    Mesh,
-    build_frame_mesh,
-    build_static_mesh,
-    vut_pose,
-)
+from .mesh import ROUND, FrameMesh, Index, Mesh, build_frame_mesh, build_static_mesh, vut_pose
 from .rain_and_glare import add_glare, add_rain
 
 _OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
@@ -94,7 +86,7 @@ class Shot:
 
 
 def shade_rays(shot: Shot, ways: FloatRays) -> tuple[FloatRays, Index, FloatRays]:
-    """What rays see: radiance (n, 3) in cd/m^2, index of the thing (n,), depth (n,) in metres.
+    """Radiance of rays (n, 3) in cd/m^2, index of the thing (n,), depth (n,) in metres.
 
     The rays (n, 3) start at the camera, are one metre deep and have the world's axes. Where there
     is sky the index is -1 and the depth infinite.
@@ -349,31 +341,10 @@ def draw_picture(
     with_vut: bool = True,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Picture:
-    """Render one frame of a run.
+    """Render one frame of a run, at the camera's resolution.
 
-    Parameters
-    ----------
-    backdrop : Backdrop
-        Of the run's scene and obstruction.
-    run : Run
-        What drives.
-    frame_index : int
-        When: 0 .. number of frames - 1.
-    pose : Pose
-        Of the camera, world frame.
-    camera : CameraModel
-        Resolution, field of view, nearest distance that is drawn.
-    weather : Weather
-        Light and air.
-    with_vut : bool
-        Whether the VUT is drawn; its own camera does not see it. Its headlights shine in any case.
-    compute : Compute
-        Its seed is that of sensor noise and drops.
-
-    Returns
-    -------
-    picture : Picture
-        At the camera's resolution.
+    The VUT's own camera does not see the VUT (`with_vut`); its headlights shine in any case. The
+    seed is that of sensor noise and drops.
     """
     mesh = build_frame_mesh(backdrop.mesh, run, frame_index, pose.position_m, with_vut=with_vut)
     lamps: tuple[Lamp, ...] = ()
@@ -461,10 +432,7 @@ def find_edges(radiance: FloatRays, tile_px: tuple[int, int]) -> IntArray:
     """
     green = np.ascontiguousarray(radiance[..., 1])
     is_edge = np.zeros(green.shape, dtype=bool)
-    for one, other in (
-        (np.s_[:, :-1], np.s_[:, 1:]),
-        (np.s_[:-1], np.s_[1:]),
-    ):
+    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         a, b = green[one], green[other]
         differs = np.abs(a - b) > np.float32(0.5 * _CONTRAST) * (a + b)
         is_edge[one] |= differs

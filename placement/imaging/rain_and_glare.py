@@ -1,4 +1,4 @@
-"""Drops of rain in front of a camera, and the glare of lamps, drawn into a picture."""
+"""Rain and glare: drops in front of a camera, and the light that lamps scatter in it."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,11 @@ from geometry.weather import Weather
 from .light import Lamp, Sky, load_lamp_table
 
 _DROP_RANGE_M = (0.8, 6.0)  # nearer ones the housing keeps off, farther ones are too thin to see
+
+
 _LEAST_DROP_M = 1.0e-3
+
+
 _MARSHALL_PALMER_PER_M4 = 8.0e6
 
 

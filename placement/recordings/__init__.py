@@ -1,8 +1,8 @@
 """Detections from elsewhere: recordings in the folder layout of the CarlaNCAP study.
 
 ``read`` reads a folder strictly, cuts its frames into drives that end at the impact, and counts
-what it leaves out; ``evaluate`` matches, confirms and brakes; ``write`` writes such a folder.
-``files`` knows the layout, from ``data/carla_ncap_format.toml``.
+what it leaves out; ``evaluate`` matches, confirms and brakes. ``files`` knows the layout, from
+``data/carla_ncap_format.toml``, and writes such a folder.
 """
 
 from .evaluate import (
@@ -12,8 +12,8 @@ from .evaluate import (
     recorded_table,
     take_units,
 )
+from .files import WrittenDrive, write_recording
 from .read import Drive, Recording, read_recording
-from .write import WrittenDrive, write_recording
 
 __all__ = [
     "Drive",

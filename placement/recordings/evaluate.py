@@ -57,31 +57,13 @@ class RecordedEvaluation:
 def evaluate_recording(
     recording: Recording, rule: AebRule, *, min_confidence: float = 0.0
 ) -> RecordedEvaluation:
-    """Evaluate the units of a recording.
+    """Evaluate the units of a recording; its drives are runs, in order.
 
-    A unit detects the VRU of a drive in a frame if a detection overlaps its label by more than
-    :func:`placement.detectors.load_min_iou`. Where several VRUs of the drive's class are labelled,
-    the VUT's is the one whose distance comes nearest to that of WorldData; of a roadside unit each
-    of them must be detected. A frame that is missing is not detected.
-
-    Parameters
-    ----------
-    recording : Recording
-        Labels and detections.
-    rule : AebRule
-        Confirmation, latency and braking.
-    min_confidence : float
-        Detections below do not count, 0 .. 1.
-
-    Returns
-    -------
-    evaluation : RecordedEvaluation
-        Drives are runs, in order.
-
-    Raises
-    ------
-    InputError
-        `min_confidence` is not within 0 .. 1.
+    A unit detects the VRU of a drive in a frame if a detection of at least `min_confidence`
+    overlaps its label by more than :func:`placement.detectors.load_min_iou`. Where several VRUs of
+    the drive's class are labelled, the VUT's is the one whose distance comes nearest to that of
+    WorldData; of a roadside unit each of them must be detected. A frame that is missing is not
+    detected.
     """
     if not 0.0 <= min_confidence <= 1.0:
         raise InputError("--min-confidence", min_confidence, "a confidence, 0 .. 1")
@@ -161,11 +143,7 @@ def is_longitudinal(drive: Drive) -> bool:
 
 
 def is_same_direction(
-    *,
-    vut_speed_mps: float,
-    vru_speed_mps: float,
-    closing_speed_mps: float,
-    form: RecordingFormat,
+    *, vut_speed_mps: float, vru_speed_mps: float, closing_speed_mps: float, form: RecordingFormat
 ) -> bool:
     """Whether the VUT catches up with a VRU that goes its way, by the law of cosines.
 

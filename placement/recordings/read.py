@@ -270,25 +270,13 @@ class Recording:
 
 
 def read_recording(folder: Path) -> Recording:
-    """Read a folder in the format of the released CarlaNCAP data.
+    """Read a folder in the format of the released CarlaNCAP data, and count what is left out.
 
-    Parameters
-    ----------
-    folder : Path
-        With unit folders ``0``, ``1``.. and ``car``, ``WorldData`` and ``Eval``. In ``Eval``,
-        cam_index is the name of a unit's folder; where there is no unit folder ``12``, that number
-        means the VUT's camera, as -1 does: the release does not say which it uses.
-
-    Returns
-    -------
-    recording : Recording
-        With a count of everything that was left out.
-
-    Raises
-    ------
-    InputError
-        A folder is missing or holds no frame, a line is not what it should be, Eval names a unit
-        that has no folder, or nothing is left that could be judged.
+    It has unit folders ``0``, ``1``.. and ``car``, ``WorldData`` and ``Eval``. In ``Eval``,
+    cam_index is the name of a unit's folder; where there is no unit folder ``12``, that number
+    means the VUT's camera, as -1 does: the release does not say which it uses. Raises InputError if
+    a folder is missing or holds no frame, a line is not what it should be, Eval names a unit that
+    has no folder, or nothing remains that could be judged.
     """
     form = load_format()
     skipped: Counter[str] = Counter()

@@ -1,9 +1,9 @@
 """Uncertainty -> sampled worlds -> detection tables of many worlds.
 
-``uncertainty`` says what is uncertain and how much; ``random_streams`` gives each thing random
-numbers of its own; ``traffic`` parks vehicles and lets others wait, out of the way of VUT and VRU;
-``worlds`` draws worlds, and ``tables`` their detection tables, with misses and lost messages, end
-to end for the optimiser. ``out_of_sample`` evaluates a layout in worlds that it was not chosen in.
+``uncertainty`` says what is uncertain and how much; ``traffic`` parks vehicles and lets others
+wait, out of the way of VUT and VRU; ``worlds`` draws worlds, each thing with random numbers of its
+own, and ``tables`` their detection tables, with misses and lost messages, end to end for the
+optimiser. ``out_of_sample`` evaluates a layout in worlds that it was not chosen in.
 """
 
 from .out_of_sample import (

@@ -19,10 +19,9 @@ from ..compute import DEFAULT_COMPUTE, Compute, silent
 from ..evaluation import earliest_arrival_s
 from ..layout import Layout
 from ..setting import Setting
-from .random_streams import pose_key
 from .tables import build_sample_tables
 from .uncertainty import Uncertainty
-from .worlds import draw_samples
+from .worlds import draw_samples, pose_key
 
 # ---------- statistics of many worlds
 
@@ -33,7 +32,7 @@ _NO_SPREAD = 1.0e-12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeanEstimate:
-    """What is known of a mean from samples.
+    """A mean that is estimated from samples.
 
     Attributes
     ----------
@@ -57,29 +56,13 @@ class MeanEstimate:
 def estimate_mean(
     values: ArrayLike, *, confidence: float = CONFIDENCE, bounds: tuple[float, float] = (0.0, 1.0)
 ) -> MeanEstimate:
-    """Mean of independent samples, and between which limits the true mean lies.
+    """Mean of independent samples within `bounds`, and between which limits the true mean lies.
 
-    Parameters
-    ----------
-    values : (n,) float
-        Samples of something that lies within `bounds`, at least one.
-    confidence : float
-        Probability that the interval holds the true mean, 0 .. 1.
-    bounds : tuple of float
-        Smallest and largest value possible.
-
-    Returns
-    -------
-    estimate : MeanEstimate
-        By Student's t, cut off at the bounds. Where all samples are equal, or there is but one,
-        they show no spread to go by: then at most a share q of all worlds differs, since n draws
-        in a row would show none of a larger share with a probability below
-        (1 - q)^n = 1 - confidence, and these may be as bad or as good as can be.
-
-    Raises
-    ------
-    InputError
-        There is no sample, or one lies outside the bounds.
+    The interval is Student's t, cut off at the bounds. Where all samples are equal, or there is but
+    one, they show no spread to go by: then at most a share q of all worlds differs, since n draws
+    in a row would show none of a larger share with a probability below (1 - q)^n = 1 - confidence,
+    and these may be as bad or as good as can be. Raises InputError for no sample, or one out of
+    bounds.
 
     References
     ----------
@@ -118,24 +101,9 @@ def estimate_mean(
 def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
     """Conditional value at risk: the mean over the worst share of equally likely worlds.
 
-    Parameters
-    ----------
-    apr_by_sample : (n_samples,) float
-        Accident prevention ratio in each world, at least one.
-    tail : float
-        The worst share that counts, 0 .. 1: 1 is the expectation; up to 1 / n_samples, 0 among
-        them, it is the worst world alone. Where the share ends within a world, that one counts in
-        part.
-
-    Returns
-    -------
-    cvar : float
-        max over t of t - mean(max(0, t - apr)) / tail.
-
-    Raises
-    ------
-    InputError
-        There is no sample, or the tail is no share.
+    max over t of t - mean(max(0, t - apr)) / tail. A tail of 1 is the expectation; up to 1 /
+    n_samples, 0 among them, it is the worst world alone. Where the share ends within a world, that
+    one counts in part. Raises InputError if there is no sample, or the tail is no share.
 
     References
     ----------
@@ -222,12 +190,7 @@ def out_of_sample(
 ) -> SampledApr:
     """Evaluate one layout in new worlds; see :func:`out_of_sample_layouts`."""
     (judged,) = out_of_sample_layouts(
-        setting,
-        [layout],
-        uncertainty,
-        n_samples=n_samples,
-        fusion=fusion,
-        compute=compute,
+        setting, [layout], uncertainty, n_samples=n_samples, fusion=fusion, compute=compute
     )
     return judged
 
@@ -241,33 +204,11 @@ def out_of_sample_layouts(
     fusion: str = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> list[SampledApr]:
-    """Evaluate layouts in new sampled worlds, all in the same ones.
+    """Evaluate layouts by detection tables in new sampled worlds, all in the same ones.
 
-    Parameters
-    ----------
-    setting : Setting
-        What the layouts were planned in.
-    layouts : sequence of Layout
-        Units at the same pose in several layouts are looked from once.
-    uncertainty : Uncertainty
-        What is drawn.
-    n_samples : int
-        How many worlds.
-    fusion : {"any", "single"}
-        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    compute : Compute
-        No draw is shared with the worlds that :func:`placement.sampling.tables.sampled_table`
-        chooses in, also not for the same seed. Nothing is cached; progress is told the worlds.
-
-    Returns
-    -------
-    judged : list of SampledApr
-        One per layout, by detection tables; each unit with its own latency.
-
-    Raises
-    ------
-    InputError
-        The fusion is unknown; see :func:`placement.sampling.worlds.draw_samples`.
+    Units at the same pose in several layouts are looked from once. No draw is shared with the
+    worlds that :func:`placement.sampling.tables.sampled_table` chooses in, also not for the same
+    seed. Nothing is cached; progress is told the worlds.
     """
     if fusion not in FUSIONS:
         raise InputError("--fusion", fusion, "one of " + ", ".join(FUSIONS))

@@ -12,12 +12,7 @@ from scipy.signal import lfilter
 from scipy.special import ndtr
 from threadpoolctl import threadpool_limits
 
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.lidar import LidarModel
 from scenarios.runs import FrameAxis
@@ -28,27 +23,18 @@ from ..detection_table import DetectionTable
 from ..detectors import Evidence, PlanningDetector, ResponseDetector
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
-from ..visibility import (
-    build_detection_table,
-    load_table,
-    save_table,
-    table_fingerprint,
-)
+from ..visibility import build_detection_table, load_table, save_table, table_fingerprint
 from ..visibility.build import N_POINTS
 from ..visibility.casting import World, build_world, cast_sight
 from ..visibility.sensing import build_sensing, reach_m
-from .random_streams import Luck, pose_key
 from .uncertainty import Uncertainty
-from .worlds import Sample, draw_samples
+from .worlds import Luck, Sample, draw_samples, pose_key
 
 # ---------- misses and lost messages
 
 
 def build_drawn_table(
-    sample: Sample,
-    detector: ResponseDetector,
-    *,
-    compute: Compute,
+    sample: Sample, detector: ResponseDetector, *, compute: Compute
 ) -> DetectionTable:
     """Detection table of a sampled world in which chance decides every frame of a camera.
 
@@ -111,18 +97,12 @@ def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameLinks:
-    """Which frames share their luck, and which follow one another.
+    """Which frames share their luck, and which follow one another."""
 
-    Attributes
-    ----------
-    is_frame : (n_runs, longest) bool
-        Runs side by side, the same run in several weathers once; the rest of a row is empty.
-    index : (n_frames,) int
-        Which of its true entries each frame is.
-    """
-
+    # (n_runs, longest): runs side by side, the same run in several weathers once; the rest of a row
+    # is empty
     is_frame: BoolArray
-    index: IntArray
+    index: IntArray  # (n_frames,): which of its true entries each frame is
 
     def noise(self, correlation: float, rng: np.random.Generator) -> FloatArray:
         """Standard normal numbers, (n_frames,): a first-order autoregression in each run.
@@ -141,13 +121,9 @@ class FrameLinks:
 
 
 def link_frames(frames: IntArray) -> FrameLinks:
-    """Find out which frames belong together.
+    """Find out which frames belong together, from numbers as `draw_index` gives, (n_frames,).
 
-    Parameters
-    ----------
-    frames : (n_frames,) int
-        Numbers, see :func:`placement.evaluator.surroundings.draw_index`: equal ones share their
-        luck, those that follow one another are linked.
+    Equal ones share their luck, those that follow one another are linked.
     """
     draws, index = np.unique(frames, return_inverse=True)
     starts = np.flatnonzero(np.diff(draws, prepend=draws[0] - 2) != 1)
@@ -200,7 +176,7 @@ def _probabilities(
 
 
 def drawing_key(luck: Luck, detector: ResponseDetector) -> str:
-    """What a drawn table depends on beside the probabilities."""
+    """Everything that a drawn table depends on beside the probabilities."""
     return f"{luck.seed} {luck.purpose} {luck.index} {detector.frame_correlation!r}"
 
 
@@ -213,21 +189,12 @@ _ROWS = 256  # unpacked at a time
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledTable:
-    """Detections in many sampled worlds: every run once in each.
+    """Detections in many sampled worlds: every run once in each."""
 
-    Attributes
-    ----------
-    table : DetectionTable
-        Run ids end in "#1", "#2" and so on; weights are divided by the number of worlds; last
-        brake times have lost what messages take longer than the rule says.
-    sample_index : (n_runs,) int
-        World of each run of `table`, from 0.
-    n_samples : int
-        Number of worlds.
-    """
-
+    # run ids end in "#1", "#2" and so on; weights are divided by the number of worlds; last brake
+    # times have lost what messages take longer than the rule says
     table: DetectionTable
-    sample_index: IntArray
+    sample_index: IntArray  # (n_runs,): world of each run of `table`, from 0
     n_samples: int
 
     def __post_init__(self) -> None:
@@ -261,36 +228,12 @@ def sampled_table(
     n_samples: int,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> SampledTable:
-    """Detections of every candidate pose in many sampled worlds.
+    """Detections of every candidate pose in many sampled worlds, one after the other.
 
-    Parameters
-    ----------
-    setting : Setting
-        What is planned in.
-    candidates : sequence of CandidatePose
-        Poses as planned: the rows.
-    uncertainty : Uncertainty
-        What is drawn.
-    n_samples : int
-        How many worlds.
-    compute : Compute
-        Its cache keeps the tables of single worlds; progress is told the mount positions of all.
-
-    Returns
-    -------
-    sampled : SampledTable
-        Worlds one after the other, the runs of each in the setting's order.
-
-    Raises
-    ------
-    InputError
-        See :func:`placement.sampling.worlds.draw_samples`.
-
-    Notes
-    -----
     Where mounts, the street or detections are drawn, every world takes about as long as the plan's
-    own table: rays are cast anew, for other things stand in their way. A packed table has
-    n_poses x n_frames / 8 bytes per world, in memory and in the cache.
+    own table: rays are cast anew, for other things stand in their way. A packed table has n_poses x
+    n_frames / 8 bytes per world, in memory and in the cache. The cache keeps the tables of single
+    worlds; progress is told the mount positions of all.
     """
     samples = draw_samples(setting, candidates, uncertainty, n_samples=n_samples, seed=compute.seed)
     compute.progress(STAGE, 0, 0)

@@ -8,12 +8,7 @@ import numpy as np
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray
 from geometry.footprints import footprint_corners, footprint_separation
-from geometry.junction import (
-    Arm,
-    build_junction,
-    lane_length_m,
-    lane_line,
-)
+from geometry.junction import Arm, build_junction, lane_length_m, lane_line
 from geometry.poses import Pose
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Lane, Scene
@@ -34,21 +29,13 @@ GroupKey = tuple[str, str]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ways:
-    """What the runs of one case from one approach sweep over, at any speed.
+    """The ground that runs of one case from one approach sweep over, at any speed."""
 
-    Attributes
-    ----------
-    corners_m : (n, 4, 2) float
-        Footprints of VUT and VRU, close to one another along their ways. World frame. [m]
-    reach_m : (n,) float
-        Nothing of a body between two footprints is farther than this from the nearer one. [m]
-    parked_m : (m, 4, 2) float
-        Footprints of the case's own obstructions. [m]
-    """
-
+    # (n, 4, 2): footprints of VUT and VRU, close to one another along their ways. World frame. [m]
     corners_m: FloatArray
+    # (n,): nothing of a body between two footprints is farther than this from the nearer one. [m]
     reach_m: FloatArray
-    parked_m: FloatArray
+    parked_m: FloatArray  # (m, 4, 2): footprints of the case's own obstructions. [m]
 
     def blocks(self, corners_m: FloatArray, *, clearance_m: float) -> bool:
         """Whether a footprint, (4, 2), is nearer than this to a way, or in an obstruction."""
@@ -136,24 +123,12 @@ Rng = Callable[..., np.random.Generator]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Kerbside:
-    """One lane along which vehicles stand.
+    """One lane along which vehicles stand."""
 
-    Attributes
-    ----------
-    lane : Lane
-        Of an arm.
-    is_in : bool
-        Whether it leads into the junction.
-    first_m : float
-        From the lane's mouth to the first place. [m]
-    end_m : float
-        From the lane's mouth to the end of the last one. [m]
-    """
-
-    lane: Lane
-    is_in: bool
-    first_m: float
-    end_m: float
+    lane: Lane  # of an arm
+    is_in: bool  # whether it leads into the junction
+    first_m: float  # from the lane's mouth to the first place. [m]
+    end_m: float  # from the lane's mouth to the end of the last one. [m]
 
     def at(self, near_m: float, actor: Actor) -> PlacedActor:
         """A body on the lane, facing as it is driven, one end so far from the lane's mouth."""
@@ -174,34 +149,19 @@ class Kerbside:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Street:
-    """Where in a scene vehicles may stand.
+    """Where in a scene vehicles may stand."""
 
-    Attributes
-    ----------
-    traffic : StandingTraffic
-        How many, of which kinds.
-    parking, entries : tuple of Kerbside
-        Parking lanes, and lanes that lead into the junction.
-    solid : RayCaster
-        Everything but the ground, relative to `origin_m`.
-    origin_m : (3,) float
-        Near the junction: rays are cast in single precision. [m]
-    """
-
-    traffic: StandingTraffic
+    traffic: StandingTraffic  # how many, of which kinds
+    # parking, entries: parking lanes, and lanes that lead into the junction
     parking: tuple[Kerbside, ...]
     entries: tuple[Kerbside, ...]
-    solid: RayCaster
-    origin_m: FloatArray
+    solid: RayCaster  # everything but the ground, relative to `origin_m`
+    origin_m: FloatArray  # (3,): near the junction: rays are cast in single precision. [m]
 
     def draw(self, rng: Rng) -> tuple[PlacedActor, ...]:
         """Vehicles of one sampled world, clear of the scene and of one another.
 
-        Parameters
-        ----------
-        rng : callable
-            From the key of a thing to its generator: what stands in one lane does not depend on
-            the others.
+        `rng` gives each thing its generator: what stands in one lane does not depend on the others.
         """
         kept: list[PlacedActor] = []
         taken: list[FloatArray] = []

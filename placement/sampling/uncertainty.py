@@ -12,14 +12,7 @@ import numpy as np
 from geometry.actors import Actor, Shape, pick_actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    Table,
-    load_toml,
-    take,
-    take_list,
-    take_number,
-    take_text,
-)
+from geometry.files import Table, load_toml, take, take_list, take_number, take_text
 
 from ..latency import LatencyBudget, load_latency_budget
 
@@ -40,14 +33,10 @@ _UNIFORM_REACH = np.sqrt(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountingErrors:
-    """How far off units are after installation.
+    """How far off units are after installation."""
 
-    Attributes
-    ----------
-    yaw_sd_deg, pitch_sd_deg, height_sd_m : float
-        Standard deviations; normal, cut off at three of them. [deg], [deg], [m]
-    """
-
+    # yaw_sd_deg, pitch_sd_deg, height_sd_m: standard deviations; normal, cut off at three of them.
+    # [deg], [deg], [m]
     yaw_sd_deg: float = 0.0
     pitch_sd_deg: float = 0.0
     height_sd_m: float = 0.0
@@ -60,24 +49,15 @@ class MountingErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyJitter:
-    """By how much messages take longer than the braking rule says.
+    """By how much messages take longer than the braking rule says."""
 
-    Attributes
-    ----------
-    distribution : {"gamma", "uniform"}
-        Of the time on top of the rule's latency; never negative.
-    mean_s, sd_s : float
-        Mean and standard deviation; with a deviation of 0 it is always the mean. [s]
-    drawn_per : {"run", "sample"}
-        How often it is drawn.
-    budget : LatencyBudget, optional
-        In place of all that: totals are drawn from it, and stand in for the rule's latency.
-    """
-
+    # {"gamma", "uniform"}: of the time on top of the rule's latency; never negative
     distribution: str = "gamma"
+    # mean_s, sd_s: mean and standard deviation; with a deviation of 0 it is always the mean. [s]
     mean_s: float = 0.0
     sd_s: float = 0.0
-    drawn_per: str = "run"
+    drawn_per: str = "run"  # {"run", "sample"}: how often it is drawn
+    # in place of all that: totals are drawn from it, and stand in for the rule's latency
     budget: LatencyBudget | None = None
 
     def __post_init__(self) -> None:
@@ -116,17 +96,11 @@ class LatencyJitter:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VehicleKind:
-    """A kind of vehicle that stands beside the road or waits on it.
+    """A kind of vehicle that stands beside the road or waits on it."""
 
-    Attributes
-    ----------
-    actor : Actor
-        Its body.
-    parked_share, waiting_share : float
-        Of all that are parked, and of all that wait: so many are of this kind. 0 .. 1
-    """
-
-    actor: Actor
+    actor: Actor  # its body
+    # parked_share, waiting_share: of all that are parked, and of all that wait: so many are of this
+    # kind. 0 .. 1
     parked_share: float
     waiting_share: float
 
@@ -292,24 +266,10 @@ _T = TypeVar("_T")
 def load_uncertainty(
     name_or_path: str = DEFAULT_UNCERTAINTY, *, where: str = "uncertainty"
 ) -> Uncertainty:
-    """Uncertainty by name or file.
+    """Uncertainty by name ("default", "none"), or a file like ``data/uncertainty.toml``.
 
-    Parameters
-    ----------
-    name_or_path : str
-        "default", "none", or a ``.toml`` file with the sections of ``data/uncertainty.toml``.
-    where : str
-        What named it, for error messages.
-
-    Returns
-    -------
-    uncertainty : Uncertainty
-        Checked.
-
-    Raises
-    ------
-    InputError
-        The name is unknown, or the file or a field is not what it should be.
+    `where` says what named it, for error messages. Raises InputError if the name is unknown, or the
+    file or a field is not what it should be.
     """
     if name_or_path in UNCERTAINTY_NAMES:
         return _load_named(name_or_path)

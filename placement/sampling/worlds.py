@@ -1,5 +1,6 @@
 """Sampled worlds: mounting errors, standing vehicles and latencies, drawn for each world."""
 
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray, freeze
+from geometry.errors import InputError
 from geometry.poses import Pose
 from scenarios.runs import Run
 
@@ -14,17 +16,48 @@ from ..candidates import CandidatePose
 from ..compute import check_whole
 from ..detectors import ResponseDetector
 from ..setting import Setting
-from .random_streams import Luck, mount_key
-from .traffic import (
-    GroupKey,
-    Street,
-    Ways,
-    build_street,
-    build_ways,
-    clear_of_ways,
-    group_key,
-)
+from .traffic import GroupKey, Street, Ways, build_street, build_ways, clear_of_ways, group_key
 from .uncertainty import MountingErrors, Uncertainty
+
+PURPOSES = ("choose", "judge")
+"""Worlds to choose a layout in, and worlds to judge it in, share no random number."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Luck:
+    """Where the random numbers of one sampled world come from."""
+
+    seed: int  # the user's
+    purpose: str  # {"choose", "judge"}: what the world is for
+    index: int  # number of the world
+
+    def __post_init__(self) -> None:
+        check_whole("--seed", self.seed, least=0)
+        if self.purpose not in PURPOSES:
+            raise InputError("purpose", self.purpose, "one of " + ", ".join(PURPOSES))
+
+    def rng(self, *key: object) -> np.random.Generator:
+        """Generator of one thing of this world; its draws do not depend on any other thing."""
+        thing = zlib.crc32(repr(key).encode())
+        return np.random.default_rng(
+            [self.seed, PURPOSES.index(self.purpose) + 1, self.index, thing]
+        )
+
+
+def mount_key(candidate: CandidatePose) -> tuple[object, ...]:
+    """Equal for poses of one physical mount: one site, or one point where there is none."""
+    if candidate.site_id:
+        return ("site", candidate.site_id)
+    return ("point", *candidate.pose.position_m[:2].tolist())
+
+
+def pose_key(candidate: CandidatePose) -> tuple[object, ...]:
+    """Equal for units that are meant to see the same, whatever they are called."""
+    pose = candidate.pose
+    zoom_deg = getattr(candidate.sensor, "horizontal_fov_deg", None)
+    angles_deg = (pose.yaw_deg, pose.pitch_deg, zoom_deg)
+    return (*pose.position_m.tolist(), *angles_deg, candidate.sensor.name)
+
 
 _CUT_OFF = 3.0  # standard deviations: who is off by more, notices
 _LOWEST_M = 0.1  # above the road
@@ -32,34 +65,18 @@ _LOWEST_M = 0.1  # above the road
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sample:
-    """One world that may turn out to be.
+    """One world that may turn out to be."""
 
-    Attributes
-    ----------
-    luck : Luck
-        Where its random numbers come from.
-    uncertainty : Uncertainty
-        What they are drawn of.
-    setting : Setting
-        The runs with all that stands in the street in them; deadlines less what messages take
-        longer than the rule says; the share of messages that is lost.
-    planned : tuple of CandidatePose
-        Poses as planned.
-    candidates : tuple of CandidatePose
-        The same as they really hang; ids, sites and sensors are as planned.
-    vehicles : tuple of PlacedActor
-        All that stands in the street, in whichever runs.
-    extra_latency_s : (n_runs,) float
-        What messages take longer than the rule says. [s]
-    """
-
-    luck: Luck
-    uncertainty: Uncertainty
+    luck: Luck  # where its random numbers come from
+    uncertainty: Uncertainty  # what they are drawn of
+    # the runs with all that stands in the street in them; deadlines less what messages take longer
+    # than the rule says; the share of messages that is lost
     setting: Setting
-    planned: tuple[CandidatePose, ...]
+    planned: tuple[CandidatePose, ...]  # poses as planned
+    # the same as they really hang; ids, sites and sensors are as planned
     candidates: tuple[CandidatePose, ...]
-    vehicles: tuple[PlacedActor, ...]
-    extra_latency_s: FloatArray
+    vehicles: tuple[PlacedActor, ...]  # all that stands in the street, in whichever runs
+    extra_latency_s: FloatArray  # (n_runs,): what messages take longer than the rule says. [s]
 
     @property
     def drawn_detector(self) -> ResponseDetector | None:
@@ -93,37 +110,15 @@ def draw_samples(
 ) -> Iterator[Sample]:
     """Draw worlds, one after the other: each is built when it is asked for.
 
-    Parameters
-    ----------
-    setting : Setting
-        What is planned in.
-    candidates : sequence of CandidatePose
-        Poses as planned.
-    uncertainty : Uncertainty
-        What is drawn.
-    n_samples : int
-        How many worlds; the first ones are the same whatever their number.
-    seed : int
-        Of all draws.
-    purpose : {"choose", "judge"}
-        Worlds of the one share no random number with worlds of the other.
+    The first worlds are the same whatever their number. `purpose` is "choose" or "judge": worlds of
+    the one share no random number with worlds of the other.
 
-    Yields
-    ------
-    sample : Sample
-        The next world.
-
-    Raises
-    ------
-    InputError
-        A number cannot be, or vehicles shall stand in a scene without a junction.
-
-    Notes
-    -----
     All poses of one site are off by the same yaw, pitch and height: those of the mount. So they
     stay comparable with one another, and share their rays as in the plan; two units on one pole
     are off in the same way. What stands in the street is one and the same in all runs of a world,
     but for what would stand in the way of a case from an approach: it is left out in those runs.
+
+    Raises InputError for a number that cannot be, or vehicles in a scene without a junction.
     """
     check_whole("--samples", n_samples, least=1)
     traffic = uncertainty.traffic

@@ -2,10 +2,9 @@
 
 ``casting`` spreads points over each VRU and sends rays to them from every mount position,
 ``sensing`` projects the points that the rays reach into the sensors of the position, ``build``
-makes the table of all positions, ``cache`` keeps it on disk.
+makes the table of all positions and keeps it on disk.
 """
 
-from .build import build_detection_table
-from .cache import load_table, save_table, table_fingerprint
+from .build import build_detection_table, load_table, save_table, table_fingerprint
 
 __all__ = ["build_detection_table", "load_table", "save_table", "table_fingerprint"]

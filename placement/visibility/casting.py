@@ -16,12 +16,7 @@ from scipy.spatial import cKDTree
 from geometry.actors import Actor, PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.poses import body_rotation, to_world
-from geometry.raycast import (
-    FloatRays,
-    RayCaster,
-    build_caster,
-    ray_lengths_m,
-)
+from geometry.raycast import FloatRays, RayCaster, build_caster, ray_lengths_m
 from geometry.scene import Scene
 from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
@@ -34,9 +29,7 @@ def obstruction_key(run: Run) -> tuple[object, ...]:
     return tuple(parked.key for parked in run.obstruction)
 
 
-def find_obstructions(
-    runs: Sequence[Run],
-) -> dict[tuple[object, ...], tuple[PlacedActor, ...]]:
+def find_obstructions(runs: Sequence[Run]) -> dict[tuple[object, ...], tuple[PlacedActor, ...]]:
     """Distinct obstructions in the order of `World.static`, by their content."""
     return {obstruction_key(run): run.obstruction for run in runs}
 
@@ -62,23 +55,13 @@ _TURN_M = 0.3  # a normal turned by a radian counts as much as a way of this len
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surface:
-    """Points on the outside of a body at one instant of its gait.
-
-    Attributes
-    ----------
-    actor : Actor
-        The body.
-    shape_index : int
-        Which of its shapes.
-    points_m : (n, 3) float
-        Body frame; the shape's extremes are among them. [m]
-    area_m2 : (n, 3) float
-        The part of the surface around each point: its area along its mean outward normal. [m^2]
-    """
+    """Points on the outside of a body at one instant of its gait."""
 
     actor: Actor
-    shape_index: int
-    points_m: FloatArray
+    shape_index: int  # which of its shapes
+    points_m: FloatArray  # (n, 3): body frame; the shape's extremes are among them. [m]
+    # (n, 3): the part of the surface around each point: its area along its mean outward normal.
+    # [m^2]
     area_m2: FloatArray
 
 
@@ -131,69 +114,36 @@ _OFF_SURFACE_M = 1.0e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VruViews:
-    """Every distinct (body, shape, pose, static world) in which a VRU is looked at.
+    """Every distinct (body, shape, pose, static world) in which a VRU is looked at."""
 
-    Attributes
-    ----------
-    position_m : (n_views, 2) float
-        Middle of the footprint, relative to the origin of `World`. [m]
-    yaw_deg : (n_views,) float
-        Heading. [deg]
-    surface_index, static_index : (n_views,) int
-        Into the surfaces and static casters of `World`.
-    points_m : (n_views, n_points, 3) float32
-        The body's points, relative to the origin of `World`. [m]
-    view_of_frame : (n_frames,) int
-        Which view each frame of the frame axis shows.
-    weathers : tuple of Weather
-        Distinct weathers.
-    weather_of_frame : (n_frames,) int
-        Which of them it is.
-    """
-
+    # (n_views, 2): middle of the footprint, relative to the origin of `World`. [m]
     position_m: FloatArray
-    yaw_deg: FloatArray
+    yaw_deg: FloatArray  # (n_views,): heading. [deg]
+    # surface_index, static_index: (n_views,): into the surfaces and static casters of `World`
     surface_index: IntArray
     static_index: IntArray
+    # (n_views, n_points, 3): the body's points, relative to the origin of `World`. [m]
     points_m: FloatRays
-    view_of_frame: IntArray
-    weathers: tuple[Weather, ...]
-    weather_of_frame: IntArray
+    view_of_frame: IntArray  # (n_frames,): which view each frame of the frame axis shows
+    weathers: tuple[Weather, ...]  # distinct weathers
+    weather_of_frame: IntArray  # (n_frames,): which of them it is
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class World:
-    """All that rays are cast against, and all that they are cast to.
+    """All that rays are cast against, and all that they are cast to."""
 
-    Attributes
-    ----------
-    origin_m : (3,) float
-        Subtracted from every coordinate: rays are cast in single precision. [m]
-    static : tuple of RayCaster
-        The scene with each distinct obstruction.
-    surfaces : tuple of Surface
-        Each distinct shape of a VRU, and its caster in `bodies`.
-    bodies : tuple of RayCaster
-        VRUs in their own frame.
-    vut : Actor
-        The vehicle under test, and its caster in its own frame.
-    vut_body : RayCaster
-        See `vut`.
-    vut_position_m, vut_yaw_deg : (n_frames, 2), (n_frames,) float
-        Relative to `origin_m`. [m], [deg]
-    views : VruViews
-        What is looked at.
-    """
-
+    # (3,): subtracted from every coordinate: rays are cast in single precision. [m]
     origin_m: FloatArray
-    static: tuple[RayCaster, ...]
-    surfaces: tuple[Surface, ...]
-    bodies: tuple[RayCaster, ...]
-    vut: Actor
-    vut_body: RayCaster
+    static: tuple[RayCaster, ...]  # the scene with each distinct obstruction
+    surfaces: tuple[Surface, ...]  # each distinct shape of a VRU, and its caster in `bodies`
+    bodies: tuple[RayCaster, ...]  # VRUs in their own frame
+    vut: Actor  # the vehicle under test, and its caster in its own frame
+    vut_body: RayCaster  # see `vut`
+    # vut_position_m, vut_yaw_deg: (n_frames, 2), (n_frames,): relative to `origin_m`. [m], [deg]
     vut_position_m: FloatArray
     vut_yaw_deg: FloatArray
-    views: VruViews
+    views: VruViews  # what is looked at
 
     @property
     def radius_m(self) -> float:
@@ -206,26 +156,14 @@ class World:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sight:
-    """What one mount position sees of the VRU, whatever the camera's direction.
+    """Visible points of the VRU from one mount position, whatever the camera's direction."""
 
-    Attributes
-    ----------
-    view_index : (n,) int
-        View of each entry.
-    is_visible : (n, n_points) bool
-        Points that the rays reach.
-    is_whole : (n,) bool
-        Nothing but the VRU itself hides any of its points.
-    visible_share : (n,) float
-        Of the points that the VRU itself does not hide, those that nothing hides.
-    entry_of_frame : (n_frames,) int
-        Entry that a frame shows; -1 where nothing of the VRU is seen.
-    """
-
-    view_index: IntArray
-    is_visible: BoolArray
-    is_whole: BoolArray
+    view_index: IntArray  # (n,): view of each entry
+    is_visible: BoolArray  # (n, n_points): points that the rays reach
+    is_whole: BoolArray  # (n,): nothing but the VRU itself hides any of its points
+    # (n,): of the points that the VRU itself does not hide, those that nothing hides
     visible_share: FloatArray
+    # (n_frames,): entry that a frame shows; -1 where nothing of the VRU is seen
     entry_of_frame: IntArray
 
 
@@ -387,12 +325,7 @@ def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> B
 
 
 def _is_blocked_by_static(
-    world: World,
-    eye_m: FloatArray,
-    view_index: IntArray,
-    is_asked: BoolArray,
-    *,
-    near_m: float,
+    world: World, eye_m: FloatArray, view_index: IntArray, is_asked: BoolArray, *, near_m: float
 ) -> BoolArray:
     """Points hidden by the scene or the case's obstruction, (n, n_points)."""
     views = world.views

@@ -8,24 +8,13 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.catalogue import Sensor
-from geometry.lidar import (
-    LidarModel,
-    beams_per_steradian,
-    load_lidar_detection,
-    return_probability,
-)
+from geometry.lidar import LidarModel, beams_per_steradian, load_lidar_detection, return_probability
 from geometry.poses import body_rotation, camera_rotation
 from geometry.raycast import FloatRays
 from geometry.sensors import CameraModel
 
 from ..candidates import CandidatePose
-from ..detectors import (
-    VRU_CLASSES,
-    Evidence,
-    PlanningDetector,
-    aspects_deg,
-    vru_class,
-)
+from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vru_class
 from .casting import Sight, World
 
 _MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outside the image
@@ -33,40 +22,19 @@ _MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outsid
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sensing:
-    """One mount position and all that is seen from it, whatever hangs there.
+    """One mount position and all that is seen from it, whatever hangs there."""
 
-    Attributes
-    ----------
-    world : World
-        What is looked at.
-    sight : Sight
-        Which points the rays reach.
-    detector : PlanningDetector
-        Of cameras.
-    offsets_m : (n, n_points, 3) float32
-        Points of each entry, from the mount. [m]
-    middle_m, distance_m : (n, 3), (n,) float
-        Mean of the points, and how far it is. [m]
-    half_angle_rad : (n,) float
-        Within which the body lies around its middle. [rad]
-    contrast : (n_weathers, n) float
-        Of the VRU in each weather.
-    vru_class : (n,) int
-        Into ``VRU_CLASSES``.
-    aspect_deg : (n,) float
-        Between line of sight and heading. [deg]
-    """
-
-    world: World
-    sight: Sight
-    detector: PlanningDetector
-    offsets_m: FloatRays
+    world: World  # what is looked at
+    sight: Sight  # which points the rays reach
+    detector: PlanningDetector  # of cameras
+    offsets_m: FloatRays  # (n, n_points, 3): points of each entry, from the mount. [m]
+    # middle_m, distance_m: (n, 3), (n,): mean of the points, and how far it is. [m]
     middle_m: FloatArray
     distance_m: FloatArray
-    half_angle_rad: FloatArray
-    contrast: FloatArray
-    vru_class: IntArray
-    aspect_deg: FloatArray
+    half_angle_rad: FloatArray  # (n,): within which the body lies around its middle. [rad]
+    contrast: FloatArray  # (n_weathers, n): of the VRU in each weather
+    vru_class: IntArray  # (n,): into ``VRU_CLASSES``
+    aspect_deg: FloatArray  # (n,): between line of sight and heading. [deg]
 
     def detected(self, candidate: CandidatePose) -> BoolArray:
         """Whether each entry is detected in each weather, (n_weathers, n)."""
@@ -156,7 +124,7 @@ def max_distance_m(
 def _project(
     sensing: Sensing, entries: IntArray, rotation: FloatArray, camera: CameraModel
 ) -> Evidence:
-    """What one camera shows of some entries, at full contrast."""
+    """Evidence of one camera for some entries, at full contrast."""
     sight = sensing.sight
     offsets_m = sensing.offsets_m[entries]
     in_camera = offsets_m.reshape(-1, 3) @ rotation.astype(np.float32)

@@ -15,11 +15,7 @@ from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.scene_files import load_study_scene
 from placement.planning import build_plan
-from placement.private_ground import (
-    load_private_ground,
-    private_shares,
-    respects_private_ground,
-)
+from placement.private_ground import load_private_ground, private_shares, respects_private_ground
 from placement.question import Question
 
 

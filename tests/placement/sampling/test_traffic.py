@@ -10,7 +10,6 @@ from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line, build_junction
 from geometry.scene_files import load_study_scene
 from placement.sampling import StandingTraffic, VehicleKind, draw_samples
-from placement.sampling.random_streams import Luck
 from placement.sampling.traffic import (
     build_street,
     build_ways,
@@ -18,6 +17,7 @@ from placement.sampling.traffic import (
     group_key,
     stop_line_m,
 )
+from placement.sampling.worlds import Luck
 from scenarios.cases import load_cases
 from scenarios.runs import build_runs
 

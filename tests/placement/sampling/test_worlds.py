@@ -11,7 +11,7 @@ from placement.sampling import (
     Uncertainty,
     draw_samples,
 )
-from placement.sampling.random_streams import Luck, mount_key, pose_key
+from placement.sampling.worlds import Luck, mount_key, pose_key
 
 
 def _offsets(sample):

@@ -14,7 +14,6 @@ from placement.detection_table import pack_table
 from placement.detectors import GeometricDetector, load_planning_detector
 from placement.visibility import build as build_module
 from placement.visibility import (
-    cache,
     load_table,
     save_table,
     table_fingerprint,
@@ -128,7 +127,7 @@ DAMAGES = {
     "single array": _single_array,
     "pickled": _foreign(format=np.array([{}], dtype=object)),
     "wrong shape": _foreign(
-        format=cache._FORMAT, fingerprint=FINGERPRINT, packed=np.zeros((3, 99), np.uint8)
+        format=build_module._FORMAT, fingerprint=FINGERPRINT, packed=np.zeros((3, 99), np.uint8)
     ),
     "folder": lambda path: (path.unlink(), path.mkdir()),
 }
@@ -194,7 +193,7 @@ def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypa
         file.write(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(cache.np, "savez", full)
+    monkeypatch.setattr(build_module.np, "savez", full)
     save_table(path, table, fingerprint="f" * 32)
     assert caplog.messages == [f"detection table not cached: {path}: No space left on device"]
     assert path.read_bytes() == before
@@ -355,7 +354,7 @@ def test_all_changes_have_fingerprints_of_their_own(inputs, actors):
 def test_what_a_weather_does_is_part_of_the_fingerprint(inputs, monkeypatch):
     inputs["runs"] = tuple(replace(run, weather="fog") for run in inputs["runs"])
     before = _fingerprint(inputs)
-    monkeypatch.setattr(cache, "pick_weather", lambda name, where: THIN_FOG)
+    monkeypatch.setattr(build_module, "pick_weather", lambda name, where: THIN_FOG)
     assert _fingerprint(inputs) != before
 
 
@@ -365,7 +364,7 @@ def test_what_it_takes_to_find_somebody_by_lidar_is_part_of_the_fingerprint_wher
     with_lidar = {**inputs, **CHANGES["a LiDAR"](inputs, {})}
     before = [_fingerprint(given) for given in (inputs, with_lidar)]
     other = replace(load_lidar_detection(), min_points={"pedestrian": 1, "child": 1, "cyclist": 1})
-    monkeypatch.setattr(cache, "load_lidar_detection", lambda: other)
+    monkeypatch.setattr(build_module, "load_lidar_detection", lambda: other)
     after = [_fingerprint(given) for given in (inputs, with_lidar)]
     assert [a == b for a, b in zip(after, before, strict=True)] == [True, False]
 

@@ -1,15 +1,23 @@
-"""A detector that misses with a probability: by height, share seen, class, aspect and contrast."""
+"""The built-in detectors, by boxes alone and by probability, and detectors by name or file."""
 
+import re
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
-from geometry.errors import InputError
+from geometry.errors import InputError, Unquoted
+from geometry.files import Table, load_toml, read_table, take, take_list, take_number
 from geometry.image_boxes import box_height_px
 
-from .evidence import VRU_CLASSES, Detections, Evidence
+from .box_rule import GeometricDetector, load_min_iou
+from .evidence import VRU_CLASSES, Detections, Detector, Evidence, PlanningDetector
 
 _POSITIVES = (
     "height_half_px",
@@ -23,46 +31,29 @@ _PROBABILITIES = ("cyclist_end_on", "box_noise_share", "frame_correlation", "pla
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ResponseDetector:
-    """Detects with a probability; each frame is drawn at random.
+    """Detects with a probability; each frame is drawn at random."""
 
-    Attributes
-    ----------
-    name : str
-        "response", or the file that it comes from.
-    seen_share, recall : (n,) float
-        Share of the VRU that is seen, ascending from 0 to 1, and the probability of a correct
-        detection there; linear between.
-    height_half_px, height_steepness : float
-        Factor 1 / (1 + (half / height)^steepness) of the visible box. [px]
-    min_box_height_px : float
-        Smaller boxes are never detected. [px]
-    class_factor : (n_classes,) float
-        In the order of ``VRU_CLASSES``.
-    cyclist_end_on : float
-        Factor for a cyclist seen from straight behind or ahead; 1 from the side.
-    contrast_half, contrast_steepness : float
-        Factor 1 / (1 + (half / contrast)^steepness), relative to that at full contrast.
-    box_noise_share : float
-        Standard deviation of each side, as a share of the box's width or height.
-    frame_correlation : float
-        Between the random draws of consecutive frames.
-    plan_probability : float
-        A plan counts on a detection from this probability on.
-    """
-
-    name: str
+    name: str  # "response", or the file that it comes from
+    # seen_share, recall: (n,): share of the VRU that is seen, ascending from 0 to 1, and the
+    # probability of a correct detection there; linear between
     seen_share: FloatArray
     recall: FloatArray
+    # height_half_px, height_steepness: factor 1 / (1 + (half / height)^steepness) of the visible
+    # box. [px]
     height_half_px: float
     height_steepness: float
-    min_box_height_px: float
-    class_factor: FloatArray
+    min_box_height_px: float  # smaller boxes are never detected. [px]
+    class_factor: FloatArray  # (n_classes,): in the order of ``VRU_CLASSES``
+    # factor for a cyclist seen from straight behind or ahead; 1 from the side
     cyclist_end_on: float
+    # contrast_half, contrast_steepness: factor 1 / (1 + (half / contrast)^steepness), relative to
+    # that at full contrast
     contrast_half: float
     contrast_steepness: float
+    # standard deviation of each side, as a share of the box's width or height
     box_noise_share: float
-    frame_correlation: float
-    plan_probability: float
+    frame_correlation: float  # between the random draws of consecutive frames
+    plan_probability: float  # a plan counts on a detection from this probability on
 
     needs_shares = True
     needs_pictures = False
@@ -165,3 +156,118 @@ def _linked_noise(draws: IntArray, correlation: float, rng: np.random.Generator)
     for index in np.flatnonzero(np.diff(draws) == 1) + 1:
         linked[index] = correlation * linked[index - 1] + step * fresh[index]
     return linked
+
+
+DETECTOR_NAMES = ("geometric", "response")
+_FILE = "detectors.toml"
+
+
+def load_detector(name: str = "geometric", *, where: str = "detector") -> Detector:
+    """Detector by name or file.
+
+    Parameters
+    ----------
+    name : str
+        "geometric", "response", a ``.toml`` file with a table ``[response]`` as in
+        ``data/detectors.toml``, or an ``.onnx`` file.
+    where : str
+        What named it, for error messages.
+
+    Returns
+    -------
+    detector : Detector
+        Ready.
+
+    Raises
+    ------
+    InputError
+        The name is unknown, or the file cannot be used.
+    MissingExtraError
+        An ONNX file without onnxruntime.
+    """
+    if name in DETECTOR_NAMES:
+        return load_planning_detector(name)
+    path = Path(name)
+    if path.suffix == ".toml":
+        return _read_response(path, load_toml(path), name=path.name)
+    if path.suffix == ".onnx":
+        from .network import NetworkDetector, load_onnx_model
+
+        limits = read_table(_defaults()["onnx"], dict[str, float], f"{_FILE}: onnx")
+        return NetworkDetector(name=path.name, model=load_onnx_model(path), **limits)
+    known = ", ".join(DETECTOR_NAMES)
+    raise InputError(where, name, f"{known}, a .toml file with a response table, or an .onnx file")
+
+
+@cache
+def load_planning_detector(name: str = "geometric") -> PlanningDetector:
+    """One of the built-in detectors, "geometric" or "response", from ``data/detectors.toml``."""
+    table = take(_defaults(), name, _FILE)
+    if name == "response":
+        return _read_response(_source(), _defaults(), name=name)
+    limits = read_table(table, dict[str, float], f"{_FILE}: {name}")
+    return GeometricDetector(min_iou=load_min_iou(), **limits)
+
+
+def _source() -> Traversable:
+    return files(__package__) / "data" / _FILE
+
+
+@cache
+def _defaults() -> dict[str, Any]:
+    return load_toml(_source())
+
+
+_NUMBERS = (
+    "height_half_px",
+    "height_steepness",
+    "min_box_height_px",
+    "cyclist_end_on",
+    "contrast_half",
+    "contrast_steepness",
+    "box_noise_share",
+    "frame_correlation",
+    "plan_probability",
+)
+
+
+def _read_response(source: Path | Traversable, document: Table, *, name: str) -> ResponseDetector:
+    """Response table of a document; errors name the file and the line."""
+    table = document.get("response")
+    if not isinstance(table, dict):
+        raise InputError(str(source), Unquoted("no table [response]"), "a table [response]")
+    try:
+        shares, recall = (
+            float_array(take_list(table, key, "response"), (-1,), key)
+            for key in ("seen_share", "recall")
+        )
+        numbers = {key: take_number(table, key, "response") for key in _NUMBERS}
+        factors = {key: take_number(table, key, "response") for key in VRU_CLASSES}
+        for key, factor in factors.items():
+            if not 0.0 <= factor <= 1.0:
+                raise InputError(key, factor, "0 .. 1")
+        return ResponseDetector(
+            name=name,
+            seen_share=shares,
+            recall=recall,
+            class_factor=float_array(list(factors.values()), (-1,), "class_factor"),
+            **numbers,
+        )
+    except InputError as error:
+        key = error.where.removeprefix("response.")
+        where = f"{source}:{_line(source, key)}: {key}"
+        raise InputError(where, error.got, error.expected) from None
+
+
+def _line(source: Path | Traversable, key: str) -> int:
+    """Line of a key in the table ``[response]``; that of the table if the key is missing."""
+    lines = source.read_text(encoding="utf-8").splitlines()
+    header = next(
+        (index for index, text in enumerate(lines) if re.match(r"\s*\[\s*response\s*\]", text)), 0
+    )
+    for index in range(header + 1, len(lines)):
+        if re.match(r"\s*\[", lines[index]):
+            break
+        if re.match(rf"\s*{re.escape(key)}\s*=", lines[index]):
+            return index + 1
+    return header + 1
