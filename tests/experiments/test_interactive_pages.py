@@ -18,6 +18,9 @@ from PIL import Image
 from experiments.report.interactive.part import interactive_part
 from experiments.report.interactive.records import unpack_bits
 
+pytestmark = pytest.mark.system
+
+
 FRAME = "document.getElementById('player-frame')"
 
 

@@ -20,6 +20,9 @@ from placement.compute import Compute
 from placement.layout import Layout, layout_records
 from placement.question import Question
 
+pytestmark = pytest.mark.system
+
+
 KINDS = ("placement", "comparison", "missed", "many")
 """Of an optimised layout, of two, of one that misses runs, and of one of 200 units."""
 MAX_BYTES = 8_000_000

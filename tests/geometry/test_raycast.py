@@ -14,7 +14,7 @@ from geometry.raycast import build_caster, caster_name, open3d_problem
 
 _OPEN3D_PROBLEM = open3d_problem()
 needs_open3d = pytest.mark.skipif(_OPEN3D_PROBLEM is not None, reason=str(_OPEN3D_PROBLEM))
-LIBRARIES = [pytest.param("open3d", marks=needs_open3d), "embreex"]
+LIBRARIES = [pytest.param("open3d", marks=[needs_open3d, pytest.mark.system]), "embreex"]
 
 BOX_M = np.array([2.0, 3.0, 4.0])
 BOX = trimesh.creation.box(extents=2.0 * BOX_M)
@@ -76,6 +76,7 @@ def test_the_nearest_of_several_triangles_is_hit_at_its_share_of_the_vector(libr
     assert caster.first_hit(origins, vectors) == pytest.approx([3.0, 0.25, np.inf, 4.0], rel=1e-6)
 
 
+@pytest.mark.system
 @needs_open3d
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=15)
@@ -91,6 +92,7 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
     np.testing.assert_allclose(hits, other.first_hit(origins, vectors), rtol=1e-5)
 
 
+@pytest.mark.system
 @needs_open3d
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=15)
@@ -276,6 +278,7 @@ def test_where_open3d_cannot_load_embreex_casts_and_one_line_says_why(
         build_caster(BOX.vertices, BOX.faces, library="open3d")
 
 
+@pytest.mark.system
 @needs_open3d
 def test_open3d_casts_where_it_loads():
     assert caster_name() == "open3d"

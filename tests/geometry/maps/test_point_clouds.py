@@ -155,6 +155,7 @@ def test_pcd_files_are_read(tmp_path, encoding):
     assert size(thing) == pytest.approx([12.0, 8.0, 6.0], abs=0.51)
 
 
+@pytest.mark.system
 def test_pcd_files_of_open3d_are_read(tmp_path):
     o3d = pytest.importorskip("open3d", exc_type=ImportError)  # without its system libraries
     points = np.concatenate([house(4000), ground(4000)])

@@ -240,6 +240,7 @@ def test_the_sieve_keeps_every_frame_in_which_the_vut_blocks_a_ray(
     assert 0 < len(kept[0]) < 0.8 * n_frames
 
 
+@pytest.mark.system
 def test_both_ray_libraries_see_the_same(build_scene, build_run, monkeypatch):
     if raycast.caster_name() == "embreex":
         pytest.skip("Open3D cannot load here")
