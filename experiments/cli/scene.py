@@ -16,6 +16,8 @@ from .running import print_result
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
+    from geometry.maps.importing import ReadingOptions
+
     from ..results.scenes import JunctionRecord, SceneCheckResult, SceneResult, SiteRecord
 
 _EXIT_FAILED = 1
@@ -77,10 +79,14 @@ def _reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(command)
     def with_reading(*args: Any, **values: Any) -> Any:
+        from geometry.maps.importing import ReadingOptions
+
         traffic = values.pop("traffic")
         names = ("unit", "up", "class_name", "crs", "layer", "offset_m")
-        reading = {name: values.pop(name) for name in names}
-        reading["keeps_left"] = None if traffic is None else traffic == "left"
+        reading = ReadingOptions(
+            keeps_left=None if traffic is None else traffic == "left",
+            **{name: values.pop(name) for name in names},
+        )
         return command(*args, reading=reading, **values)
 
     decorated: Callable[..., Any] = with_reading
@@ -161,7 +167,7 @@ def import_(
     ground_m: float | None,
     name: str,
     bbox: str,
-    reading: dict[str, Any],
+    reading: "ReadingOptions",
     out: Path,
     as_json: bool,
     quiet: bool,
@@ -174,7 +180,7 @@ def import_(
     with the most arms is taken; `scene show FILE` lists them.
     """
     progress.start(quiet=quiet)
-    from geometry.maps.importing import ImportOptions, ReadingOptions
+    from geometry.maps.importing import ImportOptions
 
     from ..jobs import scene
 
@@ -187,7 +193,7 @@ def import_(
             sites=sites,
             ground_m=ground_m,
             name=name,
-            reading=ReadingOptions(**reading),
+            reading=reading,
         ),
         bbox=bbox,
         out=out,
@@ -216,20 +222,18 @@ def show(
     progress: StageProgress,
     *,
     paths: tuple[str, ...],
-    reading: dict[str, Any],
+    reading: "ReadingOptions",
     out: Path | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
     """What a scene or a map has: arms, lanes, sites, things, and what was left out and why."""
     progress.start(quiet=quiet)
-    from geometry.maps.importing import ReadingOptions
-
     from ..jobs import scene
 
     summary = scene.run_show(
         paths,
-        ReadingOptions(**reading),
+        reading,
         out=out,
         progress=progress,
     )
