@@ -180,8 +180,13 @@ def _party_lines(parties: "Mapping[str, LatencyCurveRecord]") -> list[str]:
         **{name: words for name, words in _OTHERS.items() if name in parties},
     }
     rows = [
-        [words, *map(percent, (curve.expected, curve.at_mean, curve.at_worst))]
-        for curve, words in ((parties[name], words) for name, words in names.items())
+        [
+            words,
+            percent(parties[name].expected),
+            percent(parties[name].at_mean),
+            percent(parties[name].at_worst),
+        ]
+        for name, words in names.items()
     ]
     return table(["APR within the budget", "expected", "at the mean", "at the worst"], rows)
 
