@@ -41,7 +41,7 @@ from placement.wishes import Wishes, build_problem
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis
 
-from .rays import in_turn, ratio
+from .rays import Figures, in_turn, ratio
 
 # ---------- A made-up placement instance of any size
 
@@ -318,7 +318,7 @@ _LARGE_UNITS, _LARGE_GAP, _LARGE_TIME_S = 6, 0.01, 300.0
 
 def measure_optimiser(
     setting: Setting, candidates: Sequence[CandidatePose], budget: int
-) -> dict[str, Any]:
+) -> Figures:
     """Presolve and all stages, fronts, and maximal covering against HiGHS alone."""
     table = build_detection_table(
         setting.scene,
@@ -335,7 +335,7 @@ def measure_optimiser(
     presolve_s = time.perf_counter() - began_s
     solution = solve_placement(problem, reduced)
     all_stages_s = time.perf_counter() - began_s
-    figures = {
+    figures: Figures = {
         "optimiser: poses x runs x frames": f"{table.n_poses} x {table.axis.n_runs} x "
         f"{table.axis.n_frames}",
         "optimiser: presolve": str(solution.presolve),
@@ -361,7 +361,7 @@ def measure_optimiser(
     return figures | _measure_single(single, table)
 
 
-def measure_relaxation(problem: PlacementProblem) -> dict[str, Any]:
+def measure_relaxation(problem: PlacementProblem) -> Figures:
     """Bound of the APR by subgradient steps, with OSQP's multipliers, and on whole windows."""
     reduced = presolve(problem)
     coverage = build_coverage(reduced, Objective.APR)
@@ -390,7 +390,7 @@ def measure_relaxation(problem: PlacementProblem) -> dict[str, Any]:
     }
 
 
-def _measure_single(single: PlacementProblem, table: DetectionTable) -> dict[str, Any]:
+def _measure_single(single: PlacementProblem, table: DetectionTable) -> Figures:
     covers = _covers(single, table)
     best: dict[str, float] = {}
 
@@ -433,7 +433,7 @@ def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
 # ---------------------------------------------------------------- maximal covering
 
 
-def measure_covering() -> dict[str, Any]:
+def measure_covering() -> Figures:
     """Maximal covering, model building included, against spopt with CBC on the same instance."""
     name = f"covering: {_MCLP_POSES} x {_MCLP_ROWS}, K = {_MCLP_UNITS}"
     random = np.random.default_rng(0)
@@ -445,7 +445,7 @@ def measure_covering() -> dict[str, Any]:
         build_covering_instance(distance < _MCLP_RADIUS, weight=weight), budget_units=_MCLP_UNITS
     )
     ours_s = time.perf_counter() - began_s
-    figures: dict[str, Any] = {f"{name}: seconds": ours_s}
+    figures: Figures = {f"{name}: seconds": ours_s}
     if find_spec("spopt") is None:
         return figures | {f"{name}: spopt with CBC": "not installed: uv run --group bench"}
     with warnings.catch_warnings():
@@ -470,7 +470,7 @@ def measure_covering() -> dict[str, Any]:
 # ---------------------------------------------------------------- a hundred times larger
 
 
-def measure_large() -> dict[str, Any]:
+def measure_large() -> Figures:
     """A made-up instance of 200,000 poses and 50,000 frames."""
     size = SyntheticSize()
     name = f"large: {size.n_poses} x {size.n_frames}, K = {_LARGE_UNITS}"

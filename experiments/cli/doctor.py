@@ -5,9 +5,9 @@ import platform
 import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import click
+import msgspec
 
 from .options import cache_folder, json_option
 from .terminal import WIDTH, sentences
@@ -26,74 +26,102 @@ _LIBRARIES = (
 )
 
 
-def examine(cache_folder: Path) -> dict[str, Any]:
-    """Look at the installation.
+class RaysState(msgspec.Struct, frozen=True):
+    """The library that casts rays; why it is not Open3D, if it is not."""
 
-    Parameters
-    ----------
-    cache_folder : Path
-        Where detection tables are kept.
+    by: str
+    problem: str | None
 
-    Returns
-    -------
-    summary : dict
-        ``{"version", "python", "platform", "processors", "rays": {"by", "problem"}, "libraries":
-        {name: version or None}, "extras": [{"package", "extra", "version", "without"}],
-        "milp_solvers": [..], "cache": {"folder", "files", "bytes", "is_writable"}, "is_well"}``.
-        Well: everything that is not an extra is there, and the cache can be written.
+
+class ExtraState(msgspec.Struct, frozen=True):
+    """An optional package, the extra that brings it, and what is not there without it."""
+
+    package: str
+    extra: str
+    version: str | None
+    without: str
+
+
+class CacheState(msgspec.Struct, frozen=True):
+    """The folder of detection tables."""
+
+    folder: str
+    files: int
+    bytes: int
+    is_writable: bool
+
+
+class Installation(msgspec.Struct, frozen=True):
+    """What ``--json`` prints; a version is None where a package is not installed.
+
+    Well: everything that is not an extra is there, and the cache can be written.
     """
+
+    version: str | None
+    python: str
+    platform: str
+    processors: int | None
+    rays: RaysState
+    libraries: dict[str, str | None]
+    extras: tuple[ExtraState, ...]
+    milp_solvers: tuple[str, ...]
+    cache: CacheState
+    is_well: bool
+
+
+def examine(cache_folder: Path) -> Installation:
+    """Look at the installation, and at the folder where detection tables are kept."""
     from geometry.raycast import caster_name, open3d_problem
 
     libraries = {name: _version(name) for name in _LIBRARIES}
     cache = _examine_cache(cache_folder)
-    return {
-        "version": _version("place-rsus"),
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "processors": os.cpu_count(),
-        "rays": {"by": caster_name(), "problem": open3d_problem()},
-        "libraries": libraries,
-        "extras": [
-            {"package": package, "extra": extra, "version": _version(package), "without": without}
+    return Installation(
+        version=_version("place-rsus"),
+        python=platform.python_version(),
+        platform=platform.platform(),
+        processors=os.cpu_count(),
+        rays=RaysState(by=caster_name(), problem=open3d_problem()),
+        libraries=libraries,
+        extras=tuple(
+            ExtraState(package=package, extra=extra, version=_version(package), without=without)
             for package, extra, without in _EXTRAS
-        ],
-        "milp_solvers": ["HIGHS"] if libraries["highspy"] else [],
-        "cache": cache,
-        "is_well": all(libraries.values()) and bool(cache["is_writable"]),
-    }
+        ),
+        milp_solvers=("HIGHS",) if libraries["highspy"] else (),
+        cache=cache,
+        is_well=all(libraries.values()) and cache.is_writable,
+    )
 
 
-def doctor_text(summary: dict[str, Any]) -> str:
+def doctor_text(summary: Installation) -> str:
     """The same in words, at most 80 columns wide."""
     lines = [
-        f"place-rsus {summary['version'] or '(not installed)'}, Python {summary['python']}, "
-        f"{summary['processors']} processors",
-        f"  {summary['platform']}"[:WIDTH],
+        f"place-rsus {summary.version or '(not installed)'}, Python {summary.python}, "
+        f"{summary.processors} processors",
+        f"  {summary.platform}"[:WIDTH],
         "",
-        f"rays are cast by {summary['rays']['by']}",
+        f"rays are cast by {summary.rays.by}",
     ]
-    if summary["rays"]["problem"]:
+    if summary.rays.problem:
         lines += sentences(
-            summary["rays"]["problem"], "embreex casts the same rays: nothing is lost", indent=2
+            summary.rays.problem, "embreex casts the same rays: nothing is lost", indent=2
         )
     lines += ["", "libraries:"]
     lines += [
         f"  {name:<22} {found or 'MISSING: place-rsus does not work without it'}"
-        for name, found in summary["libraries"].items()
+        for name, found in summary.libraries.items()
     ]
     lines += ["", "extras:"]
-    for entry in summary["extras"]:
-        if entry["version"]:
-            lines.append(f"  {entry['package']:<22} {entry['version']}")
+    for entry in summary.extras:
+        if entry.version:
+            lines.append(f"  {entry.package:<22} {entry.version}")
         else:
-            lines.append(f"  {entry['package']:<22} not installed (place-rsus[{entry['extra']}])")
-            lines += sentences(f"without it: no {entry['without']}", indent=4)
-    lines += ["", "mixed-integer solvers: " + ", ".join(summary["milp_solvers"])]
-    cache = summary["cache"]
-    state = "" if cache["is_writable"] else "; it cannot be written to: tables are made anew"
+            lines.append(f"  {entry.package:<22} not installed (place-rsus[{entry.extra}])")
+            lines += sentences(f"without it: no {entry.without}", indent=4)
+    lines += ["", "mixed-integer solvers: " + ", ".join(summary.milp_solvers)]
+    cache = summary.cache
+    state = "" if cache.is_writable else "; it cannot be written to: tables are made anew"
     lines += sentences(
-        f"detection tables: {cache['files']} in {cache['folder']}, "
-        f"{cache['bytes'] / 2**20:,.0f} MiB{state}"
+        f"detection tables: {cache.files} in {cache.folder}, {cache.bytes / 2**20:,.0f} MiB{state}"
     )
     return "\n".join(lines)
 
@@ -105,17 +133,17 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _examine_cache(folder: Path) -> dict[str, Any]:
+def _examine_cache(folder: Path) -> CacheState:
     tables = sorted(folder.glob("table-*.npz")) if folder.is_dir() else []
     existing = folder
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
-    return {
-        "folder": str(folder),
-        "files": len(tables),
-        "bytes": sum(path.stat().st_size for path in tables),
-        "is_writable": existing.is_dir() and os.access(existing, os.W_OK),
-    }
+    return CacheState(
+        folder=str(folder),
+        files=len(tables),
+        bytes=sum(path.stat().st_size for path in tables),
+        is_writable=existing.is_dir() and os.access(existing, os.W_OK),
+    )
 
 
 @click.command(
@@ -133,5 +161,5 @@ def doctor(*, as_json: bool) -> None:
 
     summary = examine(cache_folder())
     click.echo(to_json_text(summary).rstrip() if as_json else doctor_text(summary))
-    if not summary["is_well"]:
+    if not summary.is_well:
         sys.exit(_EXIT_FAILED)

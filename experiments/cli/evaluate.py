@@ -23,7 +23,7 @@ from .options import (
     quiet_option,
 )
 from .recording import check_recording_options, recording_options, recording_table
-from .running import begin, command_line, load_one_layout, plain, print_result
+from .running import begin, command_line, load_one_layout, print_result
 from .terminal import sentences, table, wide_table
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def evaluate(
             out=out,
             progress=progress,
         )
-        print_result(summary, progress, as_json, lambda: recording_table(plain(summary), out))
+        print_result(summary, progress, as_json, lambda: recording_table(summary, out))
         return
     layout = load_one_layout(layout_names)
     begin(progress, quiet=quiet)

@@ -3,9 +3,10 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
+from msgspec import UNSET
 
 from placement.compute import Compute
 from placement.question import Question
@@ -22,8 +23,11 @@ from .options import (
     question_options,
     quiet_option,
 )
-from .running import begin, load_one_layout, plain, print_result
+from .running import begin, load_one_layout, print_result
 from .terminal import sentences, table
+
+if TYPE_CHECKING:
+    from ..results.latencies import LatencyBudgetRecord, LatencyCurveRecord, LatencyResult
 
 
 @click.command(
@@ -101,7 +105,7 @@ def latency(
         compute=compute,
         progress=progress,
     )
-    print_result(summary, progress, as_json, lambda: latency_text(plain(summary), out))
+    print_result(summary, progress, as_json, lambda: latency_text(summary, out))
 
 
 _COLUMNS = {"rsu_all": "RSUs, fused", "vut_and_rsus": "VUT and RSUs", "vut": "VUT alone"}
@@ -112,22 +116,22 @@ _NOTE = (
 )
 
 
-def latency_text(summary: Mapping[str, Any], out: Path | None) -> str:
+def latency_text(summary: "LatencyResult", out: Path | None) -> str:
     """APR at some latencies, the latencies that leave some APR, and what the budget does."""
-    parties, budget = summary["parties"], summary["budget"]
+    parties, budget = summary.parties, summary.budget
     at = [
-        [_ms(entry["latency_s"]), *(percent(parties[name]["at"][row]["apr"]) for name in _COLUMNS)]
-        for row, entry in enumerate(parties["rsu_all"]["at"])
+        [_ms(entry.latency_s), *(percent(parties[name].at[row].apr) for name in _COLUMNS)]
+        for row, entry in enumerate(parties["rsu_all"].at)
     ]
     longest = [
         [
-            f"{100.0 * entry['apr']:g} %",
-            *(_longest(parties[name]["longest"][row]["latency_s"]) for name in _COLUMNS),
+            f"{100.0 * entry.apr:g} %",
+            *(_longest(parties[name].longest[row].latency_s) for name in _COLUMNS),
         ]
-        for row, entry in enumerate(parties["rsu_all"]["longest"])
+        for row, entry in enumerate(parties["rsu_all"].longest)
     ]
     lines = [
-        *sentences(f"{summary['name']} on {summary['runs']} runs:"),
+        *sentences(f"{summary.name} on {summary.runs} runs:"),
         *table(["APR at a latency of", *_COLUMNS.values()], at),
         "",
         *table(["longest latency that leaves an APR of", *_COLUMNS.values()], longest),
@@ -153,39 +157,44 @@ def _longest(latency_s: float) -> str:
     return f"{math.floor(10000.0 * latency_s + 1.0e-5) / 10.0:.1f} ms"
 
 
-def _budget_lines(budget: Mapping[str, Any]) -> list[str]:
+def _budget_lines(budget: "LatencyBudgetRecord") -> list[str]:
     rows = [
         [
-            part["name"] + (" (assumption)" if part["is_assumption"] else ""),
-            _ms(part["low_s"]),
-            _ms(0.5 * (part["low_s"] + part["high_s"])),
-            _ms(part["high_s"]),
+            part.name + (" (assumption)" if part.is_assumption else ""),
+            _ms(part.low_s),
+            _ms(0.5 * (part.low_s + part.high_s)),
+            _ms(part.high_s),
         ]
-        for part in budget["parts"]
+        for part in budget.parts
     ]
     if len(rows) > 1:
-        times_s = (budget["best_s"], budget["mean_s"], budget["worst_s"])
+        times_s = (budget.best_s, budget.mean_s, budget.worst_s)
         rows.append(["all together", *map(_ms, times_s)])
-    return table(["latency budget " + budget["name"], "least", "mean", "most"], rows)
+    return table(["latency budget " + budget.name, "least", "mean", "most"], rows)
 
 
-def _party_lines(parties: Mapping[str, Any]) -> list[str]:
+def _party_lines(parties: "Mapping[str, LatencyCurveRecord]") -> list[str]:
     names = {
         **_COLUMNS,
         **{name: name for name in parties if name not in (*_COLUMNS, *_OTHERS)},
         **{name: words for name, words in _OTHERS.items() if name in parties},
     }
     rows = [
-        [words, *(percent(parties[name][key]) for key in ("expected", "at_mean", "at_worst"))]
+        [
+            words,
+            percent(parties[name].expected),
+            percent(parties[name].at_mean),
+            percent(parties[name].at_worst),
+        ]
         for name, words in names.items()
     ]
     return table(["APR within the budget", "expected", "at the mean", "at the worst"], rows)
 
 
-def _own_latencies(summary: Mapping[str, Any]) -> str:
-    own = {unit["id"]: unit["latency_s"] for unit in summary["layout"] if "latency_s" in unit}
-    if summary["vut_latency_s"] is not None:
-        own["the VUT"] = summary["vut_latency_s"]
+def _own_latencies(summary: "LatencyResult") -> str:
+    own = {unit.id: unit.latency_s for unit in summary.layout if unit.latency_s is not UNSET}
+    if summary.vut_latency_s is not None:
+        own["the VUT"] = summary.vut_latency_s
     note = "" if "the VUT" in own else " The VUT's own sensors take as long; see --vut-latency."
     if not own:
         return note

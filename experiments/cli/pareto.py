@@ -1,8 +1,7 @@
 """``place-rsus pareto``: what each further unit, or more money, buys."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,7 +9,7 @@ from placement.compute import Compute
 from placement.question import ASKED, MOUNTED, Question
 
 from ..progress import StageProgress
-from ..results.numbers import percent
+from ..results.numbers import or_nan, percent
 from .options import (
     JUDGED,
     SectionedCommand,
@@ -21,8 +20,11 @@ from .options import (
     question_options,
     quiet_option,
 )
-from .running import begin, command_line, plain, print_result
+from .running import begin, command_line, print_result
 from .terminal import sentences, table
+
+if TYPE_CHECKING:
+    from ..results.fronts import FrontPointRecord, FrontRecord
 
 _TIME_LIMIT_S = 60.0
 FRONT_SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
@@ -103,7 +105,7 @@ def pareto(
         command=command_line(),
         progress=progress,
     )
-    print_result(summary, progress, as_json, lambda: front_text(plain(summary), out))
+    print_result(summary, progress, as_json, lambda: front_text(summary, out))
 
 
 _ONE_FAILS = "One fails: APR that is left when the most needed unit fails"
@@ -117,46 +119,46 @@ _NOTES = {
 _NOTES["cost", True] = _NOTES["units", True]
 
 
-def front_text(summary: Mapping[str, Any], out: Path | None) -> str:
+def front_text(summary: "FrontRecord", out: Path | None) -> str:
     """A front: a row per layout, and what each unit, or more money, buys."""
-    by, is_all = summary["by"], summary["optimised"] == "all"
+    by, is_all = summary.by, summary.optimised == "all"
     star = "" if is_all else "*"
     rows = [
         [
-            str(point["units"]),
-            percent(point["apr"]),
-            percent(point["apr_one_failed"]),
-            f"{point['smallest_margin_s']:.3f} s",
-            f"{point['mean_margin_s']:.3f} s",
-            f"{point['cost_eur']:,.0f}",
+            str(point.units),
+            percent(point.apr),
+            percent(point.apr_one_failed),
+            f"{point.smallest_margin_s:.3f} s",
+            f"{point.mean_margin_s:.3f} s",
+            f"{point.cost_eur:,.0f}",
             _proof(point),
         ]
-        for point in summary["points"]
+        for point in summary.points
     ]
     eur = "EUR" + star if by == "units" else "EUR"
     heads = ["units", "APR", "one fails", "smallest" + star, "mean" + star, eur, "proof"]
     buys = "money buys" if by == "cost" else "units buy"
     lines = [
         *sentences(
-            f"The best of {summary['candidates']} poses on {summary['runs']} runs (fusion "
-            f"{summary['fusion']}), and what more {buys}:"
+            f"The best of {summary.candidates} poses on {summary.runs} runs (fusion "
+            f"{summary.fusion}), and what more {buys}:"
         ),
         "",
         *table(heads, rows, n_left=0),
         *sentences(_NOTES[by, is_all], indent=2, hanging=2),
         "",
-        *sentences(*summary["sentences"], indent=2, hanging=2),
+        *sentences(*summary.sentences, indent=2, hanging=2),
     ]
     if out is not None:
         lines += ["", f"Written to {out}: pareto.csv, pareto.json and pareto.png."]
     return "\n".join(lines)
 
 
-def _proof(point: Mapping[str, Any]) -> str:
-    if point["is_proven"]:
+def _proof(point: "FrontPointRecord") -> str:
+    if point.is_proven:
         return "proven"
-    stage = next(stage for stage in point["stages"] if stage["gap"] != 0.0)
-    name, bound = stage["name"], stage["bound"]
+    stage = next(stage for stage in point.stages if stage.gap != 0.0)
+    name, bound = stage.name, or_nan(stage.bound)
     what = {"apr": "APR", "apr_one_failed": "left", "cost_eur": "EUR"}.get(name, "s")
     if name.startswith("apr"):
         shown = f"{100.0 * bound:.2f} %"

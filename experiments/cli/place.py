@@ -34,7 +34,7 @@ from .options import (
     quiet_option,
 )
 from .recording import check_recording_options, recorded_placement_table, recording_options
-from .running import begin, command_line, plain, print_result
+from .running import begin, command_line, print_result
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
@@ -135,9 +135,7 @@ def cli(
             out=folder,
             progress=progress,
         )
-        print_result(
-            summary, progress, as_json, lambda: recorded_placement_table(plain(summary), folder)
-        )
+        print_result(summary, progress, as_json, lambda: recorded_placement_table(summary, folder))
         return
     begin(progress, quiet=quiet)
     from ..jobs import placement

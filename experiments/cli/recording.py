@@ -1,16 +1,20 @@
 """``--recording``: for commands that work on recorded detections, too, and what they print."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+from msgspec import UNSET
 
 from placement.question import SEEN
 
-from ..results.numbers import percent
+from ..results.numbers import or_nan, percent
 from .options import is_given, option, option_name
 from .terminal import sentences, table, wide_table
+
+if TYPE_CHECKING:
+    from ..results.recordings import DetectedShareRecord, RecordedAprRecord, RecordedResult
 
 _WITH_RECORDING = frozenset(
     ("recording", "min_confidence", "out", "as_json", "quiet", "question", "save_question_to")
@@ -67,86 +71,82 @@ def check_recording_options(recording: Path | None) -> None:
             )
 
 
-def recording_table(summary: Mapping[str, Any], out: Path | None) -> str:
+def recording_table(summary: "RecordedResult", out: Path | None) -> str:
     """The result of :func:`run_recording` for a terminal."""
     lines = [
-        *sentences(f"{summary['recording']} on {summary['runs']} drives:"),
-        *_parties_text(summary["evaluation"], summary["detected_share"], summary["cases"]),
+        *sentences(f"{summary.recording} on {summary.runs} drives:"),
+        *_parties_text(summary.evaluation, summary.detected_share, summary.cases),
         *_footer(summary, out),
     ]
     return "\n".join(lines)
 
 
-def recorded_placement_table(summary: Mapping[str, Any], out: Path | None) -> str:
+def recorded_placement_table(summary: "RecordedResult", out: Path | None) -> str:
     """The result of :func:`run_recorded_placement` for a terminal."""
-    chosen = ", ".join(unit["id"] for unit in summary["layout"])
-    head = (
-        f"Best {len(summary['layout'])} of {summary['candidates']} recorded units on "
-        f"{summary['runs']} drives (fusion {summary['fusion']}): {chosen}"
-    )
-    stages = []
-    for stage in summary["stages"]:
-        is_time = stage["name"].endswith("_s")
-        found, bound = (
-            f"{stage[key]:.3f} s" if is_time else percent(stage[key])
-            for key in ("objective", "bound")
-        )
-        gap = "proven" if stage["gap"] == 0.0 else percent(min(stage["gap"], 9.99))
-        stages.append([stage["name"], found, bound, gap])
-    lines = [*sentences(head), "", *table(["stage", "found", "bound", "gap"], stages)]
     from ..jobs.recording import ALL_UNITS
 
-    everything = summary["baseline"]["rsu_all"]
+    assert summary.stages is not UNSET
+    assert summary.baseline is not None
+    chosen = ", ".join(unit.id for unit in summary.layout)
+    head = (
+        f"Best {len(summary.layout)} of {summary.candidates} recorded units on "
+        f"{summary.runs} drives (fusion {summary.fusion}): {chosen}"
+    )
+    stages = []
+    for stage in summary.stages:
+        is_time = stage.name.endswith("_s")
+        found, bound = (
+            f"{or_nan(value):.3f} s" if is_time else percent(value)
+            for value in (stage.objective, stage.bound)
+        )
+        gap = "proven" if stage.gap == 0.0 else percent(min(or_nan(stage.gap), 9.99))
+        stages.append([stage.name, found, bound, gap])
+    lines = [*sentences(head), "", *table(["stage", "found", "bound", "gap"], stages)]
     lines += [
         "",
-        *_parties_text(summary["evaluation"], summary["detected_share"], summary["cases"]),
-        f"  {ALL_UNITS} of all {summary['candidates']} recorded units: "
-        f"{percent(everything['all'])} of the accidents prevented.",
+        *_parties_text(summary.evaluation, summary.detected_share, summary.cases),
+        f"  {ALL_UNITS} of all {summary.candidates} recorded units: "
+        f"{percent(summary.baseline.rsu_all.all)} of the accidents prevented.",
         *_footer(summary, out),
     ]
     return "\n".join(lines)
 
 
 def _parties_text(
-    evaluation: Mapping[str, Any], shares: Mapping[str, Any], cases: Sequence[str]
+    evaluation: "RecordedAprRecord", shares: "DetectedShareRecord", cases: Sequence[str]
 ) -> list[str]:
     """A row per party; APR over all drives, share of frames, and APR by case as columns."""
     from ..jobs.recording import ALL_UNITS
 
-    rows = [(name, evaluation["units"][name], shares["units"][name]) for name in shares["units"]]
-    rows += [
-        (name, evaluation[key], shares[key])
-        for key, name in (
-            ("rsu_all", ALL_UNITS),
-            ("vut", "car"),
-            ("vut_and_rsus", f"car + {ALL_UNITS}"),
-        )
-        if evaluation[key] is not None
+    parties = [
+        *((name, evaluation.units[name], share) for name, share in shares.units.items()),
+        (ALL_UNITS, evaluation.rsu_all, shares.rsu_all),
+        ("car", evaluation.vut, shares.vut),
+        (f"car + {ALL_UNITS}", evaluation.vut_and_rsus, shares.vut_and_rsus),
     ]
+    rows = [(name, ratios, share) for name, ratios, share in parties if ratios is not None]
     columns = {
-        "accidents prevented": [percent(ratios["all"]) for _, ratios, _ in rows],
+        "accidents prevented": [percent(ratios.all) for _, ratios, _ in rows],
         "frames detected": [percent(share) for _, _, share in rows],
     }
     for case in cases:
-        columns[case.replace("-", " ")] = [
-            percent(ratios["by_case"][case]) for _, ratios, _ in rows
-        ]
+        columns[case.replace("-", " ")] = [percent(ratios.by_case[case]) for _, ratios, _ in rows]
     return wide_table("", [name for name, _, _ in rows], columns)
 
 
-def _footer(summary: Mapping[str, Any], out: Path | None) -> list[str]:
+def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
     """What was read, what was left out and why."""
-    frames = summary["frames"]
+    frames = summary.frames
     read = (
-        f"Read: {frames['recorded']} frames; {summary['runs']} drives with {frames['in_drives']} "
-        f"frames, {frames['missing_in_drives']} of them missing and so not detected."
+        f"Read: {frames.recorded} frames; {summary.runs} drives with {frames.in_drives} "
+        f"frames, {frames.missing_in_drives} of them missing and so not detected."
     )
-    if frames["several_vrus_in_view"]:
+    if frames.several_vrus_in_view:
         read += (
-            f" In {frames['several_vrus_in_view']} frames a roadside unit has several VRUs of the "
+            f" In {frames.several_vrus_in_view} frames a roadside unit has several VRUs of the "
             "drive's class in view: they count only if each of them is detected."
         )
-    skipped = "; ".join(f"{number} {reason}" for reason, number in summary["skipped"].items())
+    skipped = "; ".join(f"{number} {reason}" for reason, number in summary.skipped.items())
     lines = [
         "",
         *sentences(read, f"Skipped: {skipped or 'nothing'}.", _NOTE),

@@ -1,9 +1,8 @@
 """``place-rsus retrofit``: what to remove, re-aim or add where units hang already."""
 
 import textwrap
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -24,8 +23,11 @@ from .options import (
     quiet_option,
 )
 from .pareto import FRONT_SOUGHT
-from .running import begin, command_line, load_one_layout, plain, print_result
+from .running import begin, command_line, load_one_layout, print_result
 from .terminal import sentences, table
+
+if TYPE_CHECKING:
+    from ..results.retrofits import ChangeRecord, RetrofitResult, RetrofitValueRecord
 
 _TIME_LIMIT_S = 60.0
 # What hangs there is --layout; what is added is asked for by money alone.
@@ -89,21 +91,21 @@ def retrofit(
         command=command_line(),
         progress=progress,
     )
-    print_result(summary, progress, as_json, lambda: retrofit_text(plain(summary), out))
+    print_result(summary, progress, as_json, lambda: retrofit_text(summary, out))
 
 
 _WORDS_WIDTH = 32
 
 
-def retrofit_text(summary: Mapping[str, Any], out: Path | None) -> str:
+def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
     """What can be changed: a row per change, in groups, then the best of each in sentences."""
-    labour = summary["labour"]
-    rows = [_row("as it is", 0.0, summary["before"])]
+    labour = summary.labour
+    rows = [_row("as it is", 0.0, summary.before)]
     for head, changes in (
-        ("remove:", summary["removals"]),
-        ("re-aim:", summary["re_aims"]),
-        ("add:", [summary["addition"]]),
-        ("together:", [summary["combination"]]),
+        ("remove:", summary.removals),
+        ("re-aim:", summary.re_aims),
+        ("add:", [summary.addition]),
+        ("together:", [summary.combination]),
     ):
         known = [change for change in changes if change is not None]
         if known:
@@ -112,17 +114,17 @@ def retrofit_text(summary: Mapping[str, Any], out: Path | None) -> str:
             rows += _change_rows(change)
     lines = [
         *sentences(
-            f"What to change about {summary['name']} "
-            f"({several(len(summary['layout']), 'unit', 'units')}) on {summary['runs']} runs, on "
-            f"the detection table (fusion {summary['fusion']}):"
+            f"What to change about {summary.name} "
+            f"({several(len(summary.layout), 'unit', 'units')}) on {summary.runs} runs, on "
+            f"the detection table (fusion {summary.fusion}):"
         ),
         "",
         *table(["", "EUR", "APR", "one fails", "gained", "lost"], rows),
         "",
         *sentences(
-            *summary["sentences"],
+            *summary.sentences,
             "One fails: APR that is left when the most needed unit fails. A visit costs "
-            f"{labour['re_aim_eur']:,.0f} EUR: {labour['source']}.",
+            f"{labour.re_aim_eur:,.0f} EUR: {labour.source}.",
             indent=2,
             hanging=2,
         ),
@@ -132,21 +134,23 @@ def retrofit_text(summary: Mapping[str, Any], out: Path | None) -> str:
     return "\n".join(lines)
 
 
-def _change_rows(change: Mapping[str, Any]) -> list[list[str]]:
+def _change_rows(change: "ChangeRecord") -> list[list[str]]:
     """A row with the numbers, and the words that do not fit into it below."""
     words = [
-        line
-        for action in change["actions"]
-        for line in textwrap.wrap(action["words"], _WORDS_WIDTH)
+        line for action in change.actions for line in textwrap.wrap(action.words, _WORDS_WIDTH)
     ]
     first, *others = words
-    gained, lost = str(len(change["gained"])), str(len(change["lost"]))
-    row = _row(f"  {first}", change["price_eur"], change, gained, lost)
+    gained, lost = str(len(change.gained)), str(len(change.lost))
+    row = _row(f"  {first}", change.price_eur, change, gained, lost)
     return [row, *([f"  {line}"] + [""] * 5 for line in others)]
 
 
 def _row(
-    words: str, price_eur: float, values: Mapping[str, Any], gained: str = "", lost: str = ""
+    words: str,
+    price_eur: float,
+    value: "RetrofitValueRecord | ChangeRecord",
+    gained: str = "",
+    lost: str = "",
 ) -> list[str]:
-    shares = (percent(values["apr"]), percent(values["apr_one_failed"]))
+    shares = (percent(value.apr), percent(value.apr_one_failed))
     return [words, f"{price_eur:,.0f}", *shares, gained, lost]

@@ -61,13 +61,6 @@ def print_result(
     click.echo(to_json_text(result).rstrip() if as_json else text())
 
 
-def plain(result: object) -> dict[str, Any]:
-    """A record as plain values."""  # border
-    from ..results.record import to_plain
-
-    return to_plain(result)
-
-
 def unwritable(path: object, error: OSError) -> click.UsageError:
     """The error of an ``--out`` that cannot be written."""
     return click.UsageError(

@@ -1,12 +1,13 @@
 """``place-rsus scenarios``: look at what is driven, without placing anything."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import msgspec
 
 from placement.question import Question
 
@@ -26,87 +27,88 @@ from .terminal import sentences, table
 
 if TYPE_CHECKING:
     from placement.setting import Drives
+    from scenarios.runs import Run
 
 
-def list_rows(drives: "Drives") -> list[dict[str, Any]]:
-    """One row per case and approach.
+class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A case from an approach: what ``--json`` prints a list of.
 
-    Parameters
-    ----------
-    drives : Drives
-        Runs, and what cannot be driven.
-
-    Returns
-    -------
-    rows : list of dict
-        ``{"case", "approach", "speeds_kmh", "n_runs", "last_brake_time_s", "reason"}``: one last
-        brake time per speed, relative to the impact, None where braking cannot help; the reason
-        is None where every speed is driven.
+    One last brake time per speed, relative to the impact, None where braking cannot help; the
+    reason says what is not driven and why, None where every speed is driven.
     """
-    rows: dict[tuple[str, str], dict[str, Any]] = {}
-    # By case in the order asked for: what is refused stands beside what is driven.
-    order = {run.case.name: None for run in drives.runs}
 
-    def row(case: str, approach: str) -> dict[str, Any]:
-        empty: dict[str, Any] = {
-            "case": case,
-            "approach": approach,
-            "speeds_kmh": [],
-            "n_runs": 0,
-            "last_brake_time_s": [],
-            "reason": None,
-        }
-        order.setdefault(case)
-        return rows.setdefault((case, approach), empty)
+    case: str
+    approach: str
+    speeds_kmh: tuple[float, ...]
+    n_runs: int
+    last_brake_time_s: tuple[float | None, ...]
+    reason: str | None
 
+
+def list_rows(drives: "Drives") -> list[DrivenRow]:
+    """One row per case and approach; what is refused stands beside what is driven."""
+    driven: dict[tuple[str, str], list[Run]] = {}
+    reasons: dict[tuple[str, str], list[str]] = {}
     for run in drives.runs:
-        entry = row(run.case.name, run.approach)
-        entry["n_runs"] += 1
-        if run.vut_speed_kmh not in entry["speeds_kmh"]:
-            last_s = run.last_brake_time_s
-            entry["speeds_kmh"].append(run.vut_speed_kmh)
-            entry["last_brake_time_s"].append(last_s if math.isfinite(last_s) else None)
+        driven.setdefault((run.case.name, run.approach), []).append(run)
     for refusal in (*drives.refused, *drives.left_out):
-        entry = row(refusal.case.name, refusal.approach)
         is_partly = set(refusal.speeds_kmh) != set(refusal.case.vut_speeds_kmh)
         speeds = ", ".join(f"{speed:g}" for speed in refusal.speeds_kmh)
         reason = f"at {speeds} km/h: {refusal.reason}" if is_partly else refusal.reason
-        entry["reason"] = reason if entry["reason"] is None else f"{entry['reason']}; {reason}"
-    cases = list(order)
-    return sorted(rows.values(), key=lambda entry: cases.index(entry["case"]))
+        reasons.setdefault((refusal.case.name, refusal.approach), []).append(reason)
+    keys = list(dict.fromkeys((*driven, *reasons)))
+    # By case in the order asked for.
+    cases = list(dict.fromkeys(case for case, _ in keys))
+    keys.sort(key=lambda key: cases.index(key[0]))
+    return [_row(*key, driven.get(key, []), reasons.get(key, [])) for key in keys]
 
 
-def scenario_table(rows: Sequence[Mapping[str, Any]]) -> str:
+def _row(case: str, approach: str, runs: "Sequence[Run]", reasons: Sequence[str]) -> DrivenRow:
+    # Several runs have the same speed and differ elsewhere: the first one's time is shown.
+    first = {run.vut_speed_kmh: run for run in reversed(runs)}
+    speeds_kmh = tuple(dict.fromkeys(run.vut_speed_kmh for run in runs))
+    times_s = [first[speed].last_brake_time_s for speed in speeds_kmh]
+    return DrivenRow(
+        case=case,
+        approach=approach,
+        speeds_kmh=speeds_kmh,
+        n_runs=len(runs),
+        last_brake_time_s=tuple(time_s if math.isfinite(time_s) else None for time_s in times_s),
+        reason="; ".join(reasons) or None,
+    )
+
+
+def scenario_table(rows: Sequence[DrivenRow]) -> str:
     """The rows as a table; below it what is not driven, and why."""
     cells = [
         [
-            entry["case"],
-            entry["approach"],
-            _span(entry["speeds_kmh"], "g"),
-            str(entry["n_runs"]),
+            entry.case,
+            entry.approach,
+            _span(entry.speeds_kmh, "g"),
+            str(entry.n_runs),
             _last_moments(entry),
         ]
         for entry in rows
     ]
     for row, (before, after) in enumerate(pairwise(rows), start=1):
-        if before["case"] == after["case"]:  # each is named once
+        if before.case == after.case:  # each is named once
             cells[row][0] = ""
     heads = ["case", "from", "km/h", "runs", "last moment to brake (s)"]
     lines = table(heads, cells, n_left=3, indent=0)
     for entry in rows:
-        if entry["reason"] is not None:
+        if entry.reason is not None:
             lines += sentences(
-                f"{entry['case']} from {entry['approach']} not driven: {entry['reason']}",
+                f"{entry.case} from {entry.approach} not driven: {entry.reason}",
                 hanging=2,
             )
-    n_runs = sum(entry["n_runs"] for entry in rows)
-    n_cases = len({entry["case"] for entry in rows})
+    n_runs = sum(entry.n_runs for entry in rows)
+    n_cases = len({entry.case for entry in rows})
     lines.append(f"{n_runs} runs of {several(n_cases, 'case', 'cases')}")
     return "\n".join(lines)
 
 
-def _last_moments(entry: Mapping[str, Any]) -> str:
-    times = entry["last_brake_time_s"]
+def _last_moments(entry: DrivenRow) -> str:
+    times = entry.last_brake_time_s
     known = sorted(time for time in times if time is not None)
     text = _span(known[::-1], ".2f")
     if len(known) < len(times):

@@ -1,18 +1,24 @@
 """``place-rsus scene``: scenes out of maps, looked at and checked."""
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+from msgspec import UNSET
 
 from ..progress import StageProgress
 from ..results.numbers import shortened
 from .options import json_option, option, quiet_option
-from .running import plain, print_result
+from .running import print_result
 from .terminal import sentences, table
+
+if TYPE_CHECKING:
+    from geometry.maps.importing import ReadingOptions
+
+    from ..results.scenes import JunctionRecord, SceneCheckResult, SceneResult, SiteRecord
 
 _EXIT_FAILED = 1
 
@@ -73,10 +79,14 @@ def _reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(command)
     def with_reading(*args: Any, **values: Any) -> Any:
+        from geometry.maps.importing import ReadingOptions
+
         traffic = values.pop("traffic")
         names = ("unit", "up", "class_name", "crs", "layer", "offset_m")
-        reading = {name: values.pop(name) for name in names}
-        reading["keeps_left"] = None if traffic is None else traffic == "left"
+        reading = ReadingOptions(
+            keeps_left=None if traffic is None else traffic == "left",
+            **{name: values.pop(name) for name in names},
+        )
         return command(*args, reading=reading, **values)
 
     decorated: Callable[..., Any] = with_reading
@@ -157,7 +167,7 @@ def import_(
     ground_m: float | None,
     name: str,
     bbox: str,
-    reading: dict[str, Any],
+    reading: "ReadingOptions",
     out: Path,
     as_json: bool,
     quiet: bool,
@@ -170,7 +180,7 @@ def import_(
     with the most arms is taken; `scene show FILE` lists them.
     """
     progress.start(quiet=quiet)
-    from geometry.maps.importing import ImportOptions, ReadingOptions
+    from geometry.maps.importing import ImportOptions
 
     from ..jobs import scene
 
@@ -183,13 +193,13 @@ def import_(
             sites=sites,
             ground_m=ground_m,
             name=name,
-            reading=ReadingOptions(**reading),
+            reading=reading,
         ),
         bbox=bbox,
         out=out,
         progress=progress,
     )
-    print_result(summary, progress, as_json, lambda: scene_text(plain(summary)))
+    print_result(summary, progress, as_json, lambda: scene_text(summary))
 
 
 @scene.command(
@@ -212,24 +222,22 @@ def show(
     progress: StageProgress,
     *,
     paths: tuple[str, ...],
-    reading: dict[str, Any],
+    reading: "ReadingOptions",
     out: Path | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
     """What a scene or a map has: arms, lanes, sites, things, and what was left out and why."""
     progress.start(quiet=quiet)
-    from geometry.maps.importing import ReadingOptions
-
     from ..jobs import scene
 
     summary = scene.run_show(
         paths,
-        ReadingOptions(**reading),
+        reading,
         out=out,
         progress=progress,
     )
-    print_result(summary, progress, as_json, lambda: scene_text(plain(summary)))
+    print_result(summary, progress, as_json, lambda: scene_text(summary))
 
 
 @scene.command(
@@ -250,7 +258,7 @@ def check(progress: StageProgress, *, path: str, as_json: bool, quiet: bool) -> 
     from ..jobs import scene
 
     summary = scene.run_check(path, progress=progress)
-    print_result(summary, progress, as_json, lambda: findings_text(plain(summary)))
+    print_result(summary, progress, as_json, lambda: findings_text(summary))
     if not summary.is_sound:
         sys.exit(_EXIT_FAILED)
 
@@ -258,52 +266,54 @@ def check(progress: StageProgress, *, path: str, as_json: bool, quiet: bool) -> 
 _MAX_LISTED = 20
 
 
-def scene_text(summary: Mapping[str, Any]) -> str:
+def scene_text(summary: "SceneResult") -> str:
     """What a scene or a map has."""
-    side = "left" if summary["keeps_left"] else "right"
+    side = "left" if summary.keeps_left else "right"
     lines = sentences(
-        f"{summary['name']}: {_count(len(summary['junctions']), 'junction')}, "
-        f"{_count(summary['buildings'], 'building')}, {_count(summary['things'], 'thing')} in all, "
-        f"{_count(summary['sites'], 'site')}, {_count(summary['crosswalks'], 'crosswalk')}; "
-        f"traffic keeps {side}; coordinates: {summary['crs'] or 'of no known place'}"
+        f"{summary.name}: {_count(len(summary.junctions), 'junction')}, "
+        f"{_count(summary.buildings, 'building')}, {_count(summary.things, 'thing')} in all, "
+        f"{_count(summary.sites, 'site')}, {_count(summary.crosswalks, 'crosswalk')}; "
+        f"traffic keeps {side}; coordinates: {summary.crs or 'of no known place'}"
     )
-    lines += ["", *_junction_lines(summary["junctions"])]
-    if "site_list" in summary:
-        lines += ["", *_site_lines(summary["site_list"])]
-    skipped = summary["skipped"]
+    lines += ["", *_junction_lines(summary.junctions)]
+    if summary.site_list is not UNSET:
+        lines += ["", *_site_lines(summary.site_list)]
+    skipped = summary.skipped
     if skipped:
         lines += ["", "Left out, or assumed:"]
-        told = (f"{entry['what']}: {entry['why']}" for entry in skipped[:_MAX_LISTED])
+        told = (f"{entry.what}: {entry.why}" for entry in skipped[:_MAX_LISTED])
         lines += [*sentences(*told, indent=2, hanging=2), *_more(len(skipped))]
-    if "written" in summary:
-        lines += ["", f"Written to {summary['written']}."]
+    if summary.written is not UNSET:
+        lines += ["", f"Written to {summary.written}."]
     return "\n".join(lines)
 
 
-def findings_text(summary: Mapping[str, Any]) -> str:
+def findings_text(summary: "SceneCheckResult") -> str:
     """What may be wrong with a scene."""
-    if not summary["findings"]:
-        return f"{summary['name']}: nothing found."
-    told = (f"{one['level']}: {one['what']}: {one['why']}" for one in summary["findings"])
-    return "\n".join([f"{summary['name']}:", *sentences(*told, indent=2, hanging=2)])
+    if not summary.findings:
+        return f"{summary.name}: nothing found."
+    told = (f"{one.level}: {one.what}: {one.why}" for one in summary.findings)
+    return "\n".join([f"{summary.name}:", *sentences(*told, indent=2, hanging=2)])
 
 
-def _junction_lines(junctions: Sequence[Mapping[str, Any]]) -> list[str]:
+def _junction_lines(junctions: "Sequence[JunctionRecord]") -> list[str]:
     """The arms of the only junction, or the junctions of a map."""
     if not junctions:
         return ["  no junctions"]
-    if len(junctions) == 1 and "arm_list" in junctions[0]:
-        keys = ("name", "lanes_in", "lanes_out", "parking_lanes")
-        arms = [[str(arm[key]) for key in keys] for arm in junctions[0]["arm_list"]]
+    if len(junctions) == 1 and junctions[0].arm_list is not UNSET:
+        arms = [
+            [arm.name, str(arm.lanes_in), str(arm.lanes_out), str(arm.parking_lanes)]
+            for arm in junctions[0].arm_list
+        ]
         return table(["arm", "lanes in", "lanes out", "parking"], arms)
     rows = [
         [
-            shortened(one["id"], 18),
-            shortened(one["name"], 18),
-            str(one["arms"]),
-            str(one["lanes"]),
-            f"{one['x_m']:.6f}",
-            f"{one['y_m']:.6f}",
+            shortened(one.id, 18),
+            shortened(one.name, 18),
+            str(one.arms),
+            str(one.lanes),
+            f"{one.x_m:.6f}",
+            f"{one.y_m:.6f}",
         ]
         for one in junctions[:_MAX_LISTED]
     ]
@@ -311,18 +321,18 @@ def _junction_lines(junctions: Sequence[Mapping[str, Any]]) -> list[str]:
     return [*table(heads, rows, n_left=2), *_more(len(junctions))]
 
 
-def _site_lines(sites: Sequence[Mapping[str, Any]]) -> list[str]:
+def _site_lines(sites: "Sequence[SiteRecord]") -> list[str]:
     rows = []
     for site in sites[:_MAX_LISTED]:
-        low_m, high_m = site["height_range_m"]
+        low_m, high_m = site.height_range_m
         rows.append(
             [
-                shortened(site["id"], 26),
-                shortened(site["kind"], 14),
-                f"{site['x_m']:.1f}",
-                f"{site['y_m']:.1f}",
+                shortened(site.id, 26),
+                shortened(site.kind, 14),
+                f"{site.x_m:.1f}",
+                f"{site.y_m:.1f}",
                 f"{low_m:g} to {high_m:g}",
-                str(site["capacity_units"]),
+                str(site.capacity_units),
             ]
         )
     heads = ["site", "kind", "x m", "y m", "mount m", "units"]

@@ -1,8 +1,7 @@
 """``place-rsus sheet``: the mounting sheet of a layout."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -20,8 +19,11 @@ from .options import (
     question_options,
     quiet_option,
 )
-from .running import begin, load_one_layout, plain, print_result
+from .running import begin, load_one_layout, print_result
 from .terminal import sentences, table
+
+if TYPE_CHECKING:
+    from ..jobs.sheet import SheetResult
 
 
 @click.command(
@@ -58,24 +60,22 @@ def sheet(
     from ..jobs.sheet import run_sheet
 
     summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)
-    print_result(summary, progress, as_json, lambda: sheet_text(plain(summary)))
+    print_result(summary, progress, as_json, lambda: sheet_text(summary))
 
 
-def sheet_text(summary: Mapping[str, Any]) -> str:
+def sheet_text(summary: "SheetResult") -> str:
     """How far each unit may be off before a run is lost."""
     rows = []
-    for unit in summary["units"]:
-        (right, left), (down, up) = unit["yaw_deg"], unit["pitch_deg"]
-        lower_m, higher_m = unit["height_m"]
+    for unit in summary.units:
+        (right, left), (down, up) = unit.yaw_deg, unit.pitch_deg
+        lower_m, higher_m = unit.height_m
         degrees = [f"{value:g}\N{DEGREE SIGN}" for value in (left, right, up, down)]
-        rows.append(
-            [unit["unit_id"], *degrees, f"{100 * higher_m:.0f} cm", f"{100 * lower_m:.0f} cm"]
-        )
+        rows.append([unit.unit_id, *degrees, f"{100 * higher_m:.0f} cm", f"{100 * lower_m:.0f} cm"])
     lines = [
-        *sentences(f"What the units of {summary['layout']} may be off before a run is lost:"),
+        *sentences(f"What the units of {summary.layout} may be off before a run is lost:"),
         *table(["unit", "left", "right", "up", "down", "higher", "lower"], rows),
         "  One thing at a time; the largest of the steps tried.",
         "",
-        f"Written to {summary['written']}.",
+        f"Written to {summary.written}.",
     ]
     return "\n".join(lines)

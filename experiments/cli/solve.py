@@ -1,16 +1,18 @@
 """``place-rsus solve``: covering instances from files, solved and proven."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from ..progress import StageProgress
-from ..results.numbers import percent
+from ..results.numbers import or_nan, percent
 from .options import SectionedCommand, is_given, json_option, option, quiet_option
-from .running import plain, print_result, unwritable
+from .running import print_result, unwritable
 from .terminal import sentences
+
+if TYPE_CHECKING:
+    from ..results.solutions import CoveringResult, PlacementSolution
 
 _QUESTIONS = {
     "budget_units": "--budget",
@@ -150,7 +152,7 @@ def solve(
             gap=gap,
             progress=progress,
         )
-        print_result(solution, progress, as_json, lambda: window_text(plain(solution)))
+        print_result(solution, progress, as_json, lambda: window_text(solution))
         return
     try:
         summary = solve.run_solve(
@@ -169,7 +171,7 @@ def solve(
         if out is None:
             raise
         raise unwritable(out, error) from None
-    print_result(summary, progress, as_json, lambda: solution_text(plain(summary)))
+    print_result(summary, progress, as_json, lambda: solution_text(summary))
 
 
 def _check_one_question() -> None:
@@ -179,64 +181,64 @@ def _check_one_question() -> None:
         raise click.UsageError(f"{given[1]}: got it beside {given[0]}; expected one of {known}")
 
 
-def solution_text(summary: Mapping[str, Any]) -> str:
+def solution_text(summary: "CoveringResult") -> str:
     """The answer to a covering problem."""
-    names = summary["chosen_names"] or [str(column) for column in summary["chosen"]]
-    gap = "proven" if summary["is_proven"] else f"gap {_percent(summary['gap'])}"
-    chosen = f"{len(names)} of {summary['columns']} columns"
-    is_cost = summary["problem"] == "set covering"
+    names = summary.chosen_names or [str(column) for column in summary.chosen]
+    gap = "proven" if summary.is_proven else f"gap {_percent(summary.gap)}"
+    chosen = f"{len(names)} of {summary.columns} columns"
+    is_cost = summary.problem == "set covering"
     entries = {
-        "cost" if is_cost else "covered": _number(summary["objective"]),
-        "bound": f"{_number(summary['bound'])}, {gap}",
+        "cost" if is_cost else "covered": _number(summary.objective),
+        "bound": f"{_number(summary.bound)}, {gap}",
         "chosen": f"{chosen}: {', '.join(names)}" if names else "none",
         **_other_side(summary, is_cost=is_cost),
-        "presolve": summary["presolve_effect"],
-        "solver": f"{summary['solver']}; {summary['seconds']:.2f} s",
+        "presolve": summary.presolve_effect,
+        "solver": f"{summary.solver}; {summary.seconds:.2f} s",
     }
-    lines = sentences(f"{summary['file']}: {_question_words(summary)}")
+    lines = sentences(f"{summary.file}: {_question_words(summary)}")
     for head, text in entries.items():
         lines += sentences(text, head=f"{head:<12}", indent=2, hanging=12)
     return "\n".join(lines)
 
 
-def window_text(summary: Mapping[str, Any]) -> str:
+def window_text(summary: "PlacementSolution") -> str:
     """The answer to a placement problem, with its frames and windows."""
-    lines = [f"{summary['file']}: {summary['goal']} layout, fusion {summary['fusion']}"]
-    for stage in summary["stages"]:
-        is_share = stage["name"].startswith("apr")
+    lines = [f"{summary.file}: {summary.goal} layout, fusion {summary.fusion}"]
+    for stage in summary.stages:
+        is_share = stage.name.startswith("apr")
         objective, bound = (
-            percent(stage[key]) if is_share else f"{stage[key]:.6g}"
-            for key in ("objective", "bound")
+            percent(value) if is_share else f"{or_nan(value):.6g}"
+            for value in (stage.objective, stage.bound)
         )
-        proof = "proven" if stage["gap"] == 0.0 else f"bound {bound}"
-        lines.append(f"  {stage['name']:<18}{objective:>12}  {proof}")
-    lines += [f"  chosen            {name}" for name in summary["chosen_names"]]
+        proof = "proven" if stage.gap == 0.0 else f"bound {bound}"
+        lines.append(f"  {stage.name:<18}{objective:>12}  {proof}")
+    lines += [f"  chosen            {name}" for name in summary.chosen_names]
     lines += [
-        f"  presolve          {summary['presolve_effect']}",
-        f"  solver            {summary['solver']}; {summary['seconds']:.2f} s",
+        f"  presolve          {summary.presolve_effect}",
+        f"  solver            {summary.solver}; {summary.seconds:.2f} s",
     ]
     return "\n".join(lines)
 
 
-def _question_words(summary: Mapping[str, Any]) -> str:
-    if summary["budget"] is not None:
-        return f"the most that {summary['budget']} columns cover (maximal covering)"
-    if summary["budget_cost"] is not None:
-        return f"the most that {_number(summary['budget_cost'])} buys (maximal covering)"
-    if summary["target"] is not None:
-        return f"the least cost that covers {_percent(summary['target'])} (set covering)"
+def _question_words(summary: "CoveringResult") -> str:
+    if summary.budget is not None:
+        return f"the most that {summary.budget} columns cover (maximal covering)"
+    if summary.budget_cost is not None:
+        return f"the most that {_number(summary.budget_cost)} buys (maximal covering)"
+    if summary.target is not None:
+        return f"the least cost that covers {_percent(summary.target)} (set covering)"
     return "the least cost that covers all that can be covered (set covering)"
 
 
-def _other_side(summary: Mapping[str, Any], *, is_cost: bool) -> dict[str, str]:
+def _other_side(summary: "CoveringResult", *, is_cost: bool) -> dict[str, str]:
     """Cost where the objective is coverage, coverage where it is cost."""
-    total, coverable = summary["total_weight"], summary["coverable_weight"]
+    total, coverable = summary.total_weight, summary.coverable_weight
     if not is_cost:
         return {
             "of": f"{_number(total)}, {_number(coverable)} coverable",
-            "costs": _number(summary["cost"]),
+            "costs": _number(summary.cost),
         }
-    covered = f"{_number(summary['covered_weight'])} of {_number(total)}"
+    covered = f"{_number(summary.covered_weight)} of {_number(total)}"
     if coverable < total:
         covered += f"; {_number(total - coverable)} cannot be covered"
     return {"covers": covered}

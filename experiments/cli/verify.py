@@ -1,16 +1,18 @@
 """``place-rsus verify``: check a result without the optimiser."""
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from ..progress import StageProgress
 from .options import json_option, quiet_option
-from .running import plain, print_result
+from .running import print_result
 from .terminal import sentences
+
+if TYPE_CHECKING:
+    from ..results.solutions import VerificationResult
 
 _EXIT_FAILED = 1
 
@@ -40,27 +42,27 @@ def verify(progress: StageProgress, *, folder: Path, as_json: bool, quiet: bool)
     from ..jobs.verify import run_verification
 
     summary = run_verification(folder, progress=progress)
-    print_result(summary, progress, as_json, lambda: verification_text(plain(summary)))
+    print_result(summary, progress, as_json, lambda: verification_text(summary))
     if not summary.is_verified:
         sys.exit(_EXIT_FAILED)
 
 
-def verification_text(summary: Mapping[str, Any]) -> str:
+def verification_text(summary: "VerificationResult") -> str:
     """A line per check, then what was proven again and what was not."""
-    checks, stages = summary["checks"], summary["stages"]
-    n_failed = sum(not check["passed"] for check in checks)
-    lines = [f"Checked {summary['folder']}:"]
+    checks, stages = summary.checks, summary.stages
+    n_failed = sum(not check.passed for check in checks)
+    lines = [f"Checked {summary.folder}:"]
     for check in checks:
-        head = f"{'OK' if check['passed'] else 'FAILED':<6} "
-        text = f"{check['name']}: {check['detail']}"
+        head = f"{'OK' if check.passed else 'FAILED':<6} "
+        text = f"{check.name}: {check.detail}"
         lines += sentences(text, head=head, indent=2, hanging=len(head))
-    again = [stage for stage in stages if stage.get("is_proven_again")]
+    again = [stage for stage in stages if stage.is_proven_again is True]
     if again:
-        told = (f"{stage['name']}: {stage['reason']}" for stage in again)
+        told = (f"{stage.name}: {stage.reason}" for stage in again)
         lines += ["", "Proven again, without a solver:", *sentences(*told, indent=2, hanging=2)]
-    open_stages = [stage["name"] for stage in stages if stage["gap"] != 0.0]
+    open_stages = [stage.name for stage in stages if stage.gap != 0.0]
     if open_stages:
         lines += ["", *sentences(f"Not claimed to be best: {', '.join(open_stages)}.")]
-    lines += ["", "Not checked here:", *sentences(*summary["not_checked"], indent=2, hanging=2)]
+    lines += ["", "Not checked here:", *sentences(*summary.not_checked, indent=2, hanging=2)]
     end = f"{n_failed} FAILED" if n_failed else "all OK"
     return "\n".join([*lines, "", f"{len(checks)} checks: {end}."])

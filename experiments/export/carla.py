@@ -1,7 +1,5 @@
 """Layouts for CARLA: what to spawn, and where."""
 
-from typing import Any
-
 from geometry.catalogue import Sensor
 from geometry.frames import to_carla_points, to_carla_yaw
 from geometry.lidar import LidarModel
@@ -21,7 +19,7 @@ def to_carla(layout: Layout) -> str:
     return to_json_text([_carla_record(unit) for unit in layout.units])
 
 
-def _carla_blueprint(sensor: Sensor) -> dict[str, Any]:
+def _carla_blueprint(sensor: Sensor) -> dict[str, object]:
     tick = {"sensor_tick": str(1.0 / sensor.frame_rate_hz)}
     if isinstance(sensor, LidarModel):
         half_deg = 0.5 * sensor.vertical_fov_deg
@@ -49,7 +47,7 @@ def _carla_blueprint(sensor: Sensor) -> dict[str, Any]:
     }
 
 
-def _carla_record(unit: CandidatePose) -> dict[str, Any]:
+def _carla_record(unit: CandidatePose) -> dict[str, object]:
     pose = unit.pose
     # Adding zero turns -0.0 into 0.0.
     x_m, y_m, z_m = (to_carla_points(pose.position_m) + 0.0).tolist()

@@ -1,7 +1,6 @@
 """Layouts as the sensor information of collective perception messages (CPM)."""
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -92,8 +91,8 @@ def to_cpm(layout: Layout, scene: Scene) -> str:
 
 
 def _payload(
-    units: list[CandidatePose], shapes: list[dict[str, Any]], lon_lat: IntArray
-) -> dict[str, Any]:
+    units: list[CandidatePose], shapes: list[dict[str, object]], lon_lat: IntArray
+) -> dict[str, object]:
     return {
         "managementContainer": {
             "referencePosition": {
@@ -132,7 +131,7 @@ def _payload(
 
 def _radial_shape(
     unit: CandidatePose, origin_m: FloatArray, adult_px_m: float, where: str
-) -> dict[str, Any]:
+) -> dict[str, object]:
     offset = np.round((unit.pose.position_m - origin_m) * 100.0).astype(int)
     if np.abs(offset).max() > _MAX_OFFSET:
         raise InputError(

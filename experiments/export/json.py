@@ -4,12 +4,13 @@ import json
 import math
 from collections.abc import Mapping
 
+import msgspec
 import numpy as np
 
 from geometry.catalogue import own_sensor_record
 from placement.layout import SCHEMA, Layout, layout_records
 
-from ..results.record import Record, to_plain
+from ..results.record import to_plain
 from .formats import ExportFormat
 
 
@@ -26,7 +27,7 @@ def to_json_text(document: object) -> str:
 
 
 def _finite(value: object) -> object:
-    if isinstance(value, Record):
+    if isinstance(value, msgspec.Struct):
         return _finite(to_plain(value))
     if isinstance(value, Mapping):
         return {str(key): _finite(item) for key, item in value.items()}

@@ -1,7 +1,5 @@
 """Cameras of a layout for OpenCV: the YAML of cv::FileStorage."""
 
-from typing import Any
-
 import numpy as np
 import yaml  # type: ignore[import-untyped]
 from scipy.spatial.transform import Rotation
@@ -33,7 +31,7 @@ def to_opencv(layout: Layout) -> str:
     return "%YAML:1.0\n---\n" + left_out_comment(layout) + text
 
 
-def _camera_record(camera: Calibration) -> dict[str, Any]:
+def _camera_record(camera: Calibration) -> dict[str, object]:
     rotation = camera.world_to_camera
     return {
         "id": _Quoted(camera.id),

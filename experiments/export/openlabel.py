@@ -1,7 +1,6 @@
 """Layouts as ASAM OpenLABEL: coordinate systems and streams, for annotations to refer to."""
 
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
@@ -35,7 +34,7 @@ def to_openlabel(layout: Layout) -> str:
     world = "world"
     while world in ids:  # a unit may be called so, too
         world += "_cs"
-    systems: dict[str, Any] = {world: {"type": "scene_cs", "parent": "", "children": ids}}
+    systems: dict[str, object] = {world: {"type": "scene_cs", "parent": "", "children": ids}}
     for unit in layout.units:
         systems[unit.id] = {
             "type": "sensor_cs",
@@ -57,7 +56,7 @@ def to_openlabel(layout: Layout) -> str:
     )
 
 
-def _stream(unit: CandidatePose) -> dict[str, Any]:
+def _stream(unit: CandidatePose) -> dict[str, object]:
     sensor = unit.sensor
     if not isinstance(sensor, CameraModel):
         return {

@@ -1,7 +1,6 @@
 """Cameras of a layout for ROS: CameraInfo and static transforms."""
 
 import re
-from typing import Any
 
 import numpy as np
 import yaml  # type: ignore[import-untyped]
@@ -64,7 +63,7 @@ def camera_names(cameras: list[Calibration]) -> list[str]:
     return names
 
 
-def _camera_record(camera: Calibration, name: str) -> dict[str, Any]:
+def _camera_record(camera: Calibration, name: str) -> dict[str, object]:
     projection = np.column_stack([camera.camera_matrix, np.zeros(3)])
     translation = dict(zip("xyz", plain(camera.pose.position_m), strict=True))
     rotation = dict(zip("xyzw", optical_quaternion(camera.pose), strict=True))
@@ -86,7 +85,7 @@ def _camera_record(camera: Calibration, name: str) -> dict[str, Any]:
     }
 
 
-def _matrix_record(matrix: FloatArray) -> dict[str, Any]:
+def _matrix_record(matrix: FloatArray) -> dict[str, object]:
     rows, cols = matrix.shape
     return {"rows": rows, "cols": cols, "data": plain(matrix)}
 

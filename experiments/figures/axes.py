@@ -2,6 +2,7 @@
 
 import warnings
 from io import BytesIO
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -18,6 +19,9 @@ ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
 WIDTH_IN = 6.8
 NARROW_IN = 4.0
 """Width of figures whose letters can be read on a phone without moving the figure."""
+
+Style = dict[str, Any]
+"""Properties of a matplotlib artist by their names: what its method takes as keywords."""
 
 _DPI = 160
 _MAX_LABEL_LENGTH = 8

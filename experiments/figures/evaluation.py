@@ -27,6 +27,7 @@ from .axes import (
     BLUE,
     NARROW_IN,
     WIDTH_IN,
+    Style,
     describe_run,
     literal,
     new_axes,
@@ -337,7 +338,7 @@ def _draw_last_moment(axes: Axes, last_brake_s: float, n_rows: int) -> None:
     )
 
 
-_CONFIRMATION_STYLE: dict[str, Any] = {
+_CONFIRMATION_STYLE: Style = {
     "marker": "D",
     "markersize": 5.0,
     "markerfacecolor": "white",

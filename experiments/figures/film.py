@@ -26,7 +26,7 @@ from placement.evaluator import load_vut_camera
 from placement.visibility.casting import build_static_mesh
 from scenarios.runs import Run
 
-from .axes import BLUE, SKY, VERMILION, literal, new_figure, root_figure, show_square
+from .axes import BLUE, SKY, VERMILION, Style, literal, new_figure, root_figure, show_square
 from .plan import PARKED_STYLE, draw_parked, draw_scene
 
 STILLS = (".png", ".svg", ".pdf")
@@ -333,15 +333,15 @@ def _window(run: Run, frames: list[int]) -> _Window:
     return _Window(0.5 * (low + high), max(0.5 * float((high - low).max()), 0.5 * _LEAST_SIZE_M))
 
 
-_BRAKE_STYLE: dict[str, Any] = {
+_BRAKE_STYLE: Style = {
     "marker": "|",
     "markersize": 11.0,
     "markeredgewidth": 2.4,
     "color": "#CC0000",
     "linestyle": "none",
 }
-_FREE_STYLE: dict[str, Any] = {"color": "black", "linewidth": 1.0, "linestyle": "-"}
-_BLOCKED_STYLE: dict[str, Any] = {"color": "black", "linewidth": 1.0, "linestyle": (0, (1, 2))}
+_FREE_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": "-"}
+_BLOCKED_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": (0, (1, 2))}
 
 
 def _legend(run: Run) -> list[Any]:

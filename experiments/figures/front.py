@@ -12,12 +12,12 @@ from matplotlib.ticker import MaxNLocator
 from geometry.arrays import FloatArray
 from placement.optimiser.front import Front
 
-from .axes import BLUE, VERMILION, WIDTH_IN, finish_axes, new_figure
+from .axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure
 
 _SETTLED = "#ececec"
 _X_LABELS = {"units": "units", "cost": "cost (EUR)"}
 # Told apart by marker and dashes as well as by colour.
-_CURVES: dict[str, dict[str, Any]] = {
+_CURVES: dict[str, Style] = {
     "apr": {"label": "APR", "color": BLUE, "marker": "o", "linestyle": "-"},
     "apr_one_failed": {
         "label": "APR when the most needed unit fails",
@@ -26,7 +26,7 @@ _CURVES: dict[str, dict[str, Any]] = {
         "linestyle": (0, (4, 2)),
     },
 }
-_TIMES: dict[str, dict[str, Any]] = {
+_TIMES: dict[str, Style] = {
     "smallest_margin_s": {"label": "smallest", "color": BLUE, "marker": "o", "linestyle": "-"},
     "mean_margin_s": {
         "label": "mean",
@@ -91,9 +91,7 @@ def _draw_shares(axes: Axes, front: Front) -> list[Any]:
     return handles
 
 
-def _draw(
-    axes: Axes, front: Front, curves: dict[str, dict[str, Any]], *, scale: float
-) -> list[Any]:
+def _draw(axes: Axes, front: Front, curves: dict[str, Style], *, scale: float) -> list[Any]:
     """Draw curves; returns the entries of the legend."""
     x = _positions(front)
     steps = "steps-post" if front.by == "cost" else "default"
@@ -159,7 +157,7 @@ def _shades(front: Front) -> list[Any]:
     """Entries of the legend for what is open, and for where nothing grows."""
     entries: list[Any] = []
     if not front.is_proven:
-        style: dict[str, Any] = {"mfc": "none", "mec": "black", "mew": 1.4, "ms": 9.0}
+        style: Style = {"mfc": "none", "mec": "black", "mew": 1.4, "ms": 9.0}
         words = "open: bound that no layout exceeds"
         entries.append(Line2D([], [], linestyle="none", marker="o", label=words, **style))
     if front.settled is not None:

@@ -11,13 +11,13 @@ from matplotlib.patches import Patch
 from placement.latency import LatencyBudget, LatencyCurve
 
 from ..results.numbers import percent
-from .axes import BLUE, GREY, VERMILION, WIDTH_IN, finish_axes, literal, new_figure
+from .axes import BLUE, GREY, VERMILION, WIDTH_IN, Style, finish_axes, literal, new_figure
 
 _MS = 1000.0
 _LEAST_BAR_S = 0.001  # a budget may be nothing at all
 _SHADE = "#e4e4e4"
 # Told apart by dashes and width as well as by colour; the later ones lie on top.
-_STYLES: Mapping[str, dict[str, Any]] = {
+_STYLES: Mapping[str, Style] = {
     "rsu_all": {"label": "all RSUs", "color": BLUE, "linestyle": "-", "lw": 3.0},
     "vut_and_rsus": {
         "label": "VUT and RSUs",
@@ -56,7 +56,7 @@ def plot_latency(
     upper, lower = figure.subplots(2, 1, height_ratios=[8.0, n_rows])
     handles = _draw_curves(upper, curves, budget, max_latency_s)
     _draw_parts(lower, budget)
-    style: dict[str, Any] = {"ncols": 3, "fontsize": 8, "frameon": False}
+    style: Style = {"ncols": 3, "fontsize": 8, "frameon": False}
     figure.legend(handles=handles, loc="outside upper center", **style)
     figure.legend(handles=_part_patches(budget), loc="outside lower center", **style)
     return [upper, lower]
@@ -160,7 +160,7 @@ def _part_patches(budget: LatencyBudget) -> list[Patch]:
     ]
 
 
-def _fill(index: int) -> dict[str, Any]:
+def _fill(index: int) -> Style:
     return {
         "facecolor": _FILLS[index % len(_FILLS)],
         "hatch": _HATCHES[index % len(_HATCHES)],

@@ -30,6 +30,7 @@ from .axes import (
     SKY,
     VERMILION,
     WIDTH_IN,
+    Style,
     literal,
     new_axes,
     show_square,
@@ -119,20 +120,20 @@ def _draw_counts(axes: Axes, layout: Layout) -> None:
 # ---------- what lies on the ground and stands there, from above: shared by plan and film
 
 
-CLASS_STYLES: dict[str, dict[str, Any]] = {
+CLASS_STYLES: dict[str, Style] = {
     "building": {"facecolor": "#c9c4bb", "edgecolor": "#8d887f", "linewidth": 0.8},
     "wall": {"facecolor": "#5b5b5b", "edgecolor": "#5b5b5b", "linewidth": 1.2},
     "vegetation": {"facecolor": "#b7d3ae", "edgecolor": "#7d9c73", "linewidth": 0.6},
     "parked vehicle": {"facecolor": "#a9a9a9", "edgecolor": "#6e6e6e", "linewidth": 0.6},
     "traffic light": {"facecolor": "#7a7a7a", "edgecolor": "#7a7a7a", "linewidth": 0.8},
 }
-PARKED_STYLE: dict[str, Any] = {
+PARKED_STYLE: Style = {
     "facecolor": "#f2f2f2",
     "edgecolor": "#8a8a8a",
     "linewidth": 0.7,
     "hatch": "....",
 }
-SITE_STYLE: dict[str, Any] = {
+SITE_STYLE: Style = {
     "marker": "o",
     "markersize": 4.0,
     "markerfacecolor": "white",
@@ -315,7 +316,7 @@ def _clip(corners: FloatArray, inside: FloatArray) -> FloatArray:
     return np.array(kept).reshape(-1, 2)
 
 
-_PATH_STYLES: dict[str, tuple[str, dict[str, Any]]] = {
+_PATH_STYLES: dict[str, tuple[str, Style]] = {
     "vut": ("car under test (VUT)", {"color": "black", "linestyle": "-", "linewidth": 1.3}),
     "pedestrian": (
         "pedestrian, to the collision point",
@@ -340,7 +341,7 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
         axes.plot(*run.vru_position_m[-1], zorder=4, **_IMPACT_STYLE)
 
 
-_IMPACT_STYLE: dict[str, Any] = {
+_IMPACT_STYLE: Style = {
     "marker": "X",
     "markersize": 4.5,
     "markerfacecolor": "black",
@@ -396,13 +397,13 @@ def _draw_other(axes: Axes, layout: Layout) -> None:
         )
 
 
-_ROUND_MARKER: dict[str, Any] = {"marker": "o", "linestyle": "none"}
+_ROUND_MARKER: Style = {"marker": "o", "linestyle": "none"}
 
 # Looking east; the last point closes the outline.
 _DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0]])
 
 
-def _camera_marker(unit: CandidatePose) -> dict[str, Any]:
+def _camera_marker(unit: CandidatePose) -> Style:
     """A dart whose tip points where the camera looks; a disc where that is all round."""
     if is_ring(unit.sensor):
         return _ROUND_MARKER
@@ -459,7 +460,7 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
         for body, (label, style) in _PATH_STYLES.items()
         if body in bodies
     ]
-    camera: dict[str, Any] = {
+    camera: Style = {
         "marker": Path(_DART, closed=True),
         "linestyle": "none",
         "markersize": 8.0,
@@ -491,7 +492,7 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
         ),
     ]
     if any(is_ring(unit.sensor) for unit in layout.units):
-        style: dict[str, Any] = {"markerfacecolor": BLUE, "markeredgecolor": "black"}
+        style: Style = {"markerfacecolor": BLUE, "markeredgecolor": "black"}
         label = literal(f"{_shortened(layout.name)}: LiDAR that scans all round")
         units.insert(1, Line2D([], [], label=label, markersize=8.0, **style, **_ROUND_MARKER))
     if all(is_ring(unit.sensor) for unit in layout.units):

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 from msgspec.structs import asdict as fields_of
@@ -170,7 +169,7 @@ def front_table(front: Front, candidates: Sequence[CandidatePose]) -> pd.DataFra
     """
     rows = []
     for point in front.points:
-        row: dict[str, Any] = {"units": point.units}
+        row: dict[str, object] = {"units": point.units}
         for name, value in zip(_STAGES, point.value, strict=True):
             stage = point.stage(name)
             row |= {name: value, f"{name}_bound": None if stage is None else stage.bound}

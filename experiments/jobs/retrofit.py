@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 from msgspec.structs import asdict as fields_of
@@ -272,7 +271,7 @@ def retrofit_table(result: RetrofitResult) -> pd.DataFrame:
         *(("add", change) for change in [result.addition] if change is not None),
         *(("combine", change) for change in [result.combination] if change is not None),
     ]
-    rows: list[dict[str, Any]] = [{"kind": "as it is", "change": "", "price_eur": 0.0, **before}]
+    rows: list[dict[str, object]] = [{"kind": "as it is", "change": "", "price_eur": 0.0, **before}]
     rows += [
         {
             "kind": kind,

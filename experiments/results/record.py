@@ -19,7 +19,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         What the JSON schema says of the keys beside their types, such as "oneOf".
     """
 
-    schema_rules: ClassVar[dict[str, Any]] = {}
+    schema_rules: ClassVar[dict[str, object]] = {}
 
 
 def says(
@@ -84,7 +84,7 @@ def _plain_number(value: object) -> object:
 class UnitRecord(Record, frozen=True, kw_only=True):
     """A mounted sensor, as in layout.json. World frame: x east, y north, z up, 0 on the road."""
 
-    schema_rules: ClassVar[dict[str, Any]] = {
+    schema_rules: ClassVar[dict[str, object]] = {
         "oneOf": [{"required": ["camera"]}, {"required": ["lidar"]}]
     }
     id: Annotated[str, says("Name within the layout.", min_length=1)]

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import combinations
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
@@ -51,7 +51,7 @@ class PartyAprRecord(Record, frozen=True, kw_only=True):
 class EvaluationRecord(Record, frozen=True, kw_only=True):
     """A layout by the evaluator: full perception and emergency braking."""
 
-    schema_rules: ClassVar[dict[str, Any]] = {
+    schema_rules: ClassVar[dict[str, object]] = {
         "dependentRequired": {"vam": ["all_sources"], "all_sources": ["vam"]}
     }
     vut: Annotated[PartyAprRecord, says("The vehicle under test by itself.")]
@@ -164,7 +164,7 @@ class Result(Record, frozen=True, kw_only=True):
     their unit; no ending: no unit.
     """
 
-    schema_rules: ClassVar[dict[str, Any]] = {
+    schema_rules: ClassVar[dict[str, object]] = {
         "dependentRequired": {
             "stages": [
                 "goal",

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import combinations
-from typing import Annotated, Any, ClassVar, Literal, cast
+from typing import Annotated, ClassVar, Literal, cast
 
 import numpy as np
 from msgspec import UNSET, UnsetType
@@ -25,7 +25,7 @@ class UncertaintyMountingRecord(Record, frozen=True, kw_only=True):
 class UncertaintyLatencyRecord(Record, frozen=True, kw_only=True):
     """How late messages come; either a budget or a distribution."""
 
-    schema_rules: ClassVar[dict[str, Any]] = {
+    schema_rules: ClassVar[dict[str, object]] = {
         "oneOf": [{"required": ["budget"]}, {"required": ["distribution", "mean_s", "sd_s"]}]
     }
     budget: Annotated[str, says("Name of a latency budget.")] | UnsetType = UNSET

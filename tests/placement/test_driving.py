@@ -145,7 +145,7 @@ def test_what_some_approaches_do_not_carry_is_kept_with_its_reason():
 
 def test_the_list_has_a_row_per_case_and_approach():
     rows = list_rows(drive(Question(cases="CPTAfs-50,CPNA-25"), t_junction()))
-    assert [(row["case"], row["approach"]) for row in rows] == [
+    assert [(row.case, row.approach) for row in rows] == [
         ("CPTAfs-50", "east"),
         ("CPTAfs-50", "south"),
         ("CPTAfs-50", "west"),
@@ -154,21 +154,21 @@ def test_the_list_has_a_row_per_case_and_approach():
         ("CPNA-25", "south"),
     ]
     west = rows[2]
-    assert (west["speeds_kmh"], west["n_runs"], west["last_brake_time_s"]) == ([], 0, [])
-    assert west["reason"] == "no lane leads out of the junction on the far side"
+    assert (west.speeds_kmh, west.n_runs, west.last_brake_time_s) == ((), 0, ())
+    assert west.reason == "no lane leads out of the junction on the far side"
     crossing = rows[3]
-    assert crossing["reason"] is None
-    assert crossing["n_runs"] == len(crossing["speeds_kmh"]) == 11
+    assert crossing.reason is None
+    assert crossing.n_runs == len(crossing.speeds_kmh) == 11
     # Stopping short of the flank: v / (2 a).
-    speeds = np.array(crossing["speeds_kmh"]) / 3.6
-    assert crossing["last_brake_time_s"] == pytest.approx(-speeds / (2.0 * 7.72), abs=1e-3)
+    speeds = np.array(crossing.speeds_kmh) / 3.6
+    assert crossing.last_brake_time_s == pytest.approx(-speeds / (2.0 * 7.72), abs=1e-3)
 
 
 def test_speeds_that_a_case_does_not_have_are_listed_as_not_driven():
     drives = drive(Question(cases="CPTAns-50,CPNA-25", speeds="40"), load_study_scene())
     row = list_rows(drives)[-1]
-    assert row["case"] == "CPTAns-50"
-    assert row["reason"] == "none of the speeds asked for (40) is one of this case"
+    assert row.case == "CPTAns-50"
+    assert row.reason == "none of the speeds asked for (40) is one of this case"
     text = scenario_table(list_rows(drives))
     assert "not driven: none of the speeds asked for (40)" in text
     assert max(map(len, text.splitlines())) <= 80

@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import click
+import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -21,6 +22,12 @@ from experiments.cli.options import JUDGED, question_options
 from experiments.figures.latency import plot_latency
 from experiments.jobs import latency as latency_job
 from experiments.jobs.latency import latency_table
+from experiments.results.latencies import (
+    LatencyResult,
+    build_budget_record,
+    build_curve_record,
+)
+from experiments.results.record import to_plain
 from geometry.errors import InputError
 from placement.latency import LatencyCurve, load_latency_budget
 from placement.question import Question
@@ -249,25 +256,27 @@ def test_a_fixed_budget_has_one_bar_and_no_range(curves):
 def test_the_text_says_how_long_each_level_holds(curves):
     budget = load_latency_budget()
     parties = {
-        name: latency_job._summarise_curve(curve, budget, 0.5) for name, curve in curves.items()
+        name: to_plain(build_curve_record(curve, budget, 0.5)) for name, curve in curves.items()
     }
-    text = latency_text(
-        {
-            "name": "mine",
-            "runs": 4,
-            "layout": [{"id": "A"}],
-            "vut_latency_s": None,
-            "parties": parties,
-            "budget": {
-                "name": budget.name,
-                "best_s": budget.best_s,
-                "mean_s": budget.mean_s,
-                "worst_s": budget.worst_s,
-                "parts": [{"name": "x", "low_s": 0.025, "high_s": 0.025, "is_assumption": False}],
-            },
-        },
-        None,
-    )
+    summary = {
+        "name": "mine",
+        "layout": [{"id": "A", **UNIT}],
+        "runs": 4,
+        "budget": to_plain(build_budget_record(budget)),
+        "max_latency_s": 0.5,
+        "parties": parties,
+        "vut_latency_s": None,
+        "cases": [],
+        "weathers": [],
+        "detector": "surrogate",
+        "vut_sensors": [],
+        "packet_loss": 0.0,
+        "vam_rate": 0.0,
+        "not_driven": [],
+        "seconds": {},
+        "versions": {},
+    }
+    text = latency_text(msgspec.convert(summary, LatencyResult), None)
     rows = [line.split() for line in text.splitlines()]
     assert ["100", "%", "100.0", "ms", "100.0", "ms", "none"] in rows
     assert ["95", "%", "100.0", "ms", "100.0", "ms", "none"] in rows

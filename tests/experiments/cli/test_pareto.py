@@ -20,7 +20,6 @@ from experiments.cli.pareto import front_text, pareto
 from experiments.figures.front import plot_front
 from experiments.jobs import pareto as pareto_job
 from experiments.jobs.pareto import describe_front, front_table
-from experiments.results.record import to_plain
 from placement.layout import layout_from_records
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import pareto_front, tightened
@@ -173,12 +172,12 @@ def unit_poses(camera):
 
 def test_the_text_says_what_is_not_proven(loosened_front, unit_poses):
     problem = avoiding_problem(["1100", "0110", "0011"])
-    summary = to_plain(describe_front(loosened_front, problem, candidates_of(problem, unit_poses)))
+    summary = describe_front(loosened_front, problem, candidates_of(problem, unit_poses))
     text = front_text(summary, None)
     rows = [line.split() for line in text.splitlines()]
     assert ["1", "50.0", "%", "0.0", "%", "0.065", "s", "0.065", "s", "1,000", "proven"] in rows
     assert rows[4][-4:] == ["left", "<=", "75.00", "%"]
-    assert summary["is_proven"] is False
+    assert summary.is_proven is False
     assert max(map(len, text.splitlines())) <= 80
     table = front_table(loosened_front, candidates_of(problem, unit_poses))
     assert table["apr_one_failed_bound"].tolist() == [0.0, 0.75]

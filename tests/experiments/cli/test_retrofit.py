@@ -5,14 +5,16 @@ import io
 import json
 import re
 from pathlib import Path
-from types import SimpleNamespace
 
+import msgspec
 import pytest
 
 from experiments.cli import main
 from experiments.cli.retrofit import retrofit, retrofit_text
 from experiments.jobs import retrofit as retrofit_job
 from experiments.jobs.retrofit import describe_retrofit
+from experiments.results.record import to_plain
+from experiments.results.retrofits import RetrofitResult, build_labour_record
 from placement.layout import layout_from_records
 from placement.retrofit import load_labour
 
@@ -157,30 +159,50 @@ def change(words, *, better=True, gained=(), lost=(), price_eur=500.0, proven=Tr
         "is_better": better,
         "is_proven": proven,
         "compared": 9,
+        "stages": [],
+        "solver": None,
+        "layout": [],
     }
 
 
 def described(summary):
     """Sentences of a result with these fields."""
-    text = json.dumps(summary)
-    return describe_retrofit(json.loads(text, object_hook=lambda part: SimpleNamespace(**part)))
+    return describe_retrofit(msgspec.convert(summary, RetrofitResult))
 
 
 def summary_of(**changes):
     return {
         "name": "mine",
-        "layout": [{"id": "A"}, {"id": "B"}],
+        "layout": [{"id": "A", **UNIT}, {"id": "B", **UNIT}],
+        "candidates": 9,
         "runs": 10,
         "fusion": "any",
-        "before": {"apr": 0.9, "apr_one_failed": 0.8},
+        "before": {
+            "apr": 0.9,
+            "apr_one_failed": 0.8,
+            "smallest_margin_s": 0.1,
+            "mean_margin_s": 1.0,
+        },
         "budget_eur": 3000.0,
-        "labour": {"re_aim_eur": 500.0, "source": "a test"},
+        "labour": to_plain(build_labour_record(load_labour()))
+        | {"re_aim_eur": 500.0, "source": "a test"},
         "removals": [change(["remove B"], better=False, lost=["r1"])] * 2,
         "re_aims": [change(["re-aim A to yaw 0, pitch -15"], gained=["r1", "r2"], lost=["r3"])],
         "addition": change(["add N1 at mast-e"], price_eur=1500.0, gained=["r4"]),
         "combination": change(
             ["re-aim A to yaw 0, pitch -15", "add N1 at mast-e"], price_eur=2000.0, proven=False
         ),
+        "command": "place-rsus retrofit",
+        "cases": [],
+        "weathers": [],
+        "detector": "surrogate",
+        "vut_sensors": [],
+        "packet_loss": 0.0,
+        "vam_rate": 0.0,
+        "not_driven": [],
+        "sentences": [],
+        "seconds": {},
+        "versions": {},
         **changes,
     }
 
@@ -224,7 +246,7 @@ def test_sentences_tell_where_nothing_is_better():
 
 
 def test_the_table_has_a_row_for_every_change():
-    text = retrofit_text(summary_of() | {"sentences": []}, Path("there"))
+    text = retrofit_text(msgspec.convert(summary_of(), RetrofitResult), Path("there"))
     assert re.search(r"^    remove B +500 +90\.0 % +80\.0 % +0 +1$", text, re.MULTILINE)
     assert re.search(r"^    add N1 at mast-e +1,500 +90\.0 % +80\.0 % +1 +0$", text, re.MULTILINE)
     assert text.endswith("Written to there: retrofit.csv and retrofit.json.")

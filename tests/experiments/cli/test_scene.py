@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 import pytest
 from opendrive_text import crossing, document
@@ -16,6 +17,7 @@ from PIL import Image
 from experiments.cli.scene import scene_text
 from experiments.figures.axes import to_png
 from experiments.figures.scene import plot_scene_plan, plot_scene_view
+from experiments.results.scenes import SceneResult
 from geometry.scene_files import load_scene_folder, load_study_scene
 from placement import planning
 from placement.candidates import load_candidate_grid
@@ -371,6 +373,6 @@ def test_lists_that_are_long_are_cut(monkeypatch):
         "skipped": [{"what": "w" * 70, "why": "y" * 30}] * 30,
         "crs": None,
     }
-    text = scene_text(summary)
+    text = scene_text(msgspec.convert(summary, SceneResult))
     assert text.count("and 10 more: --json") == 2
     assert max(map(len, text.splitlines())) <= 100

@@ -1,10 +1,12 @@
 import json
 from dataclasses import replace
 
+import msgspec
 import pytest
 
 from experiments.cli.sheet import sheet_text
 from experiments.jobs import sheet
+from experiments.jobs.sheet import SheetResult
 
 
 @pytest.fixture
@@ -28,7 +30,7 @@ def test_a_page_for_each_unit(run_sheet, tmp_path):
     pdf = out.read_bytes()
     assert pdf.startswith(b"%PDF")
     assert pdf.count(b"/Type /Page\n") == 2 or pdf.count(b"/Type /Page ") == 2
-    assert max(map(len, sheet_text(summary).splitlines()[:-1])) <= 80
+    assert max(map(len, sheet_text(msgspec.convert(summary, SheetResult)).splitlines()[:-1])) <= 80
 
 
 def test_bad_input_is_one_line(run_sheet, tmp_path):

@@ -2,6 +2,7 @@ import json
 from itertools import combinations
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from oracles import naive_confirmed
@@ -11,6 +12,7 @@ from experiments.jobs.recording import run_recorded_placement, run_recording
 from experiments.jobs.verify import run_verification
 from experiments.progress import StageProgress
 from experiments.results.record import to_plain
+from experiments.results.recordings import RecordedResult
 from geometry.errors import InputError
 from placement.question import Question
 from placement.recordings import WrittenDrive, write_recording
@@ -82,6 +84,10 @@ def _place(folder, **options):
 def _evaluate(folder, question=None, **options):
     given = {"min_confidence": 0.0, "out": None, "progress": StageProgress()}
     return to_plain(run_recording(question or Question(), folder=folder, **(given | options)))
+
+
+def record_of(summary):
+    return msgspec.convert(summary, RecordedResult)
 
 
 def test_every_partys_apr_is_that_of_the_definition(tmp_path):
@@ -219,7 +225,7 @@ def test_without_the_vuts_camera_there_is_no_verdict_of_it(tmp_path):
     summary = _evaluate(tmp_path / "data")
     assert summary["evaluation"]["vut"] is None
     assert summary["evaluation"]["vut_and_rsus"] is None
-    assert "car" not in recording_table(summary, None).split("Read:")[0]
+    assert "car" not in recording_table(record_of(summary), None).split("Read:")[0]
 
 
 def test_nothing_is_written_unless_asked_for_and_then_little(tmp_path, monkeypatch):
@@ -236,7 +242,9 @@ def test_nothing_is_written_unless_asked_for_and_then_little(tmp_path, monkeypat
         assert names == {"summary.json"} | proof
         assert json.loads(Path("out/summary.json").read_text()) == summary
         assert progress.kept == "the results are in out"
-    assert "Written to out: summary.json." in recorded_placement_table(summary, Path("out"))
+    assert "Written to out: summary.json." in recorded_placement_table(
+        record_of(summary), Path("out")
+    )
 
 
 def test_a_folder_with_other_things_is_not_replaced(tmp_path):
@@ -248,8 +256,8 @@ def test_a_folder_with_other_things_is_not_replaced(tmp_path):
 
 def test_tables_fit_80_columns_and_show_every_party(tmp_path):
     _write(tmp_path / "data", _random(1))
-    evaluation = recording_table(_evaluate(tmp_path / "data"), None)
-    placement = recorded_placement_table(_place(tmp_path / "data"), None)
+    evaluation = recording_table(record_of(_evaluate(tmp_path / "data")), None)
+    placement = recorded_placement_table(record_of(_place(tmp_path / "data")), None)
     for text in (evaluation, placement):
         assert max(map(len, text.splitlines()[1:])) <= 80
     names = [*(f"RSU{unit}" for unit in range(N_UNITS)), "RSU_all", "car", "car + RSU_all"]
