@@ -38,7 +38,15 @@ def bullets_of(section: Section) -> list[str]:
     return [sentence for block in blocks for sentence in block.sentences]
 
 
-def build_result(name, layout=(), **changes) -> Result:
+A_UNIT = {
+    "id": "U1",
+    "site": "",
+    **dict.fromkeys(("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg"), 0.0),
+    "camera": "carla-ncap-rgb",
+}
+
+
+def build_result(name, layout=(A_UNIT,), **changes) -> Result:
     """A result that says little: an evaluation, without what `changes` say."""
     party = {"all": None, "by_case": {}}
     parties = dict.fromkeys(("vut", "rsu_all", "vut_and_rsus"), party)
