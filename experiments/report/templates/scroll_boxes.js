@@ -12,4 +12,5 @@ const sizes = new ResizeObserver((entries) => entries.forEach((entry) => markScr
 boxes.forEach((box) => {
   box.addEventListener("scroll", () => markScrollBox(box), { passive: true });
   sizes.observe(box); // its size: also when it is unfolded
+  [...box.children].forEach((child) => sizes.observe(child)); // what it holds may grow later: pictures, letters
 });
