@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import pandas as pd
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
@@ -27,6 +27,7 @@ from ..figures.axes import to_png
 from ..figures.latency import plot_latency
 from ..progress import WRITING, StageProgress
 from ..results.drives import build_drives_record, versions
+from ..results.folders import check_folder, write_files
 from ..results.latencies import (
     APR_LEVELS,
     LatencyResult,
@@ -34,7 +35,9 @@ from ..results.latencies import (
     build_curve_record,
 )
 from ..results.record import build_unit_records
-from .writing import check_folder, write_files
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CSV_NAME, PNG_NAME = "latency.csv", "latency.png"
 
@@ -131,7 +134,7 @@ def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
     return fixed_latency(question.latency_s)
 
 
-def latency_table(curves: Mapping[str, LatencyCurve], *, max_latency_s: float) -> pd.DataFrame:
+def latency_table(curves: Mapping[str, LatencyCurve], *, max_latency_s: float) -> "pd.DataFrame":
     """Every step of every curve.
 
     Parameters
@@ -156,6 +159,8 @@ def latency_table(curves: Mapping[str, LatencyCurve], *, max_latency_s: float) -
             above_s = until_s
             if until_s >= max_latency_s:
                 break
+    import pandas as pd
+
     return pd.DataFrame(rows)
 
 

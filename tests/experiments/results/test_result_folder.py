@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments.jobs import writing
-from experiments.jobs.writing import check_result_folder, new_result_folder
 from experiments.progress import Interrupted, StageProgress, ending_on_signals
-from experiments.results.reading import MARKER
+from experiments.results import folders
+from experiments.results.folders import MARKER, check_result_folder, new_result_folder
 from geometry.errors import InputError
 
 
@@ -131,13 +130,13 @@ def test_a_signal_during_the_exchange_comes_too_late(earlier, monkeypatch):
 
 
 def test_a_signal_during_the_check_leaves_nothing(tmp_path, monkeypatch):
-    make = writing.tempfile.mkdtemp
+    make = folders.tempfile.mkdtemp
 
     def make_interrupted(**options: object) -> str:
         signal.raise_signal(signal.SIGINT)
         return make(**options)
 
-    monkeypatch.setattr(writing.tempfile, "mkdtemp", make_interrupted)
+    monkeypatch.setattr(folders.tempfile, "mkdtemp", make_interrupted)
     with pytest.raises(Interrupted), ending_on_signals(StageProgress()):
         check_result_folder(tmp_path / "out")
     assert names(tmp_path) == []
