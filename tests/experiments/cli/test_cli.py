@@ -391,6 +391,7 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         assert "100.0 %" in out
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_comparison_of_a_layout_with_itself_finds_no_difference(run, small_study, layout_file):
     path = layout_file()
     code, out, err = run(
@@ -525,6 +526,7 @@ def test_an_interruption_says_what_was_kept_and_leaves_nothing(
     assert os.listdir() == []  # noqa: PTH208
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_an_interruption_leaves_earlier_results_as_they_were(run, small_study, interrupt_at):
     out = Path("out")
     run("evaluate", "--layout", "carlancap-12", "--out", out, "--quiet")
