@@ -298,6 +298,29 @@ def test_a_bad_out_is_refused_before_anything_is_computed(run, small_study, tmp_
     assert (tmp_path / "file").read_text() == "mine"
 
 
+@pytest.mark.parametrize(
+    ("command", "worlds"),
+    [
+        (["--budget", 1], ""),
+        (["--budget", 1, "--samples", 3], " in 3 sampled worlds"),
+        (["pareto", "--max", 1], ""),
+    ],
+)
+def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
+    run, small_study, monkeypatch, command, worlds
+):
+    monkeypatch.setattr("placement.memory.machine_bytes", lambda: 2**20)
+    monkeypatch.setattr("experiments.jobs.pareto.build_setting", lambda *given: small_study)
+    code, out, err = run(*command, "--quiet")
+    assert (code, out) == (2, "")
+    assert re.fullmatch(
+        rf"place-rsus: memory: got [\d,]+ poses x [\d,]+ frames{worlds}, which need 0.4 GiB, where "
+        r"there are 0.0 GiB; expected a smaller question: .*\n",
+        err,
+    )
+    assert os.listdir() == []  # noqa: PTH208
+
+
 # Results
 
 
