@@ -570,26 +570,3 @@ def test_an_interruption_of_an_evaluation_needs_no_folder(run, small_study, inte
         130,
         "place-rsus: interrupted in stage 'evaluate': nothing was written\n",
     )
-
-
-def test_ctrl_c_ends_the_real_program(tmp_path):
-    process = subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli.main", "--budget", "1", "--workers", "2"],
-        cwd=tmp_path,
-        env=os.environ | {"PLACE_RSUS_CACHE": str(tmp_path / "cache"), "PYTHONPATH": os.getcwd()},  # noqa: PTH109
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stderr is not None
-    for line in process.stderr:
-        if line == "detection table ...\n":
-            break
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
-    assert (process.returncode, out) == (130, "")
-    assert err == (
-        "place-rsus: interrupted in stage 'detection table': "
-        "nothing was written to results/latest\n"
-    )
-    assert list(tmp_path.iterdir()) == []
