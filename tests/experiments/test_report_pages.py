@@ -111,8 +111,8 @@ def test_no_page_scrolls_sideways_on_a_phone_even_if_all_is_unfolded(browser, ad
         for _ in range(2):
             assert page.evaluate("document.documentElement.scrollWidth") <= 360
             page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
-        # What is wider than the screen moves in a box of its own, which the tab key reaches. The page
-        # marks the boxes once it has laid them out: a busy machine takes a while.
+        # What is wider than the screen moves in a box of its own, which the tab key reaches. The
+        # page marks the boxes once it has laid them out: a busy machine takes a while.
         boxes = "[...document.querySelectorAll('.scroll')]"
         wide = f"{boxes}.filter((box) => box.scrollWidth > box.clientWidth + 1)"
         assert page.evaluate(f"{wide}.length") > 0
