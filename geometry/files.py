@@ -1,11 +1,14 @@
 """Files: TOML read into checked values, results written whole or not at all."""
 
+import glob
 import os
 import re
 import sys
 import tempfile
+import time
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal, TypeVar, get_args, get_origin
@@ -263,11 +266,15 @@ def pick(known: Mapping[str, Any], name: str, where: str) -> Any:
 def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file under a temporary name beside it and move it into place.
 
-    Whatever `write` raises leaves `path` as it was. The folder must exist.
+    Whatever `write` raises leaves `path` as it was. The folder must exist. Temporary files that a
+    killed process left for the same path are removed.
     """
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
+        if is_abandoned(left):
+            left.unlink(missing_ok=True)
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
     try:
-        with os.fdopen(handle, "wb") as file:
+        with os.fdopen(handle, "wb") as file, lock_while_alive(Path(temporary)):
             write(file)
         # mkstemp makes files private; a result is as readable as any other new file.
         mask = os.umask(0)
@@ -277,3 +284,48 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+# ---------- temporary files and folders: whose process is alive?
+
+_YOUNG_S = 60.0  # a process may have made it and not locked it yet
+
+
+@contextmanager
+def lock_while_alive(path: Path) -> Iterator[None]:
+    """Lock a file or folder; the system lifts the lock when the process ends, however it ends.
+
+    Where the system has no such locks, :func:`is_abandoned` never holds.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        yield
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # some network file systems have no locks
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
+
+
+def is_abandoned(path: Path) -> bool:
+    """Whether no living process holds a temporary file or folder; False where that is not known."""
+    try:
+        import fcntl
+
+        if time.time() - path.stat().st_mtime < _YOUNG_S:
+            return False
+        handle = os.open(path, os.O_RDONLY)
+    except (ImportError, OSError):
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    else:
+        return True
+    finally:
+        os.close(handle)

@@ -27,6 +27,7 @@ from ..figures.axes import to_png
 from ..figures.latency import plot_latency
 from ..progress import WRITING, StageProgress
 from ..results.drives import build_drives_record, versions
+from ..results.folder import check_folder, write_files
 from ..results.latencies import (
     APR_LEVELS,
     LatencyResult,
@@ -34,7 +35,6 @@ from ..results.latencies import (
     build_curve_record,
 )
 from ..results.record import build_unit_records
-from .writing import check_folder, write_files
 
 CSV_NAME, PNG_NAME = "latency.csv", "latency.png"
 

@@ -26,9 +26,9 @@ from ..figures.front import plot_front
 from ..progress import WRITING, StageProgress
 from ..report.front import describe_money, describe_units
 from ..results.drives import build_drives_record, versions
+from ..results.folder import check_folder, write_files
 from ..results.fronts import FrontRecord, FrontResult, build_front_record
 from ..study.layout import load_carlancap_layout
-from .writing import check_folder, write_files
 
 CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
 _STAGES = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eur")

@@ -27,6 +27,7 @@ from scenarios.aeb import AebRule
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
+from ..results.folder import check_result_folder, new_result_folder
 from ..results.reading import MARKER
 from ..results.record import build_stage_records, to_plain
 from ..results.recordings import (
@@ -36,7 +37,6 @@ from ..results.recordings import (
     build_recorded_result,
     recorded_problem,
 )
-from .writing import check_result_folder, new_result_folder
 
 ALL_UNITS = "RSU_all"
 """All units of a recording together, in the study's words."""

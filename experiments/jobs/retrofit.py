@@ -30,6 +30,7 @@ from placement.wishes import build_problem
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.drives import build_drives_record, versions
+from ..results.folder import check_folder, write_files
 from ..results.numbers import percent
 from ..results.record import build_stage_records, build_unit_records
 from ..results.retrofits import (
@@ -39,7 +40,6 @@ from ..results.retrofits import (
     RetrofitValueRecord,
     build_labour_record,
 )
-from .writing import check_folder, write_files
 
 # ---------- what can be done about a layout that hangs, in sentences
 

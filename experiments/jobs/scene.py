@@ -29,13 +29,13 @@ from geometry.scene_files import (
 from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan, plot_scene_view
 from ..progress import WRITING, StageProgress
+from ..results.folder import check_folder, write_files
 from ..results.scenes import (
     SceneCheckResult,
     SceneResult,
     build_junction_record,
     build_scene_result,
 )
-from .writing import check_folder, write_files
 
 PLAN_NAME, VIEW_NAME = "plan.png", "view.png"
 _STUDY = "town05"

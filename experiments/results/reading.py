@@ -16,9 +16,9 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import read_table
 from placement.layout import RESULT_SCHEMA, Layout, load_layout
 
+from .folder import MARKER
 from .result import Result
 
-MARKER = "summary.json"
 LAYOUT_FILE = "layout.json"
 RUNS_FILE = "runs.parquet"
 APR_FILE = "apr.csv"
