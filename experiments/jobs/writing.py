@@ -23,6 +23,7 @@ from ..progress import WRITING, StageProgress
 from ..report import bill_of_materials
 from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from ..report.page import write_report
+from ..results.csv_text import csv_text
 from ..results.folder import MARKER, new_result_folder
 from ..results.reading import LAYOUT_FILE
 from ..results.result import Result
@@ -98,7 +99,7 @@ def write_results(
             save_certificate(new, document, placement.problem)
         bill = bill or build_bill(layout, setting.scene)
         _write_text(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
-        apr_table(evaluations).to_csv(new / "apr.csv", index=False)
+        _write_text(new / "apr.csv", csv_text(apr_table(evaluations)))
         runs_table(evaluations).to_parquet(new / "runs.parquet")
         write_report(
             new,
