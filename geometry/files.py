@@ -3,6 +3,7 @@
 import glob
 import os
 import re
+import stat
 import sys
 import tempfile
 import time
@@ -24,22 +25,59 @@ Text = Annotated[str, msgspec.Meta(min_length=1)]  # of a field that must not be
 _T = TypeVar("_T")
 
 
+MAX_TEXT_BYTES = 300_000_000  # of JSON or CSV that is read as a whole
+MAX_TOML_BYTES = 20_000_000  # Python's reader takes half a second per million
+
+
+def check_file(path: Path, *, max_bytes: int | None = None) -> None:
+    """Raise InputError unless a path is a regular file, and not too large to be read as a whole.
+
+    A pipe or a device could keep its reader waiting for ever. A file that does not exist, or may
+    not be looked at, is left to whoever opens it.
+    """
+    try:
+        found = path.stat()
+    except OSError:
+        return
+    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+        raise InputError(str(path), Unquoted("a pipe, a socket or a device"), "a regular file")
+    if max_bytes is not None and found.st_size > max_bytes:
+        raise InputError(
+            str(path),
+            Unquoted(f"{found.st_size:,} bytes"),
+            f"at most {max_bytes:,}; cut it out first",
+        )
+
+
 def load_toml(source: Path | Traversable) -> dict[str, Any]:
     """Read a TOML file, or a data file of a package, as a whole.
 
     Raises
     ------
     InputError
-        The file cannot be read, or is not TOML.
+        The file cannot be read, is larger than 20 MB, or is not TOML.
     """
+    if isinstance(source, Path):
+        check_file(source, max_bytes=MAX_TOML_BYTES)
     try:
-        return tomllib.loads(source.read_text(encoding="utf-8"))
+        text = source.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(
             str(source), Unquoted(error.strerror or error), "a readable file"
         ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise InputError(str(source), Unquoted(error), "valid TOML in UTF-8") from None
+    return parse_toml(text, str(source))
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Read TOML from a text; raises InputError, which names `where`, if it is not valid."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise InputError(where, Unquoted("tables nested too deeply"), "valid TOML") from None
+    except ValueError as error:  # also that of a number with thousands of digits
+        raise InputError(where, Unquoted(error), "valid TOML in UTF-8") from None
 
 
 def read_table(table: object, kind: type[_T], where: str) -> _T:
