@@ -16,7 +16,8 @@ from placement.verification.certificates import (
 from placement.verification.verify import verify_certificate
 
 from ..progress import StageProgress
-from ..results.reading import LAYOUT_FILE, MARKER
+from ..results.folder import MARKER
+from ..results.reading import LAYOUT_FILE
 from ..results.solutions import CheckRecord, VerificationResult, VerifiedStageRecord
 
 

@@ -257,7 +257,9 @@ def _put_in_place(temporary: Path, folder: Path, real: Path) -> None:
 
 def _exchange(first: Path, second: Path) -> bool:
     """Exchange the names of two folders in one step; False where the system cannot."""
-    libc = ctypes.CDLL(None, use_errno=True) if sys.platform != "win32" else None
+    if sys.platform == "win32":
+        return False
+    libc = ctypes.CDLL(None, use_errno=True)
     names = os.fsencode(first), os.fsencode(second)
     if hasattr(libc, "renameat2"):  # Linux
         at_cwd, swap = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of <fcntl.h> and <linux/fs.h>

@@ -554,7 +554,8 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
 
 def _check_unpacked_size(archive: np.lib.npyio.NpzFile, path: Path) -> None:
     """Raise InputError if an archive holds more than memory is given to."""
-    n_bytes = sum(member.file_size for member in archive.zip.infolist())
+    assert archive.zip is not None  # it is open
+    n_bytes = sum(int(member.file_size) for member in archive.zip.infolist())
     if n_bytes > MAX_UNPACKED_BYTES:
         raise InputError(
             str(path),
