@@ -10,7 +10,6 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike
-from scipy.special import expit, logit
 
 from .arrays import FloatArray, IntArray
 from .errors import InputError
@@ -214,6 +213,8 @@ def return_probability(
        Adv. Radio Sci. 9, 2011: LiDAR equation for a diffuse target larger than the beam,
        reflectivity x cos(incidence) / distance^2 x exp(-2 extinction x distance).
     """
+    from scipy.special import expit, logit
+
     distance = np.asarray(distance_m, dtype=np.float64)
     is_inside = (distance >= lidar.near_m) & (distance <= lidar.range_m)
     distance = np.where(is_inside, distance, lidar.reference_range_m)

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geometry.arrays import FloatArray, float_array
+from geometry.arrays import BoolArray, FloatArray, float_array
 from geometry.catalogue import Sensor, pick_sensor
 from geometry.errors import InputError, Unquoted
 from geometry.files import load_toml, take_list, take_number
 from geometry.lidar import LidarModel
-from geometry.poses import Pose
+from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
+from geometry.sensors import project_points
 
 if TYPE_CHECKING:  # solvers of differential equations come with it
     from scenarios.aeb import AebRule
@@ -125,6 +126,25 @@ def is_ring(sensor: Sensor) -> bool:
 def is_turn_useless(sensor: Sensor, *, pitch_deg: float) -> bool:
     """Whether a sensor sees the same at every yaw: a level LiDAR that scans all round."""
     return is_ring(sensor) and pitch_deg == 0.0
+
+
+def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
+    """Whether points (n, 3) lie in a unit's field of view, at any distance, hidden or not."""
+    sensor, pose = unit.sensor, unit.pose
+    is_inside: BoolArray
+    if isinstance(sensor, LidarModel):
+        offsets = points_m - pose.position_m
+        ahead, left, up = np.moveaxis(offsets @ body_rotation(pose.yaw_deg, pose.pitch_deg), -1, 0)
+        azimuth_deg = np.degrees(np.arctan2(left, ahead))
+        elevation_deg = np.degrees(np.arctan2(up, np.hypot(ahead, left)))
+        is_inside = np.abs(azimuth_deg) <= 0.5 * sensor.horizontal_fov_deg
+        is_inside &= np.abs(elevation_deg) <= 0.5 * sensor.vertical_fov_deg
+    else:
+        column, row, _ = project_points(points_m, pose, sensor).T
+        # NaN, behind the lens, is inside nothing.
+        is_inside = (column >= 0.0) & (column <= sensor.width_px)
+        is_inside &= (row >= 0.0) & (row <= sensor.height_px)
+    return is_inside
 
 
 def build_candidates(

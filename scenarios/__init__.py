@@ -6,45 +6,6 @@ of the protocol; every run lies on a grid of frames that ends at the unbraked im
 ``last_brake_time_s()`` says when braking is too late, ``weigh()`` how much each run counts.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from geometry.lazy_names import lazy_names
 
-if TYPE_CHECKING:
-    from .aeb import AebRule, last_brake_time_s, load_aeb_rule
-    from .cases import Case, load_cases, pick_cases
-    from .exposure import weigh
-    from .runs import FrameAxis, Refusal, Run, build_frame_axis, build_runs
-
-__all__ = [
-    "AebRule",
-    "Case",
-    "FrameAxis",
-    "Refusal",
-    "Run",
-    "build_frame_axis",
-    "build_runs",
-    "last_brake_time_s",
-    "load_aeb_rule",
-    "load_cases",
-    "pick_cases",
-    "weigh",
-]
-
-# Loaded when first used.
-_HOMES = {
-    "aeb": ("AebRule", "last_brake_time_s", "load_aeb_rule"),
-    "cases": ("Case", "load_cases", "pick_cases"),
-    "exposure": ("weigh",),
-    "runs": ("FrameAxis", "Refusal", "Run", "build_frame_axis", "build_runs"),
-}
-_HOME = {name: home for home, names in _HOMES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_HOME[name]}", __name__), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

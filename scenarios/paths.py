@@ -6,7 +6,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import solve_ivp
 
 from geometry.arrays import FloatArray, float_array, freeze
 from geometry.errors import InputError
@@ -297,6 +296,8 @@ def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
 
 def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArray:
     """Angle from the body to the path: grows with the curvature, decays with the sine of itself."""
+    from scipy.integrate import solve_ivp
+
     arc_starts, arc_ends = turn.clothoid_length_m, turn.length_m - turn.clothoid_length_m
     distances = np.array([0.0, arc_starts, arc_ends, turn.length_m])
     curvatures = 1.0 / np.array([turn.first_radius_m, *2 * [turn.radius_m], turn.first_radius_m])

@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.constants import kmh
-from scipy.optimize import brentq
 
 from geometry.actors import Actor, PlacedActor, Shape, park_row
 from geometry.arrays import FloatArray
@@ -68,6 +67,8 @@ def find_meeting(
     CannotCarryError
         The VUT's path does not lead there.
     """
+    from scipy.optimize import brentq
+
     gap = _gap_to_side if case.impact_face == "side" else _gap_to_front
     distances = np.arange(search_m[0], search_m[1] + _SCAN_STEP_M, _SCAN_STEP_M)
     gaps, _ = gap(case, vut, vut_path, vru_line, distances)

@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import fresnel
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
@@ -134,6 +133,8 @@ class Turn:
 
     def _first_half(self, distance: FloatArray) -> tuple[NDArray[np.complex128], FloatArray]:
         """Points as complex numbers and angles in radians, as if turning left."""
+        from scipy.special import fresnel
+
         first, curvature = 1.0 / self.first_radius_m, 1.0 / self.radius_m
         length = self.clothoid_length_m
         growth = (curvature - first) / length  # of the curvature, per metre

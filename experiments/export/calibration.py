@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
@@ -126,4 +125,6 @@ def plain(values: FloatArray) -> list[float]:
 
 def _quaternion(rotation: FloatArray) -> list[float]:
     # q and -q are the same rotation; w >= 0 makes it one.
+    from scipy.spatial.transform import Rotation
+
     return plain(Rotation.from_matrix(rotation).as_quat(canonical=True))

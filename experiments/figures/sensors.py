@@ -6,8 +6,7 @@ from matplotlib.path import Path
 from geometry.arrays import FloatArray
 from geometry.junction import COMPASS
 from geometry.lidar import LidarModel
-from placement.candidates import CandidatePose, is_ring
-from placement.explain.unavoided import is_in_view
+from placement.candidates import CandidatePose, is_in_view, is_ring
 
 _N_BEARINGS = 180
 _STEP_M = 0.1

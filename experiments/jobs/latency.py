@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import pandas as pd
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
@@ -28,7 +28,7 @@ from ..figures.latency import plot_latency
 from ..progress import WRITING, StageProgress
 from ..results.csv_text import csv_text
 from ..results.drives import build_drives_record, versions
-from ..results.folder import check_folder, write_files
+from ..results.folders import check_folder, write_files
 from ..results.latencies import (
     APR_LEVELS,
     LatencyResult,
@@ -36,6 +36,9 @@ from ..results.latencies import (
     build_curve_record,
 )
 from ..results.record import build_unit_records
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CSV_NAME, PNG_NAME = "latency.csv", "latency.png"
 
@@ -132,7 +135,7 @@ def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
     return fixed_latency(question.latency_s)
 
 
-def latency_table(curves: Mapping[str, LatencyCurve], *, max_latency_s: float) -> pd.DataFrame:
+def latency_table(curves: Mapping[str, LatencyCurve], *, max_latency_s: float) -> "pd.DataFrame":
     """Every step of every curve.
 
     Parameters
@@ -157,6 +160,8 @@ def latency_table(curves: Mapping[str, LatencyCurve], *, max_latency_s: float) -
             above_s = until_s
             if until_s >= max_latency_s:
                 break
+    import pandas as pd
+
     return pd.DataFrame(rows)
 
 

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import pandas as pd
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
@@ -27,9 +27,12 @@ from ..progress import WRITING, StageProgress
 from ..report.front import describe_money, describe_units
 from ..results.csv_text import csv_text
 from ..results.drives import build_drives_record, versions
-from ..results.folder import check_folder, write_files
+from ..results.folders import check_folder, write_files
 from ..results.fronts import FrontRecord, FrontResult, build_front_record
 from ..study.layout import load_carlancap_layout
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
 _STAGES = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eur")
@@ -159,7 +162,7 @@ def describe_front(
     return build_front_record(front, problem, candidates, sentences=sentences, n_kept=n_kept)
 
 
-def front_table(front: Front, candidates: Sequence[CandidatePose]) -> pd.DataFrame:
+def front_table(front: Front, candidates: Sequence[CandidatePose]) -> "pd.DataFrame":
     """One row per point.
 
     Returns
@@ -177,4 +180,6 @@ def front_table(front: Front, candidates: Sequence[CandidatePose]) -> pd.DataFra
         row["is_proven"] = point.is_proven
         row["poses"] = " ".join(candidates[index].id for index in point.pose_index)
         rows.append(row)
+    import pandas as pd
+
     return pd.DataFrame(rows)

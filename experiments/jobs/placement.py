@@ -36,7 +36,7 @@ from ..results.explanations import (
     build_private_ground_record,
     build_sensitivity_record,
 )
-from ..results.folder import check_result_folder
+from ..results.folders import check_result_folder, left_as_it_was
 from ..results.fronts import build_refinement_record
 from ..results.result import (
     Result,
@@ -47,7 +47,7 @@ from ..results.result import (
 from ..results.sampled_worlds import build_sampled_record
 from ..study.layout import find_baseline, load_carlancap_layout
 from .pareto import describe_front
-from .writing import left_as_it_was, write_results
+from .writing import write_results
 
 MIN_FRESH_WORLDS = 60
 """Sampled worlds that a layout is judged in, at least: with fewer, intervals say little."""

@@ -27,7 +27,7 @@ from scenarios.aeb import AebRule
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
-from ..results.folder import MARKER, check_result_folder, new_result_folder
+from ..results.folders import MARKER, check_result_folder, new_result_folder
 from ..results.record import build_stage_records, to_plain
 from ..results.recordings import (
     RecordedResult,

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import pandas as pd
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
@@ -31,7 +31,7 @@ from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.csv_text import csv_text
 from ..results.drives import build_drives_record, versions
-from ..results.folder import check_folder, write_files
+from ..results.folders import check_folder, write_files
 from ..results.numbers import percent
 from ..results.record import build_stage_records, build_unit_records
 from ..results.retrofits import (
@@ -41,6 +41,9 @@ from ..results.retrofits import (
     RetrofitValueRecord,
     build_labour_record,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # ---------- what can be done about a layout that hangs, in sentences
 
@@ -255,7 +258,7 @@ def run_retrofit(
     return result
 
 
-def retrofit_table(result: RetrofitResult) -> pd.DataFrame:
+def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
     """One row per change.
 
     Returns
@@ -286,6 +289,8 @@ def retrofit_table(result: RetrofitResult) -> pd.DataFrame:
         }
         for kind, change in changes
     ]
+    import pandas as pd
+
     return pd.DataFrame(rows)
 
 

@@ -29,7 +29,7 @@ from geometry.scene_files import (
 from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan, plot_scene_view
 from ..progress import WRITING, StageProgress
-from ..results.folder import check_folder, write_files
+from ..results.folders import check_folder, write_files
 from ..results.scenes import (
     SceneCheckResult,
     SceneResult,

@@ -33,7 +33,7 @@ from ..figures.axes import BLUE, VERMILION, literal, unit_labels
 from ..figures.plan import draw_scene, ground_footprint
 from ..figures.sensors import ALL_ROUND, blind_footprint, ring_path
 from ..progress import WRITING, StageProgress
-from ..results.folder import check_folder
+from ..results.folders import check_folder
 from ..results.record import Record
 
 # ---------- the mounting sheet: a PDF with one A4 page for each unit, for whoever puts it up

@@ -16,8 +16,7 @@ from placement.verification.certificates import (
 from placement.verification.verify import verify_certificate
 
 from ..progress import StageProgress
-from ..results.folder import MARKER
-from ..results.reading import LAYOUT_FILE
+from ..results.folders import LAYOUT_FILE, MARKER
 from ..results.solutions import CheckRecord, VerificationResult, VerifiedStageRecord
 
 

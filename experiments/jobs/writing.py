@@ -24,8 +24,7 @@ from ..report import bill_of_materials
 from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from ..report.page import write_report
 from ..results.csv_text import csv_text
-from ..results.folder import MARKER, new_result_folder
-from ..results.reading import LAYOUT_FILE
+from ..results.folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE, new_result_folder
 from ..results.result import Result
 from ..results.tables import apr_table, runs_table
 
@@ -99,8 +98,8 @@ def write_results(
             save_certificate(new, document, placement.problem)
         bill = bill or build_bill(layout, setting.scene)
         _write_text(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
-        _write_text(new / "apr.csv", csv_text(apr_table(evaluations)))
-        runs_table(evaluations).to_parquet(new / "runs.parquet")
+        _write_text(new / APR_FILE, csv_text(apr_table(evaluations)))
+        runs_table(evaluations).to_parquet(new / RUNS_FILE)
         write_report(
             new,
             result,
@@ -130,13 +129,6 @@ def _kept_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
             Unquoted(f"{folder}: {error.strerror or error}"),
             f"a folder that can be written to; layout and numbers are kept in {kept}",
         ) from error
-
-
-def left_as_it_was(folder: Path) -> str:
-    """What is on disk as long as nothing has been written, in words."""
-    if (folder / MARKER).exists():
-        return f"the earlier results in {folder} are unchanged"
-    return f"nothing was written to {folder}"
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -17,12 +17,8 @@ from geometry.files import read_table
 from placement.layout import RESULT_SCHEMA, Layout, load_layout
 
 from .csv_text import plain_cell
-from .folder import MARKER
+from .folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE
 from .result import Result
-
-LAYOUT_FILE = "layout.json"
-RUNS_FILE = "runs.parquet"
-APR_FILE = "apr.csv"
 
 _KINDS = {"text": is_string_dtype, "numbers": is_numeric_dtype, "true or false": is_bool_dtype}
 _RUNS_COLUMNS = {

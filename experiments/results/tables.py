@@ -1,13 +1,16 @@
 """Tables of verdicts, for other programs: ratios by group, and every run's outcome."""
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from geometry.arrays import BoolArray, FloatArray
 from placement.evaluation import Evaluation, Verdict, apr
 from scenarios.runs import FrameAxis
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # ---------- tables of verdicts, for other programs: ratios by group, and every run's outcome
 
@@ -46,7 +49,7 @@ def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
     return margin
 
 
-def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
+def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
     """Accident prevention ratios of every party, by case, approach, weather and speed.
 
     Parameters
@@ -62,6 +65,8 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
         rows of its own, and speeds are told of all approaches and weathers together. The ratio is
         missing where none of the runs has weight.
     """
+    import pandas as pd
+
     return pd.DataFrame(
         [
             {
@@ -80,7 +85,7 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
     )
 
 
-def runs_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
+def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
     """Every run's outcome for every party.
 
     Parameters
@@ -94,6 +99,8 @@ def runs_table(evaluations: Mapping[str, Evaluation]) -> pd.DataFrame:
         One row per layout, party and run. Times that do not exist (never confirmed, no braking
         avoids) are missing.
     """
+    import pandas as pd
+
     tables = []
     for name, evaluation in evaluations.items():
         axis = evaluation.axis

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
 from geometry.errors import InputError, Unquoted
@@ -109,6 +108,8 @@ class ResponseDetector:
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """Draw which rows are detected, and the errors of their boxes."""
+        from scipy.special import ndtr
+
         draws, row_draw = np.unique(evidence.draw_index, return_inverse=True)
         chance = ndtr(_linked_noise(draws, self.frame_correlation, rng))[row_draw]
         noise = rng.standard_normal((len(draws), 4))[row_draw]

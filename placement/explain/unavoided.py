@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
-from geometry.lidar import LidarModel
 from geometry.poses import body_rotation
 from geometry.raycast import FloatRays, build_caster, ray_lengths_m
 from geometry.scene import Scene
-from geometry.sensors import project_points
 from scenarios.aeb import confirmation_time_s, is_in_time
 from scenarios.runs import Run
 
-from ..candidates import CandidatePose
+from ..candidates import CandidatePose, is_in_view
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..optimiser import PlacementProblem, run_margins_s
@@ -132,25 +130,6 @@ def _inside_shares(world: World, unit: CandidatePose, frames: IntArray) -> Float
     points = views.points_m[views.view_of_frame[frames]].astype(np.float64) + world.origin_m
     share: FloatArray = is_in_view(unit, points.reshape(-1, 3)).reshape(points.shape[:2]).mean(1)
     return share
-
-
-def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
-    """Whether points (n, 3) lie in a unit's field of view, at any distance, hidden or not."""
-    sensor, pose = unit.sensor, unit.pose
-    is_inside: BoolArray
-    if isinstance(sensor, LidarModel):
-        offsets = points_m - pose.position_m
-        ahead, left, up = np.moveaxis(offsets @ body_rotation(pose.yaw_deg, pose.pitch_deg), -1, 0)
-        azimuth_deg = np.degrees(np.arctan2(left, ahead))
-        elevation_deg = np.degrees(np.arctan2(up, np.hypot(ahead, left)))
-        is_inside = np.abs(azimuth_deg) <= 0.5 * sensor.horizontal_fov_deg
-        is_inside &= np.abs(elevation_deg) <= 0.5 * sensor.vertical_fov_deg
-    else:
-        column, row, _ = project_points(points_m, pose, sensor).T
-        # NaN, behind the lens, is inside nothing.
-        is_inside = (column >= 0.0) & (column <= sensor.width_px)
-        is_inside &= (row >= 0.0) & (row <= sensor.height_px)
-    return is_inside
 
 
 def _things_between(

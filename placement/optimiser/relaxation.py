@@ -24,7 +24,6 @@ from importlib.metadata import version
 from operator import attrgetter
 
 import numpy as np
-import osqp
 from scipy import sparse
 
 from geometry.arrays import FloatArray, IntArray
@@ -256,6 +255,8 @@ class Relaxation:
 
         `tolerance` is that of OSQP, absolute and relative, when the largest step of a level is 1.
         """
+        import osqp
+
         self._coverage = coverage
         self._levels = _Levels(coverage)
         levels, supply = self._levels, coverage.supply
@@ -290,6 +291,7 @@ class Relaxation:
             np.concatenate([np.full(n_poses, _REGULARISATION), np.zeros(n_levels)]), format="csc"
         )
         self._solver = osqp.OSQP()
+        self._solved_status = osqp.SolverStatus.OSQP_SOLVED
         self._solver.setup(
             quadratic,
             np.concatenate([np.zeros(n_poses), -self._scale * levels.step]),
@@ -341,7 +343,7 @@ class Relaxation:
         return Relaxed(
             shares=np.clip(np.nan_to_num(np.asarray(result.x)[:n_poses]), 0.0, 1.0),
             bound=min(bounds, key=lambda bound: bound.limit),
-            is_solved=bool(result.info.status_val == osqp.SolverStatus.OSQP_SOLVED),
+            is_solved=bool(result.info.status_val == self._solved_status),
             n_steps=int(result.info.iter),
         )
 

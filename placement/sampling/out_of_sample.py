@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import t as student_t
 
 from geometry.arrays import BoolArray, FloatArray, float_array
 from geometry.errors import InputError, Unquoted
@@ -92,7 +91,9 @@ def estimate_mean(
         low, high = mean + share * (lowest - mean), mean + share * (highest - mean)
         method = f"{100.0 * confidence:g} % interval: no spread in {n} samples, rule of three"
     else:
-        reach = float(student_t.ppf(0.5 + 0.5 * confidence, n - 1)) * error
+        from scipy.special import stdtrit
+
+        reach = float(stdtrit(n - 1, 0.5 + 0.5 * confidence)) * error
         low, high = max(lowest, mean - reach), min(highest, mean + reach)
         method = f"{100.0 * confidence:g} % interval: Student's t, {n} samples"
     return MeanEstimate(mean=mean, standard_error=error, low=low, high=high, method=method)

@@ -8,8 +8,6 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
-from scipy.special import ndtr
 from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
@@ -42,6 +40,8 @@ def build_drawn_table(
     weathers; from frame to frame they are linked as in the evaluator. Boxes are not drawn: they
     are near enough to match. A LiDAR counts the points that it may expect.
     """
+    from scipy.special import ndtr
+
     setting = sample.setting
     world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed)
     groups: dict[tuple[float, ...], list[int]] = {}
@@ -114,6 +114,8 @@ class FrameLinks:
         if step == 0.0:
             linked = np.repeat(fresh[:, :1], fresh.shape[1], axis=1)
         else:
+            from scipy.signal import lfilter
+
             fresh[:, 0] /= step  # the first one stands for all that came before
             linked = lfilter([step], [1.0, -correlation], fresh, axis=1)
         noise: FloatArray = linked[self.is_frame][self.index]

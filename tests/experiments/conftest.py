@@ -1,12 +1,15 @@
 """A small version of the study: the same steps in a second or two."""
 
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from experiments.cli import main
 from experiments.jobs import placement, writing
+from experiments.report import section
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
 from placement import planning
@@ -58,6 +61,14 @@ def small_study(small_setting, monkeypatch):
 def without_figures(monkeypatch):
     """Leaves out what takes longest to write."""
     monkeypatch.setattr(writing, "write_report", lambda *given, **options: None)
+
+
+@pytest.fixture
+def with_blank_pictures(monkeypatch):
+    """Pictures of a report are one pixel each: drawing takes long, and tests of words need none."""
+    file = BytesIO()
+    Image.new("RGB", (1, 1)).save(file, format="png")
+    monkeypatch.setattr(section, "to_png", lambda drawn: file.getvalue())
 
 
 @pytest.fixture

@@ -155,26 +155,32 @@ def turning_encounters(draw) -> Encounter:
 def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
     """Whether the bodies overlap: the car is dragged and braked in steps of half a millisecond."""
     path, vut, vru = encounter.vut_motion.path, encounter.vut, encounter.vru
-    start_s, speed = encounter.vut_motion.start_time_s, encounter.vut_motion.speed_mps
-    yaw, driven, time, step_s = 0.0, 0.0, start_s, 5.0e-4
+    time, speed = encounter.vut_motion.start_time_s, encounter.vut_motion.speed_mps
+    driven, step_s, steps = 0.0, 5.0e-4, []
     while speed > 0.0:
         if time > onset_s:
             share = 1.0 if build_up_s == 0.0 else min(1.0, (time - onset_s) / build_up_s)
             speed = max(0.0, speed - A_MPS2 * share * step_s)
         driven, time = driven + speed * step_s, time + step_s
-        point, angle_deg = path.turn.at(driven - path.straight_m)
-        yaw += math.sin(math.radians(angle_deg) - yaw) / path.wheelbase_m * speed * step_s
-        if time < onset_s:
-            continue
-        ahead_m = path.front_axle_ahead_m
+        steps.append((time, speed, driven))
+    times, speeds, distances = np.array(steps).T
+    points, angles_deg = path.turn.at(distances - path.straight_m)
+    vru_places, vru_yaws_deg = encounter.vru_motion.path.at(encounter.vru_motion.distance_m(times))
+    vru_yaws_deg = np.broadcast_to(vru_yaws_deg, times.shape)
+    reach_m = 0.5 * (math.hypot(vut.length_m, vut.width_m) + math.hypot(vru.length_m, vru.width_m))
+    yaw, ahead_m = 0.0, path.front_axle_ahead_m
+    for index, angle in enumerate(np.radians(angles_deg).tolist()):
+        yaw += math.sin(angle - yaw) / path.wheelbase_m * float(speeds[index]) * step_s
         vut_at = (
-            point[0] + path.straight_m - ahead_m * math.cos(yaw),
-            point[1] - ahead_m * math.sin(yaw),
+            points[index, 0] + path.straight_m - ahead_m * math.cos(yaw),
+            points[index, 1] - ahead_m * math.sin(yaw),
         )
-        vru_at, vru_yaw_deg = encounter.vru_motion.path.at(encounter.vru_motion.distance_m(time))
+        vru_at = vru_places[index]
+        if times[index] < onset_s or math.dist(vut_at, vru_at) > reach_m:
+            continue
         overlap = overlap_area(
             rectangle_polygon(vut_at, math.degrees(yaw), vut.length_m, vut.width_m),
-            rectangle_polygon(vru_at, float(vru_yaw_deg), vru.length_m, vru.width_m),
+            rectangle_polygon(vru_at, float(vru_yaws_deg[index]), vru.length_m, vru.width_m),
         )
         if overlap > 1.0e-9:
             return True

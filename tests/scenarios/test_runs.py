@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from junctions import ARMS, LANE_M, protocol_scene, turned
 from oracles import separation_m
@@ -108,6 +108,7 @@ def test_frames_hold_the_motions_and_the_gait(all_runs):
         assert (run.vru_shape[standing] == 0).all()
 
 
+@settings(max_examples=50)
 @given(
     name=st.sampled_from(sorted(load_cases())),
     angle_deg=st.floats(-180.0, 180.0),

@@ -25,8 +25,7 @@ from geometry.catalogue import load_cameras
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from geometry.scene_files import load_study_scene
-from placement.candidates import CandidatePose
-from placement.explain.unavoided import is_in_view
+from placement.candidates import CandidatePose, is_in_view
 from placement.layout import Layout
 
 RING = load_lidars()["ouster-os1-128"]

@@ -259,6 +259,7 @@ def test_placement_page_shows_the_certificate(placement_page):
     assert "They disagree on 1.9 % of the runs" in words
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_open_gap_is_not_called_proven(placement_result, setting, evaluations):
     stages = [{"name": "apr", "objective": 0.9, "bound": 0.95, "gap": 0.055556, "seconds": 60.0}]
     page = render_report(
@@ -272,6 +273,7 @@ def test_open_gap_is_not_called_proven(placement_result, setting, evaluations):
     assert "Proven on the detection table" not in words
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_each_by_itself_where_one_unit_must_confirm(placement_result, setting, evaluations):
     found = evaluations["found"]
     page = render_report(
@@ -329,6 +331,7 @@ def test_names_are_escaped(setting, evaluations):
     assert page.count("<script") == page.count("</script>")
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_runs_to_draw_can_be_chosen(setting, evaluations):
     one = {"found": evaluations["found"]}
     page = render_report(
@@ -406,6 +409,7 @@ def test_every_case_is_listed_with_its_runs_and_last_moments(evaluation_page, se
             assert text == f"{value:.2f}".replace("-", "\N{MINUS SIGN}")
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_a_case_that_some_approaches_do_not_carry_names_the_others(setting, layout):
     keeps = [
         not (run.case.name == "CBNA" and run.approach in ("north", "west"))
@@ -423,6 +427,7 @@ def test_a_case_that_some_approaches_do_not_carry_names_the_others(setting, layo
     }
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_what_no_braking_avoids_is_told(setting, layout):
     runs = tuple(
         replace(run, last_brake_time_s=-math.inf) if run.id == "CBNA/east/60" else run
@@ -435,6 +440,7 @@ def test_what_no_braking_avoids_is_told(setting, layout):
     assert "no braking avoids" not in Page(page_of(setting, layout)[0]).words
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_what_is_not_driven_is_told_with_its_reason(setting, layout, evaluation_page):
     cbna, cbla = (
         next(run.case for run in setting.runs if run.case.name == name) for name in ("CBNA", "CBLA")
@@ -461,6 +467,7 @@ def test_equal_weights_are_told_and_take_no_column(evaluation_page):
     assert table_rows(evaluation_page, "Runs")[0][:2] == ["run", "last moment (s)"]
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_unequal_weights_are_told_by_case_and_run(setting, layout):
     is_counted = np.array([run.case.name != "CBNA" for run in setting.runs])
     weight = np.where(is_counted, np.arange(1.0, len(is_counted) + 1.0), 0.0)
@@ -494,6 +501,7 @@ def test_runs_that_are_hit_come_first_and_are_counted(evaluation_page, evaluatio
     assert f"{len(rows)} runs, {n_hit} of them hit: " in Page(evaluation_page).words
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_several_weathers_are_told_and_have_a_column(evaluation_page):
     question = Question(cases="CBLA", approaches="east", weather="day,night")
     setting = build_setting(question, load_study_scene())
@@ -508,6 +516,7 @@ def test_several_weathers_are_told_and_have_a_column(evaluation_page):
     assert "It takes contrast" not in Page(evaluation_page).words
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_announcements_are_in_the_table_and_not_said_to_be_in_the_figure(setting, evaluations):
     found = evaluations["found"]
     others = {"vam": found.vut, "all_sources": found.vut_and_rsus}
@@ -527,11 +536,13 @@ def test_announcements_are_in_the_table_and_not_said_to_be_in_the_figure(setting
     assert alt == f"Shaded table. Over all runs: {drawn}."
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_latency_of_a_unit_is_told(setting, layout):
     slow = replace(layout, units=(replace(layout.units[0], latency_s=0.1),))
     assert "latency of their own: RSU0 100 ms." in Page(page_of(setting, slow)[0]).words
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_braking_and_the_moment_of_the_frames_are_told(setting, layout, evaluation_page):
     words = Page(evaluation_page).words
     assert "constant from the onset" in words

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from experiments.progress import Interrupted, StageProgress, ending_on_signals
-from experiments.results import folder as result_folder
-from experiments.results.folder import (
+from experiments.results import folders as result_folder
+from experiments.results.folders import (
     MANIFEST,
     MARKER,
     changed_files,

@@ -24,6 +24,9 @@ from geometry.files import is_abandoned, lock_while_alive, write_atomically
 from ..progress import signals_held
 
 MARKER = "summary.json"
+LAYOUT_FILE = "layout.json"
+RUNS_FILE = "runs.parquet"
+APR_FILE = "apr.csv"
 MANIFEST = "SHA256SUMS"
 
 _PREFIX = ".place-rsus."
@@ -289,6 +292,13 @@ def remove_abandoned(parent: Path) -> None:
     for path in parent.glob(f"{_PREFIX}*"):
         if path.is_dir() and not path.is_symlink() and is_abandoned(path):
             shutil.rmtree(path, ignore_errors=True)
+
+
+def left_as_it_was(folder: Path) -> str:
+    """What is on disk as long as nothing has been written, in words."""
+    if (folder / MARKER).exists():
+        return f"the earlier results in {folder} are unchanged"
+    return f"nothing was written to {folder}"
 
 
 def unwritable(folder: Path, error: Exception) -> InputError:

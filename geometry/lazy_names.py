@@ -1,0 +1,52 @@
+"""Names of a package that are loaded when they are first used: numbers and solvers take seconds."""
+
+import ast
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+
+def lazy_names(
+    package: str, file: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the stub beside it.
+
+    The stub is the one list of names: type checkers read the same file.
+
+    Parameters
+    ----------
+    package : str
+        ``__name__`` of the package.
+    file : str
+        Its ``__file__``; ``__init__.pyi`` lies beside it and holds nothing but a docstring and
+        lines such as ``from .poses import Pose as Pose``.
+
+    Returns
+    -------
+    get : callable
+        Loads the module that a name comes from; raises AttributeError for any other name.
+    names : callable
+        Lists the names.
+    all_names : list of str
+        The same names, sorted.
+
+    References
+    ----------
+    .. [1] Scientific Python SPEC 1, "Lazy Loading of Submodules and Functions".
+    """
+    stub = ast.parse(Path(file).with_suffix(".pyi").read_bytes())
+    homes = {
+        alias.name: f"{'.' * statement.level}{statement.module}"
+        for statement in stub.body
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
+    }
+    all_names = sorted(homes)
+
+    def get(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(homes[name], package), name)
+
+    return get, lambda: all_names, all_names

@@ -1,0 +1,14 @@
+"""The public names of scenarios, each once: read by type checkers, and when a name is used."""
+
+from .aeb import AebRule as AebRule
+from .aeb import last_brake_time_s as last_brake_time_s
+from .aeb import load_aeb_rule as load_aeb_rule
+from .cases import Case as Case
+from .cases import load_cases as load_cases
+from .cases import pick_cases as pick_cases
+from .exposure import weigh as weigh
+from .runs import FrameAxis as FrameAxis
+from .runs import Refusal as Refusal
+from .runs import Run as Run
+from .runs import build_frame_axis as build_frame_axis
+from .runs import build_runs as build_runs

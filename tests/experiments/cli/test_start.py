@@ -1,0 +1,72 @@
+"""Which large libraries a command loads: each costs a good part of a second at every call."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+LARGE = {
+    *("cvxpy", "geopandas", "highspy", "jinja2", "matplotlib", "numba", "numpy", "onnxruntime"),
+    *("open3d", "osqp", "pandas", "plotly", "pyarrow", "pyproj", "rich", "scipy", "shapely"),
+    *("trimesh",),
+}
+CODE = """
+import sys
+from experiments.cli.main import main
+try:
+    main(sys.argv[1:])
+except SystemExit as ended:
+    assert not ended.code, ended.code
+print(*{name.split(".")[0] for name in sys.modules}, file=sys.stderr)
+"""
+GEOMETRY = {"numpy", "scipy", "shapely", "trimesh"}  # a unit must not hang inside a thing
+
+
+def _loaded_by(code: str, *arguments: str) -> set[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        env=os.environ | {"PYTHONPATH": str(Path.cwd())},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return LARGE & set(done.stderr.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize(
+    ("command", "may_load"),
+    [
+        ("--help", set()),
+        ("--version", set()),
+        ("pareto --help-all", set()),
+        ("export --layout carlancap-12 --format carla", GEOMETRY),
+        ("export --layout carlancap-12 --format csv", GEOMETRY | {"pandas", "pyarrow"}),
+        ("export --layout carlancap-12 --format geojson", GEOMETRY | {"pyproj"}),
+        ("scene show --quiet", GEOMETRY | {"matplotlib", "pyproj", "rich"}),
+    ],
+)
+def test_a_command_loads_what_it_needs_and_nothing_else(command, may_load):
+    assert _loaded_by(CODE, *command.split()) <= may_load
+
+
+@pytest.mark.parametrize(
+    ("module", "may_load"),
+    [
+        ("experiments.jobs.verify", {"numpy", "scipy"}),
+        ("experiments.jobs.scene", {"numpy", "scipy", "shapely", "matplotlib"}),
+        ("experiments.jobs.sheet", {"numpy", "scipy", "shapely", "matplotlib"}),
+    ],
+)
+def test_a_job_is_ready_without_what_it_does_not_use(module, may_load):
+    code = (
+        f"import sys, {module}; print(*{{n.split('.')[0] for n in sys.modules}}, file=sys.stderr)"
+    )
+    assert _loaded_by(code) <= may_load
+
+
+def test_the_probe_sees_what_is_loaded():
+    code = "import sys, numpy; print(*sys.modules, file=sys.stderr)"
+    assert _loaded_by(code) == {"numpy"}
