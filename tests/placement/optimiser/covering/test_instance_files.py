@@ -10,14 +10,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from placement.optimiser.covering.instance import (
+from placement.optimiser.covering.files import (
     FORMATS,
     KIND,
-    build_covering_instance,
     instance_kind,
     load_instance,
     save_instance,
 )
+from placement.optimiser.covering.instance import build_covering_instance
 
 ORLIB = """\
  3 4
@@ -130,28 +130,28 @@ def test_our_own_files_keep_names_and_numbers(tmp_path):
         (" \n\n", "FILE: got an empty file; expected an instance"),
         (
             "id,cost\n1,2\n",
-            "FILE: line 1, number 1: got 'id,cost'; expected a number (format orlib or gecco), or "
-            "an .npz file of this program",
+            "FILE: line 1, number 1: got 'id,cost'; expected a number (format orlib, gecco, rail "
+            "or sts), or an .npz file of this program",
         ),
         (
             ORLIB.replace(" 2 3 4", " 2 x 4"),
-            "FILE: line 7, number 2: got 'x'; expected a number (format orlib or gecco), or an "
-            ".npz file of this program",
+            "FILE: line 7, number 2: got 'x'; expected a number (format orlib, gecco, rail or "
+            "sts), or an .npz file of this program",
         ),
         (
             ORLIB.replace("2.5", "2-5"),
-            "FILE: line 2, number 2: got '2-5'; expected a number (format orlib or gecco), or an "
-            ".npz file of this program",
+            "FILE: line 2, number 2: got '2-5'; expected a number (format orlib, gecco, rail or "
+            "sts), or an .npz file of this program",
         ),
         (
             ORLIB.replace("2.5", "1e999"),
-            "FILE: line 2, number 2: got '1e999'; expected a number (format orlib or gecco), or an "
-            ".npz file of this program",
+            "FILE: line 2, number 2: got '1e999'; expected a number (format orlib, gecco, rail or "
+            "sts), or an .npz file of this program",
         ),
         (
             b"\x7fELF\x02\x01\x01\x00 \x00" + bytes(range(256)),
             "FILE: line 1, number 1: got '\\x7fELF\\x02\\x01\\x01\\x00'; expected a number (format "
-            "orlib or gecco), or an .npz file of this program",
+            "orlib, gecco, rail or sts), or an .npz file of this program",
         ),
         (
             ORLIB.replace("2.5", "-2"),
@@ -268,7 +268,7 @@ def test_a_file_that_cannot_be_read_says_why(tmp_path):
 
 
 def test_a_huge_file_is_not_read(write, monkeypatch):
-    monkeypatch.setattr("placement.optimiser.covering.instance._MAX_BYTES", 20)
+    monkeypatch.setattr("placement.optimiser.covering.files._MAX_BYTES", 20)
     assert refusal(write(ORLIB)) == (
         f"FILE: got {len(ORLIB)} bytes; expected an instance of at most 20 bytes"
     )
@@ -336,7 +336,7 @@ def test_a_file_that_unpacks_to_too_much_is_not_unpacked(write, monkeypatch):
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("cost.npy", bytes(10_000_000))
-    monkeypatch.setattr("placement.optimiser.covering.instance._MAX_UNPACKED_BYTES", 1_000_000)
+    monkeypatch.setattr("placement.optimiser.covering.files._MAX_UNPACKED_BYTES", 1_000_000)
     assert refusal(write(buffer.getvalue())) == (
         "FILE: got 10,000,000 bytes when unpacked; expected an instance of at most 1,000,000"
     )

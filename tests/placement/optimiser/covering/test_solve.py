@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from placement.optimiser.covering.instance import load_instance
+from placement.optimiser.covering.files import load_instance
 from placement.optimiser.covering.solve import (
     CoveringSolution,
     build_covering_instance,
