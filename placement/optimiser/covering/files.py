@@ -132,12 +132,12 @@ def parse_covering_text(data: bytes, where: str, format_name: str | None) -> Cov
         except _MisfitError as misfit:
             misfits[name] = misfit
     if len(fits) > 1:
-        lined = {name for name, each in fits.items() if numbers.begin_lines(each.records)}
+        lined = [name for name, each in fits.items() if numbers.begin_lines(each.records)]
         if len(lined) != 1:
             raise InputError(
                 where,
                 Unquoted("numbers that fit more than one format"),
-                "--format " + " or ".join(fits),
+                "--format " + " or ".join(lined or fits),
             )
         fits = {name: fits[name] for name in lined}
     if fits:

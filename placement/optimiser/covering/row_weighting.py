@@ -78,7 +78,8 @@ class RowWeighting:
             uncovered=np.arange(n_rows, dtype=np.int64),
             counters=np.array([0, n_rows, -1, 0, seed], dtype=np.int64),
         )
-        self._step = 0.5 if is_whole(cost) else None  # costs differ by 1 then, or not at all
+        self._is_whole = is_whole(cost)
+        self._limit = np.inf
         self.best: IntArray = np.empty(0, dtype=np.int64)
         self.cost = np.inf
         self.work = 0
@@ -92,10 +93,11 @@ class RowWeighting:
         if np.isinf(self.cost) and counters[N_UNCOVERED] > 0:
             complete_greedily(self._matrix, self._state, work)
             return
-        limit = self.cost - (self._step or TOLERANCE * self.cost)
-        if search_cheaper(self._matrix, self._state, limit, work):
+        if search_cheaper(self._matrix, self._state, self._limit, work):
             self.best = np.sort(self._state.chosen[: counters[N_CHOSEN]])
             self.cost = float(self._matrix.cost[self.best].sum())
+            # Whole costs differ by 1 or not at all; others by more than rounding.
+            self._limit = self.cost - (0.5 if self._is_whole else TOLERANCE * self.cost)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -36,6 +36,30 @@ GECCO = """\
 0 2 0 1
 2 1 3
 """
+RAIL = """\
+ 3 4
+ 1 1 1
+ 2 2 2 1
+ 3 1 2
+ 4 2 2 3
+"""
+# The Steiner triple system of 9 points as in data.9 of "Steiner triple covering problem test
+# instances" (M. G. C. Resende; system by Fulkerson, Nemhauser, Trotter 1974).
+STS = """\
+9 12
+2 3 4
+1 3 5
+1 2 6
+5 6 7
+4 6 8
+4 5 9
+1 8 9
+2 7 9
+3 7 8
+1 4 7
+2 5 8
+3 6 9
+"""
 COVERS = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 1]])
 
 
@@ -72,6 +96,24 @@ def test_gecco_files_name_columns_from_zero_and_samples_by_id(write):
     assert instance.numbered_from == 0
 
 
+def test_rail_files_of_or_library_list_the_rows_of_each_column(write):
+    instance = load_instance(write(RAIL))
+    np.testing.assert_array_equal(instance.covers.toarray(), COVERS)
+    assert list(instance.cost) == [1.0, 2.0, 3.0, 4.0]
+    assert instance.numbered_from == 1
+
+
+def test_steiner_files_list_triples_of_variables_to_cover(write):
+    instance = load_instance(write(STS))
+    assert (instance.n_columns, instance.n_rows, instance.numbered_from) == (9, 12, 1)
+    covers = instance.covers.toarray().astype(int)
+    assert list(np.flatnonzero(covers[:, 0]) + 1) == [2, 3, 4]
+    assert (covers.sum(axis=0) == 3).all()
+    together = covers @ covers.T
+    assert (together[~np.eye(9, dtype=bool)] == 1).all()  # each pair is in exactly one triple
+    assert list(instance.cost) == [1.0] * 9
+
+
 def test_ends_of_lines_do_not_matter(write):
     for text in (ORLIB.replace("\n", "\r\n"), " ".join(ORLIB.split()), ORLIB.replace(" ", "\t\n")):
         np.testing.assert_array_equal(load_instance(write(text)).covers.toarray(), COVERS)
@@ -93,6 +135,31 @@ def to_gecco(instance):
     return "\n".join(lines)
 
 
+def to_rail(instance):
+    lines = [f"{instance.n_rows} {instance.n_columns}"]
+    for cost, row in zip(instance.cost, instance.covers.toarray(), strict=True):
+        rows = np.flatnonzero(row) + 1
+        lines.append(" ".join(map(str, (float(cost), len(rows), *rows))))
+    return "\n".join(lines)
+
+
+def random_instance(rng, n_columns, n_rows):
+    return build_covering_instance(
+        rng.random((n_columns, n_rows)) < 0.3, cost=rng.integers(1, 3, n_columns)
+    )
+
+
+@pytest.mark.parametrize("to_text", [to_orlib, to_gecco, to_rail])
+def test_formats_are_told_from_the_content(write, to_text):
+    rng = np.random.default_rng(3)
+    for n_columns, n_rows in [(5, 6), (6, 5), (6, 6), (12, 40), (40, 12)]:
+        instance = random_instance(rng, n_columns, n_rows)
+        again = load_instance(write(to_text(instance)))
+        np.testing.assert_array_equal(again.covers.toarray(), instance.covers.toarray())
+        if to_text is not to_gecco:
+            np.testing.assert_array_equal(again.cost, instance.cost)
+
+
 @given(instance=instances())
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_every_format_keeps_the_instance(instance, write, tmp_path):
@@ -101,6 +168,7 @@ def test_every_format_keeps_the_instance(instance, write, tmp_path):
     again = [load_instance(own)]
     if instance.n_rows and instance.n_columns:
         again.append(load_instance(write(to_orlib(instance)), format_name="orlib"))
+        again.append(load_instance(write(to_rail(instance)), format_name="rail"))
         gecco = load_instance(write(to_gecco(instance)), format_name="gecco")
         np.testing.assert_array_equal(gecco.covers.toarray(), instance.covers.toarray())
     for each in again:
@@ -220,6 +288,43 @@ def test_our_own_files_keep_names_and_numbers(tmp_path):
             "of 3 (format gecco)",
         ),
         (
+            RAIL.replace(" 3 1 2", " 3 1 4"),
+            "FILE: line 4, number 3: got '4'; expected a row, 1 to 3 (format rail)",
+        ),
+        (
+            RAIL.replace(" 2 2 2 1", " 2 2 2 2"),
+            "FILE: line 3, number 4: got '2'; expected a row that the column has not named yet "
+            "(format rail)",
+        ),
+        (
+            RAIL.replace(" 3 1 2", " -3 1 2"),
+            "FILE: line 4, number 1: got '-3'; expected the cost of a column, at least 0 (format "
+            "rail)",
+        ),
+        (
+            "2 4\n 1 1 1\n 2 1 2\n 3 1 2\n",
+            "FILE: line 4, number 3: got the end of the file after it; expected the cost of column "
+            "4 of 4 (format rail)",
+        ),
+        (
+            RAIL + "7\n",
+            "FILE: line 6, number 1: got '7'; expected the end of the file (format rail)",
+        ),
+        (
+            STS.replace("5 6 7", "5 6 0"),
+            "FILE: line 5, number 3: got '0'; expected a variable, 1 to 9 (format sts)",
+        ),
+        (
+            STS.replace("5 6 7", "5 6 5"),
+            "FILE: line 5, number 3: got '5'; expected a variable that the triple has not named "
+            "yet (format sts)",
+        ),
+        (
+            STS.removesuffix("3 6 9\n"),
+            "FILE: line 12, number 3: got the end of the file after it; expected the variables of "
+            "triple 12 of 12 (format sts)",
+        ),
+        (
             GECCO + "0",
             "FILE: line 5, number 1: got '0'; expected the end of the file (format gecco)",
         ),
@@ -257,6 +362,15 @@ def test_numbers_that_fit_two_formats_are_told_apart_by_their_lines(write):
         assert refusal(path) == (
             "FILE: got numbers that fit more than one format; expected --format orlib or gecco"
         )
+
+
+def test_what_even_lines_do_not_tell_apart_is_asked_for(write):
+    path = write("2 2\n0 1 1\n1 1 1\n")  # samples 0, 1 by candidate 1; columns at 0, 1 for row 1
+    assert refusal(path) == (
+        "FILE: got numbers that fit more than one format; expected --format gecco or rail"
+    )
+    assert load_instance(path, format_name="rail").numbered_from == 1
+    assert load_instance(path, format_name="gecco").numbered_from == 0
 
 
 def test_a_file_that_cannot_be_read_says_why(tmp_path):
