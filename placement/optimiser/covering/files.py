@@ -43,6 +43,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
 
 from .instance import CoveringInstance
+from .memory import TEXT_BYTES, UNPACKED_BYTES, check_fits
 
 # ---------- others' formats
 
@@ -457,6 +458,12 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
             file.seek(0)
             if format_name == NPZ or (format_name is None and magic == _ZIP_MAGIC):
                 return _load_npz(file, where)
+            check_fits(
+                where,
+                f"{status.st_size:,} bytes of text",
+                TEXT_BYTES * status.st_size,
+                "fewer rows or columns, or a file of this program (--out, .npz), a fifth of it",
+            )
             data = file.read()
     except OSError as error:
         raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
@@ -510,6 +517,12 @@ def _load_npz(file: BinaryIO, where: str) -> CoveringInstance:
                     Unquoted(f"{n_bytes:,} bytes when unpacked"),
                     f"an instance of at most {_MAX_UNPACKED_BYTES:,}",
                 )
+            check_fits(
+                where,
+                f"{n_bytes:,} bytes when unpacked",
+                UNPACKED_BYTES * n_bytes,
+                "fewer rows or columns",
+            )
             fields = {name: stored[name] for name in stored.files}
     except (InputError, OSError):
         raise

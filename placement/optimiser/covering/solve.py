@@ -13,6 +13,7 @@ same at every speed.
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from dataclasses import dataclass
@@ -34,6 +35,7 @@ from .instance import (
     needed_weight,
     simplify_budget,
 )
+from .memory import MODEL_BYTES, available_bytes, check_fits, gib
 from .model import MilpAnswer, cover_at_least_cost, cover_most_weight, solver_text
 from .presolve import (
     CoveringPresolve,
@@ -62,6 +64,8 @@ __all__ = [
     "solve_lscp",
     "solve_mclp",
 ]
+
+_log = logging.getLogger(__name__)
 
 AUTO, GREEDY, HIGHS = "auto", "greedy", "HIGHS"
 """What proves soonest; no proof; the mixed-integer solver."""
@@ -149,6 +153,8 @@ def solve_lscp(
         if needed is None
         else presolve_weighted_cover(instance, minds_cost=True)
     )
+    if solver == HIGHS:
+        _check_memory(reduced.instance, solver)
     bound, columns, names = 0.0, [reduced.essential], []
     parts = _parts(reduced) if needed is None else [np.arange(reduced.instance.n_columns)]
     for part in parts:
@@ -228,7 +234,9 @@ def solve_mclp(
         if result is not None:
             take(result.chosen, result.bound)
             names.append("exact search")
-    if is_open() and solver != GREEDY and left_s() > 0.0:
+    if solver == HIGHS:
+        _check_memory(left, solver)
+    if is_open() and solver != GREEDY and left_s() > 0.0 and _fits(left.covers):
         answer = cover_most_weight(
             left.covers, left.cost, left.weight, budget, time_limit_s=left_s(), gap=gap
         )
@@ -287,7 +295,7 @@ def _cover_enough(
         bound = least_cost_bound(covers, cost, weight, needed_weight=needed)
     is_open = least > bound * (1.0 + gap + TOLERANCE)
     left_s = time_limit_s - (time.perf_counter() - began_s)
-    if solver == GREEDY or not is_open or left_s <= 0.0:
+    if solver == GREEDY or not is_open or left_s <= 0.0 or not _fits(covers):
         return MilpAnswer(chosen=found, bound=min(bound, least)), GREEDY
     answer = cover_at_least_cost(
         covers, cost, weight, needed_weight=needed, time_limit_s=left_s, gap=gap, start=found
@@ -349,6 +357,13 @@ class _FullCover:
             self.search.go_on(min(SLICE, most))
             self.take(self.search.best)
 
+    def search_alone(self) -> None:
+        """Local search until the time is up, or the bound is met."""
+        search = self.search or RowWeighting(self.covers, self.cost)
+        while self.is_open() and self.left_s() > 0.0:
+            search.go_on()
+            self.take(search.best)
+
     def search_beside(self, began_s: float) -> bool:
         """Local search while the solver works; whether it should go on."""
         if self.search is None:
@@ -407,6 +422,9 @@ def _cover_all(
     name = GREEDY if cover.search is None else ROW_WEIGHTING
     if solver == GREEDY or not cover.is_open() or cover.left_s() <= 0.0:
         return MilpAnswer(chosen=cover.found, bound=cover.bound), name
+    if solver == AUTO and not _fits(covers[columns]):
+        cover.search_alone()
+        return MilpAnswer(chosen=cover.found, bound=min(cover.bound, cover.least)), ROW_WEIGHTING
     began_s = time.perf_counter()
     answer = cover_at_least_cost(
         covers[columns],
@@ -425,6 +443,30 @@ def _cover_all(
         cover.take(cover.search.best)
     names = [solver_text()] if cover.search is None else [ROW_WEIGHTING, solver_text()]
     return MilpAnswer(chosen=cover.found, bound=min(cover.bound, cover.least)), ", ".join(names)
+
+
+def _fits(covers: sp.csr_array) -> bool:
+    """Whether there is memory for the solver; tells where there is not."""
+    needed, free = MODEL_BYTES * covers.nnz, available_bytes()
+    if needed > free:
+        _log.warning(
+            "no proof by HiGHS: it takes about %s of memory, and %s are free",
+            *(gib(needed), gib(free)),
+        )
+    return needed <= free
+
+
+def _check_memory(instance: CoveringInstance, solver: str) -> None:
+    """Refuse what a mixed-integer solver has no memory for, where nothing else can answer.
+
+    Raises InputError: it says what is needed, and how to need less.
+    """
+    check_fits(
+        "--solver",
+        f"{solver} with {instance.covers.nnz:,} entries of a matrix",
+        MODEL_BYTES * instance.covers.nnz,
+        "--solver greedy, or fewer rows or columns",
+    )
 
 
 def _parts(reduced: ReducedCovering) -> list[IntArray]:

@@ -388,6 +388,19 @@ def test_a_huge_file_is_not_read(write, monkeypatch):
     )
 
 
+def test_a_file_that_memory_has_no_room_for_is_not_read(write, tmp_path, monkeypatch):
+    path = write(ORLIB)
+    own = tmp_path / "own.npz"
+    save_instance(own, load_instance(path))
+    monkeypatch.setattr("placement.optimiser.covering.memory.available_bytes", lambda: 100)
+    assert refusal(path) == (
+        f"FILE: got {len(ORLIB)} bytes of text, which takes about 0.0 GiB of memory; expected what "
+        "fits into the 0.0 GiB that are free: fewer rows or columns, or a file of this program "
+        "(--out, .npz), a fifth of it"
+    )
+    assert " bytes when unpacked, which takes about " in refusal(own)
+
+
 @pytest.fixture
 def fields(tmp_path):
     """The arrays of a file of our own, to be spoilt."""
