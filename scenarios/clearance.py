@@ -1,15 +1,14 @@
 """Room for what a case lays into a scene: nothing in the way, nothing on the carriageway."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import product
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
 
 from geometry.actors import Actor, PlacedActor
-from geometry.arrays import FloatArray
+from geometry.arrays import FloatArray, freeze
 from geometry.footprints import footprint_corners
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
@@ -51,49 +50,57 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
         _check(obstacles, _way(motion, body), f"{name}'s way")
     if not staging.obstruction:
         return staging
-    refused: CannotCarryError | None = None
-    for aside_m, back_m in _moves_m():
-        settled = moved(staging, aside_m=aside_m, back_m=back_m) if aside_m or back_m else staging
-        if _is_on_carriageway(settled.obstruction, scene):
-            continue
-        try:
-            for parked in settled.obstruction:
-                _check(solid, _footprint_sides(parked), f"the place of {parked.actor.name}")
-        except CannotCarryError as error:
-            refused = refused or error
-        else:
-            return settled
-    names = " and ".join(dict.fromkeys(parked.actor.name for parked in staging.obstruction))
-    raise refused or CannotCarryError(f"{names} would stand on the carriageway")
+    # Every speed of a case has the same obstruction.
+    aside_m, back_m = _find_room(
+        scene,
+        tuple(staging.aside.tolist()),
+        tuple(staging.back.tolist()),
+        tuple((body.actor.name, tuple(_corners(body).ravel())) for body in staging.obstruction),
+    )
+    return moved(staging, aside_m=aside_m, back_m=back_m) if aside_m or back_m else staging
 
 
-def _moves_m() -> Iterator[tuple[float, float]]:
-    """Metres aside and back, the shortest ways first."""
+@lru_cache(maxsize=256)
+def _find_room(
+    scene: Scene,
+    aside: tuple[float, ...],
+    back: tuple[float, ...],
+    bodies: tuple[tuple[str, tuple[float, ...]], ...],
+) -> tuple[float, float]:
+    """Metres aside and back by which bodies, each a name and its corners, get room."""
+    import shapely
+
+    moves = _moves_m()
+    shifts = moves @ np.array([aside, back])
+    rings = np.array([corners for _, corners in bodies]).reshape(-1, 4, 2)
+    places = rings + shifts[:, None, None, :]  # (n_moves, n_bodies, 4, 2)
+    area = _carriageway(scene)
+    off_road = ~shapely.intersects(area, shapely.polygons(places)).any(axis=1)
+    solid = _Solid(scene=scene, has_poles=True)
+    for index in np.flatnonzero(off_road):
+        if _is_free(solid, _sides(places[index])):
+            return float(moves[index, 0]), float(moves[index, 1])
+    names = [name for name, _ in bodies]
+    for index in np.flatnonzero(off_road)[:1]:
+        for name, place in zip(names, places[index], strict=True):
+            _check(solid, _sides(place[None]), f"the place of {name}")
+    raise CannotCarryError(f"{' and '.join(dict.fromkeys(names))} would stand on the carriageway")
+
+
+@cache
+def _moves_m() -> FloatArray:
+    """Metres aside and back, (n, 2), the shortest ways first."""
     rules = load_obstruction_rules()
     asides, backs = (
-        np.arange(0.0, limit_m + 0.5 * rules.step_m, rules.step_m).tolist()
+        np.arange(0.0, limit_m + 0.5 * rules.step_m, rules.step_m)
         for limit_m in (rules.max_aside_m, rules.max_back_m)
     )
-    return iter(sorted(product(asides, backs), key=lambda move: (sum(move), move)))
+    moves = np.stack(np.meshgrid(asides, backs, indexing="ij"), axis=-1).reshape(-1, 2)
+    return freeze(moves[np.argsort(moves.sum(axis=1), kind="stable")])
 
 
 _INSIDE_OUTLINE_M = 2.0  # outlines are rounded at the corners
 _MAY_OVERLAP_M = 0.1
-
-
-def _is_on_carriageway(parked: Sequence[PlacedActor], scene: Scene) -> bool:
-    import shapely
-
-    rings = [
-        footprint_corners(
-            body.pose.position_m[:2],
-            body.pose.yaw_deg,
-            length_m=body.actor.length_m,
-            width_m=body.actor.width_m,
-        )
-        for body in parked
-    ]
-    return bool(shapely.intersects(_carriageway(scene), shapely.polygons(np.array(rings))).any())
 
 
 @lru_cache(maxsize=8)
@@ -122,14 +129,25 @@ class _Solid:
     has_poles: bool
 
 
-def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
+def _is_free(solid: _Solid, segments_m: FloatArray) -> bool:
     caster, origin = _caster(solid)
+    return not _is_blocked(caster, *_lifted(segments_m, origin))
+
+
+def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
+    if not _is_free(solid, segments_m):
+        origin = _caster(solid)[1]
+        blocker = _blocker(solid, *_lifted(segments_m, origin), origin)
+        raise CannotCarryError(f"{blocker} stands in {what}")
+
+
+def _lifted(segments_m: FloatArray, origin_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Starts and ends (n, 3) of segments at each height."""
     starts, ends = (
-        np.concatenate([_lift(segments_m[:, end] - origin, height) for height in _HEIGHTS_M])
+        np.concatenate([_lift(segments_m[:, end] - origin_m, height) for height in _HEIGHTS_M])
         for end in (0, 1)
     )
-    if _is_blocked(caster, starts, ends):
-        raise CannotCarryError(f"{_blocker(solid, starts, ends, origin)} stands in {what}")
+    return starts, ends
 
 
 @lru_cache(maxsize=8)
@@ -156,7 +174,14 @@ def _caster_of(scene: Scene, instances: Sequence[int], origin_m: FloatArray) -> 
 
 def _blocker(solid: _Solid, starts_m: FloatArray, ends_m: FloatArray, origin_m: FloatArray) -> str:
     """The first instance that the rays run into."""
+    ends = np.concatenate([starts_m, ends_m])[:, :2] + origin_m
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    scene = solid.scene
     for index in _counting(solid):
+        corners = scene.vertices_m[scene.triangles[scene.triangle_instance == index]][..., :2]
+        is_apart = (corners > high).all(axis=(0, 1)) | (corners < low).all(axis=(0, 1))
+        if is_apart.any():
+            continue
         if _is_blocked(_caster_of(solid.scene, [index], origin_m), starts_m, ends_m):
             return solid.scene.instances[index].id
     return "the scene"
@@ -187,15 +212,20 @@ def _distances(path: Path, covered_m: float) -> FloatArray:
     return np.linspace(0.0, covered_m, max(2, int(covered_m / _STEP_M) + 2))
 
 
-def _footprint_sides(parked: PlacedActor) -> FloatArray:
-    corners = footprint_corners(
+def _corners(parked: PlacedActor) -> FloatArray:
+    return footprint_corners(
         parked.pose.position_m[:2],
         parked.pose.yaw_deg,
         length_m=parked.actor.length_m,
         width_m=parked.actor.width_m,
     )
-    ends = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)]  # four sides, two diagonals
-    return np.array([[corners[a], corners[b]] for a, b in ends])
+
+
+def _sides(corners_m: FloatArray) -> FloatArray:
+    """Segments around and across footprints (n, 4, 2)."""
+    ends = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)])  # four sides, two diagonals
+    segments: FloatArray = corners_m[:, ends].reshape(-1, 2, 2)
+    return segments
 
 
 def _lift(points_m: FloatArray, height_m: float) -> FloatArray:

@@ -239,15 +239,16 @@ class Refusal:
         At which speeds. [km/h]
     reason : str
         Why, in words.
-    has_road : bool
-        The junction has the roads that the case needs: the run is possible, but has no room.
+    is_possible : bool
+        The junction has the roads that the case needs, and it has the speeds asked for: what is
+        missing is room.
     """
 
     case: Case
     approach: str
     speeds_kmh: tuple[float, ...]
     reason: str
-    has_road: bool = True
+    is_possible: bool = True
 
 
 def build_runs(
@@ -307,8 +308,8 @@ def build_runs(
                 try:
                     staging = _stage(case, scene, right_hand, approach, speed_kmh, vut)
                 except CannotCarryError as error:
-                    has_road = not isinstance(error, NoRoadError)
-                    reasons.setdefault((str(error), has_road), []).append(speed_kmh)
+                    is_possible = not isinstance(error, NoRoadError)
+                    reasons.setdefault((str(error), is_possible), []).append(speed_kmh)
                     continue
                 run = _build_run(case, approach, speed_kmh, staging, rule=rule)
                 runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
@@ -318,9 +319,9 @@ def build_runs(
                     approach=approach,
                     speeds_kmh=tuple(speeds),
                     reason=reason,
-                    has_road=has_road,
+                    is_possible=is_possible,
                 )
-                for (reason, has_road), speeds in reasons.items()
+                for (reason, is_possible), speeds in reasons.items()
             ]
     return tuple(runs), tuple(refusals)
 

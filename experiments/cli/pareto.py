@@ -21,7 +21,7 @@ from .options import (
     quiet_option,
 )
 from .running import begin, command_line, print_result
-from .terminal import sentences, table
+from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
     from ..results.fronts import FrontPointRecord, FrontRecord
@@ -139,6 +139,7 @@ def front_text(summary: "FrontRecord", out: Path | None) -> str:
     heads = ["units", "APR", "one fails", "smallest" + star, "mean" + star, eur, "proof"]
     buys = "money buys" if by == "cost" else "units buy"
     lines = [
+        *driven_lines(summary.driven),
         *sentences(
             f"The best of {summary.candidates} poses on {summary.runs} runs (fusion "
             f"{summary.fusion}), and what more {buys}:"
