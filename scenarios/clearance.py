@@ -55,6 +55,7 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
         scene,
         tuple(staging.aside.tolist()),
         tuple(staging.back.tolist()),
+        staging.max_aside_m,
         tuple((body.actor.name, tuple(_corners(body).ravel())) for body in staging.obstruction),
     )
     return moved(staging, aside_m=aside_m, back_m=back_m) if aside_m or back_m else staging
@@ -65,12 +66,13 @@ def _find_room(
     scene: Scene,
     aside: tuple[float, ...],
     back: tuple[float, ...],
+    max_aside_m: float,
     bodies: tuple[tuple[str, tuple[float, ...]], ...],
 ) -> tuple[float, float]:
     """Metres aside and back by which bodies, each a name and its corners, get room."""
     import shapely
 
-    moves = _moves_m()
+    moves = _moves_m(max_aside_m)
     shifts = moves @ np.array([aside, back])
     rings = np.array([corners for _, corners in bodies]).reshape(-1, 4, 2)
     places = rings + shifts[:, None, None, :]  # (n_moves, n_bodies, 4, 2)
@@ -88,15 +90,14 @@ def _find_room(
 
 
 @cache
-def _moves_m() -> FloatArray:
+def _moves_m(max_aside_m: float) -> FloatArray:
     """Metres aside and back, (n, 2), the shortest ways first."""
     rules = load_obstruction_rules()
-    asides, backs = (
-        np.arange(0.0, limit_m + 0.5 * rules.step_m, rules.step_m)
-        for limit_m in (rules.max_aside_m, rules.max_back_m)
-    )
+    step = rules.step_m
+    asides = step * np.arange(-int(rules.max_nearer_m / step), int(max_aside_m / step) + 1)
+    backs = step * np.arange(int(rules.max_back_m / step) + 1)
     moves = np.stack(np.meshgrid(asides, backs, indexing="ij"), axis=-1).reshape(-1, 2)
-    return freeze(moves[np.argsort(moves.sum(axis=1), kind="stable")])
+    return freeze(moves[np.argsort(np.abs(moves).sum(axis=1), kind="stable")])
 
 
 _INSIDE_OUTLINE_M = 2.0  # outlines are rounded at the corners

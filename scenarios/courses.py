@@ -23,6 +23,7 @@ _STEP_M = 0.01  # chords of an arc of 8 m come within two micrometres of it
 _SAME_POINT_M = 1.0e-6
 _MEETS_M = 1.0e-3
 _MAX_STEPS = 60
+_DAMPING = 0.6  # where lanes bend, full steps may swing to and fro
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -268,8 +269,8 @@ def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course
         late_m = fitted.tangent_m + float(after.coordinates(corner)[0])
         if max(abs(early_m), abs(late_m)) < _MEETS_M:
             break
-        begin_m += early_m
-        end_m += late_m
+        begin_m += _DAMPING * early_m
+        end_m += _DAMPING * late_m
     else:
         raise InputError("turn", turn.radius_m, "lanes that a curve of this radius joins")
     begin_m, end_m = begin_m + early_m, end_m + late_m

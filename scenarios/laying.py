@@ -22,7 +22,8 @@ class WayRules:
 class ObstructionRules:
     """How far parked cars and walls give way to what stands where the protocol has them."""
 
-    max_aside_m: float
+    max_aside_m: dict[str, float]  # by the kind of the obstruction
+    max_nearer_m: float
     max_back_m: float
     step_m: float
 

@@ -11,6 +11,7 @@ from geometry.poses import Pose
 
 from .cases import Obstruction
 from .encounters import Encounter
+from .laying import load_obstruction_rules
 from .staging import Staging
 from .ways import StraightWay, Way
 
@@ -38,6 +39,7 @@ def hide(
     """
     vut_line, vru_line = vut_way.direction(vut_m), vru_way.direction(vru_m)
     vut, vru = encounter.vut, encounter.vru
+    max_aside_m = load_obstruction_rules().max_aside_m[obstruction.kind]
     if obstruction.kind == "beside-vut":
         side = -float(np.sign(vut_line.left @ vru_line.direction))
         return Staging(
@@ -47,6 +49,7 @@ def hide(
             ),
             aside=side * vut_line.left,
             back=-vut_line.direction,
+            max_aside_m=max_aside_m,
         )
     # +1 if the VUT comes from the left of the VRU's way, -1 from its right
     side = -float(np.sign(vru_line.left @ vut_line.direction))
@@ -60,6 +63,7 @@ def hide(
         ),
         aside=side * vru_line.left,
         back=-vru_line.direction,
+        max_aside_m=max_aside_m,
     )
 
 

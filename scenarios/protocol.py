@@ -409,9 +409,7 @@ def _turning_way(
     beside = straight_line(kerb.lane, is_in=kerb.is_in)
     line = Line(point_m=beside.at(0.0, kerb.left_m), direction=direction)
     way = _ridden_lane(case, junction, arm, entry)
-    if way is None or (
-        turning.is_straight and _is_along(way, line, ridden_m, load_way_rules().max_lane_bend_m)
-    ):
+    if turning.is_straight and _is_along(way, line, ridden_m, load_way_rules().max_lane_bend_m):
         way = StraightWay(line=line)
     _, way, vru_m = _meet(turning.exit_way, way)
     return way, vru_m
@@ -444,8 +442,8 @@ def _kerb(case: Case, arm: Arm) -> _Kerb:
     return _Kerb(lane=lane, is_in=is_in, left_m=side * (0.5 * lane.width_m + outside_m))
 
 
-def _ridden_lane(case: Case, junction: Junction, arm: Arm, entry: Line) -> Way | None:
-    """The way along the kerb of the arm from which the cyclist comes; None if there is none."""
+def _ridden_lane(case: Case, junction: Junction, arm: Arm, entry: Line) -> Way:
+    """The way along the kerb of the arm from which the cyclist comes."""
     assert case.vru_line is not None
     rules = load_way_rules()
     if case.vru_direction == "same":
@@ -455,7 +453,7 @@ def _ridden_lane(case: Case, junction: Junction, arm: Arm, entry: Line) -> Way |
         ahead = _arm_ahead(junction, arm, entry)
         lanes = () if ahead is None else ahead.lanes_in if case.turn == "far" else ahead.lanes_out
         if ahead is None or not lanes:
-            return None
+            raise NoRoadError("no lane lies ahead from which the cyclist could come")
         is_against = case.turn == "near"
         cycleways = ahead.cycleways_out if is_against else ahead.cycleways_in
         left_m = -(0.5 * lanes[0].width_m + case.vru_line.left_m)

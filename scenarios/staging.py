@@ -47,12 +47,15 @@ class Staging:
     aside, back : (2,) float
         Unit vectors in which the obstruction may give way to what stands there: away from whom it
         stands beside, and away from where the ways cross; zero without one.
+    max_aside_m : float
+        How far it may be moved aside. [m]
     """
 
     encounter: Encounter
     obstruction: tuple[PlacedActor, ...]
     aside: FloatArray = field(default_factory=lambda: np.zeros(2))
     back: FloatArray = field(default_factory=lambda: np.zeros(2))
+    max_aside_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -239,6 +242,7 @@ def mirror_staging(staging: Staging) -> Staging:
         obstruction=tuple(_mirror_placed(placed) for placed in staging.obstruction),
         aside=staging.aside * _NORTH_TO_SOUTH,
         back=staging.back * _NORTH_TO_SOUTH,
+        max_aside_m=staging.max_aside_m,
     )
 
 

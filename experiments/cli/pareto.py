@@ -24,7 +24,7 @@ from .running import begin, command_line, print_result
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
-    from ..results.fronts import FrontPointRecord, FrontRecord
+    from ..results.fronts import FrontPointRecord, FrontResult
 
 _TIME_LIMIT_S = 60.0
 FRONT_SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
@@ -119,7 +119,7 @@ _NOTES = {
 _NOTES["cost", True] = _NOTES["units", True]
 
 
-def front_text(summary: "FrontRecord", out: Path | None) -> str:
+def front_text(summary: "FrontResult", out: Path | None) -> str:
     """A front: a row per layout, and what each unit, or more money, buys."""
     by, is_all = summary.by, summary.optimised == "all"
     star = "" if is_all else "*"

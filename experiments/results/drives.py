@@ -1,7 +1,7 @@
 """What a result was found on: cases, weathers, perception, refusals, and versions of programs."""
 
-from collections.abc import Iterator, Sequence
 import platform
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from typing import Annotated
 

@@ -216,8 +216,8 @@ class Result(Record, frozen=True, kw_only=True):
         Annotated[
             int,
             says(
-                "These, and the runs that the junction has the roads for, but not the room; missing "
-                "in earlier results.",
+                "These, and the runs that the junction has the roads for, but not the room; "
+                "missing in earlier results.",
                 ge=1,
             ),
         ]
