@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from covering_oracle import EverySet, instances
+from covering_oracle import EverySet, instances, steiner_instance
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -89,6 +89,13 @@ def test_the_bound_comes_near_that_of_the_linear_program():
     relaxed = lagrangian_bound(instance.covers, instance.cost, known_cost=3.0, time_limit_s=60.0)
     assert relaxed.bound == pytest.approx(7.0 / 3.0, rel=1e-3)
     assert least_cost(instance) == search(instance).cost == 3.0
+
+
+@pytest.mark.parametrize(("n_points", "least"), [(9, 5), (27, 18), (81, 61), (243, 198)])
+def test_least_covers_of_steiner_triples_are_found(n_points, least):
+    # Optima: Fulkerson et al. 1974; Mannino, Sassano 1995 (81); Ostrowski et al. 2011 (243).
+    found = search(steiner_instance(n_points), n_slices=4, work=10_000_000)
+    assert found.cost == least
 
 
 def random_instance(seed, n_columns=120, n_rows=200, share=0.05):
