@@ -49,8 +49,11 @@ N_CHOSEN, N_UNCOVERED, TABU, STEP, CHANCE = range(5)
 
 
 @kernel
-def complete_greedily(matrix: Matrix, state: State, work: int) -> None:
-    """Add what covers most weight for its cost until all rows are covered, or the work is done."""
+def complete_greedily(matrix: Matrix, state: State, work: int) -> int:
+    """Add what covers most weight for its cost until all rows are covered, or the work is done.
+
+    Returns how much of the work is left.
+    """
     cost, score = matrix.cost, state.score
     while state.counters[N_UNCOVERED] > 0 and work > 0:
         best = -1
@@ -62,13 +65,14 @@ def complete_greedily(matrix: Matrix, state: State, work: int) -> None:
             ):
                 best = column
         work -= len(cost) + _add(matrix, state, best)
+    return int(max(work, 0))
 
 
 @kernel
-def search_cheaper(matrix: Matrix, state: State, limit: float, work: int) -> bool:
+def search_cheaper(matrix: Matrix, state: State, limit: float, work: int) -> int:
     """Exchange columns until those chosen cover all rows for less than `limit`.
 
-    Returns whether they do; if not, so much work was done.
+    Returns how much of the work is left; nothing if they do not.
     """
     cost, counters = matrix.cost, state.counters
     spent = 0.0
@@ -77,7 +81,7 @@ def search_cheaper(matrix: Matrix, state: State, limit: float, work: int) -> boo
     while work > 0:
         if counters[N_UNCOVERED] == 0:
             if spent < limit:
-                return True
+                return int(work)
             out = _least_missed(matrix, state, -1)
             spent -= cost[out]
             work -= counters[N_CHOSEN] + _remove(matrix, state, out)
@@ -103,7 +107,7 @@ def search_cheaper(matrix: Matrix, state: State, limit: float, work: int) -> boo
                 work -= end - start
                 for entry in range(start, end):
                     state.score[matrix.columns[entry]] += 1
-    return False
+    return 0
 
 
 @kernel

@@ -20,7 +20,8 @@ from .instance import CoveringBudget, is_whole
 _LARGEST_SUM = 1.0e6  # of an objective's coefficients: solvers' tolerances are absolute, 1e-6
 _LONGEST_S = 1.0e6  # eleven days
 _LOOK_S = 0.05
-_GRACE_S = 1.0  # to stop in when it is asked to
+_GRACE_S = 1.0  # beyond its limit of time, after which it is told to stop
+_STOP_S = 0.3  # to stop in when the user wants to; it is left alone then
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -187,7 +188,7 @@ def _minimise(
             is_over, _ = solver.wait(_LOOK_S if meanwhile is None or not goes_on else 0.0)
     except BaseException:
         solver.cancelSolve()
-        solver.wait(_GRACE_S)
+        solver.wait(_STOP_S)
         raise
     info = solver.getInfo()
     is_found = info.primal_solution_status == highspy.kSolutionStatusFeasible

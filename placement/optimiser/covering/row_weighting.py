@@ -91,9 +91,13 @@ class RowWeighting:
         counters = self._state.counters
         self.work += work
         if np.isinf(self.cost) and counters[N_UNCOVERED] > 0:
-            complete_greedily(self._matrix, self._state, work)
-            return
-        if search_cheaper(self._matrix, self._state, self._limit, work):
+            work = complete_greedily(self._matrix, self._state, work)
+            if counters[N_UNCOVERED] > 0:
+                return
+        while work > 0:
+            work = search_cheaper(self._matrix, self._state, self._limit, work)
+            if work == 0:
+                return
             self.best = np.sort(self._state.chosen[: counters[N_CHOSEN]])
             self.cost = float(self._matrix.cost[self.best].sum())
             # Whole costs differ by 1 or not at all; others by more than rounding.
