@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles import distance_to_chain_m
 
 from geometry.errors import InputError
 from geometry.junction import Line
@@ -131,13 +132,6 @@ def lanes(draw):
     return np.cumsum(steps, axis=0) + draw(st.floats(-300.0, 300.0))
 
 
-def distance_m(points_m, chain_m):
-    starts, sides = chain_m[:-1], np.diff(chain_m, axis=0)
-    offset = points_m[:, None] - starts
-    share = np.clip((offset * sides).sum(axis=-1) / (sides**2).sum(axis=-1), 0.0, 1.0)
-    return np.hypot(*np.moveaxis(offset - share[..., None] * sides, -1, 0)).min(axis=1)
-
-
 @given(lane=lanes(), is_in=st.booleans(), body=st.sampled_from(["vru", "vut"]))
 @settings(max_examples=60, deadline=None)
 def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
@@ -153,7 +147,7 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     step_m = 0.25
     distances = np.arange(0.0, 0.99 * length_m - 2.0, step_m)
     position, yaw_deg = path.at(distances)
-    assert distance_m(position, lane).max() <= 0.5 * LANE_M - 0.9  # of a body 1.8 m wide
+    assert distance_to_chain_m(position, lane).max() <= 0.5 * LANE_M - 0.9  # of a body 1.8 m wide
     assert np.hypot(*np.diff(position, axis=0).T).max() <= step_m + 1e-9
     turns = np.diff(np.radians(yaw_deg)) / step_m
     assert np.abs(turns).max() <= path.max_turn_rad_per_m + 1e-9
