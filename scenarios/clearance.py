@@ -11,7 +11,7 @@ from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray, freeze
 from geometry.footprints import footprint_corners
 from geometry.raycast import RayCaster, build_caster
-from geometry.scene import Scene
+from geometry.scene import Scene, thing_footprint
 
 from .laying import load_obstruction_rules
 from .obstructions import moved
@@ -20,6 +20,7 @@ from .staging import CannotCarryError, Staging
 
 _HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls
 _STEP_M = 2.0  # along bent paths
+_ACROSS_STEP_M = 0.1  # the thinnest pole is hit
 _POLES = ("lamp post", "traffic light")
 
 
@@ -76,17 +77,21 @@ def _find_room(
     shifts = moves @ np.array([aside, back])
     rings = np.array([corners for _, corners in bodies]).reshape(-1, 4, 2)
     places = rings + shifts[:, None, None, :]  # (n_moves, n_bodies, 4, 2)
-    area = _carriageway(scene)
-    off_road = ~shapely.intersects(area, shapely.polygons(places)).any(axis=1)
+    outlines = shapely.polygons(places)
+    off_road = np.flatnonzero(~shapely.intersects(_carriageway(scene), outlines).any(axis=1))
+    # Rays do not meet the house that is all around them.
+    is_indoors = shapely.contains(_houses(scene), outlines).any(axis=1)
     solid = _Solid(scene=scene, has_poles=True)
-    for index in np.flatnonzero(off_road):
-        if _is_free(solid, _sides(places[index])):
+    for index in off_road:
+        if not is_indoors[index] and _is_free(solid, _sides(places[index])):
             return float(moves[index, 0]), float(moves[index, 1])
     names = [name for name, _ in bodies]
-    for index in np.flatnonzero(off_road)[:1]:
-        for name, place in zip(names, places[index], strict=True):
-            _check(solid, _sides(place[None]), f"the place of {name}")
-    raise CannotCarryError(f"{' and '.join(dict.fromkeys(names))} would stand on the carriageway")
+    all_names = " and ".join(dict.fromkeys(names))
+    if not len(off_road):
+        raise CannotCarryError(f"{all_names} would stand on the carriageway")
+    for name, place in zip(names, places[off_road[0]], strict=True):
+        _check(solid, _sides(place[None]), f"the place of {name}")
+    raise CannotCarryError(f"there is no room beside the road for {all_names}")
 
 
 @cache
@@ -118,6 +123,22 @@ def _carriageway(scene: Scene) -> Any:
     ]
     inside = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_INSIDE_OUTLINE_M)
     area = shapely.union_all([inside, *lanes])
+    shapely.prepare(area)
+    return area
+
+
+@lru_cache(maxsize=8)
+def _houses(scene: Scene) -> Any:
+    """What buildings and walls cover, seen from above: a shapely geometry."""
+    import shapely
+
+    area = shapely.union_all(
+        [
+            thing_footprint(scene, index)
+            for index, thing in enumerate(scene.instances)
+            if thing.class_name in ("building", "wall")
+        ]
+    )
     shapely.prepare(area)
     return area
 
@@ -223,10 +244,15 @@ def _corners(parked: PlacedActor) -> FloatArray:
 
 
 def _sides(corners_m: FloatArray) -> FloatArray:
-    """Segments around and across footprints (n, 4, 2)."""
+    """Segments around footprints (n, 4, 2) and, close together, across them."""
     ends = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)])  # four sides, two diagonals
-    segments: FloatArray = corners_m[:, ends].reshape(-1, 2, 2)
-    return segments
+    around = corners_m[:, ends].reshape(-1, 2, 2)
+    longest = np.hypot(*np.ptp(corners_m, axis=1).T).max()
+    share = np.linspace(0.0, 1.0, int(longest / _ACROSS_STEP_M) + 2)[1:-1, None, None]
+    one = corners_m[:, 0] + share * (corners_m[:, 1] - corners_m[:, 0])
+    other = corners_m[:, 3] + share * (corners_m[:, 2] - corners_m[:, 3])
+    across = np.stack([one, other], axis=-2).reshape(-1, 2, 2)
+    return np.concatenate([around, across])
 
 
 def _lift(points_m: FloatArray, height_m: float) -> FloatArray:

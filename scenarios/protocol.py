@@ -523,7 +523,10 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
     if case.steady_distance_m is not None:
         return case.acceleration_distance_m + case.steady_distance_m
     assert case.start_distance_m is not None
-    return case.start_distance_m + vru_distance_m + case.vru_reference_m
+    travel_m = case.start_distance_m + vru_distance_m + case.vru_reference_m
+    if travel_m <= 0.0:
+        raise CannotCarryError("the VUT would come to the VRU's way before the VRU sets off")
+    return travel_m
 
 
 def _travel_s(case: Case, travel_m: float) -> float:
