@@ -19,7 +19,7 @@ WRITING = "write results"
 _OWN_PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 _log = logging.getLogger(__name__)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_GRACE_S = 1.5  # what does not end by itself within it is ended
+_GRACE_S = 0.7  # what does not end by itself within it is ended: a second is what users wait
 
 
 class Interrupted(BaseException):
@@ -160,8 +160,9 @@ class StderrLog(logging.StreamHandler[Any]):
 def ending_on_signals(progress: StageProgress) -> Iterator[None]:
     """Raise :class:`Interrupted` on Ctrl-C and SIGTERM, and end what does not listen.
 
-    A solver or a worker thread can go on for long before Python raises anything. Unless files are
-    being written, the process is then ended from a thread of its own.
+    A solver, a kernel or a worker thread can go on for long before Python raises anything. Unless
+    files are being written, the process is then ended from a thread of its own, within a second.
+    Files elsewhere (detection tables, machine code) are put in place whole by their writers.
 
     Parameters
     ----------

@@ -13,6 +13,7 @@ from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable
 from .explain import find_refusal
 from .layout import Certificate, Layout
+from .memory import check_memory
 from .optimiser import (
     Effort,
     PlacementProblem,
@@ -120,7 +121,7 @@ def place(
     ------
     InputError
         There is no candidate, or wishes cannot be met; the message says which, and how little has
-        to give way.
+        to give way. Or the question does not fit into the memory of this machine.
     """
     if not candidates:
         raise InputError("candidates", Unquoted("none"), "at least one pose")
@@ -128,6 +129,7 @@ def place(
     started = time.perf_counter()
     sample_index = None
     if uncertainty is not None and n_samples:
+        check_memory(len(candidates), setting.axis.n_frames, n_worlds=n_samples)
         sampled = sampled_table(
             setting, candidates, uncertainty, n_samples=n_samples, compute=compute
         )
@@ -183,7 +185,14 @@ def place(
 def obtain_table(
     setting: Setting, candidates: Sequence[CandidatePose], *, compute: Compute
 ) -> DetectionTable:
-    """Detection table of a setting, from the cache or built anew."""
+    """Detection table of a setting, from the cache or built anew.
+
+    Raises
+    ------
+    InputError
+        What is asked of the table does not fit into the memory of this machine.
+    """
+    check_memory(len(candidates), setting.axis.n_frames)
     if compute.cache_folder is not None:
         fingerprint = table_fingerprint(
             setting.scene, candidates, setting.runs, setting.planner, seed=compute.seed

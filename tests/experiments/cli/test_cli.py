@@ -298,6 +298,29 @@ def test_a_bad_out_is_refused_before_anything_is_computed(run, small_study, tmp_
     assert (tmp_path / "file").read_text() == "mine"
 
 
+@pytest.mark.parametrize(
+    ("command", "worlds"),
+    [
+        (["--budget", 1], ""),
+        (["--budget", 1, "--samples", 3], " in 3 sampled worlds"),
+        (["pareto", "--max", 1], ""),
+    ],
+)
+def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
+    run, small_study, monkeypatch, command, worlds
+):
+    monkeypatch.setattr("placement.memory.machine_bytes", lambda: 2**20)
+    monkeypatch.setattr("experiments.jobs.pareto.build_setting", lambda *given: small_study)
+    code, out, err = run(*command, "--quiet")
+    assert (code, out) == (2, "")
+    assert re.fullmatch(
+        rf"place-rsus: memory: got [\d,]+ poses x [\d,]+ frames{worlds}, which need 0.4 GiB, where "
+        r"there are 0.0 GiB; expected a smaller question: .*\n",
+        err,
+    )
+    assert os.listdir() == []  # noqa: PTH208
+
+
 # Results
 
 
@@ -548,26 +571,3 @@ def test_an_interruption_of_an_evaluation_needs_no_folder(run, small_study, inte
         130,
         "place-rsus: interrupted in stage 'evaluate': nothing was written\n",
     )
-
-
-def test_ctrl_c_ends_the_real_program(tmp_path):
-    process = subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli.main", "--budget", "1", "--workers", "2"],
-        cwd=tmp_path,
-        env=os.environ | {"PLACE_RSUS_CACHE": str(tmp_path / "cache"), "PYTHONPATH": os.getcwd()},  # noqa: PTH109
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stderr is not None
-    for line in process.stderr:
-        if line == "detection table ...\n":
-            break
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
-    assert (process.returncode, out) == (130, "")
-    assert err == (
-        "place-rsus: interrupted in stage 'detection table': "
-        "nothing was written to results/latest\n"
-    )
-    assert list(tmp_path.iterdir()) == []

@@ -90,7 +90,11 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
     assert progress.kept == f"the results are in {tmp_path}/out"
 
 
-def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(small_study, tmp_path):
+@pytest.mark.usefixtures("with_blank_pictures")
+def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(
+    small_study, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
     question = Question(packet_loss=0.25)
     summary = place(tmp_path / "out", question=question, samples=2, pool=3, budget=2)
     assert summary["sampled"]["uncertainty"]["messages"]["packet_loss"] == 0.25
@@ -103,6 +107,7 @@ def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(small_stud
     assert "Other layouts as good" in page
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_a_layout_brings_its_own_sensors_along(small_study, tmp_path, monkeypatch):
     monkeypatch.setattr(
         placement, "build_plan", lambda asked, scene, study: build_plan(asked, scene)
@@ -150,6 +155,7 @@ def test_an_evaluation_of_one_unit_is_that_of_all(small_study):
     assert evaluation["vut_and_rsus"]["all"] >= evaluation["rsu_all"]["all"]
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     layouts = [named("twin", 2), named("twin", 1), named("other", 3)]
     summary = compare(layouts, tmp_path / "out")
@@ -165,6 +171,7 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     assert all(name in page for name in names)
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(small_study, tmp_path):
     summary = compare([named("two", 2), named("one", 1)], tmp_path / "out", samples=3)
     (gain,) = summary["sampled"]["gains"]
@@ -177,6 +184,7 @@ def test_a_layout_may_be_called_greedy(small_study):
     assert evaluate(named("greedy"))["name"] == "greedy (2)"
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_names_with_markup_are_escaped_in_the_report(small_study, tmp_path):
     evaluate(named("<script>alert(1)</script>"), tmp_path / "out")
     page = (tmp_path / "out/report.html").read_text()
@@ -190,6 +198,7 @@ def test_every_export_names_every_unit(name):
     assert all(unit.id in text for unit in load_carlancap_layout().units)
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
     small_study, tmp_path, monkeypatch
 ):
@@ -207,7 +216,7 @@ def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
     assert (tmp_path / "out/sampled_apr.png").is_file()
 
 
-def test_a_refined_layout_is_no_worse(small_study, tmp_path):
+def test_a_refined_layout_is_no_worse(small_study, tmp_path, without_figures):
     plain = place(tmp_path / "plain")
     refined = place(tmp_path / "refined", refine=True)
     assert refined["candidates"] >= plain["candidates"]

@@ -1,0 +1,98 @@
+"""How much memory a question needs, and what this machine has: told before anything long starts."""
+
+import os
+import sys
+from pathlib import Path
+
+from geometry.errors import InputError, Unquoted
+
+_PROGRAM_BYTES = 400 * 2**20
+"""Of the program itself: libraries, scene, runs, report."""
+_BYTES_PER_ENTRY = 0.125 + 2.0
+"""Of the table: a bit in it; the optimiser's presolve spreads it into bytes and copies them."""
+_LIMIT_FILES = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+
+
+def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
+    """Memory of a placement at its peak, when presolve has the whole detection table.
+
+    Parameters
+    ----------
+    n_poses : int
+        Candidates.
+    n_frames : int
+        Of all runs, in one world.
+    n_worlds : int
+        Sampled worlds; 1 for the world as planned.
+
+    Returns
+    -------
+    size : int
+        A part that grows with poses x frames x worlds, and one that does not. [bytes]
+
+    Examples
+    --------
+    >>> round(needed_bytes(5772, 18311) / 2**30, 1)
+    0.6
+    >>> round(needed_bytes(5772, 18311, n_worlds=64) / 2**30, 1)
+    13.8
+    """
+    return _PROGRAM_BYTES + int(_BYTES_PER_ENTRY * n_poses * n_frames * n_worlds)
+
+
+def machine_bytes() -> int | None:
+    """Memory that this process may use: the machine's, or less where a limit is set.
+
+    Limits are those of a container (control groups) and of the shell (``ulimit -v``). None where
+    the system tells nothing.
+    """
+    sizes = []
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        sizes.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    for file in _LIMIT_FILES:
+        try:
+            text = Path(file).read_text(encoding="ascii").strip()
+        except (OSError, UnicodeDecodeError):
+            continue
+        if text.isdecimal():  # else "max"
+            sizes.append(int(text))
+    if sys.platform != "win32":
+        import resource
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if limit != resource.RLIM_INFINITY:
+            sizes.append(limit)
+    return min((size for size in sizes if size > 0), default=None)
+
+
+def check_memory(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> None:
+    """Refuse a question that cannot fit into the memory of this machine.
+
+    Parameters
+    ----------
+    n_poses, n_frames, n_worlds : int
+        See :func:`needed_bytes`.
+
+    Raises
+    ------
+    InputError
+        It needs more than there is. The message says how much, and what makes it smaller.
+    """
+    needed, there = needed_bytes(n_poses, n_frames, n_worlds=n_worlds), machine_bytes()
+    if there is None or needed <= there:
+        return
+    worlds = f" in {n_worlds:,} sampled worlds" if n_worlds > 1 else ""
+    fewer = "fewer --samples, " if n_worlds > 1 else ""
+    raise InputError(
+        "memory",
+        Unquoted(
+            f"{n_poses:,} poses x {n_frames:,} frames{worlds}, which need {_gib(needed)}, where "
+            f"there are {_gib(there)}"
+        ),
+        f"a smaller question: {fewer}fewer --cases, --speeds, --approaches or --weather, fewer "
+        "--sensors, or only the poles of --within",
+    )
+
+
+def _gib(size: int) -> str:
+    return f"{size / 2**30:,.1f} GiB"

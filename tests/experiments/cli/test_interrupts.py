@@ -1,0 +1,83 @@
+"""Ctrl-C in the real program, in one stage after the other: it ends soon, and nothing is left."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+STAGES = ("detection table", "optimise", "evaluate", "write results")
+OUT = "found"
+COMMAND = ["--budget", "2", "--cases", "CPNC-50", "--approaches", "north", "--out", OUT]
+ENOUGH_S = 5.0
+"""A second is what users are promised; the machines of tests are busy."""
+# Loads the program once; each stage has a process of its own, forked from it.
+SCRIPT = """
+import json, os, signal, sys, time
+from pathlib import Path
+import experiments.jobs.placement
+from experiments.cli.main import main
+
+stages, command = json.loads(sys.argv[1]), json.loads(sys.argv[2])
+for stage in stages:
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.dup2(writer, 2)
+        os.close(reader), os.close(writer)
+        main(command)
+    os.close(writer)
+    with os.fdopen(reader) as told:
+        lines = [next(line for line in told if line == f"{stage} ...\\n")]
+        time.sleep(0.1)
+        began_s = time.monotonic()
+        os.kill(child, signal.SIGINT)
+        lines += told.readlines()
+    _, status = os.waitpid(child, 0)
+    print(json.dumps({
+        "stage": stage,
+        "code": os.waitstatus_to_exitcode(status),
+        "seconds": time.monotonic() - began_s,
+        "last": lines[-1],
+        "left": sorted(path.name for path in Path().iterdir()),
+        "kept": sorted(path.suffix for path in Path("../cache").rglob("*") if path.is_file()),
+    }))
+"""
+
+
+@pytest.fixture(scope="module")
+def ends(tmp_path_factory):
+    """How the program ended in each stage."""
+    folder = tmp_path_factory.mktemp("interrupts")
+    (folder / "work").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, json.dumps(STAGES), json.dumps(COMMAND)],
+        cwd=folder / "work",
+        env=os.environ | {"PLACE_RSUS_CACHE": str(folder / "cache"), "PYTHONPATH": str(Path.cwd())},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return {end["stage"]: end for end in map(json.loads, done.stdout.splitlines())}
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_ctrl_c_ends_the_program_in_every_stage_and_leaves_nothing(ends, stage):
+    end = ends[stage]
+    assert end["code"] == 130
+    assert end["seconds"] < ENOUGH_S
+    # The next stage may have begun meanwhile.
+    assert end["last"].startswith("place-rsus: interrupted in stage '")
+    assert f": nothing was written to {OUT}" in end["last"]
+    assert end["left"] == []
+    assert set(end["kept"]) <= {".npz"}  # a whole table, or none: no temporary file
+
+
+def test_a_table_that_is_done_is_kept_for_the_next_call(ends):
+    assert ends["detection table"]["kept"] == []
+    assert ends["evaluate"]["kept"] == [".npz"]
+    assert ends["evaluate"]["last"].endswith("; the detection table is kept for the next call\n")
