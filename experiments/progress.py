@@ -46,6 +46,8 @@ class StageProgress:
         What is on disk if the program ends now, in words.
     is_verbose : bool
         Whether the seconds of each stage are told when it ends.
+    shows_tracebacks : bool
+        Whether an unexpected error is shown in full.
     """
 
     def __init__(self) -> None:
@@ -56,6 +58,7 @@ class StageProgress:
         self._prints_lines = False
         self._bar: Any = None
         self.is_verbose = False
+        self.shows_tracebacks = False
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show a stage; a new name ends the one before."""
@@ -76,9 +79,11 @@ class StageProgress:
             logging.getLogger(name).setLevel(logging.INFO)
 
     def start(self, *, quiet: bool) -> None:
-        """Begin to show the stages, unless `quiet`."""
+        """Begin to show the stages; with `quiet` nothing but errors is told, also no warning."""
         if quiet and self.is_verbose:
             raise click.UsageError("--quiet, --verbose: got both; expected one of them")
+        if quiet:
+            logging.disable(logging.WARNING)
         if quiet or sys.stderr is None:
             return
         if not sys.stderr.isatty():
@@ -113,6 +118,7 @@ class StageProgress:
 
     def stop(self) -> None:
         """Take the bar away; tell no more than by default from here on."""
+        logging.disable(logging.NOTSET)
         for name in _OWN_PACKAGES:
             logging.getLogger(name).setLevel(logging.WARNING)
         bar, self._bar = self._bar, None

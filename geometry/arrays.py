@@ -40,7 +40,7 @@ def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatAr
     """
     try:
         array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):  # a whole number of 400 digits overflows
         raise InputError(name, values, f"numbers of shape {shape}") from None
     if array.ndim != len(shape) or any(
         want not in (-1, have) for want, have in zip(shape, array.shape, strict=True)

@@ -1,6 +1,7 @@
 """Errors that a user can mend: one line each, no traceback, exit code 2."""
 
 _MAX_CHARACTERS = 200  # of a value in a message
+_MAX_WORDS = 2_000  # characters of our own words, such as a list of all names that exist
 
 
 class InputError(ValueError):
@@ -25,8 +26,9 @@ class InputError(ValueError):
         self.where = where
         self.got = got
         self.expected = expected
-        shown = got if isinstance(got, Unquoted) else _shorten(got)
-        super().__init__(f"{where}: got {shown}; expected {expected}")
+        shown = _one_line(got) if isinstance(got, Unquoted) else _shorten(got)
+        place, wanted = _one_line(where, 2 * _MAX_CHARACTERS), _one_line(expected, _MAX_WORDS)
+        super().__init__(f"{place}: got {shown}; expected {wanted}")
 
 
 class Unquoted(str):
@@ -46,3 +48,13 @@ def _shorten(got: object) -> str:
     except ValueError:  # Python refuses to write integers of thousands of digits
         return "a number of thousands of digits"
     return text if len(text) <= _MAX_CHARACTERS else f"{text[:_MAX_CHARACTERS]}.."
+
+
+def _one_line(text: str, max_characters: int = 2 * _MAX_CHARACTERS) -> str:
+    """Text that may hold anything, such as a file's own names, as part of one readable line."""
+    if len(text) > max_characters:  # both ends tell something: a file's folder and its name
+        half = max_characters // 2
+        text = f"{text[:half]}..{text[-half:]}"
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

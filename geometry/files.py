@@ -1,11 +1,15 @@
 """Files: TOML read into checked values, results written whole or not at all."""
 
+import glob
 import os
 import re
+import stat
 import sys
 import tempfile
+import time
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal, TypeVar, get_args, get_origin
@@ -21,22 +25,59 @@ Text = Annotated[str, msgspec.Meta(min_length=1)]  # of a field that must not be
 _T = TypeVar("_T")
 
 
+MAX_TEXT_BYTES = 300_000_000  # of JSON or CSV that is read as a whole
+MAX_TOML_BYTES = 20_000_000  # Python's reader takes half a second per million
+
+
+def check_file(path: Path, *, max_bytes: int | None = None) -> None:
+    """Raise InputError unless a path is a regular file, and not too large to be read as a whole.
+
+    A pipe or a device could keep its reader waiting for ever. A file that does not exist, or may
+    not be looked at, is left to whoever opens it.
+    """
+    try:
+        found = path.stat()
+    except OSError:
+        return
+    if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+        raise InputError(str(path), Unquoted("a pipe, a socket or a device"), "a regular file")
+    if max_bytes is not None and found.st_size > max_bytes:
+        raise InputError(
+            str(path),
+            Unquoted(f"{found.st_size:,} bytes"),
+            f"at most {max_bytes:,}; cut it out first",
+        )
+
+
 def load_toml(source: Path | Traversable) -> dict[str, Any]:
     """Read a TOML file, or a data file of a package, as a whole.
 
     Raises
     ------
     InputError
-        The file cannot be read, or is not TOML.
+        The file cannot be read, is larger than 20 MB, or is not TOML.
     """
+    if isinstance(source, Path):
+        check_file(source, max_bytes=MAX_TOML_BYTES)
     try:
-        return tomllib.loads(source.read_text(encoding="utf-8"))
+        text = source.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(
             str(source), Unquoted(error.strerror or error), "a readable file"
         ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise InputError(str(source), Unquoted(error), "valid TOML in UTF-8") from None
+    return parse_toml(text, str(source))
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Read TOML from a text; raises InputError, which names `where`, if it is not valid."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise InputError(where, Unquoted("tables nested too deeply"), "valid TOML") from None
+    except ValueError as error:  # also that of a number with thousands of digits
+        raise InputError(where, Unquoted(error), "valid TOML in UTF-8") from None
 
 
 def read_table(table: object, kind: type[_T], where: str) -> _T:
@@ -263,11 +304,15 @@ def pick(known: Mapping[str, Any], name: str, where: str) -> Any:
 def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file under a temporary name beside it and move it into place.
 
-    Whatever `write` raises leaves `path` as it was. The folder must exist.
+    Whatever `write` raises leaves `path` as it was. The folder must exist. Temporary files that a
+    killed process left for the same path are removed.
     """
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
+        if is_abandoned(left):
+            left.unlink(missing_ok=True)
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
     try:
-        with os.fdopen(handle, "wb") as file:
+        with os.fdopen(handle, "wb") as file, lock_while_alive(Path(temporary)):
             write(file)
         # mkstemp makes files private; a result is as readable as any other new file.
         mask = os.umask(0)
@@ -277,3 +322,48 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+# ---------- temporary files and folders: whose process is alive?
+
+_YOUNG_S = 60.0  # a process may have made it and not locked it yet
+
+
+@contextmanager
+def lock_while_alive(path: Path) -> Iterator[None]:
+    """Lock a file or folder; the system lifts the lock when the process ends, however it ends.
+
+    Where the system has no such locks, :func:`is_abandoned` never holds.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        yield
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # some network file systems have no locks
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
+
+
+def is_abandoned(path: Path) -> bool:
+    """Whether no living process holds a temporary file or folder; False where that is not known."""
+    try:
+        import fcntl
+
+        if time.time() - path.stat().st_mtime < _YOUNG_S:
+            return False
+        handle = os.open(path, os.O_RDONLY)
+    except (ImportError, OSError):
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    else:
+        return True
+    finally:
+        os.close(handle)

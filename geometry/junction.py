@@ -32,6 +32,9 @@ _COMPASS_16 = tuple(
     )
     for name in (point, between)
 )
+CONNECTING = "connecting"  # kind of a lane through the junction
+_ROAD_KINDS = ("driving", "parking")
+_CYCLE_KINDS = ("cycling",)
 _AT_OUTLINE_M = 1.5  # lanes end at the junction's outline but for the rounding of the map
 _SAME_POINT_M = 0.5  # between one piece of a lane and the next
 _ARM_SPREAD_DEG = 40.0  # a crosswalk leads across the arm within this
@@ -107,12 +110,17 @@ class Arm:
         axis, parking lanes too.
     crosswalk : Line
         Where pedestrians cross the arm.
+    cycleways_in, cycleways_out : tuple of Lane
+        Where cyclists ride into the junction and out of it, beside or between the lanes; from the
+        kerb to the road's axis.
     """
 
     name: str
     lanes_in: tuple[Lane, ...]
     lanes_out: tuple[Lane, ...]
     crosswalk: Line
+    cycleways_in: tuple[Lane, ...] = ()
+    cycleways_out: tuple[Lane, ...] = ()
 
     @property
     def entry_lanes(self) -> tuple[Lane, ...]:
@@ -137,11 +145,23 @@ class Junction:
         By name, counter-clockwise from the east.
     keeps_left : bool
         Traffic keeps left.
+    connections : tuple of Lane
+        Lanes through the junction, each from the end of an entry lane to the begin of an exit lane.
     """
 
     name: str
     arms: dict[str, Arm]
     keeps_left: bool = False
+    connections: tuple[Lane, ...] = ()
+
+    def connection(self, entry: Lane, leaving: Lane) -> Lane | None:
+        """The lane through the junction from one lane into another; None if the map has none."""
+        for lane in self.connections:
+            begins = np.hypot(*(lane.centreline_m[0] - entry.centreline_m[-1]))
+            ends = np.hypot(*(lane.centreline_m[-1] - leaving.centreline_m[0]))
+            if max(begins, ends) <= _SAME_POINT_M:
+                return lane
+        return None
 
     def __repr__(self) -> str:
         return f"Junction({self.name!r}, arms {', '.join(self.arms)})"
@@ -160,17 +180,13 @@ def build_junction(scene: Scene) -> Junction:
     InputError
         No lane begins or ends at the outline of the junction's road surface.
     """
-    ends = [
-        (is_in, lane)
-        for lane in scene.lanes
-        for is_in, tip in ((True, lane.centreline_m[-1]), (False, lane.centreline_m[0]))
-        if distance_to_outline_m(tip, scene.outline_m) <= _AT_OUTLINE_M
-    ]
+    ends = _ends_at_outline(scene, _ROAD_KINDS)
     if not ends:
         raise InputError(
             f"{scene.name}: lanes", len(scene.lanes), "lanes that begin or end at the outline"
         )
     groups = _group_by_arm(ends)
+    cycleways = _beside_arms(_ends_at_outline(scene, _CYCLE_KINDS), groups)
     bearings = [
         _mean_bearing_deg([_outward_bearing_deg(lane, is_in=is_in) for is_in, lane in group])
         for group in groups
@@ -178,10 +194,15 @@ def build_junction(scene: Scene) -> Junction:
     order = np.argsort(np.round(np.mod(bearings, 360.0), 6) % 360.0, kind="stable")
     names = _arm_names([bearings[index] for index in order])
     arms = {
-        name: _build_arm(name, groups[index], scene)
+        name: _build_arm(name, groups[index], cycleways[index], scene)
         for name, index in zip(names, order, strict=True)
     }
-    return Junction(name=scene.name, arms=arms, keeps_left=scene.keeps_left)
+    return Junction(
+        name=scene.name,
+        arms=arms,
+        keeps_left=scene.keeps_left,
+        connections=tuple(lane for lane in scene.lanes if lane.kind == CONNECTING),
+    )
 
 
 def mirrored(junction: Junction) -> Junction:
@@ -203,8 +224,15 @@ def mirrored(junction: Junction) -> Junction:
             lanes_in=tuple(turn_over(lane) for lane in arm.lanes_in),
             lanes_out=tuple(turn_over(lane) for lane in arm.lanes_out),
             crosswalk=crosswalk,
+            cycleways_in=tuple(turn_over(lane) for lane in arm.cycleways_in),
+            cycleways_out=tuple(turn_over(lane) for lane in arm.cycleways_out),
         )
-    return replace(junction, arms=arms, keeps_left=not junction.keeps_left)
+    return replace(
+        junction,
+        arms=arms,
+        keeps_left=not junction.keeps_left,
+        connections=tuple(turn_over(lane) for lane in junction.connections),
+    )
 
 
 def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]:
@@ -229,24 +257,69 @@ def lane_length_m(lane: Lane) -> float:
     return float(np.hypot(*np.diff(lane.centreline_m, axis=0).T).sum())
 
 
-def _build_arm(name: str, members: Sequence[tuple[bool, Lane]], scene: Scene) -> Arm:
-    sides = {}
-    for wanted in (True, False):
-        lanes = [
-            _whole(lane, scene.lanes, is_in=wanted) for is_in, lane in members if is_in == wanted
+def _ends_at_outline(scene: Scene, kinds: Sequence[str]) -> list[tuple[bool, Lane]]:
+    """Lanes of some kinds that lead into the junction (True) or out of it."""
+    return [
+        (is_in, lane)
+        for lane in scene.lanes
+        if lane.kind in kinds
+        for is_in, tip in ((True, lane.centreline_m[-1]), (False, lane.centreline_m[0]))
+        if distance_to_outline_m(tip, scene.outline_m) <= _AT_OUTLINE_M
+    ]
+
+
+def _beside_arms(
+    ends: Sequence[tuple[bool, Lane]], groups: Sequence[Sequence[tuple[bool, Lane]]]
+) -> list[list[tuple[bool, Lane]]]:
+    """Lane ends by the arm beside whose lanes they lie; others are left out."""
+    beside: list[list[tuple[bool, Lane]]] = [[] for _ in groups]
+    mouths = [[_mouth(lane, is_in=is_in) for is_in, lane in group] for group in groups]
+    for is_in, lane in ends:
+        mouth = _mouth(lane, is_in=is_in)
+        reach_m = 0.5 * lane.width_m + _SAME_ARM_GAP_M
+        near = [
+            index
+            for index, others in enumerate(mouths)
+            if any(_is_beside(mouth, other, reach_m) for other in others)
         ]
-        lines = [lane_line(lane, is_in=wanted, length_m=10.0)[0] for lane in lanes]
-        # The kerb is on the right, or where traffic keeps left on the left: smaller to the other
-        # side of the first lane means nearer to it.
-        inwards = -1.0 if scene.keeps_left else 1.0
-        order = np.argsort([inwards * lines[0].coordinates(line.point_m)[1] for line in lines])
-        sides[wanted] = tuple(lanes[index] for index in order)
+        if near:
+            beside[near[0]].append((is_in, lane))
+    return beside
+
+
+def _build_arm(
+    name: str,
+    members: Sequence[tuple[bool, Lane]],
+    cycleways: Sequence[tuple[bool, Lane]],
+    scene: Scene,
+) -> Arm:
+    lanes_in, lanes_out, cycleways_in, cycleways_out = (
+        _from_kerb(
+            [_whole(lane, scene.lanes, is_in=wanted) for is_in, lane in ends if is_in == wanted],
+            is_in=wanted,
+            keeps_left=scene.keeps_left,
+        )
+        for ends in (members, cycleways)
+        for wanted in (True, False)
+    )
     return Arm(
         name=name,
-        lanes_in=sides[True],
-        lanes_out=sides[False],
-        crosswalk=_crosswalk(sides[True], sides[False], scene),
+        lanes_in=lanes_in,
+        lanes_out=lanes_out,
+        crosswalk=_crosswalk(lanes_in, lanes_out, scene),
+        cycleways_in=cycleways_in,
+        cycleways_out=cycleways_out,
     )
+
+
+def _from_kerb(lanes: Sequence[Lane], *, is_in: bool, keeps_left: bool) -> tuple[Lane, ...]:
+    """Lanes from the kerb to the road's axis."""
+    lines = [lane_line(lane, is_in=is_in, length_m=10.0)[0] for lane in lanes]
+    # The kerb is on the right, or where traffic keeps left on the left: smaller to the other side
+    # of the first lane means nearer to it.
+    inwards = -1.0 if keeps_left else 1.0
+    order = np.argsort([inwards * lines[0].coordinates(line.point_m)[1] for line in lines])
+    return tuple(lanes[index] for index in order)
 
 
 def _crosswalk(lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: Scene) -> Line:
@@ -297,13 +370,7 @@ def _outward_bearing_deg(lane: Lane, *, is_in: bool) -> float:
 
 def _group_by_arm(ends: Sequence[tuple[bool, Lane]]) -> list[list[tuple[bool, Lane]]]:
     """Lane ends that lie side by side and lead the same way, chained from one to the next."""
-    mouths = [
-        Line(
-            point_m=lane.centreline_m[-1 if is_in else 0],
-            direction=_unit_vector(_outward_bearing_deg(lane, is_in=is_in)),
-        )
-        for is_in, lane in ends
-    ]
+    mouths = [_mouth(lane, is_in=is_in) for is_in, lane in ends]
     group = list(range(len(ends)))
     for one, mouth in enumerate(mouths):
         for other in range(one):
@@ -315,6 +382,14 @@ def _group_by_arm(ends: Sequence[tuple[bool, Lane]]) -> list[list[tuple[bool, La
         [end for end, number in zip(ends, group, strict=True) if number == wanted]
         for wanted in dict.fromkeys(group)
     ]
+
+
+def _mouth(lane: Lane, *, is_in: bool) -> Line:
+    """The mouth of a lane; the line leads away from the junction."""
+    return Line(
+        point_m=lane.centreline_m[-1 if is_in else 0],
+        direction=_unit_vector(_outward_bearing_deg(lane, is_in=is_in)),
+    )
 
 
 def _is_beside(one: Line, other: Line, reach_m: float) -> bool:

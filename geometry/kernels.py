@@ -1,7 +1,7 @@
-"""Machine code for loops over numbers: numba's compiler, with what it compiles kept in the user's cache.
+"""Machine code for loops over numbers, by numba's compiler, kept in the user's cache.
 
-Loading numba takes half a second: modules that hold kernels are imported by the function that calls
-them, when it is called.
+Loading numba takes half a second: modules that hold kernels are imported by the function that
+calls them, when it is called.
 """
 
 import os

@@ -193,7 +193,8 @@ class Lane:
     id : str
         Name in the source.
     kind : str
-        "driving" or "parking".
+        "driving", "parking", "cycling", or "connecting": through the junction, from the end of one
+        lane to the begin of another.
     width_m : float
         Full width. [m]
     centreline_m : (n, 2) float

@@ -9,6 +9,7 @@ of boxes, walls, poles and rows of parked cars in CARLA's frame.
 
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,7 +17,7 @@ from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import IO, Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -24,15 +25,16 @@ from msgspec import Meta, Struct
 from .actors import park_row, pick_actor
 from .arrays import FloatArray, Point2, Points2, Segment2
 from .errors import InputError, Unquoted
-from .files import Text, load_toml, read_table, write_atomically
+from .files import MAX_TOML_BYTES, Text, check_file, load_toml, read_table, write_atomically
 from .frames import from_carla_points, from_carla_yaw, from_gltf_points, to_gltf_points
 from .poses import Pose, to_world
 from .scene import Instance, Lane, Scene, Site
+from .untrusted_files import refuse_bomb
 
 STUDY = "town05"
 FORMAT, VERSION = "place-rsus scene", 1
 SCENE_FILE, THINGS_FILE = "scene.toml", "things.glb"
-_MAX_BYTES = {SCENE_FILE: 100_000_000, THINGS_FILE: 1_000_000_000}
+_MAX_BYTES = {SCENE_FILE: MAX_TOML_BYTES, THINGS_FILE: 1_000_000_000}
 _MILLIMETRES = 3
 _POLE_SECTIONS = 10
 _HEAD = """\
@@ -92,6 +94,7 @@ def _has_scene(path: Path) -> bool:
     """Whether a file is a scene's archive, or a damaged one; a map may be a .zip file, too."""
     if path.suffix.lower() != ".zip":
         return False
+    check_file(path)
     try:
         with zipfile.ZipFile(path) as packed:
             return SCENE_FILE in packed.namelist()
@@ -510,24 +513,39 @@ def _as_folder(path: Path) -> Iterator[Path]:
     if path.is_dir():
         yield path
         return
+    check_file(path)
     with tempfile.TemporaryDirectory() as temporary:
         try:
             with zipfile.ZipFile(path) as packed:
                 for name, max_bytes in _MAX_BYTES.items():
                     with packed.open(name) as member:  # of the archive only these two are read
-                        data = member.read(max_bytes + 1)
-                    if len(data) > max_bytes:
-                        raise InputError(
-                            f"{path}/{name}",
-                            Unquoted(f"more than {max_bytes:,} bytes"),
-                            "a scene of one junction",
-                        )
-                    (Path(temporary) / name).write_bytes(data)
+                        _unpack(member, Path(temporary) / name, path, max_bytes)
         except KeyError as error:
             raise InputError(str(path), Unquoted(error.args[0]), "a scene as .zip") from None
-        except (OSError, zipfile.BadZipFile, NotImplementedError, EOFError, ValueError) as error:
+        except InputError:
+            raise
+        except (
+            *(OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error),
+            RuntimeError,  # it is encrypted, or packed in a way that Python cannot unpack
+        ) as error:
             raise InputError(str(path), Unquoted(error), "a scene: a folder or .zip file") from None
         yield Path(temporary)
+
+
+def _unpack(member: IO[bytes], target: Path, archive: Path, max_bytes: int) -> None:
+    """Write a file of an archive; sizes that the archive states are not trusted."""
+    n_bytes = 0
+    with target.open("wb") as sink:
+        while chunk := member.read(1 << 20):
+            n_bytes += len(chunk)
+            if n_bytes > max_bytes:
+                raise InputError(
+                    f"{archive}/{target.name}",
+                    Unquoted(f"more than {max_bytes:,} bytes"),
+                    "a scene of one junction",
+                )
+            refuse_bomb(n_bytes, str(archive))
+            sink.write(chunk)
 
 
 def _entry(value: object, *names: str) -> dict[str, Any]:

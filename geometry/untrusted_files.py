@@ -14,6 +14,7 @@ from typing import Any
 from xml.etree.ElementTree import Element, ParseError
 
 from .errors import InputError, Unquoted
+from .files import MAX_TEXT_BYTES, check_file
 
 MAX_MEMBERS = 10_000
 MAX_UNPACKED_BYTES = 2_000_000_000
@@ -36,6 +37,7 @@ def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
     none, or several, of its files are readable.
     """
     where = str(path)
+    check_file(path)
     with TemporaryDirectory(prefix="place-rsus-") as folder:
         try:
             with zipfile.ZipFile(path) as archive:
@@ -81,7 +83,7 @@ def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipIn
         seen.add(name.casefold())
         if not entry.is_dir():
             members.append(entry)
-    _refuse_bomb(sum(entry.file_size for entry in members), where)
+    refuse_bomb(sum(entry.file_size for entry in members), where)
     return members
 
 
@@ -118,11 +120,12 @@ def _extract(
         with archive.open(entry) as source, target.open("xb") as sink:
             while chunk := source.read(_CHUNK_BYTES):
                 n_bytes += len(chunk)
-                _refuse_bomb(n_bytes, where)
+                refuse_bomb(n_bytes, where)
                 sink.write(chunk)
 
 
-def _refuse_bomb(n_bytes: int, where: str) -> None:
+def refuse_bomb(n_bytes: int, where: str) -> None:
+    """Raise InputError if a packed file `where` has more bytes unpacked than any honest one."""
     packed = max(1, Path(where).stat().st_size)
     if n_bytes > MAX_UNPACKED_BYTES:
         raise InputError(
@@ -161,6 +164,7 @@ def read_xml_root(path: Path) -> Element:
     from defusedxml.ElementTree import iterparse
 
     with _xml_errors(path, "XML", "well-formed XML"):
+        check_size(path)
         for _, element in iterparse(path, events=("start",), forbid_dtd=False):
             first: Element = element
             return first
@@ -186,12 +190,8 @@ def _xml_errors(path: Path, expected: str, well_formed: str) -> Iterator[None]:
 
 
 def check_size(path: Path, max_bytes: int = MAX_FILE_BYTES) -> None:
-    """Raise InputError if a file is too large to be read as a whole."""
-    n_bytes = path.stat().st_size
-    if n_bytes > max_bytes:
-        raise InputError(
-            str(path), Unquoted(f"{n_bytes:,} bytes"), f"at most {max_bytes:,}; cut it out first"
-        )
+    """Raise InputError if a file is too large to be read as a whole, or is no regular file."""
+    check_file(path, max_bytes=max_bytes)
 
 
 def local_name(element: Element) -> str:
@@ -200,15 +200,13 @@ def local_name(element: Element) -> str:
 
 
 # ---------- JSON
-_MAX_BYTES = 300_000_000
-
 _Table = Mapping[str, Any]
 
 
 def read_text(path: Path, expected: str) -> str:
     """Text of a UTF-8 file; raises InputError if it is unreadable, too large, or no UTF-8."""
     try:
-        check_size(path, _MAX_BYTES)
+        check_size(path, MAX_TEXT_BYTES)
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None

@@ -19,6 +19,7 @@ from geometry.catalogue import (
     sensor_kind,
 )
 from geometry.errors import InputError, Unquoted
+from geometry.files import MAX_TEXT_BYTES, check_file
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
 from geometry.sensors import CameraModel, with_fov
@@ -267,6 +268,7 @@ def load_layout(path: Path) -> Layout:
     Raises InputError if the file cannot be read, is not JSON, of another version, or a field is
     wrong.
     """
+    check_file(path, max_bytes=MAX_TEXT_BYTES)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -22,9 +22,8 @@ EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden b
 
 
 _POINT_SPACING_M = 1.0
-
-
 _MAX_POINTS = 20_000
+_MAX_COORDINATE_M = 1.0e8  # of the world frame: more than twice around the earth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,10 +64,11 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
         if shape is None or shape.geom_type not in ("Polygon", "MultiPolygon"):
             continue
         name = str(feature.values.get("name") or feature.values.get("id") or f"area {number}")
-        world = shapely.make_valid(shapely.transform(shapely.force_2d(shape), to_world))
-        if not np.isfinite(world.bounds).all():
+        world = shapely.transform(shapely.force_2d(shape), to_world)
+        # make_valid() takes neither what is not finite nor what is beyond any place.
+        if not (np.abs(shapely.get_coordinates(world)) < _MAX_COORDINATE_M).all():
             raise InputError(feature.where, Unquoted("coordinates that cannot be"), "a polygon")
-        areas.append((name, world))
+        areas.append((name, shapely.make_valid(world)))
     if not areas:
         raise InputError(str(path), Unquoted("no polygon"), "areas that cameras must not look into")
     return build_private_ground(areas)

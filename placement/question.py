@@ -291,6 +291,13 @@ class Question:
     force: Annotated[
         bool, Option(section=DRIVEN, help="Drive speeds that the protocol does not.")
     ] = False
+    strict: Annotated[
+        bool,
+        Option(
+            section=DRIVEN,
+            help="A case that no approach carries is an error; else it is told and left out.",
+        ),
+    ] = False
     weights: Annotated[
         str,
         Option(

@@ -159,6 +159,7 @@ def drive(question: Question, scene: Scene) -> Drives:
             approach=approach,
             speeds_kmh=case.vut_speeds_kmh,
             reason=f"none of the speeds asked for ({question.speeds}) is one of this case",
+            is_possible=False,
         )
         for case in selection.left_out
         for approach in approaches
@@ -200,25 +201,15 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
     Raises
     ------
     InputError
-        As :func:`drive`; no approach carries any of the cases, or one that was named; the weights
-        do not fit the runs.
+        As :func:`drive`; no approach carries any of the cases, or with `strict` one of them; the
+        weights do not fit the runs.
     """
     question = question or Question()
     scene = scene or load_scene(question.scene)
     drives = drive(question, scene)
     runs = drives.runs
-    driven = {run.case.name for run in runs}
-    asked = {word.strip() for word in question.cases.split(",")}
-    for refusal in drives.refused:
-        # Of a set of cases, what a junction does not carry is told; a case by name is wanted.
-        is_asked = refusal.case.name in asked or not driven
-        if is_asked and refusal.case.name not in driven:
-            raise InputError(
-                "--cases",
-                Unquoted(f"{refusal.case.name}, which no approach carries"),
-                f"a case that can be driven at {scene.name} (from the {refusal.approach}: "
-                f"{refusal.reason})",
-            )
+    if question.strict or not runs:
+        _check_every_case(drives, scene)
     detector = load_detector(question.detector, where="--detector")
     return Setting(
         scene=scene,
@@ -231,6 +222,26 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
         links=Links(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
         vut_sensors=_words(question.vut_sensors, "--vut-sensors", VUT_SENSORS) or ("",),
     )
+
+
+def _check_every_case(drives: Drives, scene: Scene) -> None:
+    """Raise InputError for the first case that no approach carries, with all its reasons."""
+    driven = {run.case.name for run in drives.runs}
+    reasons: dict[str, dict[str, list[str]]] = {}
+    for refusal in drives.refused:
+        if refusal.case.name not in driven:
+            by_reason = reasons.setdefault(refusal.case.name, {})
+            by_reason.setdefault(refusal.reason, []).append(refusal.approach)
+    for case, by_reason in reasons.items():
+        why = "; ".join(
+            f"from the {', '.join(dict.fromkeys(arms))}: {reason}"
+            for reason, arms in by_reason.items()
+        )
+        raise InputError(
+            "--cases",
+            Unquoted(f"{case}, which no approach carries"),
+            f"a case that can be driven at {scene.name} ({why})",
+        )
 
 
 def _planner(detector: Detector) -> PlanningDetector:

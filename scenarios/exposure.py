@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import load_toml, read_table
+from geometry.files import MAX_TEXT_BYTES, check_file, load_toml, read_table
 
 from .runs import Run
 
@@ -61,6 +61,7 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
 
 
 def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
+    check_file(path, max_bytes=MAX_TEXT_BYTES)
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from math import sin
 from typing import Protocol
 
 import numpy as np
@@ -10,10 +11,12 @@ from numpy.typing import ArrayLike
 from geometry.arrays import FloatArray, float_array, freeze
 from geometry.errors import InputError
 
+from .courses import Course
 from .turns import Turn
 
 _TABLE_STEP_M = 0.005  # chords of an arc of 8 m come within half a micrometre of it
 _ODE_TOLERANCE = 1.0e-11
+_TOW_STEPS = 10  # points of a course that one step of the integration passes
 
 
 class Path(Protocol):
@@ -120,12 +123,7 @@ class TurnPath:
         object.__setattr__(self, "_direction", _unit_vector(self.yaw_deg, "yaw_deg"))
         if not 0.0 <= self.straight_m < np.inf:
             raise InputError("straight_m", self.straight_m, "metres, at least 0")
-        if not 0.0 < self.wheelbase_m < np.inf:
-            raise InputError("wheelbase_m", self.wheelbase_m, "> 0 metres")
-        if not 0.0 <= self.front_axle_ahead_m <= self.wheelbase_m:
-            raise InputError(
-                "front_axle_ahead_m", self.front_axle_ahead_m, "0 <= metres <= wheelbase"
-            )
+        _check_axles(self.wheelbase_m, self.front_axle_ahead_m)
         object.__setattr__(self, "_table", _build_table(self.turn, float(self.wheelbase_m)))
 
     @property
@@ -185,6 +183,95 @@ class TurnPath:
             ],
             axis=-1,
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CoursePath:
+    """A road user's way along a course: the middle of the footprint stays on it, heading along.
+
+    Attributes
+    ----------
+    course : Course
+        The line.
+    start_m : float
+        Station of the middle of the footprint at distance 0. [m]
+    """
+
+    course: Course
+    start_m: float
+
+    @property
+    def max_turn_rad_per_m(self) -> float:
+        """Largest curvature of the course, in rad/m."""
+        return self.course.max_bend_per_m
+
+    @property
+    def max_turn_change_rad_per_m2(self) -> float:
+        """Most that the curvature of the course changes in a metre."""
+        return self.course.max_bend_change_per_m2
+
+    def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Position and heading after a distance; see :meth:`Path.at`."""
+        distance = np.asarray(distance_m, dtype=np.float64)
+        position, yaw_rad = self.course.at(self.start_m + distance)
+        return position, np.degrees(yaw_rad)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TowedPath:
+    """A vehicle's way along a course, which the centre of its front axle follows.
+
+    The rear axle is dragged behind it and never slips sideways, as on a :class:`TurnPath`. Far
+    behind, where the course is straight, the body is aligned with it.
+
+    Attributes
+    ----------
+    course : Course
+        The line.
+    start_m : float
+        Station of the front axle's centre at distance 0. [m]
+    wheelbase_m, front_axle_ahead_m : float
+        As of a :class:`TurnPath`. [m]
+    """
+
+    course: Course
+    start_m: float
+    wheelbase_m: float
+    front_axle_ahead_m: float
+    _body_rad: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        _check_axles(self.wheelbase_m, self.front_axle_ahead_m)
+        object.__setattr__(self, "_body_rad", _tow(self.course, float(self.wheelbase_m)))
+
+    @property
+    def max_turn_rad_per_m(self) -> float:
+        """Largest curvature of the course; so large that a third of it bounds the middle's bend.
+
+        That bend is at most the course's, and that of the body around the front axle: the second
+        derivative of the heading b is |curvature - b'| / wheelbase, its first the sine of the lag.
+        """
+        bend = self.course.max_bend_per_m
+        return bend * max(1.0, (1.0 + 3.0 * self.front_axle_ahead_m / self.wheelbase_m) / 3.0)
+
+    @property
+    def max_turn_change_rad_per_m2(self) -> float:
+        """The body turns by sin(lag) / wheelbase per metre; its lag by both curvatures at most."""
+        return 2.0 * self.course.max_bend_per_m / self.wheelbase_m
+
+    def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Position of the middle of the footprint and heading of the body; see :meth:`Path.at`."""
+        station = self.start_m + np.asarray(distance_m, dtype=np.float64)
+        front, _ = self.course.at(station)
+        body = self.course.interpolate(station, self._body_rad)
+        beyond = np.maximum(station - self.course.end_m, 0.0)
+        # Dragged along a straight, the tangent of half the lag decays exponentially.
+        exit_rad = self.course.yaw_rad[-1]
+        half_lag = np.tan(0.5 * (exit_rad - self._body_rad[-1]))
+        lag = 2.0 * np.arctan(half_lag * np.exp(-beyond / self.wheelbase_m))
+        body = np.where(beyond > 0.0, exit_rad - lag, body)
+        ahead = np.stack([np.cos(body), np.sin(body)], axis=-1)
+        return front - self.front_axle_ahead_m * ahead, np.degrees(body)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -317,6 +404,43 @@ def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArr
     )
     lag: FloatArray = solution.y[0]
     return lag
+
+
+@lru_cache(maxsize=64)  # the same few courses are driven again and again
+def _tow(course: Course, wheelbase_m: float) -> FloatArray:
+    """Heading of a body dragged along a course, at its points, (n,): Runge and Kutta's method."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    stride = _TOW_STEPS
+    # Two points to a step: its begin, its middle.
+    yaw = course.yaw_rad[:: stride // 2]
+    n_steps = (len(yaw) - 1) // 2
+    step_m = stride * (course.end_m - course.begin_m) / (len(course.yaw_rad) - 1)
+    path = yaw[: 2 * n_steps + 1].tolist()
+    gain = step_m / wheelbase_m
+    body = path[0]
+    nodes = [body]
+    for step in range(n_steps):
+        begin, middle, end = path[2 * step : 2 * step + 3]
+        first = gain * sin(begin - body)
+        second = gain * sin(middle - body - 0.5 * first)
+        third = gain * sin(middle - body - 0.5 * second)
+        fourth = gain * sin(end - body - third)
+        body += (first + 2.0 * (second + third) + fourth) / 6.0
+        nodes.append(body)
+    at = np.arange(n_steps + 1) * stride
+    slope = np.sin(yaw[: 2 * n_steps + 1 : 2] - nodes) * gain / stride
+    every = np.arange(len(course.yaw_rad))
+    inside = np.minimum(every, at[-1])
+    table: FloatArray = CubicHermiteSpline(at, nodes, slope)(inside)
+    return freeze(table)
+
+
+def _check_axles(wheelbase_m: float, front_axle_ahead_m: float) -> None:
+    if not 0.0 < wheelbase_m < np.inf:
+        raise InputError("wheelbase_m", wheelbase_m, "> 0 metres")
+    if not 0.0 <= front_axle_ahead_m <= wheelbase_m:
+        raise InputError("front_axle_ahead_m", front_axle_ahead_m, "0 <= metres <= wheelbase")
 
 
 def _unit_vector(yaw_deg: float, name: str) -> FloatArray:

@@ -1,56 +1,41 @@
 """Cases laid on the approaches of any junction, by the rules of the protocol."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, lru_cache
-from importlib.resources import files
 
 import numpy as np
 from scipy.constants import kmh
 
-from geometry.actors import Actor, PlacedActor
+from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.files import load_toml, read_table
-from geometry.footprints import footprint_corners
-from geometry.junction import (
-    Arm,
-    Junction,
-    Line,
-    lane_length_m,
-    lane_line,
-)
-from geometry.raycast import RayCaster, build_caster
-from geometry.scene import Lane, Scene
+from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
+from geometry.scene import Lane
 
 from .cases import Case
-from .paths import Motion, Path, StraightPath, TurnPath, travel_time_s
+from .courses import Course, follow_lane, follow_lanes, join_by_turn
+from .laying import load_way_rules
+from .obstructions import hide
+from .paths import Path, TowedPath, TurnPath, travel_time_s
 from .staging import (
     CannotCarryError,
+    NoRoadError,
     Staging,
     find_meeting,
     impact_offset_m,
-    place_beside_vru,
-    place_beside_vut,
-    place_wall,
     set_off,
 )
-from .turns import pick_turn
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Rules:
-    """``data/laying.toml``."""
-
-    start_before_curve_s: float
-    max_lane_bend_m: float
-    max_skew_deg: float
-
-
-@cache
-def _load_rules() -> _Rules:
-    table = load_toml(files(__package__) / "data" / "laying.toml")
-    return read_table(table["vut"], _Rules, "laying.toml: vut")
+from .turns import Turn, pick_turn
+from .ways import (
+    CurvedWay,
+    StraightWay,
+    Way,
+    lane_way,
+    meeting_m,
+    off_line_m,
+    reversed_way,
+    straight_line,
+)
 
 
 def stage_by_protocol(
@@ -59,14 +44,18 @@ def stage_by_protocol(
     """Lay a case on an approach of a junction, or raise why its lanes do not allow it.
 
     The run begins when the VRU sets off; turning: also 1 s before the VUT enters the curve. The VUT
-    comes along its lane, and straight on backwards where the map ends. It drives in the lane at the
-    kerb; before a left turn, in the one at the road's axis. Pedestrians cross on the arm's
-    crosswalk; a VRU that moves ahead of the VUT is reached there.
+    comes along its lane, round its bends, and straight on backwards where the map ends. It drives
+    in the lane at the kerb; before a left turn, in the one at the road's axis. It turns along the
+    junction's connecting lane where there is one, else on the protocol's curve. Pedestrians cross
+    at right angles to the VUT's lane where it meets the arm's crosswalk; a VRU that moves ahead of
+    the VUT is reached there. Cyclists ride on the arm's cycleway where it has one.
 
     Raises
     ------
     CannotCarryError
         The lanes do not allow it; the text says why.
+    NoRoadError
+        The road that the case needs does not exist.
     InputError
         There is no such arm.
     """
@@ -74,61 +63,137 @@ def stage_by_protocol(
         raise InputError("approach", approach, "one of " + ", ".join(junction.arms))
     arm = junction.arms[approach]
     if not arm.entry_lanes:
-        raise CannotCarryError(f"no lane leads into the junction from the {approach}")
-    lay = {"crossing": _lay_crossing, "longitudinal": _lay_longitudinal, "turning": _lay_turning}
-    return lay[case.kind](case, junction, arm, vut_speed_kmh, vut)
+        raise NoRoadError(f"no lane leads into the junction from the {approach}")
+    if case.kind == "turning":
+        return _lay_turning(case, junction, arm, vut_speed_kmh, vut)
+    lane = arm.entry_lanes[0]
+    lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
+
+    def along(way: Way) -> Staging:
+        return lay(case, junction, arm, way, vut_speed_kmh, vut)
+
+    return _straight_or_curved(
+        lambda: along(StraightWay(line=straight_line(lane, is_in=True))),
+        lambda: along(CurvedWay(course=follow_lane(lane.centreline_m, is_in=True))),
+        is_bent=_is_bent(lane, is_in=True),
+    )
+
+
+def _straight_or_curved(
+    straight: Callable[[], Staging], curved: Callable[[], Staging], *, is_bent: bool
+) -> Staging:
+    """Lay a case on straight lines; where these leave lanes that bend, along the lanes."""
+    try:
+        return straight()
+    except CannotCarryError:
+        if not is_bent:
+            raise
+    return curved()
+
+
+def _is_bent(lane: Lane, *, is_in: bool) -> bool:
+    bend_m = off_line_m(lane, is_in=is_in, length_m=lane_length_m(lane))
+    return bend_m > load_way_rules().max_lane_bend_m
+
+
+def _check_straight(way: Way, lane: Lane, driven_m: float, *, is_in: bool = True) -> None:
+    """Raise if a straight way leaves its lane within some metres from the mouth."""
+    bend_m = off_line_m(lane, is_in=is_in, length_m=driven_m)
+    if isinstance(way, StraightWay) and bend_m > load_way_rules().max_lane_bend_m:
+        raise CannotCarryError(f"lane {lane.id} is not straight: {bend_m:.1f} m off its line")
+
+
+# ---------- crossing and longitudinal cases
 
 
 def _lay_crossing(
-    case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
+    case: Case, junction: Junction, arm: Arm, vut_way: Way, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
-    lane = arm.entry_lanes[0]
-    vut_line = _line(lane, is_in=True)
-    vru_line = _crossing_line(case, junction, arm, vut_line)
+    vut_m, vru_way, vru_m = _crossing(case, junction, arm, vut_way)
+    vru_line = vru_way.tangent(vru_m)
     # Far enough back for any gap between the lines; the impact lies near their crossing.
     behind_m = 2.0 * (vut.length_m + case.vru.length_m)
-    nominal_m = float(vut_line.coordinates(vru_line.point_m)[0])
-    path = StraightPath(start_m=vut_line.at(nominal_m - behind_m), yaw_deg=vut_line.yaw_deg)
     meeting = find_meeting(
-        case, vut=vut, vut_path=path, vru_line=vru_line, search_m=(0.0, 2.0 * behind_m)
+        case,
+        vut=vut,
+        vut_path=vut_way.vut_path(vut_m - behind_m, vut),
+        vru_line=vru_line,
+        search_m=(0.0, 2.0 * behind_m),
     )
     travel_m = _travel_m(case, meeting.vru_distance_m)
     begin_s = -_travel_s(case, travel_m)
     driven_m = -begin_s * vut_speed_kmh * kmh
-    _check_straight(lane, driven_m)
+    _check_straight(vut_way, arm.entry_lanes[0], driven_m)
     encounter = set_off(
         case,
         vut=vut,
-        vut_path=StraightPath(
-            start_m=vut_line.at(nominal_m - behind_m + meeting.vut_distance_m - driven_m),
-            yaw_deg=vut_line.yaw_deg,
-        ),
+        vut_path=vut_way.vut_path(vut_m - behind_m + meeting.vut_distance_m - driven_m, vut),
         vut_start_s=begin_s,
         vut_speed_kmh=vut_speed_kmh,
-        vru_line=vru_line,
-        vru_distance_m=meeting.vru_distance_m,
+        vru_path=vru_way.vru_path(vru_m + (meeting.vru_distance_m - travel_m)),
         vru_travel_m=travel_m,
     )
-    obstruction: tuple[PlacedActor, ...] = ()
-    if case.obstruction is not None:
-        place = {
-            "beside-vut": place_beside_vut,
-            "beside-vru": place_beside_vru,
-            "wall": place_wall,
-        }[case.obstruction.kind]
-        obstruction = place(
-            case.obstruction, vut=vut, vut_line=vut_line, vru=case.vru, vru_line=vru_line
-        )
-    return Staging(encounter=encounter, obstruction=obstruction)
+    if case.obstruction is None:
+        return Staging(encounter=encounter, obstruction=())
+    return hide(
+        encounter, case.obstruction, vut_way=vut_way, vut_m=vut_m, vru_way=vru_way, vru_m=vru_m
+    )
+
+
+def _crossing(case: Case, junction: Junction, arm: Arm, vut_way: Way) -> tuple[float, Way, float]:
+    """The VRU's way, and the stations of the VUT's and of it at which they cross."""
+    assert case.vru_line is not None
+    is_near = case.vru_side == "near"
+    if case.vru_line.along == "crosswalk":
+        vut_m, point = vut_way.crossing(arm.crosswalk)
+        left = vut_way.direction(vut_m).left
+        line = Line(point_m=point, direction=left if is_near else -left)
+        return vut_m, StraightWay(line=line), 0.0
+    side = _arm_at(junction, vut_way.tangent(0.0), to_left=not is_near)
+    if side is None or not side.entry_lanes:
+        raise NoRoadError(f"no lane leads into the junction from the {case.vru_side} side")
+    lane, left_m = _cyclists_lane(case, side)
+    middle = lane_way(
+        lane,
+        is_in=True,
+        length_m=_travel_m(case, 0.0),
+        max_bend_m=load_way_rules().max_lane_bend_m,
+    )
+    return _meet(vut_way, middle.beside(left_m, 0.0)[0])
+
+
+def _across(line: Line, direction: FloatArray) -> StraightWay:
+    return StraightWay(line=Line(point_m=line.point_m, direction=direction))
+
+
+def _meet(vut_way: Way, vru_way: Way) -> tuple[float, Way, float]:
+    """Station of the VUT's way, the VRU's way and its station, where the two cross."""
+    if isinstance(vut_way, StraightWay) and isinstance(vru_way, StraightWay):
+        _, point = vru_way.crossing(vut_way.line)
+        line = Line(point_m=point, direction=vru_way.line.direction)
+        return float(vut_way.line.coordinates(line.point_m)[0]), StraightWay(line=line), 0.0
+    vut_m, vru_m = meeting_m(vut_way, vru_way)
+    return vut_m, vru_way, vru_m
+
+
+def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
+    """The lane along which cyclists come from an arm, and how far left of its middle they ride."""
+    assert case.vru_line is not None
+    if side.cycleways_in:
+        return side.cycleways_in[0], 0.0
+    outer, left_m = side.entry_lanes[0], case.vru_line.left_m
+    if case.vru_line.lane == "inner" and len(side.entry_lanes) > 1:
+        # Not at the road's axis, with traffic on both sides.
+        return outer, load_way_rules().cyclist_inside_kerb_m - 0.5 * outer.width_m
+    most_m = max(0.0, 0.5 * (outer.width_m - case.vru.width_m))  # narrow lanes
+    return outer, min(left_m, most_m)
 
 
 def _lay_longitudinal(
-    case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
+    case: Case, junction: Junction, arm: Arm, vut_way: Way, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
     lane = arm.entry_lanes[0]
-    vut_line = _line(lane, is_in=True)
-    offset_m = impact_offset_m(case, vut)
-    impact_m = float(vut_line.coordinates(vut_line.crossing_with(arm.crosswalk))[0])
+    impact_m, _ = vut_way.crossing(arm.crosswalk)
     travel_m = _travel_m(case, 0.0)
     before_lane_m = travel_m + 0.5 * case.vru.length_m - impact_m - lane_length_m(lane)
     if before_lane_m > 0.0:
@@ -137,57 +202,85 @@ def _lay_longitudinal(
         )
     begin_s = -_travel_s(case, travel_m)
     driven_m = -begin_s * vut_speed_kmh * kmh
-    _check_straight(lane, max(travel_m, driven_m))
+    _check_straight(vut_way, lane, max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
+    vru_way, vru_m = vut_way.beside(impact_offset_m(case, vut), impact_m)
     encounter = set_off(
         case,
         vut=vut,
-        vut_path=StraightPath(
-            start_m=vut_line.at(impact_m - gap_m - driven_m), yaw_deg=vut_line.yaw_deg
-        ),
+        vut_path=vut_way.vut_path(impact_m - gap_m - driven_m, vut),
         vut_start_s=begin_s,
         vut_speed_kmh=vut_speed_kmh,
-        vru_line=Line(point_m=vut_line.at(impact_m, offset_m), direction=vut_line.direction),
-        vru_distance_m=0.0,
+        vru_path=vru_way.vru_path(vru_m + (0.0 - travel_m)),
         vru_travel_m=travel_m,
     )
     return Staging(encounter=encounter, obstruction=())
 
 
+# ---------- turning cases
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Turning:
+    """A VUT's way into another arm."""
+
+    entry_lane: Lane
+    entry: Line  # where the turn begins
+    exit_way: Way
+    turn_m: float  # its length
+    path_with: Callable[[float], Path]  # some metres before it
+    is_straight: bool  # but for the turn
+
+
+_AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
+
+
 def _lay_turning(
     case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
-    rules = _load_rules()
     is_far = case.turn == "far"
     entry_lane = arm.entry_lanes[-1 if is_far else 0]
-    entry = _line(entry_lane, is_in=True)
+    entry = straight_line(entry_lane, is_in=True)
     target = _arm_at(junction, entry, to_left=is_far)
     if target is None or not target.exit_lanes:
-        raise CannotCarryError(f"no lane leads out of the junction on the {case.turn} side")
+        raise NoRoadError(f"no lane leads out of the junction on the {case.turn} side")
     exit_lane = target.exit_lanes[-1 if is_far else 0]
-    exit_line = _line(exit_lane, is_in=False)
-    angle_deg = abs((exit_line.yaw_deg - entry.yaw_deg + 180.0) % 360.0 - 180.0)
     try:
         turn = pick_turn(case.turn, vut_speed_kmh)
     except InputError as error:
         raise CannotCarryError(str(error)) from None
+
+    def lay(turning: _Turning) -> Staging:
+        return _lay_turn(case, junction, arm, target, turning, vut_speed_kmh, vut)
+
+    connection = junction.connection(entry_lane, exit_lane)
+    if connection is not None:
+        return lay(_along_connection(entry_lane, connection, exit_lane, vut))
+    return _straight_or_curved(
+        lambda: lay(_on_straights(entry_lane, exit_lane, turn, vut)),
+        lambda: lay(_on_lanes(entry_lane, exit_lane, turn, vut)),
+        is_bent=_is_bent(entry_lane, is_in=True) or _is_bent(exit_lane, is_in=False),
+    )
+
+
+def _on_straights(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> _Turning:
+    """The protocol's curve between the straight lines of two lanes."""
+    entry = straight_line(entry_lane, is_in=True)
+    exit_line = straight_line(exit_lane, is_in=False)
+    angle_deg = abs((exit_line.yaw_deg - entry.yaw_deg + 180.0) % 360.0 - 180.0)
     try:
         turn = turn.turned_by(angle_deg)
-    except InputError:
+        corner = entry.crossing_with(exit_line)
+    except (InputError, np.linalg.LinAlgError):
         raise CannotCarryError(f"the arms meet at {angle_deg:.0f} degrees") from None
-    corner = entry.crossing_with(exit_line)
-    for lane, line, sign, what in (
-        (entry_lane, entry, -1.0, "begin"),
-        (exit_lane, exit_line, 1.0, "end"),
-    ):
-        in_lane_m = sign * float(line.coordinates(corner)[0]) + turn.tangent_m
-        if in_lane_m > lane_length_m(lane):
-            raise CannotCarryError(f"the turn would {what} beyond the mapped lane {lane.id}")
-
-    vru_line = _turning_line(case, arm, target, entry, exit_line, is_far=is_far)
+    before_corner_m = float(entry.coordinates(corner)[0]) - turn.tangent_m
+    after_corner_m = float(exit_line.coordinates(corner)[0]) + turn.tangent_m
+    _check_within(entry_lane, -before_corner_m, "begin")
+    _check_within(exit_lane, after_corner_m, "end")
+    exit_way = StraightWay(line=exit_line)
+    _check_straight(exit_way, exit_lane, after_corner_m + _AFTER_TURN_M, is_in=False)
 
     def path_with(straight_m: float) -> TurnPath:
-        before_corner_m = float(entry.coordinates(corner)[0]) - turn.tangent_m
         return TurnPath(
             start_m=entry.at(before_corner_m - straight_m),
             yaw_deg=entry.yaw_deg,
@@ -197,99 +290,232 @@ def _lay_turning(
             front_axle_ahead_m=vut.front_axle_ahead_m,
         )
 
-    path = path_with(0.0)
+    return _Turning(
+        entry_lane=entry_lane,
+        entry=entry,
+        exit_way=exit_way,
+        turn_m=turn.length_m,
+        path_with=path_with,
+        is_straight=True,
+    )
+
+
+def _on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> _Turning:
+    """The protocol's curve between two lanes that bend."""
+    entry = follow_lane(entry_lane.centreline_m, is_in=True)
+    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
+    try:
+        course, turn = join_by_turn(entry, exit_course, turn)
+    except (InputError, np.linalg.LinAlgError):
+        raise CannotCarryError(
+            f"no turn of {turn.radius_m:g} m leads from lane {entry_lane.id} into {exit_lane.id}"
+        ) from None
+    _check_within(entry_lane, -entry.station_of(course.tangent(0.0).point_m), "begin")
+    end = course.tangent(turn.length_m)
+    _check_within(exit_lane, exit_course.station_of(end.point_m), "end")
+    return _towed(entry_lane, exit_course, course, turn.length_m, vut)
+
+
+def _along_connection(entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: Actor) -> _Turning:
+    """Along the junction's own lane between two others."""
+    course = follow_lanes(
+        [entry_lane.centreline_m, connection.centreline_m, exit_lane.centreline_m]
+    )
+    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
+    return _towed(entry_lane, exit_course, course, lane_length_m(connection), vut)
+
+
+def _towed(
+    entry_lane: Lane, exit_course: Course, course: Course, turn_m: float, vut: Actor
+) -> _Turning:
+    def path_with(straight_m: float) -> TowedPath:
+        return TowedPath(
+            course=course,
+            start_m=-straight_m,
+            wheelbase_m=vut.wheelbase_m,
+            front_axle_ahead_m=vut.front_axle_ahead_m,
+        )
+
+    return _Turning(
+        entry_lane=entry_lane,
+        entry=course.tangent(0.0),
+        exit_way=CurvedWay(course=exit_course),
+        turn_m=turn_m,
+        path_with=path_with,
+        is_straight=False,
+    )
+
+
+def _check_within(lane: Lane, in_lane_m: float, what: str) -> None:
+    if in_lane_m > lane_length_m(lane):
+        raise CannotCarryError(f"the turn would {what} beyond the mapped lane {lane.id}")
+
+
+def _lay_turn(
+    case: Case,
+    junction: Junction,
+    arm: Arm,
+    target: Arm,
+    turning: _Turning,
+    vut_speed_kmh: float,
+    vut: Actor,
+) -> Staging:
+    vru_way, vru_m = _turning_way(case, junction, arm, target, turning)
     meeting = find_meeting(
         case,
         vut=vut,
-        vut_path=path,
-        vru_line=vru_line,
-        search_m=(0.0, turn.length_m + lane_length_m(exit_lane)),
+        vut_path=turning.path_with(0.0),
+        vru_line=vru_way.tangent(vru_m),
+        search_m=(0.0, turning.turn_m + lane_length_m(target.exit_lanes[0])),
     )
     travel_m = _travel_m(case, meeting.vru_distance_m)
     speed_mps = vut_speed_kmh * kmh
     begin_s = -max(
-        _travel_s(case, travel_m), meeting.vut_distance_m / speed_mps + rules.start_before_curve_s
+        _travel_s(case, travel_m),
+        meeting.vut_distance_m / speed_mps + load_way_rules().start_before_curve_s,
     )
     straight_m = -begin_s * speed_mps - meeting.vut_distance_m
-    _check_straight(entry_lane, straight_m)
+    if turning.is_straight:
+        _check_straight(StraightWay(line=turning.entry), turning.entry_lane, straight_m)
     encounter = set_off(
         case,
         vut=vut,
-        vut_path=path_with(straight_m),
+        vut_path=turning.path_with(straight_m),
         vut_start_s=begin_s,
         vut_speed_kmh=vut_speed_kmh,
-        vru_line=vru_line,
-        vru_distance_m=meeting.vru_distance_m,
+        vru_path=vru_way.vru_path(vru_m + (meeting.vru_distance_m - travel_m)),
         vru_travel_m=travel_m,
     )
     return Staging(encounter=encounter, obstruction=())
 
 
-def _crossing_line(case: Case, junction: Junction, arm: Arm, vut_line: Line) -> Line:
-    """The VRU's line, from where it crosses the VUT's."""
+def _turning_way(
+    case: Case, junction: Junction, arm: Arm, target: Arm, turning: _Turning
+) -> tuple[Way, float]:
+    """The VRU's way, and its station where it crosses the lane into which the VUT turns."""
     assert case.vru_line is not None
-    is_near = case.vru_side == "near"
-    if case.vru_line.along == "crosswalk":
-        point = vut_line.crossing_with(arm.crosswalk)
-        return Line(point_m=point, direction=vut_line.left if is_near else -vut_line.left)
-    side = _arm_at(junction, vut_line, to_left=not is_near)
-    if side is None or not side.entry_lanes:
-        raise CannotCarryError(f"no lane leads into the junction from the {case.vru_side} side")
-    lane = side.entry_lanes[0 if case.vru_line.lane == "outer" else -1]
-    middle = _line(lane, is_in=True)
-    beside = Line(point_m=middle.at(0.0, case.vru_line.left_m), direction=middle.direction)
-    return Line(point_m=beside.crossing_with(vut_line), direction=beside.direction)
-
-
-def _turning_line(
-    case: Case, arm: Arm, target: Arm, entry: Line, exit_line: Line, *, is_far: bool
-) -> Line:
-    """The VRU's line, from where it crosses the lane into which the VUT turns."""
-    assert case.vru_line is not None
+    entry = turning.entry
     direction = entry.direction if case.vru_direction == "same" else -entry.direction
     if case.vru_line.along == "crosswalk":
-        return Line(point_m=exit_line.crossing_with(target.crosswalk), direction=direction)
+        exit_m, point = turning.exit_way.crossing(target.crosswalk)
+        exit_line = turning.exit_way.direction(exit_m)
+        along = float(direction @ exit_line.direction)
+        if abs(along) > np.sin(np.radians(load_way_rules().max_skew_deg)):
+            # Askew: across the lane, not along the other one.
+            direction = exit_line.left * np.sign(direction @ exit_line.left)
+        return StraightWay(line=Line(point_m=point, direction=direction)), 0.0
+    ridden_m = _travel_m(case, 0.0)
+    kerb = _kerb(case, arm)
+    beside = straight_line(kerb.lane, is_in=kerb.is_in)
+    line = Line(point_m=beside.at(0.0, kerb.left_m), direction=direction)
+    way = _ridden_lane(case, junction, arm, entry)
+    if turning.is_straight and _is_along(way, line, ridden_m, load_way_rules().max_lane_bend_m):
+        way = StraightWay(line=line)
+    _, way, vru_m = _meet(turning.exit_way, way)
+    return way, vru_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Kerb:
+    """A line beside a lane."""
+
+    lane: Lane
+    is_in: bool
+    left_m: float  # of the lane's middle, in its driving direction
+
+
+def _kerb(case: Case, arm: Arm) -> _Kerb:
+    """Where cyclists ride beside the VUT's approach road, on the side to which it turns."""
+    assert case.vru_line is not None
     outside_m = case.vru_line.left_m
-    if not is_far:
-        kerb_lane, is_in, kerb_side = arm.lanes_in[0], True, -1.0
+    if case.turn == "near":
+        lane, is_in, side = arm.lanes_in[0], True, -1.0
+        cycleways = arm.cycleways_in
     elif arm.lanes_out:
-        kerb_lane, is_in, kerb_side = arm.lanes_out[0], False, -1.0
+        lane, is_in, side = arm.lanes_out[0], False, -1.0
+        cycleways = arm.cycleways_out
     else:  # a one-way road: the kerb is to the left of its lanes
-        kerb_lane, is_in, kerb_side = arm.lanes_in[-1], True, 1.0
-    middle = _line(kerb_lane, is_in=is_in)
-    beside = Line(
-        point_m=middle.at(0.0, kerb_side * (0.5 * kerb_lane.width_m + outside_m)),
-        direction=direction,
+        lane, is_in, side = arm.lanes_in[-1], True, 1.0
+        cycleways = ()
+    if cycleways:
+        return _Kerb(lane=cycleways[0], is_in=is_in, left_m=0.0)
+    return _Kerb(lane=lane, is_in=is_in, left_m=side * (0.5 * lane.width_m + outside_m))
+
+
+def _ridden_lane(case: Case, junction: Junction, arm: Arm, entry: Line) -> Way:
+    """The way along the kerb of the arm from which the cyclist comes."""
+    assert case.vru_line is not None
+    rules = load_way_rules()
+    if case.vru_direction == "same":
+        kerb = _kerb(case, arm)
+        is_against = not kerb.is_in
+    else:
+        ahead = _arm_ahead(junction, arm, entry)
+        lanes = () if ahead is None else ahead.lanes_in if case.turn == "far" else ahead.lanes_out
+        if ahead is None or not lanes:
+            raise NoRoadError("no lane lies ahead from which the cyclist could come")
+        is_against = case.turn == "near"
+        cycleways = ahead.cycleways_out if is_against else ahead.cycleways_in
+        left_m = -(0.5 * lanes[0].width_m + case.vru_line.left_m)
+        kerb = _Kerb(lane=lanes[0], is_in=not is_against, left_m=left_m)
+        if cycleways:
+            kerb = _Kerb(lane=cycleways[0], is_in=not is_against, left_m=0.0)
+    way = lane_way(
+        kerb.lane,
+        is_in=kerb.is_in,
+        length_m=_travel_m(case, 0.0),
+        max_bend_m=rules.max_lane_bend_m,
     )
-    return Line(point_m=beside.crossing_with(exit_line), direction=direction)
+    way, _ = way.beside(kerb.left_m, 0.0)
+    return reversed_way(way) if is_against else way
+
+
+def _is_along(way: Way, line: Line, ridden_m: float, tolerance_m: float) -> bool:
+    """Whether a way stays on a line, from the mouth back to where the VRU sets off."""
+    stations = np.linspace(-ridden_m, 0.0, 20)
+    points = np.array([way.tangent(float(station)).point_m for station in stations])
+    return bool((np.abs(line.coordinates(points)[:, 1]) <= tolerance_m).all())
+
+
+# ---------- arms
 
 
 def _arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
-    """The arm to the left or right of the VUT; None if there is none about at a right angle."""
+    """The arm to the left or right of the VUT; None if there is none.
+
+    One about at a right angle, or else the one that is nearest to it.
+    """
     side = vut_line.left if to_left else -vut_line.left
-    best, best_cosine = None, np.cos(np.radians(_load_rules().max_skew_deg))
+    rules = load_way_rules()
+    for skew_deg, length_m in ((rules.max_skew_deg, 50.0), (rules.max_turn_skew_deg, 15.0)):
+        best, best_cosine = None, np.cos(np.radians(skew_deg))
+        for arm in junction.arms.values():
+            cosine = float(_outwards(arm, length_m) @ side)
+            if cosine >= best_cosine:
+                best, best_cosine = arm, cosine
+        if best is not None:
+            return best
+    return None
+
+
+def _arm_ahead(junction: Junction, approach: Arm, vut_line: Line) -> Arm | None:
+    """The arm into which the VUT would drive straight on; None if there is none."""
+    best, best_cosine = None, np.cos(np.radians(load_way_rules().max_skew_deg))
     for arm in junction.arms.values():
-        lanes, is_in = (arm.lanes_in, True) if arm.lanes_in else (arm.lanes_out, False)
-        line = _line(lanes[0], is_in=is_in)
-        cosine = float(line.direction @ side) * (-1.0 if is_in else 1.0)
-        if cosine >= best_cosine:
+        cosine = float(_outwards(arm, 15.0) @ vut_line.direction)
+        if arm is not approach and cosine >= best_cosine:
             best, best_cosine = arm, cosine
     return best
 
 
-_STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
+def _outwards(arm: Arm, length_m: float) -> FloatArray:
+    """Direction in which an arm leads away from the junction, (2,)."""
+    lanes, is_in = (arm.lanes_in, True) if arm.lanes_in else (arm.lanes_out, False)
+    line, _ = lane_line(lanes[0], is_in=is_in, length_m=length_m)
+    return -line.direction if is_in else line.direction
 
 
-def _line(lane: Lane, *, is_in: bool) -> Line:
-    return lane_line(lane, is_in=is_in, length_m=_STRAIGHT_M)[0]
-
-
-def _check_straight(lane: Lane, driven_m: float) -> None:
-    _, off_line_m = lane_line(lane, is_in=True, length_m=min(driven_m, _STRAIGHT_M))
-    if off_line_m > _load_rules().max_lane_bend_m:
-        raise CannotCarryError(
-            f"lane {lane.id} is not straight: {off_line_m:.1f} m off its line before the junction"
-        )
+# ---------- the VRU's way
 
 
 def _travel_m(case: Case, vru_distance_m: float) -> float:
@@ -297,7 +523,10 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
     if case.steady_distance_m is not None:
         return case.acceleration_distance_m + case.steady_distance_m
     assert case.start_distance_m is not None
-    return case.start_distance_m + vru_distance_m + case.vru_reference_m
+    travel_m = case.start_distance_m + vru_distance_m + case.vru_reference_m
+    if travel_m <= 0.0:
+        raise CannotCarryError("the VUT would come to the VRU's way before the VRU sets off")
+    return travel_m
 
 
 def _travel_s(case: Case, travel_m: float) -> float:
@@ -306,124 +535,3 @@ def _travel_s(case: Case, travel_m: float) -> float:
         speed_mps=case.vru_speed_kmh * kmh,
         acceleration_distance_m=case.acceleration_distance_m,
     )
-
-
-# ---------- room for what a case lays into a scene
-
-
-_HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls
-_STEP_M = 2.0  # along bent paths
-_POLES = ("lamp post", "traffic light")
-
-
-def check_clearance(staging: Staging, scene: Scene) -> None:
-    """Check that nothing of the scene stands in the way of a staging's bodies.
-
-    Raises
-    ------
-    CannotCarryError
-        Names the body and what it would run into.
-
-    Notes
-    -----
-    Looked at with rays along the middle and both flanks of the ways, and around and across the
-    parked bodies' footprints. A VRU passes beside a pole that stands on its line. What the map does
-    not show does not stand in the way.
-    """
-    encounter = staging.encounter
-    solid = _Solid(scene=scene, has_poles=True)
-    for name, body, motion, obstacles in (
-        ("the VRU", encounter.vru, encounter.vru_motion, _Solid(scene=scene, has_poles=False)),
-        ("the VUT", encounter.vut, encounter.vut_motion, solid),
-    ):
-        _check(obstacles, _way(motion, body), f"{name}'s way")
-    for parked in staging.obstruction:
-        _check(solid, _footprint_sides(parked), f"the place of {parked.actor.name}")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Solid:
-    """What of a scene stands in a way."""
-
-    scene: Scene
-    has_poles: bool
-
-
-def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
-    caster, origin = _caster(solid)
-    starts, ends = (
-        np.concatenate([_lift(segments_m[:, end] - origin, height) for height in _HEIGHTS_M])
-        for end in (0, 1)
-    )
-    if _is_blocked(caster, starts, ends):
-        raise CannotCarryError(f"{_blocker(solid, starts, ends, origin)} stands in {what}")
-
-
-@lru_cache(maxsize=8)
-def _caster(solid: _Solid) -> tuple[RayCaster, FloatArray]:
-    """Rays against all of it, near the origin: they are cast in single precision."""
-    origin = solid.scene.outline_m.mean(axis=0)
-    return _caster_of(solid.scene, _counting(solid), origin), origin
-
-
-def _counting(solid: _Solid) -> list[int]:
-    """Indices of the instances that count."""
-    return [
-        index
-        for index, instance in enumerate(solid.scene.instances)
-        if solid.has_poles or instance.class_name not in _POLES
-    ]
-
-
-def _caster_of(scene: Scene, instances: Sequence[int], origin_m: FloatArray) -> RayCaster:
-    triangles = np.asarray(scene.triangles)[np.isin(scene.triangle_instance, instances)]
-    # A few thousand rays: not worth the second that Open3D takes to load.
-    return build_caster(scene.vertices_m - [*origin_m, 0.0], triangles, library="embreex")
-
-
-def _blocker(solid: _Solid, starts_m: FloatArray, ends_m: FloatArray, origin_m: FloatArray) -> str:
-    """The first instance that the rays run into."""
-    for index in _counting(solid):
-        if _is_blocked(_caster_of(solid.scene, [index], origin_m), starts_m, ends_m):
-            return solid.scene.instances[index].id
-    return "the scene"
-
-
-def _is_blocked(caster: RayCaster, starts_m: FloatArray, ends_m: FloatArray) -> bool:
-    vectors = (ends_m - starts_m).astype(np.float32)
-    return bool(caster.is_blocked(starts_m.astype(np.float32), vectors).any())
-
-
-def _way(motion: Motion, body: Actor) -> FloatArray:
-    """Segments along the middle and the flanks, from behind the start to the impact, (n, 2, 2)."""
-    covered_m = float(motion.distance_m(0.0))
-    distances = _distances(motion.path, covered_m)
-    position, yaw_deg = motion.path.at(distances)
-    yaw = np.radians(np.broadcast_to(yaw_deg, distances.shape))
-    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-    left = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
-    segments = []
-    for share in (-0.5, 0.0, 0.5):
-        line = position + share * body.width_m * left
-        line = np.concatenate([line[:1] - 0.5 * body.length_m * ahead[:1], line])
-        segments.append(np.stack([line[:-1], line[1:]], axis=1))
-    return np.concatenate(segments)
-
-
-def _distances(path: Path, covered_m: float) -> FloatArray:
-    return np.linspace(0.0, covered_m, max(2, int(covered_m / _STEP_M) + 2))
-
-
-def _footprint_sides(parked: PlacedActor) -> FloatArray:
-    corners = footprint_corners(
-        parked.pose.position_m[:2],
-        parked.pose.yaw_deg,
-        length_m=parked.actor.length_m,
-        width_m=parked.actor.width_m,
-    )
-    ends = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)]  # four sides, two diagonals
-    return np.array([[corners[a], corners[b]] for a, b in ends])
-
-
-def _lift(points_m: FloatArray, height_m: float) -> FloatArray:
-    return np.column_stack([points_m, np.full(len(points_m), height_m)])

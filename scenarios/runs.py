@@ -20,10 +20,11 @@ from geometry.weather import load_weathers
 
 from .aeb import AebRule, confirmation_time_s, last_brake_time_s
 from .cases import Case
+from .clearance import make_room
 from .encounters import Encounter
-from .protocol import check_clearance, stage_by_protocol
+from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
-from .staging import CannotCarryError, Staging, mirror_staging
+from .staging import CannotCarryError, NoRoadError, Staging, mirror_staging
 
 WEATHERS = tuple(load_weathers())
 _GRID_TOLERANCE = 1.0e-6  # of a frame
@@ -226,12 +227,28 @@ def onset_times_s(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refusal:
-    """A case that an approach does not carry at some speeds, and the reason."""
+    """A case that an approach does not carry at some speeds, and the reason.
+
+    Attributes
+    ----------
+    case : Case
+        What is not driven.
+    approach : str
+        The arm from which the VUT would come.
+    speeds_kmh : tuple of float
+        At which speeds. [km/h]
+    reason : str
+        Why, in words.
+    is_possible : bool
+        The junction has the roads that the case needs, and it has the speeds asked for: what is
+        missing is room.
+    """
 
     case: Case
     approach: str
     speeds_kmh: tuple[float, ...]
     reason: str
+    is_possible: bool = True
 
 
 def build_runs(
@@ -281,40 +298,43 @@ def build_runs(
         for word in words:
             if word not in known:
                 raise InputError(where, word, "one of " + ", ".join(known))
+    right_hand = mirrored(junction) if junction.keeps_left else junction
     runs: list[Run] = []
     refusals: list[Refusal] = []
     for case in cases:
         for approach in dict.fromkeys(approaches or junction.arms):
-            reasons: dict[str, list[float]] = {}
+            reasons: dict[tuple[str, bool], list[float]] = {}
             for speed_kmh in case.vut_speeds_kmh:
                 try:
-                    staging = _stage(case, scene, junction, approach, speed_kmh, vut)
+                    staging = _stage(case, scene, right_hand, approach, speed_kmh, vut)
                 except CannotCarryError as error:
-                    reasons.setdefault(str(error), []).append(speed_kmh)
+                    is_possible = not isinstance(error, NoRoadError)
+                    reasons.setdefault((str(error), is_possible), []).append(speed_kmh)
                     continue
                 run = _build_run(case, approach, speed_kmh, staging, rule=rule)
                 runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
             refusals += [
-                Refusal(case=case, approach=approach, speeds_kmh=tuple(speeds), reason=reason)
-                for reason, speeds in reasons.items()
+                Refusal(
+                    case=case,
+                    approach=approach,
+                    speeds_kmh=tuple(speeds),
+                    reason=reason,
+                    is_possible=is_possible,
+                )
+                for (reason, is_possible), speeds in reasons.items()
             ]
     return tuple(runs), tuple(refusals)
 
 
 def _stage(
-    case: Case, scene: Scene, junction: Junction, approach: str, speed_kmh: float, vut: Actor
+    case: Case, scene: Scene, right_hand: Junction, approach: str, speed_kmh: float, vut: Actor
 ) -> Staging:
     placement = find_placement(scene.name, case, approach)
     if placement is not None:
         return stage_published(placement, vut_speed_kmh=speed_kmh, vut=vut)
-    if junction.keeps_left:
-        staging = mirror_staging(
-            stage_by_protocol(case, mirrored(junction), approach, vut_speed_kmh=speed_kmh, vut=vut)
-        )
-    else:
-        staging = stage_by_protocol(case, junction, approach, vut_speed_kmh=speed_kmh, vut=vut)
-    check_clearance(staging, scene)
-    return staging
+    # The protocol's rules are those of traffic that keeps right.
+    staging = stage_by_protocol(case, right_hand, approach, vut_speed_kmh=speed_kmh, vut=vut)
+    return make_room(mirror_staging(staging) if scene.keeps_left else staging, scene)
 
 
 def _build_run(

@@ -1,24 +1,22 @@
 """How a run is set up: who moves how, past what, before anybody brakes."""
 
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.constants import kmh
 
-from geometry.actors import Actor, PlacedActor, Shape, park_row
+from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line
 from geometry.poses import Pose
 
-from .cases import Case, Obstruction
+from .cases import Case
 from .encounters import Encounter, first_contact_s
 from .paths import (
     Motion,
     Path,
-    StraightPath,
     travel_time_s,
 )
 
@@ -31,15 +29,32 @@ class CannotCarryError(Exception):
     """A case cannot be laid on an approach; the text says why."""
 
 
+class NoRoadError(CannotCarryError):
+    """The junction has no road for a case: from that approach it is not possible at all."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Staging:
     """A run without its frames.
 
-    The impact of the encounter is at time 0; the obstruction are parked bodies of this run only.
+    Attributes
+    ----------
+    encounter : Encounter
+        Its impact is at time 0.
+    obstruction : tuple of PlacedActor
+        Parked bodies, or a wall, of this run only.
+    aside, back : (2,) float
+        Unit vectors in which the obstruction may give way to what stands there: away from whom it
+        stands beside, and away from where the ways cross; zero without one.
+    max_aside_m : float
+        How far it may be moved aside. [m]
     """
 
     encounter: Encounter
     obstruction: tuple[PlacedActor, ...]
+    aside: FloatArray = field(default_factory=lambda: np.zeros(2))
+    back: FloatArray = field(default_factory=lambda: np.zeros(2))
+    max_aside_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,15 +112,14 @@ def set_off(
     vut_path: Path,
     vut_start_s: float,
     vut_speed_kmh: float,
-    vru_line: Line,
-    vru_distance_m: float,
+    vru_path: Path,
     vru_travel_m: float,
 ) -> Encounter:
     """Encounter whose bodies first touch at time 0.
 
-    The VUT's path begins where it is at `vut_start_s`. At the impact the middle of the VRU is
-    `vru_distance_m` along its line, after `vru_travel_m` from rest. Where the corner of a turning
-    VUT would touch a moment before the impact position is reached, both set off that moment later.
+    The VUT's path begins where it is at `vut_start_s`, the VRU's where it stands at rest; at the
+    impact the VRU is `vru_travel_m` along it. Where the corner of a turning VUT would touch a
+    moment before the impact position is reached, both set off that moment later.
 
     Raises
     ------
@@ -117,7 +131,6 @@ def set_off(
         speed_mps=case.vru_speed_kmh * kmh,
         acceleration_distance_m=case.acceleration_distance_m,
     )
-    start_m = vru_line.at(vru_distance_m - vru_travel_m)
 
     def later(seconds: float) -> Encounter:
         return Encounter(
@@ -127,7 +140,7 @@ def set_off(
             ),
             vru=case.vru,
             vru_motion=Motion(
-                path=StraightPath(start_m=start_m, yaw_deg=vru_line.yaw_deg),
+                path=vru_path,
                 speed_mps=case.vru_speed_kmh * kmh,
                 start_time_s=seconds - travel_s,
                 acceleration_distance_m=case.acceleration_distance_m,
@@ -186,101 +199,6 @@ def _gap_to_side(
     return gap, coordinates[:, 0] - case.vru_reference_m
 
 
-# ---------- parked cars and walls that hide the VRU
-
-
-# Two triangles on each of a box's six sides, outward, for corners numbered as in `_build_wall`.
-_BOX_TRIANGLES = np.array(
-    [
-        [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-        [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
-    ]
-)  # fmt: skip
-
-
-def place_beside_vut(
-    obstruction: Obstruction, *, vut: Actor, vut_line: Line, vru: Actor, vru_line: Line
-) -> tuple[PlacedActor, ...]:
-    """Cars parked along the VUT's way, on the side from which the VRU comes.
-
-    Their common centreline is such that the widest keeps the side gap; noses as the VUT's, the
-    first one nearest to the VRU's line, whose point is where the two ways cross.
-    """
-    side = -float(np.sign(vut_line.left @ vru_line.direction))
-    widest_m = max(actor.width_m for actor in obstruction.bodies)
-    beside_m = 0.5 * vut.width_m + obstruction.side_gap_m + 0.5 * widest_m
-    crossing_m = float(vut_line.coordinates(vru_line.point_m)[0])
-    bumper = vut_line.at(crossing_m - 0.5 * vru.width_m - obstruction.first_gap_m, side * beside_m)
-    return park_row(
-        obstruction.bodies,
-        first_bumper_m=bumper,
-        yaw_deg=vut_line.yaw_deg,
-        gap_m=obstruction.between_gap_m,
-    )
-
-
-def place_beside_vru(
-    obstruction: Obstruction, *, vut: Actor, vut_line: Line, vru: Actor, vru_line: Line
-) -> tuple[PlacedActor, ...]:
-    """Cars parked beside the VRU's way, between it and the coming VUT; noses away from the VUT's.
-
-    The sides towards the VRU are flush.
-    """
-    bodies = []
-    rear_m = obstruction.first_gap_m
-    for actor in obstruction.bodies:
-        beside_m = 0.5 * vru.width_m + obstruction.side_gap_m + 0.5 * actor.width_m
-        middle = vru_line.at(
-            -(rear_m + 0.5 * actor.length_m), _vut_side(vut_line, vru_line) * beside_m
-        )
-        pose = Pose(position_m=np.append(middle, 0.0), yaw_deg=vru_line.turned(180.0).yaw_deg)
-        bodies.append(PlacedActor(actor=actor, pose=pose))
-        rear_m += actor.length_m + obstruction.between_gap_m
-    return tuple(bodies)
-
-
-def place_wall(
-    obstruction: Obstruction, *, vut: Actor, vut_line: Line, vru: Actor, vru_line: Line
-) -> tuple[PlacedActor, ...]:
-    """A wall beside the VRU's way, between it and the coming VUT."""
-    wall = _build_wall(*obstruction.wall_size_m)
-    beside_m = 0.5 * vru.width_m + obstruction.side_gap_m + 0.5 * wall.width_m
-    middle = vru_line.at(
-        -(obstruction.first_gap_m + 0.5 * wall.length_m), _vut_side(vut_line, vru_line) * beside_m
-    )
-    pose = Pose(position_m=np.append(middle, 0.0), yaw_deg=vru_line.yaw_deg)
-    return (PlacedActor(actor=wall, pose=pose),)
-
-
-def _vut_side(vut_line: Line, vru_line: Line) -> float:
-    """+1 if the VUT comes from the left of the VRU's way, -1 from its right."""
-    return -float(np.sign(vru_line.left @ vut_line.direction))
-
-
-@cache
-def _build_wall(length_m: float, thickness_m: float, height_m: float) -> Actor:
-    corners = np.array(
-        [
-            [x * length_m, y * thickness_m, z * height_m]
-            for z in (0.0, 1.0)
-            for y in (-0.5, 0.5)
-            for x in (-0.5, 0.5)
-        ]
-    )
-    return Actor(
-        name=f"wall {length_m:g} x {thickness_m:g} x {height_m:g} m",
-        class_name="wall",
-        length_m=length_m,
-        width_m=thickness_m,
-        height_m=height_m,
-        shapes=(Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),),
-        cycle_m=0.0,
-        reference_ahead_m=0.0,
-        wheelbase_m=0.0,
-        front_axle_ahead_m=0.0,
-    )
-
-
 # ---------- stagings in a mirror, for traffic that keeps left
 
 
@@ -323,6 +241,9 @@ def mirror_staging(staging: Staging) -> Staging:
             vru_motion=_mirror_motion(encounter.vru_motion),
         ),
         obstruction=tuple(_mirror_placed(placed) for placed in staging.obstruction),
+        aside=staging.aside * _NORTH_TO_SOUTH,
+        back=staging.back * _NORTH_TO_SOUTH,
+        max_aside_m=staging.max_aside_m,
     )
 
 

@@ -113,18 +113,20 @@ class Turn:
     def turned_by(self, angle_deg: float) -> "Turn":
         """The same turn with another arc, for lanes that meet at another angle.
 
+        Where the clothoids alone would turn further, they are shorter and there is no arc.
+
         Raises
         ------
         InputError
-            The clothoids alone turn further, or the angle is not less than 180 degrees.
+            The angle is not between 0 and 180 degrees.
         """
+        if not 0.0 < angle_deg < 180.0:
+            raise InputError("angle_deg", angle_deg, "0 < degrees < 180")
         arc_deg = angle_deg - 2.0 * self.clothoid_deg
         if abs(arc_deg) < _ANGLE_TOLERANCE_DEG:
             arc_deg = 0.0
-        if not 0.0 <= arc_deg < 180.0 - 2.0 * self.clothoid_deg:
-            raise InputError(
-                "angle_deg", angle_deg, f"{2.0 * self.clothoid_deg:g} <= degrees < 180"
-            )
+        if arc_deg < 0.0:
+            return replace(self, clothoid_deg=0.5 * angle_deg, arc_deg=0.0)
         return replace(self, arc_deg=arc_deg)
 
     def _half_way(self) -> complex:

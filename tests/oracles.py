@@ -152,3 +152,11 @@ def separation_m(encounter, time_s):
             footprint_corners(position, yaw, length_m=body.length_m, width_m=body.width_m)
         )
     return footprint_separation(*corners)
+
+
+def distance_to_chain_m(points_m, chain_m):
+    """Distance of points (n, 2) to the nearest side of an open chain of points, (n,)."""
+    starts, sides = chain_m[:-1], np.diff(chain_m, axis=0)
+    offset = points_m[:, None] - starts
+    share = np.clip((offset * sides).sum(axis=-1) / (sides**2).sum(axis=-1), 0.0, 1.0)
+    return np.hypot(*np.moveaxis(offset - share[..., None] * sides, -1, 0)).min(axis=1)

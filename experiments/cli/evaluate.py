@@ -24,7 +24,7 @@ from .options import (
 )
 from .recording import check_recording_options, recording_options, recording_table
 from .running import begin, command_line, load_one_layout, print_result
-from .terminal import sentences, table, wide_table
+from .terminal import driven_lines, sentences, table, wide_table
 
 if TYPE_CHECKING:
     from ..results.record import UnitRecord
@@ -182,7 +182,7 @@ def additions(result: "Result") -> list[str]:
     from ..report.refinement import refinement_sentences
     from .explanations import explanation_text, uncertainty_text
 
-    parts: list[list[str]] = []
+    parts: list[list[str]] = [driven_lines(result.driven)] if result.driven else []
     if result.front is not UNSET:
         said = sentences(*result.front.sentences, indent=2, hanging=2)
         parts.append(["What each unit buys:", *said])

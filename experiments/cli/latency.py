@@ -24,7 +24,7 @@ from .options import (
     quiet_option,
 )
 from .running import begin, load_one_layout, print_result
-from .terminal import sentences, table
+from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
     from ..results.latencies import LatencyBudgetRecord, LatencyCurveRecord, LatencyResult
@@ -131,6 +131,7 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
         for row, entry in enumerate(parties["rsu_all"].longest)
     ]
     lines = [
+        *driven_lines(summary.driven),
         *sentences(f"{summary.name} on {summary.runs} runs:"),
         *table(["APR at a latency of", *_COLUMNS.values()], at),
         "",

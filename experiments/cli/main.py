@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import time
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -18,6 +19,7 @@ from .pareto import pareto
 from .place import cli
 from .render import render
 from .retrofit import retrofit
+from .running import command_line
 from .scenarios import scenarios
 from .scene import scene
 from .sheet import sheet
@@ -25,6 +27,7 @@ from .solve import solve
 from .verify import verify
 
 _EXIT_BAD_INPUT = 2
+_EXIT_UNEXPECTED = 70  # EX_SOFTWARE of BSD's sysexits.h
 _SHELLS = ("bash", "zsh", "fish")
 _COMPLETE_VARIABLE = "_PLACE_RSUS_COMPLETE"
 
@@ -80,7 +83,10 @@ cli.add_command(help_command, "help")
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line; every problem that the user can mend is one line and exit code 2."""
+    """Run the command line; every problem that the user can mend is one line and exit code 2.
+
+    What nobody foresaw is one line, too, with exit code 70: it names a file with the whole text.
+    """
     logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
     progress = StageProgress()
     code, message = 0, ""
@@ -97,11 +103,39 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except OSError as error:  # such as a disk that is full
         where = f"{error.filename}: " if error.filename else ""
         code, message = _EXIT_BAD_INPUT, f"place-rsus: {where}{error.strerror or error}"
+    except Exception as error:
+        code, message = _EXIT_UNEXPECTED, _unexpected(error, progress)
     finally:
         progress.stop()
     if message:
         click.echo(message, err=True)
     sys.exit(code)
+
+
+def _unexpected(error: Exception, progress: StageProgress) -> str:
+    """What to say of an error that is ours, not the user's; its text is kept in a file."""
+    import platform  # these are hardly ever needed
+    import tempfile
+    import traceback
+    from importlib.metadata import version
+
+    told = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    text = "".join(traceback.format_exception(error))
+    message = f"place-rsus: unexpected error in stage '{progress.stage}': {told}; {progress.kept}"
+    report = (
+        f"place-rsus {version('place-rsus')}, Python {platform.python_version()}, "
+        f"{platform.platform()}\n{command_line()}\n\n{text}"
+    )
+    try:
+        name = time.strftime("place-rsus-error-%Y%m%d-%H%M%S-")
+        with tempfile.NamedTemporaryFile(
+            "w", prefix=name, suffix=".txt", delete=False, encoding="utf-8", errors="replace"
+        ) as file:
+            file.write(report)
+        message += f". Please report it, with {file.name}"
+    except OSError:  # the disk is full, perhaps: then the text goes to the terminal
+        message += f". Please report it:\n{report}"
+    return f"{message}\n{text}" if progress.shows_tracebacks else message
 
 
 def _mendable_errors() -> tuple[type[Exception], ...]:

@@ -294,6 +294,10 @@ def _be_verbose(context: click.Context, param: click.Parameter, is_verbose: bool
         context.obj.tell_more()
 
 
+def _show_traceback(context: click.Context, param: click.Parameter, is_shown: bool) -> None:
+    context.obj.shows_tracebacks |= is_shown
+
+
 json_option = option(
     "--json",
     "as_json",
@@ -310,12 +314,23 @@ _verbose_option = option(
     is_common=False,
     help="Also tell sizes, bounds, files that are read, and seconds per stage.",
 )
-_quiet_option = option("--quiet", is_flag=True, section=PROGRAM, help="No progress on stderr.")
+_debug_option = option(
+    "--debug",
+    is_flag=True,
+    expose_value=False,
+    callback=_show_traceback,
+    section=PROGRAM,
+    is_common=False,
+    help="Show the full text of an unexpected error.",
+)
+_quiet_option = option(
+    "--quiet", is_flag=True, section=PROGRAM, help="Nothing but errors on stderr."
+)
 
 
 def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
-    """How much is told on stderr: ``--quiet``, which the command gets, and ``--verbose``."""
-    return _quiet_option(_verbose_option(command))
+    """How much is told on stderr: ``--quiet`` (the command gets it), ``--verbose``, ``--debug``."""
+    return _quiet_option(_verbose_option(_debug_option(command)))
 
 
 _workers_option = option(

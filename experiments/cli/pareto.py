@@ -21,10 +21,10 @@ from .options import (
     quiet_option,
 )
 from .running import begin, command_line, print_result
-from .terminal import sentences, table
+from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
-    from ..results.fronts import FrontPointRecord, FrontRecord
+    from ..results.fronts import FrontPointRecord, FrontResult
 
 _TIME_LIMIT_S = 60.0
 FRONT_SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
@@ -119,7 +119,7 @@ _NOTES = {
 _NOTES["cost", True] = _NOTES["units", True]
 
 
-def front_text(summary: "FrontRecord", out: Path | None) -> str:
+def front_text(summary: "FrontResult", out: Path | None) -> str:
     """A front: a row per layout, and what each unit, or more money, buys."""
     by, is_all = summary.by, summary.optimised == "all"
     star = "" if is_all else "*"
@@ -139,6 +139,7 @@ def front_text(summary: "FrontRecord", out: Path | None) -> str:
     heads = ["units", "APR", "one fails", "smallest" + star, "mean" + star, eur, "proof"]
     buys = "money buys" if by == "cost" else "units buy"
     lines = [
+        *driven_lines(summary.driven),
         *sentences(
             f"The best of {summary.candidates} poses on {summary.runs} runs (fusion "
             f"{summary.fusion}), and what more {buys}:"

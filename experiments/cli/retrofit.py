@@ -24,7 +24,7 @@ from .options import (
 )
 from .pareto import FRONT_SOUGHT
 from .running import begin, command_line, load_one_layout, print_result
-from .terminal import sentences, table
+from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
     from ..results.retrofits import ChangeRecord, RetrofitResult, RetrofitValueRecord
@@ -113,6 +113,7 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
         for change in known:
             rows += _change_rows(change)
     lines = [
+        *driven_lines(summary.driven),
         *sentences(
             f"What to change about {summary.name} "
             f"({several(len(summary.layout), 'unit', 'units')}) on {summary.runs} runs, on "

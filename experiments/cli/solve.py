@@ -70,8 +70,8 @@ Examples:
     default="auto",
     show_default=True,
     metavar="NAME",
-    help="auto: exact search for a few columns, else HiGHS; greedy: no proof; or a solver that "
-    "cvxpy finds: HIGHS, SCIPY, SCIP, CBC, GLPK_MI, GUROBI.",
+    help="auto: exact search for a few columns, else HiGHS, with a local search beside it where "
+    "all is to be covered; greedy: local search alone, no proof; HIGHS: that solver alone.",
 )
 @option(
     "--time-limit",
@@ -94,11 +94,12 @@ Examples:
 @option(
     "--format",
     "format_name",
-    type=click.Choice(("auto", "npz", "orlib", "gecco")),
+    type=click.Choice(("auto", "npz", "orlib", "gecco", "rail", "sts")),
     default="auto",
     show_default=True,
-    help="npz: this program's own; orlib: OR-Library's set covering; gecco: the camera placement "
-    "competition of GECCO 2020; auto: told from the content.",
+    help="npz: this program's own; orlib: OR-Library's set covering, by rows; rail: its railway "
+    "instances, by columns; gecco: the camera placement competition of GECCO 2020; sts: Steiner "
+    "triples; auto: told from the content.",
 )
 @option(
     "--out",
@@ -129,12 +130,12 @@ def solve(
     Placement problems (instance.npz of a result folder) are solved as they were asked, unless
     --budget, --budget-cost or --target asks something else.
 
-    Chosen columns are numbered as in the file: from 1 in OR-Library's, else from 0; --json says
-    so in numbered_from.
+    Chosen columns are numbered as in the file: from 1 in OR-Library's and Steiner triples, else
+    from 0; --json says so in numbered_from.
     """
     _check_one_question()
     progress.start(quiet=quiet)
-    from placement.optimiser.covering.instance import instance_kind
+    from placement.optimiser.covering.files import instance_kind
     from placement.verification.certificates import KIND
 
     from ..jobs import solve

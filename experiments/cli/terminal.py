@@ -7,6 +7,7 @@ from io import StringIO
 WIDTH = 80
 """Columns of a terminal; nothing is wider."""
 _GAP = 2
+_MOST_REASONS = 5
 _HEAD_WIDTHS, _WIDEST_WORD = (12, 10, 8), 20
 
 
@@ -31,6 +32,14 @@ def sentences(*texts: str, indent: int = 0, hanging: int = 0, head: str = "") ->
             break_on_hyphens=False,
         )
     ]
+
+
+def driven_lines(driven: Sequence[str]) -> list[str]:
+    """What is driven of what is possible, first of all; below it the reasons of most runs."""
+    lines = sentences(*driven[:1])
+    lines += sentences(*driven[1 : 1 + _MOST_REASONS], indent=2, hanging=2)
+    n_left = len(driven) - 1 - _MOST_REASONS
+    return lines + ([f"  and {n_left} more reasons in the report's list"] if n_left > 0 else [])
 
 
 def table(

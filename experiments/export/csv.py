@@ -3,6 +3,7 @@
 from geometry.scene import Scene
 from placement.layout import Layout
 
+from ..results.csv_text import csv_text
 from .formats import ExportFormat
 from .places import placed_records
 
@@ -12,8 +13,7 @@ def to_csv(layout: Layout, scene: Scene | None = None) -> str:
     import pandas as pd  # takes longer to load than all other formats
 
     records = placed_records(layout, scene)
-    text: str = pd.DataFrame(records).to_csv(index=False, lineterminator="\n")
-    return text
+    return csv_text(pd.DataFrame(records))
 
 
 FORMAT = ExportFormat(write=to_csv, content="a row per unit; spreadsheets, pandas")

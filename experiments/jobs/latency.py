@@ -26,6 +26,7 @@ from placement.setting import build_setting
 from ..figures.axes import to_png
 from ..figures.latency import plot_latency
 from ..progress import WRITING, StageProgress
+from ..results.csv_text import csv_text
 from ..results.drives import build_drives_record, versions
 from ..results.folders import check_folder, write_files
 from ..results.latencies import (
@@ -111,7 +112,7 @@ def run_latency(
     if out is not None:
         progress(WRITING, 0, 0)
         axes, _ = plot_latency(curves, chosen, max_latency_s=shown_s)
-        csv = latency_table(curves, max_latency_s=shown_s).to_csv(index=False, lineterminator="\n")
+        csv = csv_text(latency_table(curves, max_latency_s=shown_s))
         write_files(out, {CSV_NAME: csv.encode(), PNG_NAME: to_png(axes)})
         progress.kept = f"the results are in {out}"
     return replace_fields(result, seconds=progress.finish())

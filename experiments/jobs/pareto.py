@@ -25,6 +25,7 @@ from ..figures.axes import to_png
 from ..figures.front import plot_front
 from ..progress import WRITING, StageProgress
 from ..report.front import describe_money, describe_units
+from ..results.csv_text import csv_text
 from ..results.drives import build_drives_record, versions
 from ..results.folders import check_folder, write_files
 from ..results.fronts import FrontRecord, FrontResult, build_front_record
@@ -108,7 +109,7 @@ def run_pareto(
     if out is None:
         return replace_fields(result, seconds=progress.finish())
     progress(WRITING, 0, 0)
-    csv = front_table(front, plan.candidates).to_csv(index=False, lineterminator="\n")
+    csv = csv_text(front_table(front, plan.candidates))
     png = to_png(plot_front(front))
     result = replace_fields(result, seconds=progress.finish())
     json = to_json_text(result)

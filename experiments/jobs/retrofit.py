@@ -29,6 +29,7 @@ from placement.wishes import build_problem
 
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
+from ..results.csv_text import csv_text
 from ..results.drives import build_drives_record, versions
 from ..results.folders import check_folder, write_files
 from ..results.numbers import percent
@@ -249,7 +250,7 @@ def run_retrofit(
     if out is None:
         return replace_fields(result, seconds=progress.finish())
     progress(WRITING, 0, 0)
-    csv = retrofit_table(result).to_csv(index=False, lineterminator="\n")
+    csv = csv_text(retrofit_table(result))
     result = replace_fields(result, seconds=progress.finish())
     json = to_json_text(result)
     write_files(out, {CSV_NAME: csv.encode(), JSON_NAME: json.encode()})

@@ -16,7 +16,7 @@ from placement.optimiser import (
     cost_eur,
     solve_placement,
 )
-from placement.optimiser.covering.instance import load_instance, save_instance
+from placement.optimiser.covering.files import load_instance, save_instance
 from placement.optimiser.covering.solve import (
     check_solver,
     solve_lscp,

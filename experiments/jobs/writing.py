@@ -1,12 +1,15 @@
 """What a command writes into a folder of results: layout, certificate, tables, report."""
 
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 from matplotlib.axes import Axes
 
+from geometry.errors import InputError, Unquoted
 from placement.evaluation import Evaluation
 from placement.layout import layout_records
 from placement.pipeline import Placement
@@ -20,6 +23,7 @@ from ..progress import WRITING, StageProgress
 from ..report import bill_of_materials
 from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from ..report.page import write_report
+from ..results.csv_text import csv_text
 from ..results.folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE, new_result_folder
 from ..results.result import Result
 from ..results.tables import apr_table, runs_table
@@ -62,16 +66,22 @@ def write_results(
 
     Raises
     ------
-    OSError
-        Something cannot be written.
+    InputError
+        Something cannot be written: names the folder where the answer is kept all the same.
     """
     progress(WRITING, 0, 0)
     result = msgspec.structs.replace(result, seconds=progress.seconds.copy())
     subject = next(iter(evaluations.values()))
-    with new_result_folder(folder) as new:
-        layout = replace(subject.layout, scene_name=setting.scene.name)
-        _write_text(new / LAYOUT_FILE, to_json(layout))
-        _write_text(new / "layout.csv", to_csv(layout, setting.scene))
+    layout = replace(subject.layout, scene_name=setting.scene.name)
+    # The answer comes first: it is kept if anything that follows cannot be written.
+    answer = {
+        LAYOUT_FILE: to_json(layout),
+        "layout.csv": to_csv(layout, setting.scene),
+        MARKER: to_json_text(result),
+    }
+    with _kept_elsewhere(folder, answer), new_result_folder(folder) as new:
+        for name, text in answer.items():
+            _write_text(new / name, text)
         if setting.scene.crs:  # else nobody knows where on earth it lies
             geojson = to_geojson(layout, setting.scene.crs, setting.scene)
             _write_text(new / "layout.geojson", geojson)
@@ -88,7 +98,7 @@ def write_results(
             save_certificate(new, document, placement.problem)
         bill = bill or build_bill(layout, setting.scene)
         _write_text(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
-        apr_table(evaluations).to_csv(new / APR_FILE, index=False)
+        _write_text(new / APR_FILE, csv_text(apr_table(evaluations)))
         runs_table(evaluations).to_parquet(new / RUNS_FILE)
         write_report(
             new,
@@ -103,6 +113,22 @@ def write_results(
         _write_text(new / MARKER, to_json_text(result))
     progress.kept = f"the results are in {folder}"
     return result
+
+
+@contextmanager
+def _kept_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
+    """Keep the answer among the system's temporary files if its folder cannot take even that."""
+    try:
+        yield
+    except OSError as error:
+        kept = Path(tempfile.mkdtemp(prefix="place-rsus-kept-"))
+        for name, text in answer.items():
+            _write_text(kept / name, text)
+        raise InputError(
+            "--out",
+            Unquoted(f"{folder}: {error.strerror or error}"),
+            f"a folder that can be written to; layout and numbers are kept in {kept}",
+        ) from error
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -60,6 +60,7 @@ def answer(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
             *failed,
         ]
     return [
+        *result.driven[:1],
         *(f"{sentence}." for sentence in sentences if sentence),
         *private_ground_sentences(result),
         *(refinement_sentences(result.refinement) if result.refinement else []),

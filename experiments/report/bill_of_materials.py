@@ -10,6 +10,7 @@ from geometry.catalogue import sensor_kind
 from geometry.scene import Scene
 from placement.layout import Layout
 
+from ..results.csv_text import safe_cell
 from ..results.numbers import several
 from .section import Block, Bullets, Section, Table
 
@@ -157,7 +158,7 @@ def bill_of_materials_csv(bill: BillOfMaterials) -> str:
         writer.writerow(
             [
                 item.part,
-                item.name,
+                safe_cell(item.name),
                 item.kind,
                 item.n_units,
                 item.count,

@@ -1,12 +1,15 @@
 """What a result was found on: cases, weathers, perception, refusals, and versions of programs."""
 
 import platform
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from typing import Annotated
 
 from geometry.raycast import caster_name
 from placement.setting import Setting
+from scenarios.runs import Refusal
 
+from .numbers import count_runs, joined
 from .record import Record, Share, says
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
@@ -20,6 +23,13 @@ class RefusalRecord(Record, frozen=True, kw_only=True):
     approach: Annotated[str, says("Arm from which the vehicle would come.")]
     speeds_kmh: Annotated[tuple[float, ...], says("Speeds of the vehicle, in km/h.")]
     reason: Annotated[str, says("Why, in words.")]
+    is_possible: Annotated[
+        bool,
+        says(
+            "The junction has the roads, and the case the speeds: what is missing is room. Only "
+            "such runs count as possible."
+        ),
+    ] = True
 
 
 class DrivesRecord(Record, frozen=True, kw_only=True):
@@ -32,6 +42,8 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
     packet_loss: Share
     vam_rate: Share
     not_driven: tuple[RefusalRecord, ...]
+    possible_runs: int
+    driven: tuple[str, ...]
 
 
 def build_drives_record(setting: Setting) -> DrivesRecord:
@@ -49,10 +61,101 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
                 approach=refusal.approach,
                 speeds_kmh=tuple(refusal.speeds_kmh),
                 reason=refusal.reason,
+                is_possible=refusal.is_possible,
             )
             for refusal in setting.refusals
         ),
+        possible_runs=_count_possible(setting),
+        driven=tuple(describe_driven(setting)),
     )
+
+
+# ---------- how much of what is possible was driven, in words
+
+
+_MOST_GAPS = 6  # that the first sentence names
+
+
+def describe_driven(setting: Setting) -> list[str]:
+    """How many of the possible runs are driven, what is missing, and why: a line per reason.
+
+    Nothing where everything that was asked for is driven.
+    """
+    if not setting.refusals:
+        return []
+    n_runs, n_possible = setting.axis.n_runs, _count_possible(setting)
+    gaps = list(_gaps(setting))
+    said = "; ".join(gaps[:_MOST_GAPS])
+    if len(gaps) > _MOST_GAPS:
+        said += f"; {len(gaps) - _MOST_GAPS} more below"
+    first = (
+        f"All {n_runs} possible runs are driven"
+        if n_runs == n_possible
+        else f"{n_runs} of {n_possible} possible runs could be driven"
+    )
+    return [f"{first}: {said}." if said else f"{first}.", *_reasons(setting)]
+
+
+def _count_possible(setting: Setting) -> int:
+    """Runs that are driven, or would be if there were room."""
+    refused = sum(len(one.speeds_kmh) for one in setting.refusals if one.is_possible)
+    return setting.axis.n_runs + refused * _n_weathers(setting)
+
+
+def _n_weathers(setting: Setting) -> int:
+    return len(set(setting.axis.weathers))
+
+
+def _gaps(setting: Setting) -> Iterator[str]:
+    """Cases that are not driven at all or not from everywhere: the widest gaps first."""
+    driven = dict.fromkeys((run.case.name, run.approach) for run in setting.runs)
+    for_speed = {run.case.name for run in setting.runs}
+    missing: dict[tuple[str, str], Refusal] = {
+        (one.case.name, one.approach): one
+        for one in setting.refusals
+        if (one.case.name, one.approach) not in driven
+    }
+    nowhere = [name for name, _ in missing if name not in for_speed]
+    if nowhere:
+        yield f"no {joined(list(dict.fromkeys(nowhere)))} at all"
+    left = {
+        pair: one for pair, one in missing.items() if pair[0] not in nowhere and one.is_possible
+    }
+    from_arms = {arm for _, arm in driven}
+    silent = dict.fromkeys(arm for _, arm in left if arm not in from_arms)
+    if silent:
+        yield f"nothing from the {joined(list(silent))}"
+    kinds = {run.case.name: run.case.vru.class_name for run in setting.runs}
+    told: dict[str, list[str]] = {}
+    for name, arm in left:
+        if arm in silent:
+            continue
+        kind = kinds[name]
+        has_kind = any(kinds[other] == kind for other, from_arm in driven if from_arm == arm)
+        told.setdefault(f"no {name}" if has_kind else f"no {kind} case", []).append(arm)
+    for what in sorted(told, key=lambda text: not text.endswith(" case")):
+        yield f"{what} from the {joined(list(dict.fromkeys(told[what])))}"
+
+
+def _reasons(setting: Setting) -> Iterator[str]:
+    """A line per reason, that of most runs first."""
+    groups: dict[str, list[Refusal]] = {}
+    for one in setting.refusals:
+        groups.setdefault(one.reason, []).append(one)
+
+    def count(group: Sequence[Refusal]) -> int:
+        return sum(len(one.speeds_kmh) for one in group) * _n_weathers(setting)
+
+    for reason, group in sorted(groups.items(), key=lambda item: -count(item[1])):
+        arms: dict[str, list[str]] = {}
+        for one in group:
+            arms.setdefault(one.case.name, []).append(one.approach)
+        cases: dict[str, list[str]] = {}
+        for name, found in arms.items():
+            cases.setdefault(joined(list(dict.fromkeys(found))), []).append(name)
+        where = "; ".join(f"{joined(names)} from the {found}" for found, names in cases.items())
+        what = count_runs(count(group)) if group[0].is_possible else "Not possible"
+        yield f"{what}: {reason.removesuffix('.')} ({where})."
 
 
 def versions() -> dict[str, str]:

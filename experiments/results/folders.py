@@ -1,16 +1,25 @@
-"""Folders of results: named files, replaced as a whole or left as they were; files added whole."""
+"""A folder of results: written as a whole or not at all, and replaced only if nobody changed it.
 
+``SHA256SUMS`` in the folder lists its files with their hashes, so that ``sha256sum -c SHA256SUMS``
+checks it anywhere. A folder is replaced only if it holds the listed files, unchanged, and nothing
+else: what users put there, or changed there, is theirs.
+"""
+
+import ctypes
+import errno
+import hashlib
+import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from fnmatch import fnmatch
 from pathlib import Path
 from typing import BinaryIO
 from uuid import uuid4
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
+from geometry.files import is_abandoned, lock_while_alive, write_atomically
 
 from ..progress import signals_held
 
@@ -18,25 +27,90 @@ MARKER = "summary.json"
 LAYOUT_FILE = "layout.json"
 RUNS_FILE = "runs.parquet"
 APR_FILE = "apr.csv"
+MANIFEST = "SHA256SUMS"
 
-# ---------- a folder that is replaced as a whole, or left as it was
-
-
-# MARKER marks a folder as one of ours: only such folders are ever replaced.
-_OURS = (
-    MARKER,
-    "report.html",
-    "layout.*",
-    "latency.csv",
-    "certificate.json",
-    "instance.npz",
-    "apr.csv",
-    "bill_of_materials.csv",
-    "runs.parquet",
-    "*.png",
-    ".DS_Store",
-)
 _PREFIX = ".place-rsus."
+_OF_FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # they come by themselves
+_CHUNK_BYTES = 1 << 20
+
+
+# ---------- the files that belong to a result
+
+
+def write_manifest(folder: Path) -> None:
+    """List all files of a folder with their hashes in its ``SHA256SUMS``."""
+    lines = [f"{sha256(path)}  {name}\n" for name, path in _files(folder).items()]
+    (folder / MANIFEST).write_text("".join(lines), encoding="utf-8")
+
+
+def read_manifest(folder: Path) -> dict[str, str]:
+    """Hashes by file name, as ``SHA256SUMS`` lists them; nothing where there is no such file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is not a list of hashes and names.
+    """
+    path = folder / MANIFEST
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        return {}
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(
+            str(path), Unquoted(reason), "a list of SHA-256 hashes and names"
+        ) from None
+    hashes = {}
+    for number, line in enumerate(lines, start=1):
+        digest, gap, name = line.partition("  ")
+        if not gap or not name or len(digest) != 64 or set(digest) - set("0123456789abcdef"):
+            raise InputError(f"{path}: line {number}", line, "a SHA-256 hash, two spaces, a name")
+        hashes[name] = digest
+    return hashes
+
+
+def changed_files(folder: Path) -> dict[str, str]:
+    """What is not as ``SHA256SUMS`` lists it: "missing", "changed" or "not listed", by file name.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_manifest`; or a file cannot be read.
+    """
+    listed, found = read_manifest(folder), _files(folder)
+    changes = {name: "missing" for name in listed if name not in found}
+    for name, path in found.items():
+        if name not in listed:
+            changes[name] = "not listed"
+        elif sha256(path) != listed[name]:
+            changes[name] = "changed"
+    return changes
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file's content, in hexadecimal digits."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while chunk := file.read(_CHUNK_BYTES):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def _files(folder: Path) -> dict[str, Path]:
+    """What a folder and those below it hold, by relative name; empty folders count as well."""
+    return {
+        path.relative_to(folder).as_posix(): path
+        for path in sorted(folder.rglob("*"))
+        if path.name not in {MANIFEST, *_OF_FILE_MANAGERS} and not _is_filled_folder(path)
+    }
+
+
+def _is_filled_folder(path: Path) -> bool:
+    return path.is_dir() and not path.is_symlink() and any(path.iterdir())
+
+
+# ---------- replaced as a whole, or left as it was
 
 
 def check_result_folder(folder: Path) -> None:
@@ -45,20 +119,21 @@ def check_result_folder(folder: Path) -> None:
     Parameters
     ----------
     folder : Path
-        New, empty, or an earlier result: ``summary.json`` and nothing that others wrote.
+        New, empty, or an earlier result as it was written.
 
     Raises
     ------
     InputError
         It is a file, holds other things, or cannot be replaced or written to.
     """
+    _check_name(folder)
     try:
         real = folder.resolve()
         real.stat()
     except FileNotFoundError:
         pass
     except (OSError, RuntimeError) as error:  # a circle of links is a RuntimeError
-        raise _unwritable(folder, error) from None
+        raise unwritable(folder, error) from None
     else:
         _check_existing(folder, real)
     parent = real.parent
@@ -69,7 +144,7 @@ def check_result_folder(folder: Path) -> None:
         with signals_held():
             Path(tempfile.mkdtemp(prefix=_PREFIX, dir=parent)).rmdir()
     except OSError as error:
-        raise _unwritable(folder, error) from None
+        raise unwritable(folder, error) from None
 
 
 @contextmanager
@@ -84,22 +159,36 @@ def new_result_folder(folder: Path) -> Iterator[Path]:
     Yields
     ------
     temporary : Path
-        Write here. If the block raises, `folder` stays as it was and nothing else is left.
+        Write here. If the block raises, `folder` stays as it was. What was written so far is kept
+        beside it if ``summary.json`` is among it, unless the user ends the program.
 
     Raises
     ------
     InputError
-        As :func:`check_result_folder`: much may have changed since the results were asked for.
+        As :func:`check_result_folder`: much may have changed since the results were asked for. Or
+        writing failed: names the folder in which the results are kept.
     """
     check_result_folder(folder)
     real = folder.resolve()
+    remove_abandoned(real.parent)
     made = [parent for parent in real.parents if not parent.exists()]
     temporary = real.with_name(f"{_PREFIX}{uuid4().hex}.tmp")
     try:
         temporary.mkdir(parents=True)
-        yield temporary
-        _put_in_place(temporary, real)
-    except BaseException:
+        with lock_while_alive(temporary):
+            yield temporary
+            write_manifest(temporary)
+            _put_in_place(temporary, folder, real)
+    except BaseException as error:
+        if isinstance(error, Exception) and (temporary / MARKER).exists():
+            kept = _free_name(real, "unfinished")
+            temporary.rename(kept)
+            reason = _reason(error)
+            raise InputError(
+                "--out",
+                Unquoted(f"{folder}: {reason}"),
+                f"a folder that can be written to; what was computed is kept in {kept}",
+            ) from error
         shutil.rmtree(temporary, ignore_errors=True)
         with suppress(OSError):
             for parent in made:
@@ -107,19 +196,35 @@ def new_result_folder(folder: Path) -> Iterator[Path]:
         raise
 
 
+def _check_name(folder: Path) -> None:
+    """Raise InputError for a name that reports and JSON cannot repeat."""
+    try:
+        str(folder).encode("utf-8")
+    except UnicodeEncodeError:
+        shown = os.fsencode(folder).decode("utf-8", "backslashreplace")
+        raise InputError("--out", shown, "a name in UTF-8") from None
+
+
 def _check_existing(folder: Path, real: Path) -> None:
     if not real.is_dir():
         raise InputError("--out", str(folder), "a folder, not a file")
     try:
-        names = sorted(entry.name for entry in real.iterdir())
+        is_empty = not any(real.iterdir())
+        changes = {} if is_empty else changed_files(real)
+        has_manifest = (real / MANIFEST).exists()
     except OSError as error:
-        raise _unwritable(folder, error) from None
-    foreign = [name for name in names if not any(fnmatch(name, ours) for ours in _OURS)]
-    if foreign or (names and MARKER not in names):
-        what = foreign[0] if foreign else f"{names[0]} but no {MARKER}"
+        raise unwritable(folder, error) from None
+    theirs = {name: change for name, change in changes.items() if change != "missing"}
+    if theirs:
+        name, change = next(iter(theirs.items()))
+        what = f"holds {name}"
+        if not has_manifest:
+            what += f" but no {MANIFEST}"
+        elif change == "changed":
+            what += ", changed since it was written"
         raise InputError(
             "--out",
-            Unquoted(f"{folder}, which holds {what}"),
+            Unquoted(f"{folder}, which {what}"),
             "a new or empty folder, or one with earlier results and nothing else",
         )
     if real.is_mount() or Path.cwd().is_relative_to(real):
@@ -131,26 +236,62 @@ def _check_existing(folder: Path, real: Path) -> None:
         )
 
 
-def _put_in_place(temporary: Path, folder: Path) -> None:
-    """Exchange a folder for a new one; nothing comes between the steps."""
-    replaced = temporary.with_suffix(".old")
+def _put_in_place(temporary: Path, folder: Path, real: Path) -> None:
+    """Put a filled folder where it belongs, in one step, and remove what stood there."""
     with signals_held() as held:
-        is_replaced = folder.exists()
-        if is_replaced:
-            folder.rename(replaced)
-        try:
-            temporary.rename(folder)
-        except OSError:
-            if is_replaced:
-                replaced.rename(folder)
-            raise
-        shutil.rmtree(replaced, ignore_errors=True)
+        if not real.exists():
+            temporary.rename(real)
+        else:
+            _check_existing(folder, real)  # files may have come, or changed, meanwhile
+            for path in [path for path in real.rglob("*") if path.name in _OF_FILE_MANAGERS]:
+                path.unlink()
+            replaced = temporary
+            if not _exchange(temporary, real):
+                replaced = _free_name(real, "earlier")
+                real.rename(replaced)  # in sight: the program may be killed before the next line
+                try:
+                    temporary.rename(real)
+                except OSError:
+                    replaced.rename(real)
+                    raise
+            shutil.rmtree(replaced, ignore_errors=True)
         held.clear()  # too late: all is there
 
 
-def _unwritable(folder: Path, error: Exception) -> InputError:
-    reason = getattr(error, "strerror", None) or "a circle of links"
-    return InputError("--out", Unquoted(f"{folder}: {reason}"), "a folder that can be written to")
+def _exchange(first: Path, second: Path) -> bool:
+    """Exchange the names of two folders in one step; False where the system cannot."""
+    if sys.platform == "win32":
+        return False
+    libc = ctypes.CDLL(None, use_errno=True)
+    names = os.fsencode(first), os.fsencode(second)
+    if hasattr(libc, "renameat2"):  # Linux
+        at_cwd, swap = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of <fcntl.h> and <linux/fs.h>
+        failed = libc.renameat2(at_cwd, names[0], at_cwd, names[1], swap)
+    elif hasattr(libc, "renamex_np"):  # macOS
+        swap = 2  # RENAME_SWAP of <sys/stdio.h>
+        failed = libc.renamex_np(names[0], names[1], swap)
+    else:
+        return False
+    code = ctypes.get_errno()
+    if failed and code not in (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP):
+        raise OSError(code, os.strerror(code), str(second))
+    return not failed
+
+
+def _free_name(folder: Path, word: str) -> Path:
+    """A name beside a folder that nothing has yet: ``latest.unfinished``."""
+    stem = folder.name[:200]  # names have 255 bytes at most
+    names = [f"{stem}.{word}", *(f"{stem}.{word}-{number}" for number in range(2, 1000))]
+    return next(path for name in names if not (path := folder.with_name(name)).exists())
+
+
+def remove_abandoned(parent: Path) -> None:
+    """Remove the temporary folders that a killed run left; never those of one that is alive."""
+    if not parent.is_dir():
+        return
+    for path in parent.glob(f"{_PREFIX}*"):
+        if path.is_dir() and not path.is_symlink() and is_abandoned(path):
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def left_as_it_was(folder: Path) -> str:
@@ -158,6 +299,20 @@ def left_as_it_was(folder: Path) -> str:
     if (folder / MARKER).exists():
         return f"the earlier results in {folder} are unchanged"
     return f"nothing was written to {folder}"
+
+
+def unwritable(folder: Path, error: Exception) -> InputError:
+    """The error of an ``--out`` that cannot be written."""
+    return InputError(
+        "--out", Unquoted(f"{folder}: {_reason(error)}"), "a folder that can be written to"
+    )
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, RuntimeError) and "loop" in str(error).lower():
+        return "a circle of links"
+    reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+    return " ".join(str(reason).split())
 
 
 # ---------- files that a command adds to a folder; what else the folder holds stays
@@ -171,14 +326,15 @@ def check_folder(folder: Path) -> None:
     InputError
         It cannot be written to.
     """
+    _check_name(folder)
     existing = folder
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
     try:
-        with tempfile.TemporaryDirectory(prefix=".place-rsus.", dir=existing):
+        with tempfile.TemporaryDirectory(prefix=_PREFIX, dir=existing):
             pass
     except OSError as error:
-        raise _unwritable_folder_files(folder, error) from None
+        raise unwritable(folder, error) from None
 
 
 def write_files(folder: Path, contents: Mapping[str, bytes]) -> None:
@@ -194,13 +350,8 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> None:
         for name, content in contents.items():
             write_atomically(folder / name, _writer(content))
     except OSError as error:
-        raise _unwritable_folder_files(folder, error) from None
+        raise unwritable(folder, error) from None
 
 
 def _writer(content: bytes) -> Callable[[BinaryIO], object]:
     return lambda file: file.write(content)
-
-
-def _unwritable_folder_files(folder: Path, error: OSError) -> InputError:
-    what = Unquoted(f"{folder}: {error.strerror or error}")
-    return InputError("--out", what, "a folder that can be written to")

@@ -212,5 +212,7 @@ class FrontResult(FrontRecord, frozen=True, kw_only=True):
     packet_loss: Share
     vam_rate: Share
     not_driven: tuple[RefusalRecord, ...]
+    possible_runs: int
+    driven: tuple[str, ...]
     seconds: dict[str, float]
     versions: dict[str, str]

@@ -75,6 +75,8 @@ class LatencyResult(Record, frozen=True, kw_only=True):
     packet_loss: float
     vam_rate: float
     not_driven: tuple[RefusalRecord, ...]
+    possible_runs: int
+    driven: tuple[str, ...]
     seconds: dict[str, float]
     versions: dict[str, str]
 

@@ -16,6 +16,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import read_table
 from placement.layout import RESULT_SCHEMA, Layout, load_layout
 
+from .csv_text import plain_cell
 from .folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE
 from .result import Result
 
@@ -181,6 +182,7 @@ def _load_apr(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
     except ValueError as error:  # no table, no UTF-8
         raise InputError(str(path), Unquoted(_first_line(error)), _A_WHOLE) from None
     _check_columns(apr, _APR_COLUMNS, path)
+    apr[text] = apr[text].map(plain_cell)
     # Groups of runs are the same for every party: a file that is cut off has fewer for the last.
     n_rows = apr.groupby(["layout", "party"]).size()
     if set(n_rows.index) != set(runs.groupby(["layout", "party"]).groups) or n_rows.nunique() != 1:

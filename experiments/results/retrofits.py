@@ -80,6 +80,8 @@ class RetrofitResult(Record, frozen=True, kw_only=True):
     packet_loss: float
     vam_rate: float
     not_driven: tuple[RefusalRecord, ...]
+    possible_runs: int
+    driven: tuple[str, ...]
     sentences: tuple[str, ...]
     seconds: dict[str, float]
     versions: dict[str, str]

@@ -245,7 +245,7 @@ def _best(
         here = f"{where}.geometry[{index}]"
         if not isinstance(geometry, Mapping):
             raise InputError(here, geometry, "a geometry")
-        kind = geometry.get("type")
+        kind = str(geometry.get("type"))
         if kind == "GeometryInstance":
             polygons, level = templates.place(geometry, vertices, here), 1.0
         elif kind in _SURFACES_AT:

@@ -20,7 +20,7 @@ _SAME_LEVEL_M = 3.0
 _AT_OUTLINE_M = 2.0  # other roads that end here would look like an arm
 _CROSSWALK_WITHIN_M = 25.0
 _LOWEST_M = 0.2  # lower things hide nobody
-_DRIVEN = ("driving", "parking")
+_KEPT = ("driving", "parking", "cycling")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -28,7 +28,7 @@ class Surroundings:
     """What lies around a junction, in the scene's own frame, before sites are chosen."""
 
     frame: LocalFrame  # the middle of the junction is near its origin
-    lanes: tuple[Lane, ...]  # driving and parking lanes
+    lanes: tuple[Lane, ...]  # to drive, park and cycle on
     outline_m: FloatArray  # (n, 2) of the junction's road surface
     crosswalks_m: FloatArray  # (n, 2, 2), those of its arms
     things: tuple[Thing, ...]  # z counts from the road; ids are unique
@@ -146,7 +146,7 @@ def _lanes(
     reach_m: float,
 ) -> Iterator[Lane]:
     for lane in roads.lanes:
-        if lane.kind not in _DRIVEN:
+        if lane.kind not in _KEPT:
             continue
         height = lane.centreline_m[:, 2]
         points = frame.take(lane.centreline_m[:, :2], roads)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
+from ..files import check_file
 from ..scene import Scene
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import build_scene, cut_out
@@ -79,6 +80,7 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
         raise InputError(str(path), Unquoted("no such file"), "a map file")
     if path.is_dir():
         raise InputError(str(path), Unquoted("a folder"), "a map file")
+    check_file(path)
     with ExitStack() as stack:
         inside = path
         if path.suffix.lower() == ".zip":

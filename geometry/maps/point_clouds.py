@@ -316,7 +316,7 @@ def _things(
     for kind, part in found:
         name = "building" if kind == "roofs" else kind
         if kind == "roofs" or (name == class_name == "building" and _is_roof(part, voxel_m)):
-            part = voxels.columns_to(part, _MIDDLE)
+            part = voxels.columns_to(part, _MIDDLE, scan.where)
         if kind != "vegetation":
             part = voxels.filled(part, _MIDDLE)
         names[name] += 1

@@ -12,6 +12,7 @@ from PIL import Image
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.files import check_file
 from geometry.image_boxes import clip_boxes, iou
 
 from .box_rule import load_min_iou
@@ -257,6 +258,7 @@ def _open(path: Path, threads: int) -> _Session:
             "an .onnx detector needs onnxruntime: pip install place-rsus[perception] "
             "(in a checkout: uv run --extra perception place-rsus ..)"
         ) from None
+    check_file(path)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1

@@ -15,7 +15,7 @@ from uuid import uuid4
 
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, read_table
+from geometry.files import MAX_TEXT_BYTES, check_file, load_toml, read_table
 
 VRU_CLASSES = ("pedestrian", "bicycle")
 Box = tuple[float, float, float, float]
@@ -169,6 +169,7 @@ def _once(text: str, n_fields: int) -> tuple[str, int]:
 
 
 def _read_text(path: Path) -> str:
+    check_file(path, max_bytes=MAX_TEXT_BYTES)
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:

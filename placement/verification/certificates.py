@@ -19,7 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import take, take_list, take_number, take_text, write_atomically
+from geometry.files import (
+    MAX_TEXT_BYTES,
+    check_file,
+    take,
+    take_list,
+    take_number,
+    take_text,
+    write_atomically,
+)
+from geometry.untrusted_files import MAX_UNPACKED_BYTES
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
@@ -159,6 +168,7 @@ def load_certificate(path: Path) -> StoredCertificate:
         The file cannot be read, is no certificate, or a field is missing or not of its kind.
     """
     where = str(path)
+    check_file(path, max_bytes=MAX_TEXT_BYTES)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -525,11 +535,13 @@ def _without_padding(table: DetectionTable) -> NDArray[np.uint8]:
 @contextmanager
 def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
     """An archive that says what kind it is; whatever is wrong with it is an InputError."""
+    check_file(path)
     try:
         # Not np.load(): it takes whatever is no archive for a pickle, and says so.
         with path.open("rb") as file, np.lib.npyio.NpzFile(file, allow_pickle=False) as archive:
             if "kind" not in archive.files:
                 raise InputError(f"{path}: kind", Unquoted("nothing"), f"a text such as {KIND}")
+            _check_unpacked_size(archive, path)
             yield archive
     except InputError:
         raise
@@ -538,6 +550,18 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
         raise InputError(str(path), Unquoted(reason), "a readable instance file") from None
     except Exception as error:  # what damaged archives raise has no end: zipfile's, zlib's, ..
         raise _damaged(str(path), error) from None
+
+
+def _check_unpacked_size(archive: np.lib.npyio.NpzFile, path: Path) -> None:
+    """Raise InputError if an archive holds more than memory is given to."""
+    assert archive.zip is not None  # it is open
+    n_bytes = sum(int(member.file_size) for member in archive.zip.infolist())
+    if n_bytes > MAX_UNPACKED_BYTES:
+        raise InputError(
+            str(path),
+            Unquoted(f"{n_bytes:,} bytes when unpacked"),
+            f"an instance of at most {MAX_UNPACKED_BYTES:,}",
+        )
 
 
 def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:

@@ -111,10 +111,11 @@ def test_no_page_scrolls_sideways_on_a_phone_even_if_all_is_unfolded(browser, ad
         for _ in range(2):
             assert page.evaluate("document.documentElement.scrollWidth") <= 360
             page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
-        wide = "[...document.querySelectorAll('.scroll')].filter((box) => box.scrollWidth > box.clientWidth + 1)"
+        # What is wider than the screen moves in a box of its own, which the tab key reaches. The
+        # page marks the boxes once it has laid them out: a busy machine takes a while.
+        boxes = "[...document.querySelectorAll('.scroll')]"
+        wide = f"{boxes}.filter((box) => box.scrollWidth > box.clientWidth + 1)"
         assert page.evaluate(f"{wide}.length") > 0
-        # What is wider than the screen moves in a box of its own, which the tab key reaches (the page
-        # marks the boxes when it has laid them out: a busy machine takes a while).
         page.wait_for_function(f"{wide}.every((box) => box.tabIndex === 0)", timeout=10_000)
         assert page.evaluate(
             f"{wide}.every((box) => getComputedStyle(box).overflowX === 'auto' && box.ariaLabel)"

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .instance import TOLERANCE, CoveringBudget
+from .memory import available_bytes
 
 _TRACE = 1.0e-3  # of the tolerance: what running sums may be off
 _MIN_RUINED_SHARE, _MAX_RUINED_SHARE = 0.05, 0.35
@@ -318,7 +319,10 @@ def search_best_columns(
     search = _Search(covers, weight, start, time.perf_counter() + time_limit_s, gap)
     gain = search.gain(covers)
     columns = search.worth_a_look(gain, n_units)
-    if len(columns) * max(covers.shape[1], len(columns)) > _MAX_CELLS:
+    # Dense: the matrix, the same with weights, and what all pairs share.
+    n_cells = len(columns) * max(covers.shape[1], len(columns))
+    n_bytes = 3 * n_cells * search.weight.dtype.itemsize
+    if n_cells > _MAX_CELLS or n_bytes > available_bytes():
         return None
     if len(columns) >= n_units:
         dense = covers[columns].toarray().astype(search.weight.dtype)

@@ -6,17 +6,17 @@ answer without proof, then the proof: by exact search where the budget is a few 
 mixed-integer solver, part by part where the problem falls apart. Every objective is counted on the
 full instance; a solver's word is never taken for it.
 
-In the models x_c = 1 says that column c is chosen, y_r that row r is covered. Only x has to be
-whole: for given x every y is bounded by zeros and ones alone. Constraints are single matrix
-inequalities: what cvxpy needs to state a model grows with their number, not with their rows.
+Where every row is to be covered, a local search goes on while the mixed-integer solver works. What
+it finds counts only where the time is up before there is a proof, so that proven answers are the
+same at every speed.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,7 +25,6 @@ from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError
 
 from ...layout import relative_gap
-from ..model import run_solver, solver_text
 from .instance import (
     TOLERANCE,
     CoveringBudget,
@@ -36,6 +35,8 @@ from .instance import (
     needed_weight,
     simplify_budget,
 )
+from .memory import MODEL_BYTES, available_bytes, check_fits, gib
+from .model import MilpAnswer, cover_at_least_cost, cover_most_weight, solver_text
 from .presolve import (
     CoveringPresolve,
     ReducedCovering,
@@ -43,6 +44,7 @@ from .presolve import (
     presolve_full_cover,
     presolve_weighted_cover,
 )
+from .row_weighting import SLICE, LagrangianBound, RowWeighting, lagrangian_bound
 from .search import (
     MAX_UNITS,
     SURE_UNITS,
@@ -54,9 +56,6 @@ from .search import (
     search_best_columns,
 )
 
-if TYPE_CHECKING:  # it takes two seconds to import: done where a model is stated
-    import cvxpy as cp
-
 __all__ = [
     "CoveringInstance",
     "CoveringSolution",
@@ -66,24 +65,23 @@ __all__ = [
     "solve_mclp",
 ]
 
+_log = logging.getLogger(__name__)
+
 AUTO, GREEDY, HIGHS = "auto", "greedy", "HIGHS"
 """What proves soonest; no proof; the mixed-integer solver."""
 
-_LARGEST_SUM = 1.0e6  # of an objective's coefficients: solvers' tolerances are absolute, 1e-6
 # What the exact search may take of the time before it is the solver's turn.
 _SEARCH_SHARE = 0.5
 _BRANCHED_SEARCH_S = 20.0
 _ROUNDS, _ROUNDS_WITHOUT_PROOF = 50, 400
+ROW_WEIGHTING = "row weighting"
+_LARGE = 20_000  # entries of the matrix from which on the local search comes before the solver
+_HEAD_START_S = 2.0  # of the solver, where it may be done before the compiler is loaded
+_WORK_PER_ENTRY = 2000  # of the local search where it comes first, or alone
+_BOUND_SHARE = 0.1  # of the time
+_LOOK_S = 0.05
 _SOLVER_TOLERANCE = 1.0e-6  # of proven bounds, relative
 _MIN_PART = 100  # columns: smaller independent parts are solved together
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MilpAnswer:
-    """What a solver knows when it stops."""
-
-    chosen: IntArray | None  # (n,): best columns found; None if none were
-    bound: float  # least cost, or most weight, that its search leaves possible
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -155,6 +153,8 @@ def solve_lscp(
         if needed is None
         else presolve_weighted_cover(instance, minds_cost=True)
     )
+    if solver == HIGHS:
+        _check_memory(reduced.instance, solver)
     bound, columns, names = 0.0, [reduced.essential], []
     parts = _parts(reduced) if needed is None else [np.arange(reduced.instance.n_columns)]
     for part in parts:
@@ -234,7 +234,9 @@ def solve_mclp(
         if result is not None:
             take(result.chosen, result.bound)
             names.append("exact search")
-    if is_open() and solver != GREEDY and left_s() > 0.0:
+    if solver == HIGHS:
+        _check_memory(left, solver)
+    if is_open() and solver != GREEDY and left_s() > 0.0 and _fits(left.covers):
         answer = cover_most_weight(
             left.covers, left.cost, left.weight, budget, time_limit_s=left_s(), gap=gap
         )
@@ -261,34 +263,210 @@ def _cover_part(
     """Least cost for a part of a reduced instance: its columns, what it costs at least, by whom."""
     covers, cost, weight = instance.covers[part], instance.cost[part], instance.weight
     if needed is None:
-        rows = np.unique(covers.indices)
-        covers, weight = covers[:, rows], np.ones(len(rows))
-    enough = float(weight.sum()) if needed is None else needed
+        covers = covers[:, np.unique(covers.indices)]
+        answer, name = _cover_all(covers, cost, solver, time_limit_s, gap)
+    else:
+        answer, name = _cover_enough(covers, cost, weight, needed, solver, time_limit_s, gap)
+    assert answer.chosen is not None  # there is always a first answer
+    return MilpAnswer(chosen=part[answer.chosen], bound=answer.bound), name
+
+
+def _cover_enough(
+    covers: sp.csr_array,
+    cost: FloatArray,
+    weight: FloatArray,
+    needed: float,
+    solver: str,
+    time_limit_s: float,
+    gap: float,
+) -> tuple[MilpAnswer, str]:
+    """Least cost that covers a weight."""
     began_s = time.perf_counter()
     found = cover_cheaply(
         covers,
         cost,
         weight,
-        needed_weight=enough,
+        needed_weight=needed,
         n_rounds=_ROUNDS_WITHOUT_PROOF if solver == GREEDY else _ROUNDS,
         time_limit_s=time_limit_s,
     )
     least, bound = float(cost[found].sum()), 0.0
     if len(found):
-        bound = least_cost_bound(covers, cost, weight, needed_weight=enough)
+        bound = least_cost_bound(covers, cost, weight, needed_weight=needed)
     is_open = least > bound * (1.0 + gap + TOLERANCE)
     left_s = time_limit_s - (time.perf_counter() - began_s)
-    if solver == GREEDY or not is_open or left_s <= 0.0:
-        return MilpAnswer(chosen=part[found], bound=min(bound, least)), GREEDY
+    if solver == GREEDY or not is_open or left_s <= 0.0 or not _fits(covers):
+        return MilpAnswer(chosen=found, bound=min(bound, least)), GREEDY
     answer = cover_at_least_cost(
-        covers, cost, weight, needed_weight=needed, time_limit_s=left_s, gap=gap
+        covers, cost, weight, needed_weight=needed, time_limit_s=left_s, gap=gap, start=found
     )
     if answer.chosen is not None and cost[answer.chosen].sum() < least:
         covered = np.unique(covers[answer.chosen].indices)
-        if weight[covered].sum() >= enough - TOLERANCE * weight.sum():
+        if weight[covered].sum() >= needed - TOLERANCE * weight.sum():
             found, least = answer.chosen, float(cost[answer.chosen].sum())
-    bound = min(max(bound, answer.bound), least)
-    return MilpAnswer(chosen=part[found], bound=bound), solver_text()
+    return MilpAnswer(chosen=found, bound=min(max(bound, answer.bound), least)), solver_text()
+
+
+class _FullCover:
+    """The least cost that covers every row, while it is looked for."""
+
+    def __init__(
+        self, covers: sp.csr_array, cost: FloatArray, time_limit_s: float, gap: float
+    ) -> None:
+        self.covers = covers
+        self.cost = cost
+        self.gap = gap
+        self.deadline_s = time.perf_counter() + time_limit_s
+        self.bound = self.round_up(
+            least_cost_bound(
+                covers, cost, np.ones(covers.shape[1]), needed_weight=float(covers.shape[1])
+            )
+        )
+        self.found = np.arange(len(cost))
+        self.least = float(cost.sum())
+        self.search: RowWeighting | None = None
+
+    def round_up(self, bound: float) -> float:
+        """What a bound says: sums of whole costs are whole."""
+        if not is_whole(self.cost):
+            return bound
+        return float(np.ceil(bound - _SOLVER_TOLERANCE * max(1.0, abs(bound))))
+
+    def take(self, columns: IntArray) -> None:
+        """Note a cover, if it is one, and cheaper than what is known."""
+        cost = float(self.cost[columns].sum())
+        if (
+            cost < self.least
+            and np.unique(self.covers[columns].indices).size == (self.covers.shape[1])
+        ):
+            self.found, self.least = columns, cost
+
+    def left_s(self) -> float:
+        return self.deadline_s - time.perf_counter()
+
+    def is_open(self) -> bool:
+        return self.least > self.bound * (1.0 + self.gap + TOLERANCE)
+
+    def search_first(self) -> None:
+        """Local search as far as the size is worth it; it does not stop without a cover."""
+        self.search = RowWeighting(self.covers, self.cost)
+        most = _WORK_PER_ENTRY * self.covers.nnz
+        while self.search.cost == np.inf or (
+            self.search.work < most and self.is_open() and self.left_s() > 0.0
+        ):
+            self.search.go_on(min(SLICE, most))
+            self.take(self.search.best)
+
+    def search_alone(self) -> None:
+        """Local search until the time is up, or the bound is met."""
+        search = self.search or RowWeighting(self.covers, self.cost)
+        while self.is_open() and self.left_s() > 0.0:
+            search.go_on()
+            self.take(search.best)
+
+    def search_beside(self, began_s: float) -> bool:
+        """Local search while the solver works; whether it should go on."""
+        if self.search is None:
+            if time.perf_counter() < began_s + _HEAD_START_S:
+                time.sleep(_LOOK_S)
+                return True
+            self.search = RowWeighting(self.covers, self.cost)
+        self.search.go_on()
+        return self.search.cost > self.bound * (1.0 + self.gap + TOLERANCE)
+
+    def raise_bound(self) -> LagrangianBound:
+        relaxed = lagrangian_bound(
+            self.covers,
+            self.cost,
+            known_cost=self.least,
+            time_limit_s=max(0.0, _BOUND_SHARE * self.left_s()),
+        )
+        self.bound = min(max(self.bound, self.round_up(relaxed.bound)), self.least)
+        return relaxed
+
+    def worth_a_look(self, relaxed: LagrangianBound) -> IntArray:
+        """Columns of the cover that is known, and those that a cheaper one can have."""
+        least_step = 1.0 if is_whole(self.cost) else 0.0
+        limit = self.least - least_step + _SOLVER_TOLERANCE * self.least
+        is_kept = relaxed.bound + relaxed.reduced_cost <= limit
+        is_kept[self.found] = True
+        return np.flatnonzero(is_kept)
+
+
+def _cover_all(
+    covers: sp.csr_array, cost: FloatArray, solver: str, time_limit_s: float, gap: float
+) -> tuple[MilpAnswer, str]:
+    """Least cost that covers every row."""
+    n_columns, n_rows = covers.shape
+    if n_rows == 0:
+        return MilpAnswer(chosen=np.empty(0, dtype=np.int64), bound=0.0), GREEDY
+    cover, columns = _FullCover(covers, cost, time_limit_s, gap), np.arange(n_columns)
+    if solver == GREEDY or (solver == AUTO and covers.nnz >= _LARGE):
+        cover.search_first()
+        if cover.is_open():
+            relaxed = cover.raise_bound()
+            columns = cover.worth_a_look(relaxed)
+    else:
+        rounds_s = max(0.0, cover.left_s())
+        weight = np.ones(n_rows)
+        cover.take(
+            cover_cheaply(
+                covers,
+                cost,
+                weight,
+                needed_weight=float(n_rows),
+                n_rounds=_ROUNDS,
+                time_limit_s=rounds_s,
+            )
+        )
+    name = GREEDY if cover.search is None else ROW_WEIGHTING
+    if solver == GREEDY or not cover.is_open() or cover.left_s() <= 0.0:
+        return MilpAnswer(chosen=cover.found, bound=cover.bound), name
+    if solver == AUTO and not _fits(covers[columns]):
+        cover.search_alone()
+        return MilpAnswer(chosen=cover.found, bound=min(cover.bound, cover.least)), ROW_WEIGHTING
+    began_s = time.perf_counter()
+    answer = cover_at_least_cost(
+        covers[columns],
+        cost[columns],
+        np.ones(n_rows),
+        needed_weight=None,
+        time_limit_s=cover.left_s(),
+        gap=gap,
+        start=np.searchsorted(columns, cover.found),
+        meanwhile=(lambda: cover.search_beside(began_s)) if solver == AUTO else None,
+    )
+    if answer.chosen is not None:
+        cover.take(columns[answer.chosen])
+    cover.bound = max(cover.bound, cover.round_up(answer.bound))
+    if cover.is_open() and cover.search is not None:
+        cover.take(cover.search.best)
+    names = [solver_text()] if cover.search is None else [ROW_WEIGHTING, solver_text()]
+    return MilpAnswer(chosen=cover.found, bound=min(cover.bound, cover.least)), ", ".join(names)
+
+
+def _fits(covers: sp.csr_array) -> bool:
+    """Whether there is memory for the solver; tells where there is not."""
+    needed, free = MODEL_BYTES * covers.nnz, available_bytes()
+    if needed > free:
+        _log.warning(
+            "no proof by HiGHS: it takes about %s of memory, and %s are free",
+            *(gib(needed), gib(free)),
+        )
+    return needed <= free
+
+
+def _check_memory(instance: CoveringInstance, solver: str) -> None:
+    """Refuse what a mixed-integer solver has no memory for, where nothing else can answer.
+
+    Raises InputError: it says what is needed, and how to need less.
+    """
+    check_fits(
+        "--solver",
+        f"{solver} with {instance.covers.nnz:,} entries of a matrix",
+        MODEL_BYTES * instance.covers.nnz,
+        "--solver greedy, or fewer rows or columns",
+    )
 
 
 def _parts(reduced: ReducedCovering) -> list[IntArray]:
@@ -327,9 +505,6 @@ def _solution(
     )
 
 
-# ---------- models
-
-
 def check_solver(name: str) -> str:
     """The name of a solver as covering problems know it: "auto", "greedy" or "HIGHS".
 
@@ -340,98 +515,3 @@ def check_solver(name: str) -> str:
     if name.upper() != HIGHS:
         raise InputError("--solver", name, f"a solver that is installed: {HIGHS}")
     return HIGHS
-
-
-def cover_at_least_cost(
-    covers: sp.csr_array,
-    cost: FloatArray,
-    weight: FloatArray,
-    *,
-    needed_weight: float | None,
-    time_limit_s: float,
-    gap: float,
-) -> MilpAnswer:
-    """Location set covering [1]_: least cost for which every row, or enough weight, is covered.
-
-    `covers` is (n_columns, n_rows). Every row must be covered if `needed_weight` is None. The
-    solver may stop at the relative `gap`.
-
-    References
-    ----------
-    .. [1] C. Toregas, R. Swain, C. ReVelle, L. Bergman, "The location of emergency service
-       facilities", Operations Research 19, 1971.
-    """
-    import cvxpy as cp
-
-    x = cp.Variable(covers.shape[0], boolean=True)
-    times_covered = _by_row(covers) @ x
-    if needed_weight is None:
-        constraints = [times_covered >= 1.0]
-    else:
-        y = cp.Variable(covers.shape[1], bounds=[0.0, 1.0])
-        unit = float(weight.max())
-        constraints = [times_covered - y >= 0.0, (weight / unit) @ y >= needed_weight / unit]
-    unit = _unit(cost)
-    answer = _solve(-(cost / unit) @ x, constraints, x, time_limit_s, gap)
-    return MilpAnswer(chosen=answer.chosen, bound=-answer.bound * unit)
-
-
-def cover_most_weight(
-    covers: sp.csr_array,
-    cost: FloatArray,
-    weight: FloatArray,
-    budget: CoveringBudget,
-    *,
-    time_limit_s: float,
-    gap: float,
-) -> MilpAnswer:
-    """Maximal covering [1]_: most weight that a number of columns, or some money, covers.
-
-    `budget`: what may be chosen.
-
-    References
-    ----------
-    .. [1] R. L. Church, C. ReVelle, "The maximal covering location problem", Papers of the
-       Regional Science Association 32, 1974.
-    """
-    import cvxpy as cp
-
-    x = cp.Variable(covers.shape[0], boolean=True)
-    y = cp.Variable(covers.shape[1], bounds=[0.0, 1.0])
-    constraints = [_by_row(covers) @ x - y >= 0.0]
-    if budget.units is not None:
-        constraints.append(cp.sum(x) <= budget.units)
-    if budget.cost is not None:
-        unit = max(float(cost.max()), budget.cost) or 1.0
-        constraints.append((cost / unit) @ x <= budget.cost / unit)
-    unit = _unit(weight)
-    answer = _solve((weight / unit) @ y, constraints, x, time_limit_s, gap)
-    return MilpAnswer(chosen=answer.chosen, bound=answer.bound * unit)
-
-
-def _by_row(covers: sp.csr_array) -> sp.csr_array:
-    return sp.csr_array(covers.T).astype(np.float64)
-
-
-def _unit(coefficients: FloatArray) -> float:
-    """What to divide an objective by; whole numbers of an ordinary size stay whole."""
-    total = float(coefficients.sum())
-    return 1.0 if is_whole(coefficients) and total <= _LARGEST_SUM else total / _LARGEST_SUM
-
-
-def _solve(
-    objective: cp.Expression,
-    constraints: list[Any],
-    x: cp.Variable,
-    time_limit_s: float,
-    gap: float,
-) -> MilpAnswer:
-    """Maximise; every model here has a solution, so that one without has failed."""
-    import cvxpy as cp
-
-    problem = cp.Problem(cp.Maximize(objective), constraints)
-    answer = run_solver(problem, time_limit_s=time_limit_s, gap=gap)
-    if not answer.is_found:
-        bound = np.inf if answer.is_finished else answer.bound
-        return MilpAnswer(chosen=None, bound=bound)
-    return MilpAnswer(chosen=np.flatnonzero(x.value > 0.5), bound=answer.bound)

@@ -361,6 +361,7 @@ def test_placement_prints_one_object_and_writes_a_report(run, small_study):
         "bill_of_materials.csv",
         "runs.parquet",
         "summary.json",
+        "SHA256SUMS",
         "plan.png",
         "apr_by_case.png",
         "heatmap_CPNC-50_east_55.png",

@@ -86,7 +86,10 @@ def test_a_summary_is_written_where_asked_for(run, recording):
     for command, more in ((["evaluate"], set()), (["--budget", 1], proof)):
         code, out, _ = run(*command, "--recording", recording, "--out", "mine", "--json", "--quiet")
         assert code == 0
-        assert {path.name for path in Path("mine").iterdir()} == {"summary.json"} | more
+        assert {path.name for path in Path("mine").iterdir()} == {
+            "summary.json",
+            "SHA256SUMS",
+        } | more
         assert json.loads(Path("mine/summary.json").read_text()) == json.loads(out)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from placement.optimiser.covering.instance import load_instance
+from placement.optimiser.covering.files import load_instance
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "cover"
 SCP41 = GOLDEN / "scp41.txt"
@@ -128,7 +128,10 @@ def test_progress_is_told_on_stderr_only(run, small):
         ),
         (("--gap", 2), "--gap: got 2.0; expected a share, 0 <= gap < 1"),
         (("--time-limit", 0), "--time-limit: got '0'; expected seconds, more than 0"),
-        (("--format", "mps"), "--format: got 'mps'; expected one of auto, npz, orlib, gecco"),
+        (
+            ("--format", "mps"),
+            "--format: got 'mps'; expected one of auto, npz, orlib, gecco, rail, sts",
+        ),
     ],
 )
 def test_wrong_options_are_told_in_one_line(run, small, arguments, message):

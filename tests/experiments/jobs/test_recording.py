@@ -239,7 +239,7 @@ def test_nothing_is_written_unless_asked_for_and_then_little(tmp_path, monkeypat
         summary = run(Path("data"), out=Path("out"), progress=progress)
         names = {path.name for path in Path("out").iterdir()}
         proof = {"certificate.json", "instance.npz"} if run is _place else set()
-        assert names == {"summary.json"} | proof
+        assert names == {"summary.json", "SHA256SUMS"} | proof
         assert json.loads(Path("out/summary.json").read_text()) == summary
         assert progress.kept == "the results are in out"
     assert "Written to out: summary.json." in recorded_placement_table(

@@ -1,13 +1,23 @@
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from experiments.progress import Interrupted, StageProgress, ending_on_signals
-from experiments.results import folders
-from experiments.results.folders import MARKER, check_result_folder, new_result_folder
+from experiments.results import folders as result_folder
+from experiments.results.folders import (
+    MANIFEST,
+    MARKER,
+    changed_files,
+    check_result_folder,
+    new_result_folder,
+    read_manifest,
+)
 from geometry.errors import InputError
+from geometry.files import lock_while_alive
 
 
 def fill(folder: Path, text: str = "new") -> None:
@@ -25,7 +35,6 @@ def earlier(tmp_path):
     """A folder with earlier results."""
     folder = tmp_path / "latest"
     fill(folder, "old")
-    (folder / "apr_by_case.png").write_text("old")
     return folder
 
 
@@ -34,7 +43,7 @@ def test_a_new_folder_is_made_with_its_parents(tmp_path):
     check_result_folder(folder)
     assert names(tmp_path) == []  # a check leaves nothing
     fill(folder)
-    assert names(folder) == ["report.html", MARKER]
+    assert names(folder) == [MANIFEST, "report.html", MARKER]
     assert names(tmp_path / "a") == ["b"]
 
 
@@ -42,7 +51,7 @@ def test_an_empty_folder_is_filled(tmp_path):
     folder = tmp_path / "out"
     folder.mkdir()
     fill(folder)
-    assert names(folder) == ["report.html", MARKER]
+    assert names(folder) == [MANIFEST, "report.html", MARKER]
 
 
 def test_results_are_as_readable_as_other_folders(tmp_path):
@@ -54,7 +63,7 @@ def test_results_are_as_readable_as_other_folders(tmp_path):
 
 def test_earlier_results_are_replaced_as_a_whole(earlier):
     fill(earlier)
-    assert names(earlier) == ["report.html", MARKER]
+    assert names(earlier) == [MANIFEST, "report.html", MARKER]
     assert (earlier / "report.html").read_text() == "new"
     assert names(earlier.parent) == ["latest"]
 
@@ -62,7 +71,7 @@ def test_earlier_results_are_replaced_as_a_whole(earlier):
 def test_half_of_an_earlier_result_is_replaced(earlier):
     (earlier / "report.html").unlink()
     fill(earlier)
-    assert names(earlier) == ["report.html", MARKER]
+    assert names(earlier) == [MANIFEST, "report.html", MARKER]
 
 
 def test_a_link_to_a_folder_stays_a_link(earlier):
@@ -78,7 +87,7 @@ def test_a_link_to_a_folder_that_does_not_exist_yet_is_followed(tmp_path):
     link = tmp_path / "link"
     link.symlink_to(tmp_path / "later")
     fill(link)
-    assert names(tmp_path / "later") == ["report.html", MARKER]
+    assert names(tmp_path / "later") == [MANIFEST, "report.html", MARKER]
 
 
 def test_a_name_of_the_greatest_length_is_taken(tmp_path):
@@ -100,29 +109,86 @@ def test_a_failure_leaves_everything_as_it_was(earlier, error):
     assert names(earlier.parent) == ["latest"]
 
 
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("glyph")])
+def test_an_answer_whose_report_cannot_be_written_is_kept(earlier, error):
+    def fail() -> None:
+        with new_result_folder(earlier) as new:
+            (new / MARKER).write_text('{"apr": 1}')
+            raise error
+
+    for name in ("latest.unfinished", "latest.unfinished-2"):
+        with pytest.raises(InputError, match=f"what was computed is kept in .*{name}$"):
+            fail()
+        assert (earlier.with_name(name) / MARKER).read_text() == '{"apr": 1}'
+    assert (earlier / "report.html").read_text() == "old"
+
+
+def test_an_answer_that_the_user_interrupts_is_not_kept(earlier):
+    def interrupt() -> None:
+        with new_result_folder(earlier) as new:
+            (new / MARKER).write_text("{}")
+            raise Interrupted(signal.SIGINT)
+
+    with pytest.raises(Interrupted):
+        interrupt()
+    assert names(earlier.parent) == ["latest"]
+
+
+@pytest.fixture(params=[True, False], ids=["one step", "two steps"])
+def exchange(request, monkeypatch):
+    """With the system's exchange of two names, and where there is none."""
+    if not request.param:
+        monkeypatch.setattr(result_folder, "_exchange", lambda first, second: False)
+
+
+@pytest.mark.usefixtures("exchange")
+def test_earlier_results_are_replaced_either_way(earlier):
+    fill(earlier)
+    assert (earlier / "report.html").read_text() == "new"
+    assert names(earlier.parent) == ["latest"]
+
+
 def test_an_exchange_that_fails_puts_the_earlier_results_back(earlier, monkeypatch):
     rename = Path.rename
 
     def rename_once(path: Path, target: Path) -> Path:
-        if path.suffix == ".tmp":
+        if path.suffix == ".tmp" and target == earlier:
             raise OSError(16, "Device or resource busy")
         return rename(path, target)
 
+    monkeypatch.setattr(result_folder, "_exchange", lambda first, second: False)
     monkeypatch.setattr(Path, "rename", rename_once)
-    with pytest.raises(OSError, match="busy"):
+    with pytest.raises(InputError, match=r"busy; .* kept in .*latest\.unfinished"):
         fill(earlier)
     assert (earlier / "report.html").read_text() == "old"
-    assert names(earlier.parent) == ["latest"]
+    assert names(earlier.parent) == ["latest", "latest.unfinished"]
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="exchanges folders in one step")
+def test_two_folders_are_exchanged_in_one_step(tmp_path):
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / name).touch()
+    assert result_folder._exchange(tmp_path / "a", tmp_path / "b")
+    assert names(tmp_path / "a") == ["b"]
+    with pytest.raises(FileNotFoundError):
+        result_folder._exchange(tmp_path / "a", tmp_path / "c")
+
+
+@pytest.mark.usefixtures("exchange")
 def test_a_signal_during_the_exchange_comes_too_late(earlier, monkeypatch):
-    rename = Path.rename
+    rename, swap = Path.rename, result_folder._exchange
 
     def rename_interrupted(path: Path, target: Path) -> Path:
         signal.raise_signal(signal.SIGINT)
         return rename(path, target)
 
+    def swap_interrupted(first: Path, second: Path) -> bool:
+        signal.raise_signal(signal.SIGINT)
+        return swap(first, second)
+
     monkeypatch.setattr(Path, "rename", rename_interrupted)
+    monkeypatch.setattr(result_folder, "_exchange", swap_interrupted)
     with ending_on_signals(StageProgress()):
         fill(earlier)
     assert (earlier / "report.html").read_text() == "new"
@@ -130,13 +196,13 @@ def test_a_signal_during_the_exchange_comes_too_late(earlier, monkeypatch):
 
 
 def test_a_signal_during_the_check_leaves_nothing(tmp_path, monkeypatch):
-    make = folders.tempfile.mkdtemp
+    make = result_folder.tempfile.mkdtemp
 
     def make_interrupted(**options: object) -> str:
         signal.raise_signal(signal.SIGINT)
         return make(**options)
 
-    monkeypatch.setattr(folders.tempfile, "mkdtemp", make_interrupted)
+    monkeypatch.setattr(result_folder.tempfile, "mkdtemp", make_interrupted)
     with pytest.raises(Interrupted), ending_on_signals(StageProgress()):
         check_result_folder(tmp_path / "out")
     assert names(tmp_path) == []
@@ -172,16 +238,85 @@ def test_a_circle_of_links_is_refused(tmp_path):
     assert refusal(link).endswith("expected a folder that can be written to")
 
 
-def test_folders_with_files_of_others_are_refused(earlier, tmp_path):
-    expected = "expected a new or empty folder, or one with earlier results and nothing else"
-    (earlier / "notes.txt").write_text("mine")
-    assert refusal(earlier) == f"--out: got {earlier}, which holds notes.txt; {expected}"
-    pictures = tmp_path / "pictures"
-    pictures.mkdir()
-    (pictures / "cat.png").write_text("mine")
-    assert refusal(pictures) == (
-        f"--out: got {pictures}, which holds cat.png but no {MARKER}; {expected}"
+OURS_ONLY = "expected a new or empty folder, or one with earlier results and nothing else"
+
+
+@pytest.mark.parametrize(
+    "name", ["notes.txt", "site_photo.png", "layout.backup/", "layout.backup/old.json", "plot.png"]
+)
+def test_what_others_put_into_a_folder_is_never_replaced(earlier, name):
+    path = earlier / name
+    if name.endswith("/"):
+        path.mkdir()
+    else:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("mine")
+    shown = name.rstrip("/")
+    assert refusal(earlier) == f"--out: got {earlier}, which holds {shown}; {OURS_ONLY}"
+    assert path.exists()
+
+
+@pytest.mark.parametrize("held", [("cat.png",), ("plot.png", "runs.parquet", "summary.json")])
+def test_a_folder_of_somebody_else_is_refused(tmp_path, held):
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    for name in held:
+        (folder / name).write_text("mine")
+    assert refusal(folder) == (
+        f"--out: got {folder}, which holds {held[0]} but no {MANIFEST}; {OURS_ONLY}"
     )
+
+
+def test_results_that_somebody_changed_are_not_replaced(earlier):
+    (earlier / "report.html").write_text("old, with my notes")
+    assert refusal(earlier) == (
+        f"--out: got {earlier}, which holds report.html, changed since it was written; {OURS_ONLY}"
+    )
+
+
+def test_what_file_managers_leave_does_not_count(earlier):
+    (earlier / ".DS_Store").write_text("icons")
+    fill(earlier)
+    assert names(earlier) == [MANIFEST, "report.html", MARKER]
+
+
+def test_the_manifest_lists_every_file_with_its_hash(earlier):
+    assert list(read_manifest(earlier)) == ["report.html", MARKER]
+    assert changed_files(earlier) == {}
+    checked = subprocess.run(["sha256sum", "-c", MANIFEST], cwd=earlier, capture_output=True)
+    assert checked.returncode == 0
+    (earlier / "report.html").unlink()
+    (earlier / MARKER).write_text("[]")
+    (earlier / "more").mkdir()
+    assert changed_files(earlier) == {
+        "report.html": "missing",
+        MARKER: "changed",
+        "more": "not listed",
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "line"), [("abc", 1), (f"{'0' * 64} a\n", 1), (f"{'0' * 64}  a\n{'g' * 64}  b", 2)]
+)
+def test_a_damaged_manifest_is_told(earlier, text, line):
+    (earlier / MANIFEST).write_text(text)
+    assert refusal(earlier).startswith(f"{earlier / MANIFEST}: line {line}: got ")
+
+
+def test_a_name_that_is_no_text_is_refused_before_anything_is_computed(tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/out-\xff"))
+    assert refusal(folder) == f"--out: got '{tmp_path}/out-\\\\xff'; expected a name in UTF-8"
+
+
+def test_folders_of_a_killed_run_are_removed_by_the_next_but_not_of_one_that_is_alive(tmp_path):
+    dead, alive, young = (tmp_path / f".place-rsus.{name}.tmp" for name in ("dead", "live", "new"))
+    for path in (dead, alive, young):
+        path.mkdir()
+    for path in (dead, alive):
+        os.utime(path, (0, 0))
+    with lock_while_alive(alive):
+        fill(tmp_path / "out")
+    assert names(tmp_path) == [alive.name, young.name, "out"]
 
 
 def test_files_of_others_that_came_meanwhile_are_kept(earlier):

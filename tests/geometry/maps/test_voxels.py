@@ -63,7 +63,7 @@ def test_bridges_close_gaps_of_one_and_no_more(block):
 def test_columns_reach_from_the_floor_to_the_top(block):
     dense, keys = block
     full = np.flip(np.maximum.accumulate(np.flip(dense, 2), axis=2), 2)
-    assert (dense_of(voxels.columns_to(keys, FIRST)) == full).all()
+    assert (dense_of(voxels.columns_to(keys, FIRST, "x.las")) == full).all()
 
 
 @given(blocks())

@@ -10,14 +10,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from placement.optimiser.covering.instance import (
+from placement.optimiser.covering.files import (
     FORMATS,
     KIND,
-    build_covering_instance,
     instance_kind,
     load_instance,
     save_instance,
 )
+from placement.optimiser.covering.instance import build_covering_instance
 
 ORLIB = """\
  3 4
@@ -35,6 +35,30 @@ GECCO = """\
 1 3 1 2 3
 0 2 0 1
 2 1 3
+"""
+RAIL = """\
+ 3 4
+ 1 1 1
+ 2 2 2 1
+ 3 1 2
+ 4 2 2 3
+"""
+# The Steiner triple system of 9 points as in data.9 of "Steiner triple covering problem test
+# instances" (M. G. C. Resende; system by Fulkerson, Nemhauser, Trotter 1974).
+STS = """\
+9 12
+2 3 4
+1 3 5
+1 2 6
+5 6 7
+4 6 8
+4 5 9
+1 8 9
+2 7 9
+3 7 8
+1 4 7
+2 5 8
+3 6 9
 """
 COVERS = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 1]])
 
@@ -72,6 +96,24 @@ def test_gecco_files_name_columns_from_zero_and_samples_by_id(write):
     assert instance.numbered_from == 0
 
 
+def test_rail_files_of_or_library_list_the_rows_of_each_column(write):
+    instance = load_instance(write(RAIL))
+    np.testing.assert_array_equal(instance.covers.toarray(), COVERS)
+    assert list(instance.cost) == [1.0, 2.0, 3.0, 4.0]
+    assert instance.numbered_from == 1
+
+
+def test_steiner_files_list_triples_of_variables_to_cover(write):
+    instance = load_instance(write(STS))
+    assert (instance.n_columns, instance.n_rows, instance.numbered_from) == (9, 12, 1)
+    covers = instance.covers.toarray().astype(int)
+    assert list(np.flatnonzero(covers[:, 0]) + 1) == [2, 3, 4]
+    assert (covers.sum(axis=0) == 3).all()
+    together = covers @ covers.T
+    assert (together[~np.eye(9, dtype=bool)] == 1).all()  # each pair is in exactly one triple
+    assert list(instance.cost) == [1.0] * 9
+
+
 def test_ends_of_lines_do_not_matter(write):
     for text in (ORLIB.replace("\n", "\r\n"), " ".join(ORLIB.split()), ORLIB.replace(" ", "\t\n")):
         np.testing.assert_array_equal(load_instance(write(text)).covers.toarray(), COVERS)
@@ -93,6 +135,31 @@ def to_gecco(instance):
     return "\n".join(lines)
 
 
+def to_rail(instance):
+    lines = [f"{instance.n_rows} {instance.n_columns}"]
+    for cost, row in zip(instance.cost, instance.covers.toarray(), strict=True):
+        rows = np.flatnonzero(row) + 1
+        lines.append(" ".join(map(str, (float(cost), len(rows), *rows))))
+    return "\n".join(lines)
+
+
+def random_instance(rng, n_columns, n_rows):
+    return build_covering_instance(
+        rng.random((n_columns, n_rows)) < 0.3, cost=rng.integers(1, 3, n_columns)
+    )
+
+
+@pytest.mark.parametrize("to_text", [to_orlib, to_gecco, to_rail])
+def test_formats_are_told_from_the_content(write, to_text):
+    rng = np.random.default_rng(3)
+    for n_columns, n_rows in [(5, 6), (6, 5), (6, 6), (12, 40), (40, 12)]:
+        instance = random_instance(rng, n_columns, n_rows)
+        again = load_instance(write(to_text(instance)))
+        np.testing.assert_array_equal(again.covers.toarray(), instance.covers.toarray())
+        if to_text is not to_gecco:
+            np.testing.assert_array_equal(again.cost, instance.cost)
+
+
 @given(instance=instances())
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_every_format_keeps_the_instance(instance, write, tmp_path):
@@ -101,6 +168,7 @@ def test_every_format_keeps_the_instance(instance, write, tmp_path):
     again = [load_instance(own)]
     if instance.n_rows and instance.n_columns:
         again.append(load_instance(write(to_orlib(instance)), format_name="orlib"))
+        again.append(load_instance(write(to_rail(instance)), format_name="rail"))
         gecco = load_instance(write(to_gecco(instance)), format_name="gecco")
         np.testing.assert_array_equal(gecco.covers.toarray(), instance.covers.toarray())
     for each in again:
@@ -130,28 +198,28 @@ def test_our_own_files_keep_names_and_numbers(tmp_path):
         (" \n\n", "FILE: got an empty file; expected an instance"),
         (
             "id,cost\n1,2\n",
-            "FILE: line 1, number 1: got 'id,cost'; expected a number (format orlib or gecco), or "
-            "an .npz file of this program",
+            "FILE: line 1, number 1: got 'id,cost'; expected a number (format orlib, gecco, rail "
+            "or sts), or an .npz file of this program",
         ),
         (
             ORLIB.replace(" 2 3 4", " 2 x 4"),
-            "FILE: line 7, number 2: got 'x'; expected a number (format orlib or gecco), or an "
-            ".npz file of this program",
+            "FILE: line 7, number 2: got 'x'; expected a number (format orlib, gecco, rail or "
+            "sts), or an .npz file of this program",
         ),
         (
             ORLIB.replace("2.5", "2-5"),
-            "FILE: line 2, number 2: got '2-5'; expected a number (format orlib or gecco), or an "
-            ".npz file of this program",
+            "FILE: line 2, number 2: got '2-5'; expected a number (format orlib, gecco, rail or "
+            "sts), or an .npz file of this program",
         ),
         (
             ORLIB.replace("2.5", "1e999"),
-            "FILE: line 2, number 2: got '1e999'; expected a number (format orlib or gecco), or an "
-            ".npz file of this program",
+            "FILE: line 2, number 2: got '1e999'; expected a number (format orlib, gecco, rail or "
+            "sts), or an .npz file of this program",
         ),
         (
             b"\x7fELF\x02\x01\x01\x00 \x00" + bytes(range(256)),
             "FILE: line 1, number 1: got '\\x7fELF\\x02\\x01\\x01\\x00'; expected a number (format "
-            "orlib or gecco), or an .npz file of this program",
+            "orlib, gecco, rail or sts), or an .npz file of this program",
         ),
         (
             ORLIB.replace("2.5", "-2"),
@@ -220,6 +288,43 @@ def test_our_own_files_keep_names_and_numbers(tmp_path):
             "of 3 (format gecco)",
         ),
         (
+            RAIL.replace(" 3 1 2", " 3 1 4"),
+            "FILE: line 4, number 3: got '4'; expected a row, 1 to 3 (format rail)",
+        ),
+        (
+            RAIL.replace(" 2 2 2 1", " 2 2 2 2"),
+            "FILE: line 3, number 4: got '2'; expected a row that the column has not named yet "
+            "(format rail)",
+        ),
+        (
+            RAIL.replace(" 3 1 2", " -3 1 2"),
+            "FILE: line 4, number 1: got '-3'; expected the cost of a column, at least 0 (format "
+            "rail)",
+        ),
+        (
+            "2 4\n 1 1 1\n 2 1 2\n 3 1 2\n",
+            "FILE: line 4, number 3: got the end of the file after it; expected the cost of column "
+            "4 of 4 (format rail)",
+        ),
+        (
+            RAIL + "7\n",
+            "FILE: line 6, number 1: got '7'; expected the end of the file (format rail)",
+        ),
+        (
+            STS.replace("5 6 7", "5 6 0"),
+            "FILE: line 5, number 3: got '0'; expected a variable, 1 to 9 (format sts)",
+        ),
+        (
+            STS.replace("5 6 7", "5 6 5"),
+            "FILE: line 5, number 3: got '5'; expected a variable that the triple has not named "
+            "yet (format sts)",
+        ),
+        (
+            STS.removesuffix("3 6 9\n"),
+            "FILE: line 12, number 3: got the end of the file after it; expected the variables of "
+            "triple 12 of 12 (format sts)",
+        ),
+        (
             GECCO + "0",
             "FILE: line 5, number 1: got '0'; expected the end of the file (format gecco)",
         ),
@@ -259,6 +364,15 @@ def test_numbers_that_fit_two_formats_are_told_apart_by_their_lines(write):
         )
 
 
+def test_what_even_lines_do_not_tell_apart_is_asked_for(write):
+    path = write("2 2\n0 1 1\n1 1 1\n")  # samples 0, 1 by candidate 1; columns at 0, 1 for row 1
+    assert refusal(path) == (
+        "FILE: got numbers that fit more than one format; expected --format gecco or rail"
+    )
+    assert load_instance(path, format_name="rail").numbered_from == 1
+    assert load_instance(path, format_name="gecco").numbered_from == 0
+
+
 def test_a_file_that_cannot_be_read_says_why(tmp_path):
     path = tmp_path / "none.txt"
     assert refusal(path) == "FILE: got No such file or directory; expected a readable file"
@@ -268,10 +382,23 @@ def test_a_file_that_cannot_be_read_says_why(tmp_path):
 
 
 def test_a_huge_file_is_not_read(write, monkeypatch):
-    monkeypatch.setattr("placement.optimiser.covering.instance._MAX_BYTES", 20)
+    monkeypatch.setattr("placement.optimiser.covering.files._MAX_BYTES", 20)
     assert refusal(write(ORLIB)) == (
         f"FILE: got {len(ORLIB)} bytes; expected an instance of at most 20 bytes"
     )
+
+
+def test_a_file_that_memory_has_no_room_for_is_not_read(write, tmp_path, monkeypatch):
+    path = write(ORLIB)
+    own = tmp_path / "own.npz"
+    save_instance(own, load_instance(path))
+    monkeypatch.setattr("placement.optimiser.covering.memory.available_bytes", lambda: 100)
+    assert refusal(path) == (
+        f"FILE: got {len(ORLIB)} bytes of text, which takes about 0.0 GiB of memory; expected what "
+        "fits into the 0.0 GiB that are free: fewer rows or columns, or a file of this program "
+        "(--out, .npz), a fifth of it"
+    )
+    assert " bytes when unpacked, which takes about " in refusal(own)
 
 
 @pytest.fixture
@@ -336,7 +463,7 @@ def test_a_file_that_unpacks_to_too_much_is_not_unpacked(write, monkeypatch):
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("cost.npy", bytes(10_000_000))
-    monkeypatch.setattr("placement.optimiser.covering.instance._MAX_UNPACKED_BYTES", 1_000_000)
+    monkeypatch.setattr("placement.optimiser.covering.files._MAX_UNPACKED_BYTES", 1_000_000)
     assert refusal(write(buffer.getvalue())) == (
         "FILE: got 10,000,000 bytes when unpacked; expected an instance of at most 1,000,000"
     )

@@ -1,4 +1,5 @@
 import math
+import threading
 import tomllib
 from pathlib import Path
 
@@ -9,7 +10,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from placement.optimiser.covering.instance import load_instance
+from placement.optimiser.covering.files import load_instance
+from placement.optimiser.covering.model import cover_at_least_cost
 from placement.optimiser.covering.solve import (
     CoveringSolution,
     build_covering_instance,
@@ -134,6 +136,80 @@ def test_when_the_time_is_up_there_is_an_answer_and_a_bound(hard):
     assert len(most.chosen) == 9
     assert 0.0 < most.objective < most.bound <= hard.coverable_weight
     assert most.gap == pytest.approx(most.bound / most.objective - 1.0)
+
+
+@pytest.mark.parametrize("n_rows", [50, 120])
+def test_solvers_agree_on_covers_that_need_the_local_search(n_rows, monkeypatch):
+    monkeypatch.setattr("placement.optimiser.covering.solve._LARGE", 1)
+    rng = np.random.default_rng(n_rows)
+    for cost in (np.ones(40), rng.integers(1, 9, 40), rng.uniform(1.0, 9.0, 40)):
+        instance = build_covering_instance(rng.random((40, n_rows)) < 0.15, cost=cost)
+        searched, alone = (solve_lscp(instance, solver=name) for name in ("auto", "HIGHS"))
+        assert searched.is_proven
+        assert alone.is_proven
+        assert searched.objective == pytest.approx(alone.objective)
+        assert "row weighting" in searched.solver
+        assert "row weighting" not in alone.solver
+        greedy = solve_lscp(instance, solver="greedy")
+        assert greedy.bound <= alone.objective + 1e-9 <= greedy.objective + 2e-9
+
+
+def test_a_model_that_memory_has_no_room_for_is_not_built(hard, monkeypatch, caplog):
+    for module in ("memory", "solve"):
+        monkeypatch.setattr(f"placement.optimiser.covering.{module}.available_bytes", lambda: 1000)
+    with pytest.raises(InputError) as caught:
+        solve_lscp(hard, solver="HIGHS")
+    assert str(caught.value).startswith("--solver: got HIGHS with ")
+    assert str(caught.value).endswith("free: --solver greedy, or fewer rows or columns")
+    small = build_covering_instance(np.random.default_rng(8).random((40, 50)) < 0.15)
+    solution = solve_lscp(small, time_limit_s=2.0)
+    assert solution.covered_weight == small.coverable_weight
+    assert solution.bound < solution.objective
+    assert "HiGHS" not in solution.solver
+    assert "no proof by HiGHS: it takes about " in caplog.text
+    with pytest.raises(InputError, match="--solver: got HIGHS with "):
+        solve_mclp(hard, budget_units=9, solver="HIGHS")
+    assert len(solve_mclp(hard, budget_units=9).chosen) == 9
+
+
+def test_an_interruption_ends_the_solver(hard):
+    calls = []
+
+    def interrupt():
+        calls.append(None)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return True
+
+    before = set(threading.enumerate())
+    with pytest.raises(KeyboardInterrupt):
+        cover_at_least_cost(
+            hard.covers,
+            hard.cost,
+            hard.weight,
+            needed_weight=None,
+            time_limit_s=600.0,
+            gap=0.0,
+            meanwhile=interrupt,
+        )
+    for thread in set(threading.enumerate()) - before:
+        thread.join(30.0)
+        assert not thread.is_alive()
+
+
+def test_the_solver_stops_when_what_goes_on_meanwhile_says_so(hard):
+    everything = np.arange(hard.n_columns)
+    answer = cover_at_least_cost(
+        hard.covers,
+        hard.cost,
+        hard.weight,
+        needed_weight=None,
+        time_limit_s=600.0,
+        gap=0.0,
+        start=everything,
+        meanwhile=lambda: False,
+    )
+    assert answer.bound <= hard.n_columns
 
 
 def test_a_gap_is_enough_where_one_is_given(hard):

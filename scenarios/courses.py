@@ -1,0 +1,296 @@
+"""Courses: smooth lines along the lanes of a map, by their own length."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import make_smoothing_spline
+
+from geometry.arrays import FloatArray, freeze
+from geometry.errors import InputError
+from geometry.junction import Line
+
+from .turns import Turn
+
+_SAMPLE_M = 0.5  # between the points of a lane that are smoothed
+_SMOOTHING_M = 2.0  # bends much shorter than six times this are evened out
+_BEYOND_M = 60.0  # straight on beyond both ends of a lane
+_END_CHORD_M = 4.0  # of a lane's end, which tells its direction there
+_MAX_END_BEND_RAD = np.radians(20.0)
+_STEP_M = 0.01  # chords of an arc of 8 m come within two micrometres of it
+_SAME_POINT_M = 1.0e-6
+_MEETS_M = 1.0e-3
+_MAX_STEPS = 60
+_DAMPING = 0.6  # where lanes bend, full steps may swing to and fro
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Course:
+    """A smooth line on the road, and straight on beyond both its ends.
+
+    Stations are metres along it from its origin: the mouth of the lane that it follows.
+
+    Attributes
+    ----------
+    begin_m : float
+        Station of the first point. [m]
+    points_m : (n, 2) float
+        Every centimetre. World frame. [m]
+    yaw_rad : (n,) float
+        Direction there, without jumps by full turns. [rad]
+    max_bend_per_m : float
+        Largest curvature. [1/m]
+    max_bend_change_per_m2 : float
+        Most that the curvature changes in a metre; infinite where it jumps. [1/m^2]
+    """
+
+    begin_m: float
+    points_m: FloatArray
+    yaw_rad: FloatArray
+    max_bend_per_m: float
+    max_bend_change_per_m2: float
+
+    @property
+    def end_m(self) -> float:
+        """Station of the last point, in metres."""
+        return self.begin_m + _STEP_M * (len(self.points_m) - 1)
+
+    def at(self, station_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Points (..., 2) and directions (...,) in radians at stations."""
+        station = np.asarray(station_m, dtype=np.float64)
+        inside = np.clip(station, self.begin_m, self.end_m)
+        beyond = (station - inside)[..., None]
+        index, share = self._place(inside)
+        point = self.points_m[index] + share[..., None] * (
+            self.points_m[index + 1] - self.points_m[index]
+        )
+        yaw = self.interpolate(station, self.yaw_rad)
+        return point + beyond * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1), yaw
+
+    def interpolate(self, station_m: ArrayLike, values: FloatArray) -> FloatArray:
+        """What stands beside its points, (n,), at stations (...,); beyond the ends it stays."""
+        station = np.asarray(station_m, dtype=np.float64)
+        index, share = self._place(np.clip(station, self.begin_m, self.end_m))
+        between: FloatArray = values[index] + share * (values[index + 1] - values[index])
+        return between
+
+    def tangent(self, station_m: float) -> Line:
+        """The straight line that touches it at a station; its point is there."""
+        point, yaw = self.at(station_m)
+        return Line(point_m=point, direction=np.array([np.cos(yaw), np.sin(yaw)]))
+
+    def beside(self, left_m: float) -> "Course":
+        """The line that runs some metres to the left of it.
+
+        Its origin is beside this one's.
+
+        Raises
+        ------
+        InputError
+            It bends more sharply than that, so that no line runs there.
+        """
+        if left_m == 0.0:
+            return self
+        if self.max_bend_per_m * abs(left_m) >= 1.0:
+            raise InputError("left_m", left_m, f"less than {1.0 / self.max_bend_per_m:.1f} m")
+        left = np.stack([-np.sin(self.yaw_rad), np.cos(self.yaw_rad)], axis=-1)
+        return _course_of(self.points_m + left_m * left, self.yaw_rad, self._index(0.0))
+
+    def reversed(self) -> "Course":
+        """The same line, driven the other way; the origin stays."""
+        return Course(
+            begin_m=-self.end_m,
+            points_m=freeze(self.points_m[::-1].copy()),
+            yaw_rad=freeze(self.yaw_rad[::-1] + np.pi),
+            max_bend_per_m=self.max_bend_per_m,
+            max_bend_change_per_m2=self.max_bend_change_per_m2,
+        )
+
+    def crossings_m(self, line: Line) -> FloatArray:
+        """Stations at which it crosses a straight line, ascending, (n,)."""
+        left = line.coordinates(self.points_m)[:, 1]
+        index = np.flatnonzero((left[:-1] == 0.0) | (left[:-1] * left[1:] < 0.0))
+        share = left[index] / (left[index] - left[index + 1])
+        stations: FloatArray = self.begin_m + _STEP_M * (index + share)
+        return stations
+
+    def station_of(self, point_m: ArrayLike) -> float:
+        """Station of its point that is nearest to a point."""
+        distance = np.hypot(*(self.points_m - np.asarray(point_m, dtype=np.float64)).T)
+        return self.begin_m + _STEP_M * int(np.argmin(distance))
+
+    def between(self, begin_m: float, end_m: float) -> "Course":
+        """The part between two stations; it goes straight on from there."""
+        first, last = self._index(begin_m), self._index(end_m) + 1
+        return _course(
+            self.begin_m + _STEP_M * first,
+            self.points_m[first : last + 1],
+            self.yaw_rad[first : last + 1],
+        )
+
+    def _index(self, station_m: float) -> int:
+        last = len(self.points_m) - 2
+        return int(np.clip(np.floor((station_m - self.begin_m) / _STEP_M), 0, last))
+
+    def _place(self, inside_m: FloatArray) -> tuple[np.ndarray, FloatArray]:
+        steps = (inside_m - self.begin_m) / _STEP_M
+        index = np.minimum(steps.astype(np.int64), len(self.points_m) - 2)
+        return index, steps - index
+
+
+def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
+    """The smooth course along a lane.
+
+    Parameters
+    ----------
+    centreline_m : (n, 2) float
+        Points of the lane in driving direction. World frame. [m]
+    is_in : bool
+        It leads into the junction: its mouth, the origin of stations, is its end. Else its begin.
+
+    Raises
+    ------
+    InputError
+        The line has no length.
+
+    Notes
+    -----
+    A map's lane is a chain of chords; driven as it is, a body would jump in yaw at every point. The
+    course is the cubic smoothing spline [1]_ of the chain's points, taken every half metre, which
+    minimises the sum of (distance to the chain)^2 + L^4 (second derivative)^2 along the line with
+    L = 2 m. It has continuous curvature; circles of radius R shrink by L^4 / R^3 (16 mm for 10 m),
+    and a corner of the chain is cut by 0.35 L times its angle (0.25 m for 20 degrees). Beyond both
+    ends it goes straight on, in the direction that the lane has there.
+
+    References
+    ----------
+    .. [1] C. H. Reinsch, "Smoothing by spline functions", 1967; scipy's make_smoothing_spline.
+    """
+    points = np.asarray(centreline_m, dtype=np.float64).reshape(-1, 2).tolist()
+    origin = points[-1 if is_in else 0] if points else ()
+    return _follow(tuple(map(tuple, points)), tuple(origin))
+
+
+@lru_cache(maxsize=256)  # every case and speed follows the same few lanes
+def _follow(points: tuple[tuple[float, ...], ...], origin_m: tuple[float, ...]) -> Course:
+    chain = np.array(points, dtype=np.float64).reshape(-1, 2)
+    if len(chain) > 1:
+        chain = chain[np.append(True, np.hypot(*np.diff(chain, axis=0).T) > _SAME_POINT_M)]
+    if len(chain) < 2:
+        raise InputError("centreline_m", len(chain), "at least two different points")
+    ahead, behind = _end_direction(chain), _end_direction(chain[::-1])
+    chain = np.concatenate([chain[:1] + _BEYOND_M * behind, chain, chain[-1:] + _BEYOND_M * ahead])
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(chain, axis=0).T)))
+    at = np.linspace(0.0, along[-1], int(along[-1] / _SAMPLE_M) + 2)
+    samples = np.stack([np.interp(at, along, chain[:, axis]) for axis in (0, 1)], axis=1)
+    origin = samples.mean(axis=0)
+    # The sum over samples stands for an integral over the length.
+    spline = make_smoothing_spline(at, samples - origin, lam=_SMOOTHING_M**4 / (at[1] - at[0]))
+    fine = np.linspace(0.0, along[-1], int(along[-1] / _STEP_M) + 2)
+    derivative = spline.derivative()
+    speed = np.hypot(*derivative(fine).T)
+    length = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(fine)))
+    even = np.interp(np.arange(0.0, length[-1], _STEP_M), length, fine)
+    place, direction = spline(even) + origin, derivative(even)
+    return _course_of(
+        place,
+        np.unwrap(np.arctan2(direction[:, 1], direction[:, 0])),
+        int(np.hypot(*(place - np.array(origin_m)).T).argmin()),
+    )
+
+
+def _end_direction(chain_m: FloatArray) -> FloatArray:
+    """Unit vector in which a chain leads at its last point.
+
+    Chords of the last metres point where the lane led in their middles; what it turned between them
+    it turns once more by half up to its end.
+    """
+    back = chain_m[::-1]
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(back, axis=0).T)))
+    reach = min(_END_CHORD_M, 0.5 * float(along[-1]))
+    end, middle, begin = (
+        np.array([np.interp(distance, along, back[:, axis]) for axis in (0, 1)])
+        for distance in (0.0, reach, 2.0 * reach)
+    )
+    last, before = end - middle, middle - begin
+    turned = np.arctan2(before[0] * last[1] - before[1] * last[0], float(before @ last))
+    yaw = np.arctan2(last[1], last[0]) + np.clip(
+        0.5 * turned, -_MAX_END_BEND_RAD, _MAX_END_BEND_RAD
+    )
+    return np.array([np.cos(yaw), np.sin(yaw)])
+
+
+def _course_of(points_m: FloatArray, yaw_rad: FloatArray, origin: int) -> Course:
+    """A course through points that lie about evenly, with its origin at one of them."""
+    steps = np.hypot(*np.diff(points_m, axis=0).T)
+    length = np.append(0.0, np.cumsum(steps))
+    even = np.arange(0.0, length[-1], _STEP_M)
+    places = np.stack([np.interp(even, length, points_m[:, axis]) for axis in (0, 1)], axis=1)
+    return _course(-float(length[origin]), places, np.interp(even, length, yaw_rad))
+
+
+def _course(begin_m: float, points_m: FloatArray, yaw_rad: FloatArray) -> Course:
+    bend = np.diff(yaw_rad) / _STEP_M
+    # Over a tenth of a metre: shorter, rounded numbers would count as changes.
+    stride = 10
+    change = (bend[stride:] - bend[:-stride]) / (stride * _STEP_M)
+    return Course(
+        begin_m=begin_m,
+        points_m=freeze(np.ascontiguousarray(points_m)),
+        yaw_rad=freeze(np.ascontiguousarray(yaw_rad)),
+        max_bend_per_m=float(np.abs(bend).max(initial=0.0)),
+        max_bend_change_per_m2=float(np.abs(change).max(initial=0.0)),
+    )
+
+
+# ---------- from one lane into another
+
+
+def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course, Turn]:
+    """The course along a lane, round a turn into another lane, and along that one.
+
+    Its origin is where the turn begins. The turn has the arc that the lanes' directions at its ends
+    ask for, and is returned with it; it begins and ends on the lanes, wherever these bend.
+
+    Raises
+    ------
+    InputError
+        The lanes do not lie so that the turn joins them.
+    """
+    begin_m = end_m = 0.0
+    for _ in range(_MAX_STEPS):
+        before, after = entry.tangent(begin_m), exit_course.tangent(end_m)
+        angle_deg = turn.side * ((after.yaw_deg - before.yaw_deg + 180.0) % 360.0 - 180.0)
+        fitted = turn.turned_by(angle_deg)
+        corner = before.crossing_with(after)
+        early_m = float(before.coordinates(corner)[0]) - fitted.tangent_m
+        late_m = fitted.tangent_m + float(after.coordinates(corner)[0])
+        if max(abs(early_m), abs(late_m)) < _MEETS_M:
+            break
+        begin_m += _DAMPING * early_m
+        end_m += _DAMPING * late_m
+    else:
+        raise InputError("turn", turn.radius_m, "lanes that a curve of this radius joins")
+    begin_m, end_m = begin_m + early_m, end_m + late_m
+    along = np.arange(0.0, fitted.length_m, _STEP_M)
+    ahead_left, turned_deg = fitted.at(along)
+    start = entry.tangent(begin_m)
+    round_turn = (
+        start.point_m + ahead_left[:, :1] * start.direction + ahead_left[:, 1:] * start.left
+    )
+    yaw, exit_yaw = np.radians(start.yaw_deg + turned_deg), exit_course.yaw_rad
+    before_part = slice(0, max(entry._index(begin_m), 0))
+    after_part = slice(exit_course._index(end_m) + 2, None)
+    yaws = np.unwrap(np.concatenate([entry.yaw_rad[before_part], yaw, exit_yaw[after_part]]))
+    points = np.concatenate(
+        [entry.points_m[before_part], round_turn, exit_course.points_m[after_part]]
+    )
+    return _course_of(points, yaws, before_part.stop), fitted
+
+
+def follow_lanes(chains_m: Sequence[FloatArray]) -> Course:
+    """The smooth course along lanes one after the other; its origin is where the first one ends."""
+    points = np.concatenate(chains_m)
+    return _follow(tuple(map(tuple, points.tolist())), tuple(chains_m[0][-1].tolist()))

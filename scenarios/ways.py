@@ -1,0 +1,204 @@
+"""The ways of road users along a lane: straight on, or round its bends."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from geometry.actors import Actor
+from geometry.arrays import FloatArray
+from geometry.errors import InputError
+from geometry.junction import Line, lane_line
+from geometry.scene import Lane
+
+from .courses import Course, follow_lane
+from .paths import CoursePath, Path, StraightPath, TowedPath
+from .staging import CannotCarryError
+
+STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
+DO_NOT_MEET = "the VUT's way and the VRU's do not meet"
+_MAX_STEPS = 60
+_MEETS_M = 1.0e-3
+
+
+class Way(Protocol):
+    """A line that road users follow, through the junction and along the lane of an arm.
+
+    Stations count along it from the lane's mouth, ahead in the way's direction.
+    """
+
+    def tangent(self, station_m: float) -> Line:
+        """The straight line that touches it; its point is at the station."""
+        ...
+
+    def direction(self, station_m: float) -> Line:
+        """As :meth:`tangent`; but its point may be any on it."""
+        ...
+
+    def crossing(self, line: Line) -> tuple[float, FloatArray]:
+        """Station and point (2,) at which it crosses a straight line, nearest to the mouth.
+
+        Raises
+        ------
+        CannotCarryError
+            It does not.
+        """
+        ...
+
+    def point(self, station_m: float, left_m: float) -> FloatArray:
+        """The point some metres to the left of a station, (2,)."""
+        ...
+
+    def beside(self, left_m: float, station_m: float) -> "tuple[Way, float]":
+        """The way some metres to the left of it, and where one of its stations lies on that way."""
+        ...
+
+    def vut_path(self, station_m: float, vut: Actor) -> Path:
+        """A vehicle's path that begins with the middle of its footprint at a station."""
+        ...
+
+    def vru_path(self, station_m: float) -> Path:
+        """Path of a pedestrian or cyclist that begins at a station."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StraightWay:
+    """Along a straight line, whose point is the origin of stations."""
+
+    line: Line
+
+    def tangent(self, station_m: float) -> Line:
+        """See :meth:`Way.tangent`."""
+        return Line(point_m=self.line.at(station_m), direction=self.line.direction)
+
+    def direction(self, station_m: float) -> Line:
+        """See :meth:`Way.direction`."""
+        return self.line
+
+    def crossing(self, line: Line) -> tuple[float, FloatArray]:
+        """See :meth:`Way.crossing`."""
+        try:
+            point = self.line.crossing_with(line)
+        except np.linalg.LinAlgError:
+            raise CannotCarryError(DO_NOT_MEET) from None
+        return float(self.line.coordinates(point)[0]), point
+
+    def point(self, station_m: float, left_m: float) -> FloatArray:
+        """See :meth:`Way.point`."""
+        return self.line.at(station_m, left_m)
+
+    def beside(self, left_m: float, station_m: float) -> "tuple[Way, float]":
+        """See :meth:`Way.beside`."""
+        beside = Line(point_m=self.line.at(station_m, left_m), direction=self.line.direction)
+        return StraightWay(line=beside), 0.0
+
+    def vut_path(self, station_m: float, vut: Actor) -> Path:
+        """See :meth:`Way.vut_path`."""
+        return self.vru_path(station_m)
+
+    def vru_path(self, station_m: float) -> Path:
+        """See :meth:`Way.vru_path`."""
+        return StraightPath(start_m=self.line.at(station_m), yaw_deg=self.line.yaw_deg)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CurvedWay:
+    """Along a course."""
+
+    course: Course
+
+    def tangent(self, station_m: float) -> Line:
+        """See :meth:`Way.tangent`."""
+        return self.course.tangent(station_m)
+
+    def direction(self, station_m: float) -> Line:
+        """See :meth:`Way.direction`."""
+        return self.course.tangent(station_m)
+
+    def crossing(self, line: Line) -> tuple[float, FloatArray]:
+        """See :meth:`Way.crossing`."""
+        stations = self.course.crossings_m(line)
+        if not len(stations):
+            raise CannotCarryError(DO_NOT_MEET)
+        station = float(stations[np.argmin(np.abs(stations))])
+        return station, self.course.at(station)[0]
+
+    def point(self, station_m: float, left_m: float) -> FloatArray:
+        """See :meth:`Way.point`."""
+        return self.course.tangent(station_m).at(0.0, left_m)
+
+    def beside(self, left_m: float, station_m: float) -> "tuple[Way, float]":
+        """See :meth:`Way.beside`."""
+        try:
+            course = self.course.beside(left_m)
+        except InputError:
+            raise CannotCarryError(
+                f"the lane bends too sharply for a way {abs(left_m):.1f} m beside it"
+            ) from None
+        return CurvedWay(course=course), course.station_of(self.point(station_m, left_m))
+
+    def vut_path(self, station_m: float, vut: Actor) -> Path:
+        """See :meth:`Way.vut_path`."""
+        return TowedPath(
+            course=self.course,
+            start_m=station_m + vut.front_axle_ahead_m,
+            wheelbase_m=vut.wheelbase_m,
+            front_axle_ahead_m=vut.front_axle_ahead_m,
+        )
+
+    def vru_path(self, station_m: float) -> Path:
+        """See :meth:`Way.vru_path`."""
+        return CoursePath(course=self.course, start_m=station_m)
+
+
+def straight_line(lane: Lane, *, is_in: bool) -> Line:
+    """The straight line along the part of a lane next to the junction, through its mouth."""
+    return lane_line(lane, is_in=is_in, length_m=STRAIGHT_M)[0]
+
+
+def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
+    """How far a lane leaves its straight line, over a length from its mouth, in metres."""
+    points = lane.centreline_m[::-1] if is_in else lane.centreline_m  # the mouth comes first
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    end_m = min(max(length_m, 0.0), float(along[-1]))
+    end = np.array([np.interp(end_m, along, points[:, axis]) for axis in (0, 1)])
+    near: FloatArray = np.concatenate([points[along <= end_m], end[None]])
+    line = straight_line(lane, is_in=is_in)
+    return float(np.abs(line.coordinates(near)[:, 1]).max())
+
+
+def lane_way(lane: Lane, *, is_in: bool, length_m: float, max_bend_m: float) -> Way:
+    """The way along a lane, in its driving direction: straight where the lane is, as far as asked.
+
+    Straight means that it leaves its line by at most `max_bend_m` within `length_m` of its mouth.
+    """
+    if off_line_m(lane, is_in=is_in, length_m=length_m) <= max_bend_m:
+        return StraightWay(line=straight_line(lane, is_in=is_in))
+    return CurvedWay(course=follow_lane(lane.centreline_m, is_in=is_in))
+
+
+def reversed_way(way: Way) -> Way:
+    """The same way, driven the other way; the origin of stations stays."""
+    if isinstance(way, CurvedWay):
+        return CurvedWay(course=way.course.reversed())
+    line = way.tangent(0.0)
+    return StraightWay(line=Line(point_m=line.point_m, direction=-line.direction))
+
+
+def meeting_m(one: Way, other: Way) -> tuple[float, float]:
+    """Stations of two ways at which they cross nearest to their origins.
+
+    Raises
+    ------
+    CannotCarryError
+        They do not.
+    """
+    station = other_station = 0.0
+    for _ in range(_MAX_STEPS):
+        other_station, _ = other.crossing(one.tangent(station))
+        new, _ = one.crossing(other.tangent(other_station))
+        if abs(new - station) < _MEETS_M:
+            return new, other_station
+        station = new
+    raise CannotCarryError(DO_NOT_MEET)

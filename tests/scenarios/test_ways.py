@@ -1,0 +1,280 @@
+"""Cases on junctions as maps have them: lanes that bend, arms askew, cycleways, things beside."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from junctions import ARMS, LANE_M, MOUTH_M, build_scene, lanes_of, protocol_scene, turned
+from oracles import distance_to_chain_m
+
+from geometry.footprints import footprint_corners
+from geometry.junction import build_junction, mirrored
+from geometry.scene import Lane
+from placement.question import Question
+from placement.setting import build_rule
+from scenarios.cases import load_cases
+from scenarios.courses import follow_lane
+from scenarios.paths import CoursePath, StraightPath, TowedPath
+from scenarios.protocol import stage_by_protocol
+from scenarios.runs import build_runs
+from scenarios.staging import CannotCarryError, MirroredPath, NoRoadError
+
+RADIUS_M = 60.0
+
+
+@pytest.fixture(scope="module")
+def vut(actors):
+    return actors["vut"]
+
+
+def bent(lane, *, radius_m=RADIUS_M, straight_m=0.0):
+    """A lane of the western arm on a circle about a point south of the road, from the mouth on."""
+    ahead, left = lane.centreline_m.T
+    along = np.arange(0.0, 120.0, 2.0)
+    curve = np.maximum(along - straight_m, 0.0) / radius_m
+    radius = radius_m + left[0]
+    places = np.stack(
+        [
+            -MOUTH_M - np.minimum(along, straight_m) - radius * np.sin(curve),
+            radius * np.cos(curve) - radius_m,
+        ],
+        axis=-1,
+    )
+    is_in = ahead[-1] > ahead[0]
+    return dataclasses.replace(lane, centreline_m=places[::-1] if is_in else places)
+
+
+def curved_lanes(**bend):
+    others = [lane for arm in ARMS if arm != "west" for lane in lanes_of(arm, ARMS[arm])]
+    return [*others, *(bent(lane, **bend) for lane in lanes_of("west", 180.0))]
+
+
+CURVED = build_scene(curved_lanes())
+
+
+def staged(name, vut, *, scene=CURVED, approach="west", speed_kmh=None):
+    case = load_cases()[name]
+    return stage_by_protocol(
+        case,
+        build_junction(scene),
+        approach,
+        vut_speed_kmh=speed_kmh or case.vut_speeds_kmh[0],
+        vut=vut,
+    )
+
+
+def runs_on(scene, cases, vut, **choice):
+    rule = build_rule(Question())
+    return build_runs(scene, [load_cases()[name] for name in cases], vut=vut, rule=rule, **choice)
+
+
+@pytest.mark.parametrize("name", load_cases())
+def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
+    encounter = staged(name, vut).encounter
+    motion = encounter.vut_motion
+    assert isinstance(motion.path, TowedPath)
+    (lane,) = (lane for lane in CURVED.lanes if lane.id == "west-in-0")
+    distances = np.linspace(0.0, float(motion.distance_m(0.0)), 60)
+    front, _ = motion.path.course.at(motion.path.start_m + distances)
+    mapped_m = 118.0 / RADIUS_M * (RADIUS_M - 0.5 * LANE_M)
+    is_before = front[:, 0] < -MOUTH_M - 14.0  # turns begin up to so far before the mouth
+    is_mapped = is_before & (motion.path.start_m + distances > 15.0 - mapped_m)
+    if is_mapped.any():
+        assert distance_to_chain_m(front[is_mapped], lane.centreline_m).max() < 0.05
+    case = load_cases()[name]
+    if case.impact_face == "front" and case.kind != "turning":
+        position, yaw_deg = motion.path.at(motion.distance_m(0.0))
+        vru, vru_deg = encounter.vru_motion.path.at(encounter.vru_motion.distance_m(0.0))
+        reference_m = 0.0 if case.kind == "longitudinal" else case.vru_reference_m
+        point = vru + reference_m * turned([1.0, 0.0], float(vru_deg))
+        left_m = float((point - position) @ turned([0.0, 1.0], float(yaw_deg)))
+        wanted_m = vut.width_m * (case.impact_percent - 50.0) / 100.0
+        assert left_m == pytest.approx(wanted_m, abs=0.12)
+
+
+def test_whoever_moves_ahead_on_a_lane_that_bends_stays_in_it(vut):
+    encounter = staged("CBLA-50", vut, speed_kmh=60.0).encounter
+    path = encounter.vru_motion.path
+    assert isinstance(path, CoursePath)
+    distances = np.linspace(0.0, float(encounter.vru_motion.distance_m(0.0)), 50)
+    position, yaw_deg = path.at(distances)
+    (lane,) = (lane for lane in CURVED.lanes if lane.id == "west-in-0")
+    is_before = position[:, 0] < -MOUTH_M
+    assert distance_to_chain_m(position[is_before], lane.centreline_m).max() < 0.05
+    assert np.ptp(yaw_deg) > 20.0
+
+
+def test_a_lane_that_bends_only_far_away_is_driven_straight(vut):
+    scene = build_scene(curved_lanes(straight_m=70.0))
+    straight = staged("CPNA-25", vut, scene=protocol_scene(), speed_kmh=40.0).encounter
+    same = staged("CPNA-25", vut, scene=scene, speed_kmh=40.0).encounter
+    for one, other in (
+        (straight.vut_motion, same.vut_motion),
+        (straight.vru_motion, same.vru_motion),
+    ):
+        assert isinstance(one.path, StraightPath)
+        # Equal but for the rounding of the lane's points.
+        assert one.start_time_s == pytest.approx(other.start_time_s, abs=1e-9)
+        assert one.path.start_m == pytest.approx(other.path.start_m, abs=1e-9)
+        assert one.path.yaw_deg == pytest.approx(other.path.yaw_deg, abs=1e-9)
+    # As far as the bend, the lane is followed.
+    far = staged("CBLA-50", vut, scene=scene, speed_kmh=60.0).encounter
+    assert isinstance(far.vut_motion.path, TowedPath)
+
+
+def test_where_traffic_keeps_left_runs_are_the_mirror_image(vut):
+    junction = mirrored(build_junction(CURVED))
+    lanes = [lane for arm in junction.arms.values() for lane in (*arm.lanes_in, *arm.lanes_out)]
+    scene = dataclasses.replace(CURVED, lanes=tuple(lanes), keeps_left=True)
+    cases = ["CPNCO-50", "CPLA-50", "CPTAns-50", "CBTAfo-50"]
+    right, _ = runs_on(CURVED, cases, vut, approaches=["west"])
+    left, _ = runs_on(scene, cases, vut, approaches=["west"])
+    assert [run.id for run in left] == [run.id for run in right]
+    flip = np.array([1.0, -1.0])
+    for one, other in zip(right, left, strict=True):
+        assert isinstance(other.encounter.vut_motion.path, MirroredPath)
+        assert one.vut_position_m * flip == pytest.approx(other.vut_position_m, abs=1e-6)
+        assert one.vru_position_m * flip == pytest.approx(other.vru_position_m, abs=1e-6)
+        assert np.cos(np.radians(one.vut_yaw_deg + other.vut_yaw_deg)) == pytest.approx(1.0)
+        assert one.last_brake_time_s == pytest.approx(other.last_brake_time_s, abs=1e-4)
+        for body, image in zip(one.obstruction, other.obstruction, strict=True):
+            assert body.pose.position_m[:2] * flip == pytest.approx(
+                image.pose.position_m[:2], abs=1e-6
+            )
+
+
+@pytest.mark.parametrize("bearing_deg", [35.0, 55.0, 125.0])
+def test_turns_lead_into_arms_that_lie_askew_and_pedestrians_cross_them_squarely(vut, bearing_deg):
+    lanes = [
+        lane
+        for arm, bearing in (ARMS | {"north": bearing_deg}).items()
+        if arm != "east"
+        for lane in lanes_of(arm, bearing)
+    ]
+    rim = np.array([turned([MOUTH_M, 0.0], angle_deg) for angle_deg in range(0, 360, 10)])
+    scene = build_scene(lanes, outline_m=rim)
+    encounter = staged("CPTAfs-50", vut, scene=scene).encounter
+    path = encounter.vut_motion.path
+    _, tangent_deg = path.front_axle_at(path.straight_m + path.turn.length_m)
+    assert tangent_deg == pytest.approx(bearing_deg)
+    across_deg = encounter.vru_motion.path.yaw_deg - bearing_deg
+    if abs(bearing_deg - 90.0) > 30.0:
+        assert abs(np.cos(np.radians(across_deg))) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_turn_follows_the_junctions_own_lane_where_there_is_one(vut):
+    angle = np.radians(np.linspace(-90.0, 0.0, 20))
+    radius_m = MOUTH_M + 0.5 * LANE_M
+    arc = np.array([-MOUTH_M, MOUTH_M]) + radius_m * np.stack(
+        [np.cos(angle), np.sin(angle)], axis=-1
+    )
+    lane = Lane(id="through", kind="connecting", width_m=LANE_M, centreline_m=arc)
+    plain = protocol_scene()
+    scene = dataclasses.replace(plain, lanes=(*plain.lanes, lane))
+    assert build_junction(scene).arms.keys() == build_junction(plain).arms.keys()
+    path = staged("CPTAfs-50", vut, scene=scene).encounter.vut_motion.path
+    assert isinstance(path, TowedPath)
+    front, _ = path.course.at(np.linspace(0.0, 20.0, 30))
+    assert distance_to_chain_m(front, arc).max() < 0.15
+    other = staged("CPTAns-50", vut, scene=scene).encounter.vut_motion.path
+    assert not isinstance(other, TowedPath)
+
+
+def test_cyclists_ride_on_the_arms_cycleway(vut):
+    south = lanes_of("south", 270.0)[0]
+    cycleway = dataclasses.replace(
+        south, id="track", kind="cycling", width_m=2.0, centreline_m=south.centreline_m + [4.5, 0.0]
+    )
+    plain = protocol_scene()
+    scene = dataclasses.replace(plain, lanes=(*plain.lanes, cycleway))
+    junction = build_junction(scene)
+    assert [lane.id for lane in junction.arms["south"].cycleways_in] == ["track"]
+    assert [lane.id for lane in junction.arms["south"].lanes_in] == ["south-in-0"]
+    rides = staged("CBNA-50", vut, scene=scene).encounter.vru_motion.path
+    assert rides.start_m[0] == pytest.approx(cycleway.centreline_m[0, 0])
+
+
+def test_cyclists_do_not_ride_between_the_lanes_of_one_direction_and_the_other(vut):
+    lanes = [
+        lane
+        for arm, bearing in ARMS.items()
+        for lane in lanes_of(arm, bearing, n_lanes=2 if arm == "south" else 1)
+    ]
+    path = staged("CBNA-50", vut, scene=build_scene(lanes)).encounter.vru_motion.path
+    # 0.75 m inside the edge of the outer lane: two lanes of 3.5 m.
+    assert path.start_m[0] == pytest.approx(2.0 * LANE_M - 0.75)
+
+
+def test_a_cyclist_comes_from_a_road_that_exists(vut):
+    lanes = [lane for arm, at in ARMS.items() if arm != "east" for lane in lanes_of(arm, at)]
+    with pytest.raises(NoRoadError, match="no lane lies ahead from which the cyclist could come"):
+        staged("CBTAfo-50", vut, scene=build_scene(lanes))
+    assert staged("CBTAfs-100", vut, scene=build_scene(lanes)).encounter
+
+
+@pytest.mark.parametrize("name", ["CPNCO-50", "CBNA", "CBNA-50", "CBFA-50", "CBNAO-50"])
+@pytest.mark.parametrize("scene", [protocol_scene(), CURVED], ids=["straight", "curved"])
+def test_obstructions_stand_outside_the_carriageway(vut, name, scene):
+    import shapely
+
+    runs, refusals = runs_on(scene, [name], vut)
+    assert not refusals
+    strips = [
+        shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
+        for lane in scene.lanes
+    ]
+    for run in runs:
+        for body in run.obstruction:
+            corners = footprint_corners(
+                body.pose.position_m[:2],
+                body.pose.yaw_deg,
+                length_m=body.actor.length_m,
+                width_m=body.actor.width_m,
+            )
+            area = shapely.Polygon(corners).intersection(shapely.union_all(strips)).area
+            assert area <= 0.1 * body.actor.length_m + 1e-6
+
+
+def test_parked_cars_give_way_to_a_pole_and_a_house_that_leaves_no_room_is_named(vut):
+    free, _ = runs_on(protocol_scene(), ["CPNCO-50"], vut, approaches=["west"])
+    first = free[0].obstruction[0].pose.position_m
+    pole = ("pole", first[0] + 1.9, first[1], 0.2, 0.2, 4.0)
+    given_way, refusals = runs_on(
+        protocol_scene(boxes=[pole]), ["CPNCO-50"], vut, approaches=["west"]
+    )
+    assert not refusals
+    moved_m = given_way[0].obstruction[0].pose.position_m - first
+    assert 0.0 < np.hypot(*moved_m[:2]) <= 2.0
+    house = ("house", first[0] - 5.0, -15.0, 12.0, 23.0, 6.0)
+    runs, refusals = runs_on(protocol_scene(boxes=[house]), ["CPNCO-50"], vut, approaches=["west"])
+    assert not runs
+    assert {refusal.reason for refusal in refusals} == {
+        "house stands in the place of parked-car-small"
+    }
+
+
+def test_what_needs_a_road_that_is_missing_does_not_count_as_possible(vut):
+    lanes = [lane for arm, at in ARMS.items() if arm != "north" for lane in lanes_of(arm, at)]
+    _, refusals = runs_on(build_scene(lanes), ["CPTAfs-50", "CPLA-50"], vut, approaches=["west"])
+    assert [(one.case.name, one.is_possible) for one in refusals] == [("CPTAfs-50", False)]
+
+
+def test_a_turn_that_no_curve_makes_is_refused(vut):
+    # The lane out bends away at once, back towards where the VUT came from.
+    back = Lane(
+        id="north-out-0",
+        kind="driving",
+        width_m=LANE_M,
+        centreline_m=[[1.75, 11.5], [1.0, 13.0], [-6.0, 15.0], [-9.0, 14.0]],
+    )
+    lanes = [lane for arm, at in ARMS.items() for lane in lanes_of(arm, at)]
+    lanes = [back if lane.id == "north-out-0" else lane for lane in lanes]
+    with pytest.raises(CannotCarryError, match="lane"):
+        staged("CPTAfs-50", vut, scene=build_scene(lanes), speed_kmh=20.0)
+
+
+def test_the_course_of_a_lane_is_found_once():
+    (lane,) = (lane for lane in CURVED.lanes if lane.id == "west-in-0")
+    assert follow_lane(lane.centreline_m, is_in=True) is follow_lane(
+        lane.centreline_m.copy(), is_in=True
+    )
