@@ -14,11 +14,9 @@ from .evaluate import TOGETHER, additions, apr_lines, written
 from .options import (
     JUDGED,
     SectionedCommand,
-    compute_options,
-    json_option,
+    job_options,
     option,
     question_options,
-    quiet_option,
 )
 from .running import begin, command_line, print_result
 from .terminal import sentences
@@ -45,9 +43,7 @@ Examples:
     help="Folder for a report; else none.",
 )
 @question_options("samples", "uncertainty", "no_look", *JUDGED)
-@json_option
-@quiet_option
-@compute_options()
+@job_options()
 @click.pass_obj
 def compare(
     progress: StageProgress,

@@ -15,12 +15,10 @@ from ..results.numbers import percent, shortened
 from .options import (
     JUDGED,
     SectionedCommand,
-    compute_options,
-    json_option,
+    folder_option,
+    job_options,
     layout_option,
-    option,
     question_options,
-    quiet_option,
 )
 from .recording import check_recording_options, recording_options, recording_table
 from .running import begin, command_line, load_one_layout, print_result
@@ -45,11 +43,9 @@ Examples:
 )
 @layout_option
 @recording_options
-@option("--out", type=click.Path(path_type=Path), help="Folder for a report; else none.")
+@folder_option("a report")
 @question_options("no_look", *JUDGED)
-@json_option
-@quiet_option
-@compute_options()
+@job_options()
 @click.pass_obj
 def evaluate(
     progress: StageProgress,

@@ -16,12 +16,11 @@ from ..results.numbers import percent
 from .options import (
     JUDGED,
     SectionedCommand,
-    compute_options,
-    json_option,
+    folder_option,
+    job_options,
     layout_option,
     option,
     question_options,
-    quiet_option,
 )
 from .running import begin, load_one_layout, print_result
 from .terminal import driven_lines, sentences, table
@@ -62,15 +61,9 @@ Examples:
     expected="seconds, more than 0",
     help="Longest latency shown; default: 0.5, or as far as the budget and the curve need.",
 )
-@option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder for latency.csv and latency.png; else none.",
-)
+@folder_option("latency.csv and latency.png")
 @question_options(*(name for name in JUDGED if name != "latency_budget"))
-@json_option
-@quiet_option
-@compute_options()
+@job_options()
 @click.pass_obj
 def latency(
     progress: StageProgress,

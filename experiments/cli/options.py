@@ -295,7 +295,8 @@ def _be_verbose(context: click.Context, param: click.Parameter, is_verbose: bool
 
 
 def _show_traceback(context: click.Context, param: click.Parameter, is_shown: bool) -> None:
-    context.obj.shows_tracebacks |= is_shown
+    if is_shown:
+        context.obj.shows_tracebacks = True
 
 
 json_option = option(
@@ -392,6 +393,23 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
         return _decorate(with_compute, [_seed_option, _workers_option, *cache])
 
     return decorate
+
+
+def job_options(*, has_cache: bool = False) -> Decorator:
+    """The last options of a command that computes: what it prints, what it tells, and how.
+
+    The command gets `as_json`, `quiet` and `compute`; `has_cache` as in :func:`compute_options`.
+    """
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        return _decorate(command, [json_option, quiet_option, compute_options(has_cache=has_cache)])
+
+    return decorate
+
+
+def folder_option(files: str) -> Decorator:
+    """``--out``, a folder for some files, named in its help; nothing is written without it."""
+    return option("--out", type=click.Path(path_type=Path), help=f"Folder for {files}; else none.")
 
 
 def cache_folder() -> Path:

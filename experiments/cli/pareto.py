@@ -12,13 +12,13 @@ from ..progress import StageProgress
 from ..results.numbers import or_nan, percent
 from .options import (
     JUDGED,
+    Decorator,
     SectionedCommand,
-    compute_options,
     fields_in,
-    json_option,
+    folder_option,
+    job_options,
     option,
     question_options,
-    quiet_option,
 )
 from .running import begin, command_line, print_result
 from .terminal import driven_lines, sentences, table
@@ -27,10 +27,16 @@ if TYPE_CHECKING:
     from ..results.fronts import FrontPointRecord, FrontResult
 
 _TIME_LIMIT_S = 60.0
-FRONT_SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
-"""Fields of commands that look for several layouts: each in nominal conditions, on the grid."""
+# Several layouts are looked for: each in nominal conditions, on the grid.
+_SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
 # A front has every APR and every number of units: what asks for one of them has no place here.
 _ASKED = fields_in(ASKED, MOUNTED, but=("budget", "target", "least", "survive"))
+
+
+def front_options(*asked: str) -> Decorator:
+    """Options of a question for commands that look for several layouts, each with its own time."""
+    defaults = {"time_limit_s": _TIME_LIMIT_S}
+    return question_options(*asked, *_SOUGHT, *JUDGED, defaults=defaults)
 
 
 @click.command(
@@ -65,15 +71,9 @@ Examples:
     is_flag=True,
     help="Optimise time to spare and cost, too, not only the APR with and without a failure.",
 )
-@option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder for pareto.csv, pareto.json and pareto.png; else none.",
-)
-@question_options(*_ASKED, *FRONT_SOUGHT, *JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S})
-@json_option
-@quiet_option
-@compute_options(has_cache=True)
+@folder_option("pareto.csv, pareto.json and pareto.png")
+@front_options(*_ASKED)
+@job_options(has_cache=True)
 @click.pass_obj
 def pareto(
     progress: StageProgress,

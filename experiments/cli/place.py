@@ -25,13 +25,11 @@ from .options import (
     JUDGED,
     PLANNED,
     SectionedGroup,
-    compute_options,
     is_given,
-    json_option,
+    job_options,
     option,
     option_name,
     question_options,
-    quiet_option,
 )
 from .recording import check_recording_options, recorded_placement_table, recording_options
 from .running import begin, command_line, print_result
@@ -86,9 +84,7 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 )
 @recording_options
 @question_options(*PLANNED, *JUDGED)
-@json_option
-@quiet_option
-@compute_options(has_cache=True)
+@job_options(has_cache=True)
 @click.pass_context
 def cli(
     context: click.Context,

@@ -12,24 +12,20 @@ from placement.question import MOUNTED, Question
 from ..progress import StageProgress
 from ..results.numbers import percent, several
 from .options import (
-    JUDGED,
     SectionedCommand,
-    compute_options,
     fields_in,
-    json_option,
+    folder_option,
+    job_options,
     layout_option,
     option,
-    question_options,
-    quiet_option,
 )
-from .pareto import FRONT_SOUGHT
+from .pareto import front_options
 from .running import begin, command_line, load_one_layout, print_result
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
     from ..results.retrofits import ChangeRecord, RetrofitResult, RetrofitValueRecord
 
-_TIME_LIMIT_S = 60.0
 # What hangs there is --layout; what is added is asked for by money alone.
 _ASKED = ("budget_cost", *fields_in(MOUNTED, but=("keep", "within", "force_site")))
 
@@ -52,15 +48,9 @@ Examples:
     expected="euros, at least 0",
     help="Of a re-aim or a removal; default: people and a lift, by the project's assumptions.",
 )
-@option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder for retrofit.csv and retrofit.json; else none.",
-)
-@question_options(*_ASKED, *FRONT_SOUGHT, *JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S})
-@json_option
-@quiet_option
-@compute_options(has_cache=True)
+@folder_option("retrofit.csv and retrofit.json")
+@front_options(*_ASKED)
+@job_options(has_cache=True)
 @click.pass_obj
 def retrofit(
     progress: StageProgress,

@@ -12,12 +12,10 @@ from ..progress import StageProgress
 from .options import (
     JUDGED,
     SectionedCommand,
-    compute_options,
-    json_option,
+    job_options,
     layout_option,
     option,
     question_options,
-    quiet_option,
 )
 from .running import begin, load_one_layout, print_result
 from .terminal import sentences, table
@@ -36,9 +34,7 @@ Examples:
 @layout_option
 @option("--out", type=click.Path(path_type=Path), required=True, help="PDF file to write.")
 @question_options(*JUDGED)
-@json_option
-@quiet_option
-@compute_options()
+@job_options()
 @click.pass_obj
 def sheet(
     progress: StageProgress,
