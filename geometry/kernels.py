@@ -1,7 +1,7 @@
-"""Machine code for loops over numbers: numba's compiler, with what it compiles kept in the user's cache.
+"""Machine code for loops over numbers: numba's compiler, and what it compiled before.
 
-Loading numba takes half a second: modules that hold kernels are imported by the function that calls
-them, when it is called.
+The code is kept in the user's cache. Loading numba takes half a second: modules that hold kernels
+are imported by the function that calls them, when it is called.
 """
 
 import os
@@ -18,10 +18,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 def kernel(function: F) -> F:
     """Compile a function of numbers and arrays when it is first called; it then runs in any thread.
 
-    Kernels may call kernels. The machine code is kept for the next process; where no folder can be
-    written, it is compiled by each process.
+    Kernels may call kernels. Division by zero gives infinity or NaN, as in numpy. The machine code
+    is kept for the next process; where no folder can be written, it is compiled by each process.
     """
-    return cast(F, numba.njit(nogil=True, cache=_is_writable(compiled_folder()))(function))
+    is_kept = _is_writable(compiled_folder())
+    return cast(F, numba.njit(nogil=True, error_model="numpy", cache=is_kept)(function))
 
 
 def compiled_folder() -> Path:
