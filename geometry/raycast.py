@@ -5,6 +5,7 @@ of the system: it is taken where it loads. Open3D is imported only when it is as
 """
 
 import warnings
+from collections.abc import Callable
 from functools import cache
 from typing import Any, Protocol
 
@@ -165,7 +166,10 @@ def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
     """
     if rays not in RAYS:
         raise InputError(where, rays, "one of " + ", ".join(RAYS))
-    problems = {EmbreexCaster.name: embreex_problem, Open3dCaster.name: open3d_problem}
+    problems: dict[str, Callable[[], str | None]] = {
+        EmbreexCaster.name: embreex_problem,
+        Open3dCaster.name: open3d_problem,
+    }
     asked = (rays,) if rays in CASTERS else tuple(problems)
     reasons = []
     for name in asked:

@@ -177,7 +177,7 @@ def _in_view(world: World, offset_m: FloatArray, units: Sequence[CandidatePose])
 
 # ---------- tables on disk, under a hash of everything that went into them
 
-_FORMAT = "place-rsus/table/3"  # raise it whenever the same inputs give another table
+_FORMAT = "place-rsus/table/4"  # raise it whenever the same inputs give another table
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 

@@ -367,9 +367,10 @@ def cast_sight(
     faces_eye[asked] = _is_self_visible(world, eye, near_views[asked])
 
     is_visible = faces_eye & ~blocked
-    is_seen = is_visible.any(axis=1)
-    entry_of_row = np.append(np.where(is_seen, np.cumsum(is_seen) - 1, -1), -1)  # -1: no row
-    entry_of_frame = entry_of_row[row_of_view[views.view_of_frame]]
+    is_seen = np.asarray(is_visible.any(axis=1))
+    entry_of_row: IntArray = np.full(len(near_views) + 1, -1)  # one more, for frames without a row
+    entry_of_row[np.flatnonzero(is_seen)] = np.arange(int(is_seen.sum()))
+    entry_of_frame: IntArray = entry_of_row[row_of_view[views.view_of_frame]]
     # The VUT hides a part only if it is one that would be seen.
     left_visible = is_visible[rows] & ~behind_vut
     is_less = is_seen[rows] & (left_visible != is_visible[rows]).any(axis=1)
