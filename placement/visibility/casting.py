@@ -306,7 +306,8 @@ def _build_views(
     body_points = np.stack([surface.points_m for surface in surfaces])[surface_index]
     points = body_points @ np.swapaxes(body_rotation(unique[:, 2]), 1, 2)
     points[..., :2] += unique[:, None, :2]
-    n_corners = max(len(surface.hull_index) for surface in surfaces)
+    # As many numbers as machines handle at once divide the number of corners.
+    n_corners = -(-max(len(surface.hull_index) for surface in surfaces) // 16) * 16
     corners = np.stack([np.resize(surface.hull_index, n_corners) for surface in surfaces])
     axes = np.ascontiguousarray(np.swapaxes(points, 1, 2), dtype=np.float32)
     return VruViews(
@@ -348,7 +349,7 @@ def cast_sight(
     blocked = _is_blocked_by_static(
         world, eye, near_views, near_m=near_m, max_distance_m=max_distance_m
     )
-    n_blocked = blocked.sum(axis=1)
+    n_blocked = np.count_nonzero(blocked, axis=1)
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
     row_of_view[near_views[is_left]] = np.flatnonzero(is_left)
@@ -386,7 +387,8 @@ def cast_sight(
         view_index=near_views[shown_rows],
         is_visible=shown,
         is_whole=np.concatenate([is_whole, np.zeros(int(is_more.sum()), dtype=bool)]),
-        visible_share=shown.sum(axis=1) / faces_eye[shown_rows].sum(axis=1),
+        visible_share=np.count_nonzero(shown, axis=1)
+        / np.count_nonzero(faces_eye, axis=1)[shown_rows],
         entry_of_frame=entry_of_frame,
     )
 

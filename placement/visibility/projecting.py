@@ -39,6 +39,7 @@ def pairs_in_cones(
     return row[:count].copy(), entry[:count].copy()
 
 
+_SEEN, _ALL = 0, 4  # where the box of what is visible and that of all begin
 _LOWEST, _HIGHEST = np.int32(-(2**31)), np.int32(2**31 - 1)
 _SIGN, _REST = np.int32(31), np.int32(0x7FFFFFFF)
 
@@ -111,19 +112,19 @@ def box_pairs(
     focal_px: Array,
     size_px: Array,
     min_depth_m: Any,
+    min_height_px: Any,
     row: Array,
     entry: Array,
-    visible_px: Array,
-    amodal_px: Array,
+    boxes_px: Array,
     inside_share: Array,
 ) -> None:
-    """Boxes of the visible points and of all, (n, 4), and the share of the body inside the image.
+    """Boxes of the visible points and of all, (n, 8), and the share of the body inside the image.
 
     For each pair of a camera `row` (n,) and an `entry` (n,). `points` (n_views, 3, n_points) and
     `hull` (n_views, 3, n_hull), the corners of their convex hull, are in single precision, and so
     is `eye` (3,). `rotation` (k, 3, 3) takes offsets into the cameras, `focal_px` (k,), `size_px`
     (k, 2). Of a body that the image cuts off, only the points inside the image count; boxes are
-    zeros where there are none.
+    zeros where there are none, or where no box would be `min_height_px` high.
     """
     n_points, n_hull = points.shape[2], hull.shape[2]
     columns = np.empty(n_points, np.float32)
@@ -150,14 +151,16 @@ def box_pairs(
         left, right = limits[0], limits[1]
         _limits(row_bits, n_hull, limit_bits)
         top, bottom = limits[0], limits[1]
+        is_low = min(bottom, height) - max(top, zero) < min_height_px
         if not is_behind and (
-            right - half_width < -half_width
+            is_low
+            or right - half_width < -half_width
             or left - half_width > half_width
             or bottom - half_height < -half_height
             or top - half_height > half_height
         ):
-            for side in range(4):
-                amodal_px[pair, side] = visible_px[pair, side] = zero
+            for k in range(8):
+                boxes_px[pair, k] = zero
             inside_share[pair] = 0.0
             continue
         is_cut = is_behind or left < zero or top < zero or right > width or bottom > height
@@ -177,39 +180,45 @@ def box_pairs(
             wide = np.float64(max(zero, min(right, width))) - max(zero, min(left, width))
             high = np.float64(max(zero, min(bottom, height))) - max(zero, min(top, height))
             inside_share[pair] = wide * high / max(area, 1.0e-9)
+        boxes_px[pair, _ALL], boxes_px[pair, _ALL + 1] = left, top
+        boxes_px[pair, _ALL + 2], boxes_px[pair, _ALL + 3] = right, bottom
+        for j in range(n_points if is_cut else 0):
+            is_counted[j] = (
+                (depths[j] > min_depth_m)
+                & (abs(columns[j] - half_width) <= half_width)
+                & (abs(rows[j] - half_height) <= half_height)
+            )
         # First the box of all that is in the image, then that of what is visible of it.
-        for box, hides in ((amodal_px, False), (visible_px, True)):
-            if hides and is_whole[item]:
-                for side in range(4):
-                    box[pair, side] = amodal_px[pair, side]
+        for side in (_ALL, _SEEN):
+            if side == _ALL and not is_cut:
                 continue
-            if not (is_cut or hides):
-                box[pair, 0], box[pair, 1], box[pair, 2], box[pair, 3] = left, top, right, bottom
+            if side == _SEEN and is_whole[item]:
+                for k in range(4):
+                    boxes_px[pair, _SEEN + k] = boxes_px[pair, _ALL + k]
                 continue
-            first = n_points
-            for j in range(n_points):
-                is_counted[j] = not is_cut or (
-                    (depths[j] > min_depth_m)
-                    & (abs(columns[j] - half_width) <= half_width)
-                    & (abs(rows[j] - half_height) <= half_height)
-                )
-                is_counted[j] &= not hides or is_visible[item, j]
-                if is_counted[j] and first == n_points:
-                    first = j
+            if side == _SEEN and is_cut:
+                for j in range(n_points):
+                    is_counted[j] &= is_visible[item, j]
+            elif side == _SEEN:
+                for j in range(n_points):
+                    is_counted[j] = is_visible[item, j]
+            first = 0
+            while first < n_points and not is_counted[first]:
+                first += 1
             if first == n_points:
-                for side in range(4):
-                    box[pair, side] = zero
+                for k in range(4):
+                    boxes_px[pair, side + k] = zero
                 continue
             one = columns[first]  # the first one stands in for those that do not count
             for j in range(n_points):
                 some[j] = columns[j] if is_counted[j] else one
             _limits(some_bits, n_points, limit_bits)
-            box[pair, 0], box[pair, 2] = limits[0], limits[1]
+            boxes_px[pair, side], boxes_px[pair, side + 2] = limits[0], limits[1]
             one = rows[first]
             for j in range(n_points):
                 some[j] = rows[j] if is_counted[j] else one
             _limits(some_bits, n_points, limit_bits)
-            box[pair, 1], box[pair, 3] = limits[0], limits[1]
+            boxes_px[pair, side + 1], boxes_px[pair, side + 3] = limits[0], limits[1]
 
 
 @kernel

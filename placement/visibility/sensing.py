@@ -17,6 +17,7 @@ from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vr
 from .casting import Sight, World
 
 _MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outside the image
+_NEARLY = 0.999  # for the rounding of single precision
 _PAIRS = 1 << 21  # of sensors and entries that are looked at together
 
 
@@ -69,10 +70,10 @@ class Sensing:
         return packed
 
     def evidence(self, candidates: Sequence[CandidatePose]) -> Iterator[tuple[IntArray, Evidence]]:
-        """Evidence of all cameras that see something of an entry, at full contrast.
+        """Evidence of all cameras that see enough of an entry, at full contrast.
 
-        In parts: the index of each row's candidate, and the evidence, whose `draw_index` is the
-        entry. LiDARs are left out.
+        That is a box as high as the detector asks for. In parts: the index of each row's candidate,
+        and the evidence, whose `draw_index` is the entry. LiDARs are left out.
         """
         rows = [i for i, c in enumerate(candidates) if not isinstance(c.sensor, LidarModel)]
         step = max(1, _PAIRS // max(1, len(self.distance_m)))
@@ -164,11 +165,12 @@ def _project(
     """Pairs of a camera and an entry in which something is seen: the camera, and the evidence."""
     from .projecting import box_pairs
 
+    least_px = sensing.detector.min_box_height_px
     views, sight = sensing.world.views, sensing.sight
     cameras = [c.sensor for c in candidates if isinstance(c.sensor, CameraModel)]
     poses = [candidate.pose for candidate in candidates]
     rotation = camera_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses])
-    visible, amodal = (np.empty((len(row), 4), dtype=np.float32) for _ in range(2))
+    boxes = np.empty((len(row), 8), dtype=np.float32)
     inside_share = np.empty(len(row))
     box_pairs(
         views.axes_m,
@@ -181,17 +183,19 @@ def _project(
         np.array([camera.focal_length_px for camera in cameras], dtype=np.float32),
         np.array([(camera.width_px, camera.height_px) for camera in cameras], dtype=np.float32),
         np.float32(_MIN_DEPTH_M),
+        np.float32(_NEARLY * least_px),
         row,
         entry,
-        visible,
-        amodal,
+        boxes,
         inside_share,
     )
-    seen = np.flatnonzero(visible[:, 3] > visible[:, 1])
+    height_px = boxes[:, 3].astype(np.float64) - boxes[:, 1]
+    seen = np.flatnonzero((height_px >= least_px) & (height_px > 0.0))
+    visible, amodal = np.split(boxes[seen].astype(np.float64), 2, axis=1)
     entries = entry[seen]
     return row[seen], Evidence(
-        visible_px=visible[seen].astype(np.float64),
-        amodal_px=amodal[seen].astype(np.float64),
+        visible_px=visible,
+        amodal_px=amodal,
         contrast=np.ones(len(seen)),
         visible_share=sight.visible_share[entries],
         inside_share=inside_share[seen],

@@ -8,6 +8,7 @@ from numpy_sensing import NumpySensing
 from strategies import angles_deg, cameras, numbers, pitches_deg
 
 from geometry.actors import PlacedActor
+from geometry.image_boxes import box_height_px
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from placement.detectors import GeometricDetector, load_planning_detector
@@ -90,7 +91,8 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(world, mount, small
     row_index = np.concatenate([rows for rows, _ in parts])
     for row, look in enumerate(looks):
         expected = NumpySensing(sensing).evidence(look)
-        seen = np.flatnonzero(expected.visible_px[:, 3] > expected.visible_px[:, 1])
+        height_px = box_height_px(expected.visible_px)
+        seen = np.flatnonzero(height_px >= sensing.detector.min_box_height_px)
         picked = [np.flatnonzero(rows == row) for rows, _ in parts]
         entries = np.concatenate(
             [part.draw_index[some] for (_, part), some in zip(parts, picked, strict=True)]
