@@ -9,15 +9,10 @@ brakes and looks for contact.
 
 from .evaluate import evaluate_layout, evaluate_layouts
 from .perceive import perceive_from_roadside, perceive_from_vut
-from .render import STATIC, VRU, VUT, View
-from .surroundings import Surroundings, VutCamera, build_surroundings, load_vut_camera, render_frame
+from .surroundings import Surroundings, VutCamera, build_surroundings, load_vut_camera
 
 __all__ = [
-    "STATIC",
-    "VRU",
-    "VUT",
     "Surroundings",
-    "View",
     "VutCamera",
     "build_surroundings",
     "evaluate_layout",
@@ -25,5 +20,4 @@ __all__ = [
     "load_vut_camera",
     "perceive_from_roadside",
     "perceive_from_vut",
-    "render_frame",
 ]
