@@ -27,10 +27,15 @@ from .sights import Seen, Sights
 from .solids import Tree
 from .trees import MAX_OPEN
 
+# Few numbers are tuples, which need no memory: passing arrays costs more than the arithmetic.
+Point = tuple[float, float, float]  # right, down, ahead: camera frame. [m]
+Edges = tuple[Point, Point, Point]  # normals of planes through the lens
+Window = tuple[int, int, int, int]  # first column and row, and those after the last
+Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max. [px]
+
 _MIN_DEPTH_M = 1.0e-6
 _TOUCH_M = 1.0e-6  # what the VRU stands on does not hide it
 _SLACK_PX = 1.0e-6  # more than rounding moves an edge
-_PAST_CENTRE_PX = 0.5 + _SLACK_PX
 _N_PLANES = 6
 
 
@@ -48,7 +53,7 @@ class Image(NamedTuple):
 
 
 @kernel
-def _least_depth(image: Image, window: IntArray) -> float:
+def _least_depth(image: Image, window: Window) -> float:
     """Depth before which nothing is drawn in any pixel of a window."""
     half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
     across = max(half_width - window[0], window[2] - half_width) / image.focal_px
@@ -67,17 +72,13 @@ def _to_camera(turn: FloatArray, shift: FloatArray, points: FloatArray, out: Flo
 
 
 @kernel
-def find_crop(
-    image: Image, hull: FloatArray, min_height_px: float, crop: IntArray
-) -> float:
-    """Part of the image that holds a body, a pixel larger than its hull (camera frame).
+def find_crop(image: Image, hull: FloatArray, min_height_px: float) -> tuple[Window, float]:
+    """Part of the image that holds a body, a pixel larger than its hull (n, 3), camera frame.
 
-    Writes x_min, y_min, x_max, y_max to `crop`: zeros where the body is outside the field of view
-    or the part is not `min_height_px` high, the whole image where it reaches behind the lens. Gives
-    the share of the body's box that the image's edges do not cut off: 0 where it reaches behind.
+    It is zeros where the body is outside the field of view or the part is not `min_height_px` high,
+    the whole image where the body reaches behind the lens. Gives also the share of the body's box
+    that the image's edges do not cut off: 0 where it reaches behind.
     """
-    for side in range(4):
-        crop[side] = 0
     n = len(hull)
     half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
     n_left, n_right, n_above, n_below, n_behind = 0, 0, 0, 0, 0
@@ -93,9 +94,9 @@ def find_crop(
         nearest = min(nearest, depth)
     is_outside = n_left == n or n_right == n or n_above == n or n_below == n or n_behind == n
     if nearest <= _MIN_DEPTH_M:
-        if not is_outside and image.height_px >= min_height_px:
-            crop[2], crop[3] = image.width_px, image.height_px
-        return 0.0
+        if is_outside or image.height_px < min_height_px:
+            return (0, 0, 0, 0), 0.0
+        return (0, 0, image.width_px, image.height_px), 0.0
     x_min, x_max, y_min, y_max = np.inf, -np.inf, np.inf, -np.inf
     for row in range(n):
         scale = image.focal_px / hull[row, 2]
@@ -106,118 +107,126 @@ def find_crop(
     top, bottom = max(y_min, 0.0), min(y_max, float(image.height_px))
     inside = max(right - left, 0.0) / max(x_max - x_min, 1.0e-9)
     inside *= max(bottom - top, 0.0) / max(y_max - y_min, 1.0e-9)
-    if not is_outside:
-        low_x, high_x = max(np.floor(x_min) - 1.0, 0.0), min(np.ceil(x_max) + 1.0, image.width_px)
-        low_y, high_y = max(np.floor(y_min) - 1.0, 0.0), min(np.ceil(y_max) + 1.0, image.height_px)
-        if low_x < high_x and low_y < high_y and high_y - low_y >= min_height_px:
-            crop[0], crop[1], crop[2], crop[3] = int(low_x), int(low_y), int(high_x), int(high_y)
-    return inside
+    if is_outside:
+        return (0, 0, 0, 0), inside
+    x_low = int(np.floor(left)) - 1 if left >= 1.0 else 0
+    y_low = int(np.floor(top)) - 1 if top >= 1.0 else 0
+    x_high, y_high = int(np.ceil(right)) + 1, int(np.ceil(bottom)) + 1
+    x_high, y_high = min(x_high, image.width_px), min(y_high, image.height_px)
+    if x_low >= x_high or y_low >= y_high or y_high - y_low < min_height_px:
+        return (0, 0, 0, 0), inside
+    return (x_low, y_low, x_high, y_high), inside
 
 
 # ---------- triangles
 
 
 @kernel
-def _find_span(
-    image: Image, least_depth: float, corners: FloatArray, box: IntArray, span: IntArray
-) -> bool:
-    """Columns and rows of a box in which a triangle can cover pixel centres; whether any."""
-    half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
-    x_min, x_max, y_min, y_max = np.inf, -np.inf, np.inf, -np.inf
-    for side in range(3):
-        x, y, depth = corners[side, 0], corners[side, 1], corners[side, 2]
-        other = (side + 1) % 3
-        if depth >= least_depth:
-            scale = image.focal_px / depth
-            x_min, x_max = min(x_min, scale * x), max(x_max, scale * x)
-            y_min, y_max = min(y_min, scale * y), max(y_max, scale * y)
-        if (depth >= least_depth) != (corners[other, 2] >= least_depth):
-            part = (least_depth - depth) / (corners[other, 2] - depth)
-            scale = image.focal_px / least_depth
-            x += part * (corners[other, 0] - x)
-            y += part * (corners[other, 1] - y)
-            x_min, x_max = min(x_min, scale * x), max(x_max, scale * x)
-            y_min, y_max = min(y_min, scale * y), max(y_max, scale * y)
-    return _set_span(
-        x_min + half_width, y_min + half_height, x_max + half_width, y_max + half_height, box, span
-    )
+def _corner(points: FloatArray, row: int) -> Point:
+    return points[row, 0], points[row, 1], points[row, 2]
 
 
 @kernel
-def _set_span(
-    x_min: float, y_min: float, x_max: float, y_max: float, box: IntArray, span: IntArray
-) -> bool:
-    """Pixels of a box whose centres lie within bounds; whether there are any."""
-    left, right = max(x_min - _PAST_CENTRE_PX, box[0]), min(x_max + _PAST_CENTRE_PX, box[2])
-    top, bottom = max(y_min - _PAST_CENTRE_PX, box[1]), min(y_max + _PAST_CENTRE_PX, box[3])
+def _find_span(image: Image, least_depth: float, a: Point, b: Point, c: Point) -> Bounds:
+    """Bounds of the part of a triangle that is at least so deep; empty if there is none."""
+    bounds = (np.inf, np.inf, -np.inf, -np.inf)
+    bounds = _with_edge(image, least_depth, a, b, bounds)
+    bounds = _with_edge(image, least_depth, b, c, bounds)
+    return _with_edge(image, least_depth, c, a, bounds)
+
+
+@kernel
+def _with_edge(image: Image, least_depth: float, p: Point, q: Point, bounds: Bounds) -> Bounds:
+    """Bounds stretched by an edge from p to just before q, as far as it is deep enough."""
+    if p[2] >= least_depth:
+        bounds = _with_point(image, p[0], p[1], p[2], bounds)
+    if (p[2] >= least_depth) != (q[2] >= least_depth):
+        part = (least_depth - p[2]) / (q[2] - p[2])
+        x, y = p[0] + part * (q[0] - p[0]), p[1] + part * (q[1] - p[1])
+        bounds = _with_point(image, x, y, least_depth, bounds)
+    return bounds
+
+
+@kernel
+def _with_point(image: Image, right: float, down: float, ahead: float, bounds: Bounds) -> Bounds:
+    scale = image.focal_px / ahead
+    x, y = 0.5 * image.width_px + scale * right, 0.5 * image.height_px + scale * down
+    return min(bounds[0], x), min(bounds[1], y), max(bounds[2], x), max(bounds[3], y)
+
+
+@kernel
+def _pixels_within(bounds: Bounds, window: Window) -> Window:
+    """Pixels of a window whose centres lie within bounds; zeros if there are none."""
+    left = max(bounds[0] - 0.5 - _SLACK_PX, float(window[0]))
+    top = max(bounds[1] - 0.5 - _SLACK_PX, float(window[1]))
+    right = min(bounds[2] + 0.5 + _SLACK_PX, float(window[2]))
+    bottom = min(bounds[3] + 0.5 + _SLACK_PX, float(window[3]))
     if not (left < right and top < bottom):
-        return False
-    span[0], span[2] = int(np.ceil(left)), int(np.floor(right))
-    span[1], span[3] = int(np.ceil(top)), int(np.floor(bottom))
-    return bool(span[0] < span[2] and span[1] < span[3])
+        return 0, 0, 0, 0
+    # No number is negative: cutting off rounds down.
+    return int(np.ceil(left)), int(np.ceil(top)), int(right), int(bottom)
 
 
 @kernel
-def _set_edges(corners: FloatArray, edges: FloatArray) -> float:
-    """Normals of the planes through the lens and the edges, (3, 3); gives a . (b x c).
+def _cross(p: Point, q: Point) -> Point:
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
 
-    Both have the same sign: a direction that the triangle covers ahead of the lens is on the
-    positive side of all three planes.
+
+@kernel
+def _dot(p: Point, q: Point) -> float:
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@kernel
+def _find_edges(a: Point, b: Point, c: Point) -> tuple[Edges, float]:
+    """Normals of the planes through the lens and the edges, and a . (b x c), which is positive.
+
+    A direction that the triangle covers ahead of the lens is on the positive side of all three.
     """
-    for side in range(3):
-        p, q = (side + 1) % 3, (side + 2) % 3
-        edges[side, 0] = corners[p, 1] * corners[q, 2] - corners[p, 2] * corners[q, 1]
-        edges[side, 1] = corners[p, 2] * corners[q, 0] - corners[p, 0] * corners[q, 2]
-        edges[side, 2] = corners[p, 0] * corners[q, 1] - corners[p, 1] * corners[q, 0]
-    volume = 0.0
-    for axis in range(3):
-        volume += corners[0, axis] * edges[0, axis]
-    sign = 1.0 if volume > 0.0 else -1.0
-    for side in range(3):
-        for axis in range(3):
-            edges[side, axis] *= sign
-    return sign * volume
+    volume = _dot(a, _cross(b, c))
+    if volume < 0.0:
+        return (_cross(c, b), _cross(a, c), _cross(b, a)), -volume
+    return (_cross(b, c), _cross(c, a), _cross(a, b)), volume
 
 
 @kernel
-def _depth_at(image: Image, edges: FloatArray, volume: float, column: int, row: int) -> float:
-    """Depth of a triangle in a pixel; infinite where it does not cover it, or is too near."""
-    across = (column + 0.5 - 0.5 * image.width_px) / image.focal_px
-    down = (row + 0.5 - 0.5 * image.height_px) / image.focal_px
-    total = 0.0
-    for side in range(3):
-        value = edges[side, 0] * across + edges[side, 1] * down + edges[side, 2]
-        if not value >= 0.0:
-            return np.inf
-        total += value
-    if total == 0.0:
+def _depth_at(
+    image: Image, edges: Edges, volume: float, is_near: bool, across: float, down: float
+) -> float:
+    """Depth of a triangle in a direction; infinite where it does not cover it, or is too near."""
+    direction = (across, down, 1.0)
+    first, second = _dot(edges[0], direction), _dot(edges[1], direction)
+    third = _dot(edges[2], direction)
+    total = first + second + third
+    if first < 0.0 or second < 0.0 or third < 0.0 or total <= 0.0:
         return np.inf
     depth: float = volume / total
-    if depth * np.sqrt(1.0 + across * across + down * down) < image.near_m:
+    if is_near and depth * np.sqrt(1.0 + across * across + down * down) < image.near_m:
         return np.inf
     return depth
 
 
 @kernel
 def _passes_by(
-    image: Image, edges: FloatArray, volume: float, box: IntArray, farthest_m: float
+    image: Image, edges: Edges, volume: float, window: Window, farthest_m: float
 ) -> bool:
     """Whether a plane through a triangle, or through its edge and the lens, keeps off a beam."""
-    n_before = 0
-    outside = 0
+    n_before, n_first, n_second, n_third = 0, 0, 0, 0
     for corner in range(4):
-        across = (box[2 * (corner % 2)] - 0.5 * image.width_px) / image.focal_px
-        down = (box[1 + 2 * (corner // 2)] - 0.5 * image.height_px) / image.focal_px
-        total = 0.0
-        for side in range(3):
-            value = edges[side, 0] * across + edges[side, 1] * down + edges[side, 2]
-            total += value
-            if value < 0.0:
-                outside += 1 << (4 * side)  # counted in four bits each
-        n_before += total * farthest_m < volume
-    if n_before == 4:
-        return True
-    return outside & 15 == 4 or (outside >> 4) & 15 == 4 or outside >> 8 == 4
+        x = window[0] if corner < 2 else window[2]
+        y = window[1] if corner % 2 == 0 else window[3]
+        direction = (
+            (x - 0.5 * image.width_px) / image.focal_px,
+            (y - 0.5 * image.height_px) / image.focal_px,
+            1.0,
+        )
+        first, second = _dot(edges[0], direction), _dot(edges[1], direction)
+        third = _dot(edges[2], direction)
+        n_first += first < 0.0
+        n_second += second < 0.0
+        n_third += third < 0.0
+        n_before += (first + second + third) * farthest_m < volume
+    return n_before == 4 or n_first == 4 or n_second == 4 or n_third == 4
 
 
 # ---------- the VRU
@@ -236,18 +245,13 @@ def _project(image: Image, points: FloatArray, least_depth: float, pixels: Float
 
 
 @kernel
-def _draw(
-    image: Image,
-    points: FloatArray,
-    triangles: IntArray,
-    window: IntArray,
-    box: IntArray,
-    depth_m: FloatArray,
-) -> None:
+def draw(
+    image: Image, points: FloatArray, triangles: IntArray, window: Window, depth_m: FloatArray
+) -> Window:
     """Draw a body's `points` (camera frame) and `triangles` in a window of the image.
 
     With depths in the pixels of the window, row by row, they become those of the body where it is
-    nearer. Without (an empty array), `box` becomes the box around the pixels that the body covers,
+    nearer. Without (an empty array), it only gives the box around the pixels that the body covers,
     zeros if there are none; then a triangle that cannot make the box larger is not drawn: few are,
     in an order without order.
     """
@@ -256,35 +260,38 @@ def _draw(
     pixels = np.empty((len(points), 2))
     is_ahead = _project(image, points, least_depth, pixels)
     width = window[2] - window[0]
-    span = np.empty(4, dtype=np.int64)
-    corners, edges = np.empty((3, 3)), np.empty((3, 3))
+    middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
+    per_px = 1.0 / image.focal_px
     x_low, y_low, x_high, y_high = image.width_px, image.height_px, 0, 0
     # What lies within these bounds lies in the box already.
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     for row in range(len(triangles)):
         i, j, k = triangles[row, 0], triangles[row, 1], triangles[row, 2]
         if is_ahead:
-            x_min = min(min(pixels[i, 0], pixels[j, 0]), pixels[k, 0])
-            x_max = max(max(pixels[i, 0], pixels[j, 0]), pixels[k, 0])
-            y_min = min(min(pixels[i, 1], pixels[j, 1]), pixels[k, 1])
-            y_max = max(max(pixels[i, 1], pixels[j, 1]), pixels[k, 1])
-            if x_min > left and x_max < right and y_min > top and y_max < bottom:
+            bounds = (
+                min(min(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
+                min(min(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
+                max(max(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
+                max(max(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
+            )
+            if bounds[0] > left and bounds[1] > top and bounds[2] < right and bounds[3] < bottom:
                 continue
-            if not _set_span(x_min, y_min, x_max, y_max, window, span):
-                continue
-        for axis in range(3):
-            corners[0, axis] = points[i, axis]
-            corners[1, axis] = points[j, axis]
-            corners[2, axis] = points[k, axis]
-        if not is_ahead and not _find_span(image, least_depth, corners, window, span):
+        a, b, c = _corner(points, i), _corner(points, j), _corner(points, k)
+        if not is_ahead:
+            bounds = _find_span(image, least_depth, a, b, c)
+        x_min, y_min, x_max, y_max = _pixels_within(bounds, window)
+        if x_min >= x_max or y_min >= y_max:
             continue
-        volume = _set_edges(corners, edges)
-        for y in range(span[1], span[3]):
+        edges, volume = _find_edges(a, b, c)
+        is_near = min(min(a[2], b[2]), c[2]) < image.near_m
+        for y in range(y_min, y_max):
+            down = (y - middle_y) * per_px
             start = (y - window[1]) * width - window[0]
-            for x in range(span[0], span[2]):
+            for x in range(x_min, x_max):
                 if is_outline and x_low <= x < x_high and y_low <= y < y_high:
                     continue
-                depth = _depth_at(image, edges, volume, x, y)
+                across = (x - middle_x) * per_px
+                depth = _depth_at(image, edges, volume, is_near, across, down)
                 if not depth < np.inf:
                     continue
                 if is_outline:
@@ -297,14 +304,27 @@ def _draw(
             right = x_high + 0.5 - _SLACK_PX if x_high < window[2] else np.inf
             top = y_low - 0.5 + _SLACK_PX if y_low > window[1] else -np.inf
             bottom = y_high + 0.5 - _SLACK_PX if y_high < window[3] else np.inf
-    if is_outline:
-        if x_low >= x_high:
-            x_low, y_low, x_high, y_high = 0, 0, 0, 0
-        box[0], box[1], box[2], box[3] = x_low, y_low, x_high, y_high
+    if x_low >= x_high:
+        return 0, 0, 0, 0
+    return x_low, y_low, x_high, y_high
 
 
 @kernel
-def _measure(depth_m: FloatArray, window: IntArray, found: FloatArray, row: int) -> int:
+def _draw_all(
+    image: Image, points: FloatArray, triangles: IntArray, box: Window, depth_m: FloatArray
+) -> int:
+    """Depths of the whole VRU in the pixels of its box; gives the number of pixels."""
+    for pixel in range(len(depth_m)):
+        depth_m[pixel] = np.inf
+    draw(image, points, triangles, box, depth_m)
+    n_pixels = 0
+    for pixel in range(len(depth_m)):
+        n_pixels += depth_m[pixel] < np.inf
+    return n_pixels
+
+
+@kernel
+def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -> int:
     """Number of pixels of a window that show the VRU; the box around them becomes a row."""
     width, height = window[2] - window[0], window[3] - window[1]
     x_min, y_min, x_max, y_max = width, height, 0, 0
@@ -329,7 +349,7 @@ def _measure(depth_m: FloatArray, window: IntArray, found: FloatArray, row: int)
 @kernel
 def _set_beam(
     image: Image,
-    box: IntArray,
+    box: Window,
     farthest_m: float,
     turn: FloatArray,
     shift: FloatArray,
@@ -377,28 +397,29 @@ def hide(
     tree: Tree,
     turn: FloatArray,
     shift: FloatArray,
-    box: IntArray,
+    box: Window,
     farthest_m: float,
     low_m: float,
     high_m: float,
     depth_m: FloatArray,
-) -> int:
-    """Number of a body's triangles that may reach into the beam through a box.
+) -> bool:
+    """Hide what a body is before, or say whether it is before anything.
 
-    With depths in the pixels of the box, those of pixels that the body hides become infinite;
-    without (an empty array), it stops at the first triangle. The beam ends at `farthest_m` [m of
-    depth] and between two heights, in the body's frame.
+    With depths in the pixels of a box, those of pixels that the body hides become infinite. Without
+    (an empty array), it gives whether the body covers a pixel of the box at less than `farthest_m`.
+    Nothing farther than that, nor outside of two heights, is looked at. [m], the body's frame.
     """
     if len(tree.second) == 0:
-        return 0
+        return False
     planes = np.empty((_N_PLANES, 4))
     _set_beam(image, box, farthest_m, turn, shift, planes)
     least_depth = _least_depth(image, box)
-    n_reaching = 0
+    middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
+    per_px = 1.0 / image.focal_px
+    is_asked = len(depth_m) == 0
     width = box[2] - box[0]
     waiting = np.empty(MAX_OPEN, dtype=np.int64)
-    corners, edges = np.empty((3, 3)), np.empty((3, 3))
-    span = np.empty(4, dtype=np.int64)
+    corners = np.empty((3, 3))
     waiting[0] = 0
     n_waiting = 1
     while n_waiting:
@@ -412,21 +433,29 @@ def hide(
             continue
         for row in range(tree.start[node], tree.end[node]):
             _to_camera(turn, shift, tree.corners_m[row], corners)
-            if not _find_span(image, least_depth, corners, box, span):
+            a, b, c = _corner(corners, 0), _corner(corners, 1), _corner(corners, 2)
+            bounds = _find_span(image, least_depth, a, b, c)
+            x_min, y_min, x_max, y_max = _pixels_within(bounds, box)
+            if x_min >= x_max or y_min >= y_max:
                 continue
-            volume = _set_edges(corners, edges)
+            edges, volume = _find_edges(a, b, c)
             if volume == 0.0 or _passes_by(image, edges, volume, box, farthest_m):
                 continue
-            n_reaching += 1
-            if len(depth_m) == 0:
-                return n_reaching
-            for y in range(span[1], span[3]):
+            is_near = min(min(a[2], b[2]), c[2]) < image.near_m
+            for y in range(y_min, y_max):
+                down = (y - middle_y) * per_px
                 start = (y - box[1]) * width - box[0]
-                for x in range(span[0], span[2]):
-                    if depth_m[start + x] < np.inf:
-                        if _depth_at(image, edges, volume, x, y) <= depth_m[start + x]:
-                            depth_m[start + x] = np.inf
-    return n_reaching
+                for x in range(x_min, x_max):
+                    before_m = farthest_m if is_asked else depth_m[start + x]
+                    if before_m == np.inf:
+                        continue
+                    across = (x - middle_x) * per_px
+                    if _depth_at(image, edges, volume, is_near, across, down) > before_m:
+                        continue
+                    if is_asked:
+                        return True
+                    depth_m[start + x] = np.inf
+    return False
 
 
 # ---------- many sights
@@ -451,7 +480,6 @@ def see(
     `standing` scene, what is `parked` in it, and the `vut`. Where the VRU's part of the image is
     not `min_height_px` high, boxes are zeros.
     """
-    crop, box = np.empty(4, dtype=np.int64), np.empty(4, dtype=np.int64)
     hull, points = np.empty((len(hull_m), 3)), np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
     depth_m, left_m = nothing, nothing  # in the pixels of the box; infinite where it is not seen
@@ -463,16 +491,17 @@ def see(
     for sight in range(len(sights.vru.shift)):
         turn, shift = sights.vru.turn[sight], sights.vru.shift[sight]
         _to_camera(turn, shift, hull_m, hull)
-        seen.inside_share[sight] = find_crop(image, hull, min_height_px, crop)
+        crop, inside_share = find_crop(image, hull, min_height_px)
+        seen.inside_share[sight] = inside_share
         if crop[2] == 0:
             continue
         _to_camera(turn, shift, vertices_m, points)
-        _draw(image, points, triangles, crop, box, nothing)
+        box = draw(image, points, triangles, crop, nothing)
         if box[2] == 0:
             continue
-        for side in range(4):
-            seen.amodal_px[sight, side] = box[side]
-            seen.visible_px[sight, side] = box[side]
+        for side, edge_px in enumerate(box):
+            seen.amodal_px[sight, side] = edge_px
+            seen.visible_px[sight, side] = edge_px
         farthest_m = 0.0
         for row in range(len(hull)):
             farthest_m = max(farthest_m, hull[row, 2])
@@ -482,7 +511,7 @@ def see(
         n_pixels, n_left = 0, -1  # not counted: the VRU's, and those that nothing static hides
         at, there = sights.static.turn[sight], sights.static.shift[sight]
         for tree in (standing, parked):
-            if hide(image, tree, at, there, box, farthest_m, low_m, high_m, nothing) == 0:
+            if not hide(image, tree, at, there, box, farthest_m, low_m, high_m, nothing):
                 continue
             if n_pixels == 0:
                 n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
@@ -496,9 +525,9 @@ def see(
                 seen.frame_visible_px[frame, side] = seen.visible_px[sight, side]
             seen.frame_visible_share[frame] = seen.visible_share[sight]
             at, there = sights.vut.turn[frame], sights.vut.shift[frame]
-            if n_left == 0 or (
-                hide(image, vut, at, there, box, farthest_m, low_m, high_m, nothing) == 0
-            ):
+            if n_left == 0:
+                continue
+            if not hide(image, vut, at, there, box, farthest_m, low_m, high_m, nothing):
                 continue
             if n_pixels == 0:
                 n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
@@ -507,17 +536,3 @@ def see(
             hide(image, vut, at, there, box, farthest_m, low_m, high_m, left_m[:area])
             n_seen = _measure(left_m, box, seen.frame_visible_px, frame)
             seen.frame_visible_share[frame] = n_seen / n_pixels
-
-
-@kernel
-def _draw_all(
-    image: Image, points: FloatArray, triangles: IntArray, box: IntArray, depth_m: FloatArray
-) -> int:
-    """Depths of the whole VRU in the pixels of its box; gives the number of pixels."""
-    for pixel in range(len(depth_m)):
-        depth_m[pixel] = np.inf
-    _draw(image, points, triangles, box, box, depth_m)
-    n_pixels = 0
-    for pixel in range(len(depth_m)):
-        n_pixels += depth_m[pixel] < np.inf
-    return n_pixels

@@ -157,7 +157,7 @@ def build_static(
     vertices, triangles = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)]
     for body in obstruction:
         shape = body.actor.shapes[0]
-        triangles.append(shape.triangles + sum(map(len, vertices)))
+        triangles.append(shape.triangles.astype(np.int64) + sum(map(len, vertices)))
         vertices.append(to_world(shape.vertices_m, body.pose) - [*middle_m, 0.0])
     parked = Mesh(vertices_m=np.concatenate(vertices), triangles=np.concatenate(triangles))
     return Solid(meshes=(standing, parked), hull_m=np.empty((0, 3)), library=library)

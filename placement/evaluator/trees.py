@@ -26,8 +26,14 @@ def build_tree(corners_m: FloatArray) -> Tree:
     order = np.arange(n)
     centres_m = 0.5 * (corners_m.min(axis=1) + corners_m.max(axis=1))
     n_used = _fill(tree, order, centres_m)
-    nodes = (np.ascontiguousarray(part[:n_used]) for part in tree[1:])
-    return Tree(np.ascontiguousarray(corners_m[order]), *nodes)
+    return Tree(
+        corners_m=corners_m[order],
+        low_m=tree.low_m[:n_used].copy(),
+        high_m=tree.high_m[:n_used].copy(),
+        second=tree.second[:n_used].copy(),
+        start=tree.start[:n_used].copy(),
+        end=tree.end[:n_used].copy(),
+    )
 
 
 @kernel
@@ -71,7 +77,7 @@ def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
                 order[place] = order[split]
                 order[split] = row
                 split += 1
-        if split == begin or split == stop or n_open > MAX_OPEN // 2:
+        if split in (begin, stop) or n_open > MAX_OPEN // 2:
             split = (begin + stop) // 2
         begins[n_open], ends[n_open], parents[n_open] = split, stop, node
         begins[n_open + 1], ends[n_open + 1], parents[n_open + 1] = begin, split, -1

@@ -2,15 +2,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ray_renderer import render_frame
 
 from geometry.actors import PlacedActor, pick_actor
 from geometry.errors import InputError
 from geometry.poses import Pose, to_world
 from geometry.raycast import open3d_problem
 from geometry.sensors import project_points
-from placement.evaluator import perceive
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
-from placement.evaluator.surroundings import VutCamera, build_surroundings, render_frame
+from placement.evaluator.surroundings import VutCamera, build_surroundings
 
 HOUSES = (
     ((8.0, 8.0, 0.0), (16.0, 16.0, 6.0)),
@@ -63,13 +63,8 @@ def surroundings(build_scene, build_run):
     )
 
 
-@pytest.mark.parametrize("large_px", [1, 1 << 40])  # always, and never, the edges first
 @pytest.mark.parametrize("mount", MOUNTS)
-def test_roadside_boxes_equal_the_plain_render_of_every_frame(
-    surroundings, camera, mount, large_px, monkeypatch
-):
-    monkeypatch.setattr(perceive, "_LARGE_PX", large_px)
-    monkeypatch.setattr(perceive, "_MAX_RAYS", 5000)
+def test_roadside_boxes_equal_the_plain_render_of_every_frame(surroundings, camera, mount):
     boxes = perceive_from_roadside(surroundings, mount, camera)
     views = [render_frame(surroundings, frame, mount, camera) for frame in range(N_FRAMES)]
     assert (boxes.amodal_px == [view.amodal_box_px for view in views]).all()
@@ -82,11 +77,7 @@ def test_roadside_boxes_equal_the_plain_render_of_every_frame(
     assert (boxes.visible_px != [view.visible_box_px for view in without_vut]).any()
 
 
-@pytest.mark.parametrize("large_px", [1, 1 << 40])
-def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(
-    surroundings, camera, vut, large_px, monkeypatch
-):
-    monkeypatch.setattr(perceive, "_LARGE_PX", large_px)
+def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(surroundings, camera, vut):
     vut_camera = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
     boxes = perceive_from_vut(surroundings, vut_camera)
     mount = vut_camera.pose_on(vut)
