@@ -111,8 +111,9 @@ def render_frame(
     camera: CameraModel,
     *,
     with_vut: bool = True,
+    crop_px: tuple[int, int, int, int] | None = None,
 ) -> View:
-    """Render a whole image in one frame of some surroundings."""
+    """Render one frame of some surroundings; `crop_px` as for :func:`render_view`."""
     vut = (surroundings.vut, surroundings.vut_poses[frame_index])
     return render_view(
         build_lens(pose, camera),
@@ -125,6 +126,7 @@ def render_frame(
             surroundings.vru_poses[frame_index],
         ),
         vut=vut if with_vut else None,
+        crop_px=crop_px,
     )
 
 
