@@ -23,8 +23,7 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .sights import Seen, Sights
-from .solids import Tree
+from .sights import Seen, Sights, Tree
 from .trees import MAX_OPEN
 
 # Few numbers are tuples, which need no memory: passing arrays costs more than the arithmetic.

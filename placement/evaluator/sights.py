@@ -5,6 +5,29 @@ from typing import NamedTuple
 from geometry.arrays import FloatArray, IntArray
 
 
+class Tree(NamedTuple):
+    """Boxes around ever fewer triangles: a parent is followed by its first child.
+
+    Attributes
+    ----------
+    corners_m : (n_triangles, 3, 3) float
+        Corners, leaf by leaf.
+    low_m, high_m : (n_nodes, 3) float
+        Box of each node. Without triangles there is no node.
+    second : (n_nodes,) int
+        The second child; -1 for a leaf.
+    start, end : (n_nodes,) int
+        Triangles of a node.
+    """
+
+    corners_m: FloatArray
+    low_m: FloatArray
+    high_m: FloatArray
+    second: IntArray
+    start: IntArray
+    end: IntArray
+
+
 class Placed(NamedTuple):
     """Where bodies are, seen from a camera: ``turn @ point + shift`` is right, down, ahead."""
 

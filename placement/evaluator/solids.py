@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from threading import RLock
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -19,28 +18,7 @@ from geometry.poses import to_world
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
 
-
-class Tree(NamedTuple):
-    """Boxes around ever fewer triangles: a parent is followed by its first child.
-
-    Attributes
-    ----------
-    corners_m : (n_triangles, 3, 3) float
-        Corners, leaf by leaf.
-    low_m, high_m : (n_nodes, 3) float
-        Box of each node. Without triangles there is no node.
-    second : (n_nodes,) int
-        The second child; -1 for a leaf.
-    start, end : (n_nodes,) int
-        Triangles of a node.
-    """
-
-    corners_m: FloatArray
-    low_m: FloatArray
-    high_m: FloatArray
-    second: IntArray
-    start: IntArray
-    end: IntArray
+from .sights import Tree
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

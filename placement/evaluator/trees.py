@@ -5,7 +5,7 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .solids import Tree
+from .sights import Tree
 
 _LEAF_SIZE = 4
 MAX_OPEN = 512  # nodes that wait for their turn: one per level
