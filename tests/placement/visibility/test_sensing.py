@@ -125,9 +125,7 @@ def _evidence_of_frames(scene, runs, candidate, detector):
     )
     by_points = replace(evidence, **{name: getattr(evidence, name)[rows] for name in fields})
     by_points = replace(by_points, contrast=made.contrast[0, by_points.draw_index])
-    by_pixels = perceive_from_roadside(
-        build_surroundings(scene, runs).take(frames), pose, camera, with_shares=True
-    )
+    by_pixels = perceive_from_roadside(build_surroundings(scene, runs).take(frames), pose, camera)
     return by_points, by_pixels
 
 
@@ -156,9 +154,7 @@ def test_a_table_of_the_response_counts_frames_from_the_planned_probability_on(
     candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
     scene = build_scene(*WALLS)
     surroundings = build_surroundings(scene, random_runs)
-    evidence = perceive_from_roadside(
-        surroundings, candidate.pose, candidate.sensor, with_shares=True
-    )
+    evidence = perceive_from_roadside(surroundings, candidate.pose, candidate.sensor)
     for plan_probability in (0.2, 0.5, 0.8):
         detector = replace(RESPONSE, plan_probability=plan_probability)
         (found,) = table_of(scene, [candidate], random_runs, detector)
