@@ -1,10 +1,9 @@
-"""What each command does, from layouts to a folder of results."""
+"""Placements, evaluations and comparisons: from a question to a folder of results."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
-from typing import cast
 
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace as replace_fields
@@ -15,7 +14,6 @@ from placement.evaluation import apr
 from placement.evaluator import evaluate_layouts
 from placement.explain.sensitivity import find_sensitivity
 from placement.layout import Layout, check_layout
-from placement.optimiser import Fusion
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Placement, place
 from placement.planning import Plan, build_plan
@@ -23,7 +21,7 @@ from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
 from placement.sampling import load_uncertainty, out_of_sample_layouts
-from placement.setting import Setting, build_setting
+from placement.setting import build_setting
 
 from ..progress import StageProgress
 from ..report.bill_of_materials import build_bill
@@ -31,7 +29,6 @@ from ..report.page import GREEDY
 from ..report.sampled_worlds import plot_sampled_apr
 from ..results.explanations import (
     PrivateGroundRecord,
-    SensitivityRecord,
     build_explained_record,
     build_private_ground_record,
     build_sensitivity_record,
@@ -102,9 +99,7 @@ def run_placement(
             placement,
             plan.candidates,
             solver=plan.effort,
-            seed=compute.seed,
-            workers=compute.workers,
-            on_progress=report,
+            compute=replace(compute, progress=report),
         )
         placement = refinement.placement
     progress("explain", 0, 0)
@@ -131,7 +126,9 @@ def run_placement(
             if front is None
             else describe_front(front, placement.problem, poses, n_kept=len(plan.wishes.kept))
         ),
-        sensitivity=_what_if(setting, placement.layout, compute, fusion=question.fusion),
+        sensitivity=build_sensitivity_record(
+            find_sensitivity(setting, placement.layout, fusion=question.fusion, compute=compute)
+        ),
         private_ground=(
             UNSET
             if plan.private_ground is None
@@ -196,14 +193,6 @@ def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> F
     )
 
 
-def _what_if(
-    setting: Setting, layout: Layout, compute: Compute, *, fusion: str = "any"
-) -> SensitivityRecord:
-    """What becomes of a layout if an assumption is wrong."""
-    found = find_sensitivity(setting, layout, fusion=cast(Fusion, fusion), compute=compute)
-    return build_sensitivity_record(found)
-
-
 def run_evaluation(
     question: Question,
     *,
@@ -221,9 +210,9 @@ def run_evaluation(
     InputError
         A unit hangs underground or inside something, or `out` cannot be written.
     """
-    return _judge(
+    return run_comparison(
         question,
-        [layout],
+        layouts=[layout],
         no_look=no_look,
         out=out,
         compute=compute,
@@ -244,7 +233,7 @@ def run_comparison(
     command: str,
     progress: StageProgress,
 ) -> Result:
-    """Compare layouts on the same runs, and write a report if asked to.
+    """Compare layouts on the same runs, or evaluate a single one; write a report if asked to.
 
     With samples, they are compared in so many sampled worlds, too: the same ones for all, so that
     differences have an interval.
@@ -254,32 +243,6 @@ def run_comparison(
     InputError
         A unit hangs underground or inside something, or `out` cannot be written.
     """
-    return _judge(
-        question,
-        layouts,
-        samples=samples,
-        uncertainty=uncertainty,
-        no_look=no_look,
-        out=out,
-        compute=compute,
-        command=command,
-        progress=progress,
-    )
-
-
-def _judge(
-    question: Question,
-    layouts: Sequence[Layout],
-    *,
-    samples: int = 0,
-    uncertainty: str = "default",
-    no_look: str = "",
-    out: Path | None,
-    compute: Compute,
-    command: str,
-    progress: StageProgress,
-) -> Result:
-    """Evaluate one layout, or compare several."""
     drawn = load_uncertainty(uncertainty, where="--uncertainty")
     if out is not None:
         check_result_folder(out)
@@ -321,7 +284,8 @@ def _judge(
         sampled_figure = plot_sampled_apr(judged)
     if out is None:
         return replace_fields(result, seconds=progress.finish())
-    result = replace_fields(result, sensitivity=_what_if(setting, layouts[0], compute))
+    sensitivity = build_sensitivity_record(find_sensitivity(setting, layouts[0], compute=compute))
+    result = replace_fields(result, sensitivity=sensitivity)
     return write_results(
         out,
         result,

@@ -5,7 +5,7 @@ and aimed at weak spots, and at last turns the chosen ones step by step.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product, starmap
 from typing import NamedTuple
@@ -16,6 +16,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.sensors import CameraModel
 
 from ..candidates import CandidatePose, is_turn_useless
+from ..compute import DEFAULT_COMPUTE, Compute, Progress
 from ..layout import Certificate
 from ..optimiser import (
     Effort,
@@ -181,9 +182,6 @@ def _steps(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePo
 # ---------- the search
 
 
-# Called with the stage, and how much of how much is done; 0 of 0 where that is not known.
-StageProgress = Callable[[str, int, int], None]
-
 _SHRINK = 0.5  # of the spread of new poses after a round without improvement
 _MAX_IDLE_ROUNDS = 3
 _SOLVER_SHARE = 0.5  # of the time left, before the units are turned
@@ -259,7 +257,7 @@ class Search:
         """New poses so far."""
         return int(self.bench.is_new.sum())
 
-    def explore(self, report: StageProgress) -> int:
+    def explore(self, report: Progress) -> int:
         """Rounds of new poses; how many there were.
 
         A round exchanges units for better ones, which is quick; when that finds nothing any more,
@@ -442,9 +440,7 @@ def refine(
     *,
     effort: RefinementEffort | None = None,
     solver: Effort | None = None,
-    seed: int = 0,
-    workers: int = 1,
-    on_progress: StageProgress | None = None,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> Refinement:
     """Look for a better layout between the poses of a grid.
 
@@ -461,12 +457,9 @@ def refine(
         How hard to try.
     solver : Effort, optional
         Of the optimiser; its time limit is shortened where that of `effort` leaves less.
-    seed : int
-        Of the new poses, and of the points on the VRUs: that of the table.
-    workers : int
-        Threads.
-    on_progress : callable, optional
-        See ``StageProgress``.
+    compute : Compute
+        Threads, who is told the progress, and the seed of the new poses and of the points on the
+        VRUs: that of the table.
 
     Returns
     -------
@@ -489,17 +482,16 @@ def refine(
         setting,
         placement,
         candidates,
-        build_rows=RayRows(setting, seed=seed, workers=workers),
+        build_rows=RayRows(setting, seed=compute.seed, workers=compute.workers),
         solver=Effort() if solver is None else solver,
-        rng=np.random.default_rng(seed),
+        rng=np.random.default_rng(compute.seed),
         effort=effort,
         started_s=started_s,
     )
-    report = on_progress or _ignore
-    n_rounds = search.explore(report)
-    report("refine: directions", 0, 0)
+    n_rounds = search.explore(compute.progress)
+    compute.progress("refine: directions", 0, 0)
     search.turn()
-    report("refine: proof", 0, 0)
+    compute.progress("refine: proof", 0, 0)
     search.prove()
     result = search.result(placement)
     refined, all_candidates, moves = result or (placement, tuple(candidates), ())
@@ -525,7 +517,3 @@ def _check_table(
         raise InputError(
             "--refine", Unquoted("a table of sampled worlds"), "a table of the runs as planned"
         )
-
-
-def _ignore(stage: str, done: int, total: int) -> None:
-    """Take no notice of progress."""

@@ -62,7 +62,7 @@ def placements(meadow, meadow_grid, tmp_path_factory):
 @pytest.fixture(scope="module")
 def refinements(meadow, placements):
     return {
-        name: refine(meadow, placement, candidates, effort=QUICK)
+        name: refine(meadow, placement, candidates, effort=QUICK, compute=Compute(workers=1))
         for name, (candidates, placement) in placements.items()
     }
 
@@ -168,12 +168,12 @@ def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
 
 def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
     candidates, placement = placements["two units"]
-    again = refine(meadow, placement, candidates, effort=QUICK, workers=2)
+    again = refine(meadow, placement, candidates, effort=QUICK, compute=Compute(workers=2))
     first = refinements["two units"]
     assert layout_records(again.placement.layout) == layout_records(first.placement.layout)
     assert again.n_tried == first.n_tried
     assert again.after == first.after
-    other = refine(meadow, placement, candidates, effort=QUICK, seed=1)
+    other = refine(meadow, placement, candidates, effort=QUICK, compute=Compute(seed=1))
     ours, theirs = ({c.id for c in item.candidates} for item in (first, other))
     assert ours != theirs
 
