@@ -53,13 +53,34 @@ class Measure:
         for sample in range(n_samples):
             mine = self.sample_index == sample
             by_sample[..., sample] = is_avoided[..., mine] @ self.weight[mine]
+        return self.of_worlds(by_sample)
+
+    def of_worlds(self, by_sample: FloatArray) -> FloatArray:
+        """Ratio from the weight of avoided runs by world, (..., n_samples) or of all, (..., 1)."""
+        if self.is_mean:
+            total: FloatArray = by_sample.sum(axis=-1)
+            return total
         ratio = by_sample / self.sample_weight
-        order = np.argsort(ratio, axis=-1, kind="stable")
+        parts, order = self._counted(ratio)
         worst_first = np.take_along_axis(ratio, order, axis=-1)
-        ends = np.minimum(np.cumsum(self.sample_weight[order], axis=-1), self.tail)
-        parts = np.diff(ends, axis=-1, prepend=0.0)
         result: FloatArray = (parts * worst_first).sum(axis=-1) / self.tail
         return result
+
+    def worst_worlds(self, is_avoided: BoolArray) -> FloatArray:
+        """By how much each world counts for a set of avoided runs, (n_samples,); they sum to 1."""
+        by_sample = np.bincount(
+            self.sample_index, weights=self.weight * is_avoided, minlength=len(self.sample_weight)
+        )
+        parts, order = self._counted(by_sample / self.sample_weight)
+        share = np.zeros(len(by_sample))
+        share[order] = parts / self.tail
+        return share
+
+    def _counted(self, ratio: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Weights of the worst worlds up to the tail, worst first, and that order."""
+        order = np.argsort(ratio, axis=-1, kind="stable")
+        ends = np.minimum(np.cumsum(self.sample_weight[order], axis=-1), self.tail)
+        return np.diff(ends, axis=-1, prepend=0.0), order
 
     @property
     def limit(self) -> float:
