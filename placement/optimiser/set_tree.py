@@ -1,27 +1,26 @@
-"""All sets of so many poses that reach a share of the runs: branch and bound with prices on runs.
+"""All sets of so many poses that reach a share of the runs: branch and bound, prices on runs.
 
 A set avoids a run only if one of its poses sees a certain frame of one of the run's windows; any
-frame of each window may be asked for, so that every choice makes the problem a maximal covering one
-that promises no less (see :mod:`placement.optimiser.window_cover`). There a pose *covers* a run, and
-prices on runs, one each, bound all sets that contain certain poses:
+frame of each window may be asked for, so that every choice makes the problem a maximal covering
+problem that promises no less (see :mod:`placement.optimiser.window_cover`). There a pose *covers*
+a run, and prices on runs bound all sets that contain certain poses:
 
     sum over runs of max over m of (weight G(n + m) - m price) + the best poses' sums of prices,
 
 where n of the poses that are certain cover the run, m more do, and G(n) is what n covering poses
 are worth. With G(n) = 1 from n = 1 on that is the share of runs avoided (the Lagrangian dual of
-Cornuejols, Fisher, Nemhauser 1977). What is left when N of K units fail is no more than what is left
-on average, and of the ways to fail the share C(K - n, N - n) / C(K, N) takes all n poses that cover a
-run: G is concave again, so that the same prices bound it. It is also no more than what is left
-without a certain unit. A node of the tree is given up when any of these bounds is below its need.
+Cornuejols, Fisher, Nemhauser 1977). What is left when N of K units fail is no more than what is
+left on average, and of the ways to fail the share C(K - n, N - n) / C(K, N) takes all n poses that
+cover a run: G is concave again, so that the same prices bound it. It is also no more than what is
+left without a certain unit. A node is given up when any of these bounds is below its need.
 
 Sets that remain are valued on the windows themselves. A walk that ends has met every set.
 """
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations
 from math import comb
 
 import numpy as np
@@ -29,9 +28,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .limits import Limits
-from .objectives import TOLERANCE
 from .presolve import ReducedProblem, WordArray, pack_words, unpack_words
-from .problem import Measure
 
 _ROUNDS = 8
 _ROOT_STEPS = 250
@@ -116,7 +113,7 @@ def first_seen(links: Links, sets: IntArray, *, left_out: int = -1) -> IntArray:
 
 
 def avoided_runs(links: Links, first: IntArray) -> BoolArray:
-    """Runs that are avoided given the first window seen of each chain: (.., n_chains) -> (.., n)."""
+    """Runs that are avoided, (.., n_runs), given the first window seen of each chain."""
     avoided: BoolArray = first[..., links.run_chain] < links.last
     return avoided
 
@@ -161,8 +158,9 @@ def find_root(
         _, index, row = np.unique(columns, axis=0, return_index=True, return_inverse=True)
         covers = pack_words(avoided_runs(links, first)[:, index])
         row = row.ravel()
-        row_weight = np.bincount(row, weights=weight, minlength=len(index))
-        row_price = np.bincount(row, weights=price, minlength=len(index))
+        row_weight, row_price = np.zeros(len(index)), np.zeros(len(index))
+        np.add.at(row_weight, row, weight)
+        np.add.at(row_price, row, price)
         root = _tighten(covers, row_weight, row_price, limits, _rewards(n_units, 0)[0], n_units)
         settled = best is not None and root.limit > best.limit * (1.0 - 1.0e-5)
         if best is None or root.limit < best.limit:
@@ -227,11 +225,11 @@ def _rewards(n_units: int, n_failures: int) -> FloatArray:
 
     For a whole set, on average when units fail, and when one certain unit and others fail.
     """
-    count = np.arange(n_units + 2)
     rewards = np.zeros((3, n_units + 2))
-    rewards[0] = count > 0
-    rewards[1] = [_share_left(n, n_units, n_failures) for n in count]
-    rewards[2] = [_share_left(n, n_units - 1, max(n_failures - 1, 0)) for n in count]
+    rewards[0, 1:] = 1.0
+    rewards[1] = [_share_left(n, n_units, n_failures) for n in range(n_units + 2)]
+    fewer = max(n_failures - 1, 0)
+    rewards[2] = [_share_left(n, n_units - 1, fewer) for n in range(n_units + 2)]
     return rewards
 
 
@@ -306,7 +304,7 @@ class SetWalk:
             where=np.array([0, 1, 0, 0]),
             chosen=np.zeros(n_units, dtype=np.int64),
             union=np.zeros((n_units + 1, n_phases, n_words), dtype=np.uint64),
-            count=np.zeros((n_units + 1, n_rows), dtype=np.uint8),
+            n_covering=np.zeros((n_units + 1, n_rows), dtype=np.uint8),
             price=np.zeros((n_units + 1, n_units + 2, n_rows)),
             room=np.zeros((n_units + 1, limits.n_sites), dtype=np.int64),
             candidate=np.zeros((n_units, n_poses), dtype=np.int64),

@@ -41,7 +41,7 @@ _STEP_UP = 2.0 * TOLERANCE
 
 
 def can_walk(reduced: ReducedProblem) -> bool:
-    """Whether best sets have as many units as allowed, or are parts of such: no wishes, no money."""
+    """Whether best sets have as many units as allowed or are parts of such: no wishes or money."""
     limits = reduced.limits
     return (
         limits.budget_eur is None
@@ -64,7 +64,7 @@ class Tied:
 
 
 class SetSearch:
-    """What is needed to exchange units of sets and to walk through all of them, built when asked."""
+    """What it takes to exchange units of sets, and to walk through all sets."""
 
     def __init__(self, reduced: ReducedProblem) -> None:
         self.reduced = reduced
@@ -112,11 +112,12 @@ class SetSearch:
         if n_failures > n_units:
             return np.zeros(len(sets))
         if n_failures == 1:
-            return np.min([self.shares(sets, left_out=unit) for unit in range(n_units)], axis=0)
-        kept = [
-            self.shares(np.delete(sets, failed, axis=1))
-            for failed in combinations(range(n_units), n_failures)
-        ]
+            kept = [self.shares(sets, left_out=unit) for unit in range(n_units)]
+        else:
+            kept = [
+                self.shares(np.delete(sets, failed, axis=1))
+                for failed in combinations(range(n_units), n_failures)
+            ]
         smallest: FloatArray = np.min(kept, axis=0)
         return smallest
 

@@ -50,7 +50,7 @@ class Walk(NamedTuple):
     where: IntArray  # (4,): depth, whether its node is new, sets found, candidates looked at
     chosen: IntArray  # (n_units,)
     union: WordArray  # (n_units + 1, n_phases, n_words)
-    count: ByteArray  # (n_units + 1, n_rows): units that cover each row
+    n_covering: ByteArray  # (n_units + 1, n_rows): units that cover each row
     price: FloatArray  # (n_units + 1, n_units + 2, n_rows)
     room: IntArray  # (n_units + 1, n_sites)
     candidate: IntArray  # (n_units, n_poses)
@@ -80,6 +80,20 @@ def lowest_bit(word: np.uint64) -> int:
     if lowest & np.uint64(0xAAAAAAAAAAAAAAAA):
         place += 1
     return place
+
+
+@kernel
+def has_bit(words: WordArray, number: int) -> int:
+    """One bit of words, 0 or 1."""
+    return int((words[number >> 6] >> np.uint64(number & 63)) & np.uint64(1))
+
+
+@kernel
+def join(phases: WordArray, pose: int, union: WordArray, joined: WordArray) -> None:
+    """What a union and a pose see together."""
+    for phase in range(phases.shape[0]):
+        for word in range(phases.shape[2]):
+            joined[phase, word] = union[phase, word] | phases[phase, pose, word]
 
 
 @kernel
@@ -149,7 +163,10 @@ def totals_with_each(
     union: WordArray,
     total: FloatArray,
 ) -> None:
-    """What a union is worth together with each pose: (n_sums, n_chains, ..) -> (n_poses, n_sums)."""
+    """What a union is worth together with each pose, by several sums, (n_poses, n_sums).
+
+    `worth` has a table for each sum, (n_sums, n_chains, longest + 1).
+    """
     none = worth.shape[2] - 1
     n_sums = worth.shape[0]
     for pose in range(phases.shape[1]):
@@ -259,7 +276,7 @@ def tighten_node(
     """
     n_rows = len(price)
     best, best_fixed = np.inf, 0.0
-    best_price = price.copy()
+    best_price = np.empty(n_rows)
     slope, units = np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)
     picked = np.empty(max(left, 1), dtype=np.int64)
     length, idle = 0.7, 0
@@ -273,19 +290,21 @@ def tighten_node(
         price_candidates(cover, n, price, gain)
         total, n_picked = pick_best(gain, n, candidate, site, room, left, picked)
         if len(share) > 0:
-            share *= _MEMORY
+            for place in range(n):
+                share[place] *= _MEMORY
             for number in range(n_picked):
                 share[picked[number]] += 1.0 - _MEMORY
         if fixed + total < best * (1.0 - 1.0e-12):
             best, best_fixed, idle = fixed + total, fixed, 0
-            best_price[:] = price
+            for row in range(n_rows):
+                best_price[row] = price[row]
         else:
             idle += 1
         if best < need or step == n_steps:
             break
         if idle > _PATIENCE:
-            price[:] = best_price
-            slope[:] = 0.0
+            for row in range(n_rows):
+                price[row], slope[row] = best_price[row], 0.0
             length, idle = length * _CUT, 0
             continue
         steepness = 0.0
@@ -300,7 +319,8 @@ def tighten_node(
         move = length * max(fixed + total - need, 1.0e-3 * abs(need)) / steepness
         for row in range(n_rows):
             price[row] -= move * slope[row]
-    price[:] = best_price
+    for row in range(n_rows):
+        price[row] = best_price[row]
     price_candidates(cover, n, price, gain)
     return best, best_fixed
 
@@ -343,7 +363,10 @@ def look_at_node(forest: Forest, walk: Walk, n_failures: int) -> bool:
     left = n_units - depth
     candidate, gain = walk.candidate[depth], walk.gain_now
     n = walk.n_candidates[depth]
-    count = walk.count[depth].copy()
+    n_rows = len(forest.weight)
+    count = np.empty(n_rows, dtype=np.uint8)
+    for row in range(n_rows):
+        count[row] = walk.n_covering[depth, row]
     share = np.empty(0)
     picked = np.empty(left, dtype=np.int64)
     fill_cover(forest.covers, candidate, n, walk.cover)
@@ -352,9 +375,8 @@ def look_at_node(forest: Forest, walk: Walk, n_failures: int) -> bool:
         kind = min(check, 2)
         if check >= 2:  # without one of the units: what covers rows is fewer
             unit = walk.chosen[check - 2]
-            for row in range(len(count)):
-                covered = (forest.covers[unit, row >> 6] >> np.uint64(row & 63)) & np.uint64(1)
-                count[row] = walk.count[depth, row] - covered
+            for row in range(n_rows):
+                count[row] = walk.n_covering[depth, row] - has_bit(forest.covers[unit], row)
         walk.where[3] += n
         bound, fixed = tighten_node(
             walk.cover,
@@ -403,12 +425,14 @@ def keeps_without(forest: Forest, largest: float, walk: Walk, last: int, need: f
     n_units = len(walk.chosen)
     if not reaches(forest, largest, walk.chosen[0], walk.union[n_units - 1], need):
         return False  # without the last one
-    union = np.empty_like(walk.union[0])
+    union = np.empty(walk.union[0].shape, dtype=np.uint64)
     for failed in range(n_units - 1):
-        union[:] = np.uint64(0)
+        for phase in range(union.shape[0]):
+            for word in range(union.shape[1]):
+                union[phase, word] = 0
         for unit in range(n_units - 1):
             if unit != failed:
-                union |= forest.phases[:, walk.chosen[unit], :]
+                join(forest.phases, walk.chosen[unit], union, union)
         if not reaches(forest, largest, last, union, need):
             return False
     return True
@@ -423,7 +447,9 @@ def grow(
     Sets are written to `out`, (n, n_units). Needs may be raised between calls.
     """
     n_units = len(walk.chosen)
-    largest = forest.worth[:, 0].sum()
+    largest = 0.0
+    for chain in forest.chains:
+        largest += forest.worth[chain, 0]
     begun = walk.where[3]
     while walk.where[0] >= 0:
         depth = walk.where[0]
@@ -447,15 +473,17 @@ def grow(
         walk.position[depth] += 1
         pose = walk.candidate[depth, place]
         walk.chosen[depth] = pose
-        walk.union[depth + 1] = walk.union[depth] | forest.phases[:, pose, :]
-        walk.room[depth + 1] = walk.room[depth]
+        join(forest.phases, pose, walk.union[depth], walk.union[depth + 1])
+        for site in range(walk.room.shape[1]):
+            walk.room[depth + 1, site] = walk.room[depth, site]
         walk.room[depth + 1, forest.site[pose]] -= 1
         if left > 2:
             for row in range(len(forest.weight)):
-                covered = (forest.covers[pose, row >> 6] >> np.uint64(row & 63)) & np.uint64(1)
-                walk.count[depth + 1, row] = walk.count[depth, row] + covered
-            walk.price[depth + 1] = walk.price[depth]
-            walk.price[depth + 1, 2 + depth] = walk.price[depth, 0]
+                covered = has_bit(forest.covers[pose], row)
+                walk.n_covering[depth + 1, row] = walk.n_covering[depth, row] + covered
+                for check in range(2 + depth):
+                    walk.price[depth + 1, check, row] = walk.price[depth, check, row]
+                walk.price[depth + 1, 2 + depth, row] = walk.price[depth, 0, row]
             n_left = 0
             for later in range(place + 1, n):
                 other = walk.candidate[depth, later]
@@ -470,9 +498,9 @@ def grow(
             gain = walk.gain[depth]
             if walk.fixed[depth, 0] + gain[0, place] + gain[0, later] < walk.needs[0]:
                 break
-            if n_failures > 0:
-                if walk.fixed[depth, 1] + gain[1, place] + gain[1, later] < walk.needs[1]:
-                    continue
+            left_on_average = walk.fixed[depth, 1] + gain[1, place] + gain[1, later]
+            if n_failures > 0 and left_on_average < walk.needs[1]:
+                continue
             other = walk.candidate[depth, later]
             if walk.room[depth + 1, forest.site[other]] <= 0:
                 continue
@@ -481,7 +509,8 @@ def grow(
                 continue
             if exact_failures and not keeps_without(forest, largest, walk, other, walk.needs[3]):
                 continue
-            out[walk.where[2], : n_units - 1] = walk.chosen[: n_units - 1]
+            for unit in range(n_units - 1):
+                out[walk.where[2], unit] = walk.chosen[unit]
             out[walk.where[2], n_units - 1] = other
             walk.where[2] += 1
     return FINISHED
