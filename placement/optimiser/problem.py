@@ -127,9 +127,6 @@ def build_measure(
 
 Fusion = Literal["any", "single"]
 
-MAX_FAILURES = 2
-"""Failed units that can be asked to be survived."""
-
 
 class PlacementValue(NamedTuple):
     """What a set of poses is worth: compared from left to right.
@@ -183,8 +180,8 @@ class Floor:
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= 1.0:
             raise InputError(self.name, self.share, "a share of the runs, 0 to 1")
-        if self.n_failures not in range(MAX_FAILURES + 1):
-            raise InputError("--survive", self.n_failures, f"0 to {MAX_FAILURES} units")
+        if self.n_failures < 0:
+            raise InputError("--survive", self.n_failures, "units that may fail, at least 0")
 
     def __repr__(self) -> str:
         return f"Floor({self.name!r}, {self.share:g}, {self.n_failures} failures)"
@@ -239,8 +236,8 @@ class PlacementProblem:
             raise InputError("--fusion", self.fusion, "one of " + ", ".join(get_args(Fusion)))
         if self.goal not in get_args(Goal):
             raise InputError("goal", self.goal, "one of " + ", ".join(get_args(Goal)))
-        if self.survive not in range(MAX_FAILURES + 1):
-            raise InputError("--survive", self.survive, f"0 to {MAX_FAILURES} units")
+        if self.survive < 0:
+            raise InputError("--survive", self.survive, "units that may fail, at least 0")
         for floor in self.floors:
             counted = floor.is_counted
             if counted is not None and counted.shape != (self.table.axis.n_runs,):
