@@ -221,7 +221,7 @@ def is_dominated(
             dominators = dominators[(columns[word, dominators] & row[word]) == 0]
         if may_add is not None:
             beyond = words[order[dominators]] & ~(row | may_add[pose])
-            dominators = dominators[~beyond.any(axis=1)]
+            dominators = dominators[~np.logical_or.reduce(beyond != 0, axis=1)]
         at_site = np.bincount(sites[dominators], minlength=limits.n_sites)
         result[pose] = (
             at_site[own] >= limits.site_capacity[own]
@@ -245,7 +245,8 @@ def _settled_frames(reduced: ReducedProblem) -> WordArray:
         is_open = np.empty((len(detected), reduced.n_chains), dtype=np.float32)
         for chain in range(reduced.n_chains):
             frames = reduced.window_frames[reduced.chain(chain)[: shortest[chain]]]
-            is_open[:, chain] = ~detected[:, frames].all(axis=2).any(axis=1)
+            is_whole: BoolArray = np.logical_and.reduce(detected[:, frames], axis=2)
+            is_open[:, chain] = ~np.logical_or.reduce(is_whole, axis=1)
         settled[rows] = pack_words(is_open @ is_needed == 0.0)
     return settled
 

@@ -32,11 +32,11 @@ from .presolve import ReducedProblem, WordArray, pack_words, unpack_words
 
 _ROUNDS = 8
 _ROOT_STEPS = 250
+_LATER_STEPS = 120  # in rounds that begin with good prices
 _SMALL_SHARE = 1.0e-3
 _SHARE_DIGITS = 3
 _SLACK = 1.0e-9  # relative, of needs: rounding of sums
 _OUT_SETS = 1 << 16
-_BLOCK_POSES = 256
 _WORK = 30_000  # candidates looked at between two looks at the clock
 _STEPS = (60, 30, 10, 6)  # of subgradient in nodes of depth 0, 1, ..
 _PRICES_OF_APR = (0.0, 0.3, 1.0, 3.0)
@@ -77,6 +77,8 @@ class Links:
 @lru_cache(maxsize=4)
 def build_links(reduced: ReducedProblem) -> Links:
     """Lay out the detections of a reduced problem by chains."""
+    from .tree_kernels import lay_out
+
     n_links = np.diff(reduced.chain_start)
     n_words = -(-n_links // 64)
     start = np.cumsum([0, *n_words])
@@ -84,13 +86,7 @@ def build_links(reduced: ReducedProblem) -> Links:
     place = 64 * np.repeat(start[:-1], n_links) + bit
     frames = reduced.window_frames[reduced.chain_window]
     phases = np.zeros((frames.shape[1], reduced.n_poses, start[-1]), dtype=np.uint64)
-    for first in range(0, reduced.n_poses, _BLOCK_POSES):
-        part = slice(first, first + _BLOCK_POSES)
-        detected = unpack_words(reduced.words[part], reduced.n_frames)
-        bits = np.zeros((len(detected), 64 * start[-1]), dtype=bool)
-        for phase, column in enumerate(frames.T):
-            bits[:, place] = detected[:, column]
-            phases[phase, part] = pack_words(bits)
+    lay_out(reduced.words, np.ascontiguousarray(frames.T), place, phases)
     return Links(
         phases=phases,
         start=start,
@@ -98,6 +94,12 @@ def build_links(reduced: ReducedProblem) -> Links:
         run_chain=reduced.run_chain,
         n_links=n_links,
     )
+
+
+def link_bytes(reduced: ReducedProblem) -> int:
+    """Memory that the detections by chains take."""
+    n_words = int((-(-np.diff(reduced.chain_start) // 64)).sum())
+    return 8 * int(reduced.window_frames.shape[1]) * reduced.n_poses * n_words
 
 
 def first_seen(links: Links, sets: IntArray, *, left_out: int = -1) -> IntArray:
@@ -161,7 +163,15 @@ def find_root(
         row_weight, row_price = np.zeros(len(index)), np.zeros(len(index))
         np.add.at(row_weight, row, weight)
         np.add.at(row_price, row, price)
-        root = _tighten(covers, row_weight, row_price, limits, _rewards(n_units, 0)[0], n_units)
+        root = _tighten(
+            covers,
+            row_weight,
+            row_price,
+            limits,
+            _rewards(n_units, 0)[0],
+            n_units,
+            n_steps=_LATER_STEPS if number else _ROOT_STEPS,
+        )
         settled = best is not None and root.limit > best.limit * (1.0 - 1.0e-5)
         if best is None or root.limit < best.limit:
             best = root

@@ -28,9 +28,11 @@ from .set_tree import (
     build_links,
     find_root,
     first_seen,
+    link_bytes,
 )
 
 MAX_WALK_UNITS = 16
+_MAX_BYTES = 3 << 28  # of detections by chains
 _MAX_TIED = 100_000
 _BLOCK_SETS = 1 << 12
 _MAX_PARTNERS = 128  # that are valued in all objectives
@@ -50,6 +52,7 @@ def can_walk(reduced: ReducedProblem) -> bool:
         and not reduced.objectives[0].is_minimised
         and len(reduced.weight) > 0
         and 2 <= limits.max_units <= min(MAX_WALK_UNITS, reduced.n_poses)
+        and link_bytes(reduced) <= _MAX_BYTES
     )
 
 

@@ -111,6 +111,17 @@ def first_window(
 
 
 @kernel
+def lay_out(words: WordArray, frames: IntArray, place: IntArray, phases: WordArray) -> None:
+    """Bits of the frames of all windows, (n_phases, n_links), to the places of these windows."""
+    for phase in range(len(frames)):
+        for pose in range(len(words)):
+            for link in range(len(place)):
+                frame, bit = frames[phase, link], place[link]
+                seen = (words[pose, frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1)
+                phases[phase, pose, bit >> 6] |= seen << np.uint64(bit & 63)
+
+
+@kernel
 def first_windows(
     phases: WordArray, start: IntArray, asked: WordArray, none: int, first: IntArray
 ) -> None:
