@@ -118,7 +118,8 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(problem: PlacementProblem)
         end_s=END_S,
         on_better=lambda units: search.climb(units, end_s=END_S),
     )
-    assert tied.is_finished and tied.sets is not None
+    assert tied.is_finished
+    assert tied.sets is not None
     found = search.best_of(tied.sets, n_failures=reduced.survive, value=tied.value)
     assert found is not None
     np.testing.assert_allclose(set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9)
@@ -137,6 +138,7 @@ def test_a_walk_without_time_proves_nothing_but_its_limit(problem: PlacementProb
     tied = search.tied(
         sets[0], n_failures=0, least_apr=None, end_s=time.monotonic(), on_better=lambda units: units
     )
-    assert not tied.is_finished and tied.sets is None
+    assert not tied.is_finished
+    assert tied.sets is None
     assert tied.value == pytest.approx(search.shares(sets[:1])[0])
     assert tied.limit >= search.shares(sets).max() - 1e-9
