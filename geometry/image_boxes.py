@@ -32,14 +32,20 @@ def iou(boxes_a_px: ArrayLike, boxes_b_px: ArrayLike) -> FloatArray:
     b = np.asarray(boxes_b_px, dtype=np.float64)
     low = np.maximum(a[..., :2], b[..., :2])
     high = np.minimum(a[..., 2:], b[..., 2:])
-    intersection = np.clip(high - low, 0.0, None).prod(axis=-1)
-    area_a = np.clip(a[..., 2:] - a[..., :2], 0.0, None).prod(axis=-1)
-    area_b = np.clip(b[..., 2:] - b[..., :2], 0.0, None).prod(axis=-1)
+    intersection = _area(high - low)
+    area_a, area_b = (_area(box[..., 2:] - box[..., :2]) for box in (a, b))
     union = area_a + area_b - intersection
     ratio: FloatArray = np.divide(
         intersection, union, out=np.zeros_like(intersection), where=union > 0.0
     )
     return ratio
+
+
+def _area(size_px: FloatArray) -> FloatArray:
+    """Width times height, (..., 2) -> (...,); 0 where either is negative."""
+    size = np.maximum(size_px, 0.0)
+    area: FloatArray = size[..., 0] * size[..., 1]
+    return area
 
 
 def mask_box(mask: ArrayLike, *, x_min_px: int = 0, y_min_px: int = 0) -> FloatArray:

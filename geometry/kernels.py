@@ -1,27 +1,39 @@
-"""Machine code for loops over numbers, by numba's compiler, kept in the user's cache.
+"""Machine code for loops over numbers: numba's compiler, and what it compiled before.
 
-Loading numba takes half a second: modules that hold kernels are imported by the function that
-calls them, when it is called.
+The code is kept in the user's cache, where anything may happen to it: a file that is damaged, a
+folder that cannot be written to, or a full disk costs the time to compile, and never more. Loading
+numba takes half a second: modules that hold kernels are imported by the function that calls them,
+when it is called.
 """
 
+import hashlib
+import logging
 import os
+import pickle
 from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from platformdirs import user_cache_path
 
 F = TypeVar("F", bound=Callable[..., Any])
+_log = logging.getLogger(__name__)
 
 
 def kernel(function: F) -> F:
     """Compile a function of numbers and arrays when it is first called; it then runs in any thread.
 
-    Kernels may call kernels. The machine code is kept for the next process; where no folder can be
-    written, it is compiled by each process.
+    Kernels may call kernels of the same file. Division by zero gives infinity or NaN, as in numpy.
+    The machine code is kept for the next process; where that cannot be, each process compiles.
     """
-    return cast(F, numba.njit(nogil=True, cache=_is_writable(compiled_folder()))(function))
+    compiled = numba.njit(nogil=True, error_model="numpy")(function)
+    kept = _Kept(function) if _is_writable(compiled_folder()) else _Unkept()
+    compiled._cache = kept
+    return cast(F, compiled)
 
 
 def compiled_folder() -> Path:
@@ -39,3 +51,80 @@ def _is_writable(folder: Path) -> bool:
 
 
 numba.config.CACHE_DIR = str(compiled_folder())
+
+
+class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
+    """Files whose content is used only if it is what was written: damaged code would run."""
+
+    def _dump(self, content: Any) -> bytes:
+        data = cast(bytes, super()._dump(content))
+        return hashlib.blake2b(data).digest() + data
+
+    def _load_data(self, name: str) -> Any:
+        return pickle.loads(_checked(Path(self._data_path(name)).read_bytes()))
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            with Path(self._index_path).open("rb") as file:
+                version, data = pickle.load(file), file.read()
+        except FileNotFoundError:
+            return {}
+        if version != self._version:
+            return {}
+        stamp, names = pickle.loads(_checked(data))
+        return cast(dict[Any, str], names) if stamp == self._source_stamp else {}
+
+
+def _checked(content: bytes) -> bytes:
+    size = hashlib.blake2b().digest_size
+    if hashlib.blake2b(content[size:]).digest() != content[:size]:
+        raise ValueError("not what was written")
+    return content[size:]
+
+
+class _Kept(FunctionCache):  # type: ignore[misc]
+    """A function's machine code on disk, or what it takes to do without."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._cache_file: IndexDataCacheFile = _CheckedFile(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=self._impl.locator.get_source_stamp(),
+        )
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Code of a signature; None where there is none, or none that can be used."""
+        try:
+            found = super().load_overload(signature, target_context)
+        except Exception as error:  # damaged pickles raise anything
+            _tell_once(f"kept machine code not used, made anew: {error}")
+            with suppress(OSError):
+                self.flush()
+            found = None
+        if found is None:
+            _tell_once("compiling for this machine, once: some seconds")
+        return found
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        """Keep code, or say why not."""
+        try:
+            super().save_overload(signature, data)
+        except Exception as error:  # a disk that is full, a folder that went, a damaged index
+            reason = getattr(error, "strerror", None) or error
+            _tell_once(f"machine code not kept: {compiled_folder()}: {reason}")
+
+
+class _Unkept(NullCache):  # type: ignore[misc]
+    """Where nothing can be kept."""
+
+    def load_overload(self, signature: Any, target_context: Any) -> None:
+        """None; says that there is none."""
+        _tell_once(
+            f"compiling in every call, some seconds: {compiled_folder()} cannot be written to"
+        )
+
+
+@cache
+def _tell_once(message: str) -> None:
+    _log.warning("%s", message)

@@ -1,6 +1,11 @@
-"""Rays against triangles: Open3D's RaycastingScene, or trimesh's embreex. Both are Embree."""
+"""Rays against triangles: trimesh's embreex, or Open3D's RaycastingScene. Both are Embree.
+
+embreex leaves Python's lock to others while it casts, loads in milliseconds, and needs no library
+of the system: it is taken where it loads. Open3D is imported only when it is asked for, or needed.
+"""
 
 import warnings
+from collections.abc import Callable
 from functools import cache
 from typing import Any, Protocol
 
@@ -41,7 +46,7 @@ class Open3dCaster:
     n_threads = 0  # all processors
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike) -> None:
-        o3d = _open3d()
+        o3d, _ = _open3d_or_reason()
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene()
         vertices, faces = _checked(vertices_m, triangles)
@@ -135,18 +140,59 @@ class EmbreexCaster:
 
 
 CASTERS: dict[str, type[Open3dCaster] | type[EmbreexCaster]] = {
-    Open3dCaster.name: Open3dCaster,
     EmbreexCaster.name: EmbreexCaster,
+    Open3dCaster.name: Open3dCaster,
 }
 
 
-def caster_name() -> str:
-    """Name of the library that casts rays here: "open3d", or "embreex" where that cannot load."""
-    return Open3dCaster.name if _open3d_or_reason()[0] is not None else EmbreexCaster.name
+RAYS = ("auto", EmbreexCaster.name, Open3dCaster.name)
+"""What a user may ask for; "auto" is the fastest library that loads."""
+
+
+def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
+    """Name of the library that casts rays.
+
+    Parameters
+    ----------
+    rays : str
+        One of ``RAYS``. By "auto" it is "embreex", or "open3d" where embreex cannot load.
+    where : str
+        What asked for it, for error messages.
+
+    Raises
+    ------
+    InputError
+        The name is unknown, or the library cannot load; the message says why.
+    """
+    if rays not in RAYS:
+        raise InputError(where, rays, "one of " + ", ".join(RAYS))
+    problems: dict[str, Callable[[], str | None]] = {
+        EmbreexCaster.name: embreex_problem,
+        Open3dCaster.name: open3d_problem,
+    }
+    asked = (rays,) if rays in CASTERS else tuple(problems)
+    reasons = []
+    for name in asked:
+        reason = problems[name]()
+        if reason is None:
+            return name
+        reasons.append(reason)
+    raise InputError(where, rays, "a library that loads: " + "; ".join(reasons))
+
+
+@cache
+def embreex_problem() -> str | None:
+    """Why embreex cannot be used, in one line with the remedy; None where it can."""
+    try:
+        import embreex.rtcore_scene  # noqa: F401
+    except (ImportError, OSError) as error:
+        cause = " ".join(str(error).split())
+        return f"embreex cannot load ({cause}); to use it: pip install embreex"
+    return None
 
 
 def open3d_problem() -> str | None:
-    """Why Open3D is not used, in one line with the remedy; None where it is used."""
+    """Why Open3D cannot be used, in one line with the remedy; None where it can. Imports it."""
     return _open3d_or_reason()[1]
 
 
@@ -162,14 +208,14 @@ def build_caster(
     triangles : (m, 3) int
         Vertex indices; none at all is allowed.
     library : str, optional
-        "open3d" or "embreex"; by default :func:`caster_name`.
+        One of ``RAYS``; by default "auto".
 
     Raises
     ------
     InputError
-        A vertex is not finite, or a triangle points outside the vertices.
+        A vertex is not finite, a triangle points outside the vertices, or the library cannot load.
     """
-    return CASTERS[library or caster_name()](vertices_m, triangles)
+    return CASTERS[caster_name(library or "auto", where="library")](vertices_m, triangles)
 
 
 def ray_lengths_m(vectors_m: FloatRays) -> FloatRays:
@@ -214,13 +260,6 @@ def _contiguous(origins_m: FloatRays, vectors_m: FloatRays) -> tuple[FloatRays, 
     )
 
 
-def _open3d() -> Any:
-    module, reason = _open3d_or_reason()
-    if module is None:
-        raise ImportError(reason)
-    return module
-
-
 @cache
 def _open3d_or_reason() -> tuple[Any, str | None]:
     try:
@@ -232,10 +271,7 @@ def _open3d_or_reason() -> tuple[Any, str | None]:
         package = _DEBIAN_PACKAGES.get(library)
         cause = f"{library} is missing" if package else " ".join(str(error).split())
         remedy = f"apt-get install {package}" if package else "pip install open3d-cpu, or open3d"
-        return None, (
-            f"Open3D cannot load ({cause}): rays are cast by embreex instead. "
-            f"Same results; to use Open3D: {remedy}"
-        )
+        return None, f"Open3D cannot load ({cause}); to use it: {remedy}"
     return open3d, None
 
 

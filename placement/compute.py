@@ -26,11 +26,15 @@ def check_whole(where: str, value: Any, *, least: int) -> None:
         raise InputError(where, value, f"a whole number, at least {least}")
 
 
+RAYS = ("auto", "embreex", "open3d")  # as geometry.raycast has them, which loads numpy
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compute:
     """How a result is computed.
 
-    Only `seed` changes results; they do not depend on the number of workers or on the cache.
+    Only `seed` changes results; they do not depend on the number of workers, the cache, or the
+    library that casts rays.
 
     Attributes
     ----------
@@ -42,21 +46,29 @@ class Compute:
         Where detection tables are kept for the next call; by default nowhere.
     progress : Progress
         Is told the stages; by default nobody is.
+    rays : str
+        Library that casts rays: "embreex", "open3d", or by default "auto", the fastest that loads.
 
     Raises
     ------
     InputError
-        The seed or the number of workers is not a whole number, or too small.
+        The seed or the number of workers is not a whole number, or too small; `rays` names no
+        library.
     """
 
     seed: int = 0
     workers: int = os.cpu_count() or 1
     cache_folder: Path | None = None
     progress: Progress = silent
+    rays: str = "auto"
 
     def __post_init__(self) -> None:
         check_whole("--seed", self.seed, least=0)
         check_whole("workers", self.workers, least=1)
+        if self.rays not in RAYS:
+            from geometry.errors import InputError
+
+            raise InputError("--rays", self.rays, "one of " + ", ".join(RAYS))
 
     def within(self, stage: str) -> "Compute":
         """The same, for a part of a larger stage: all progress is reported under its name."""

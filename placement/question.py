@@ -90,7 +90,7 @@ class Question:
         Option(section=ASKED, help="APR that must be reached in every case."),
     ] = 0.0
     survive: Annotated[
-        Annotated[int, _at_least(0, "units that may fail, 0 to 2")],
+        Annotated[int, _at_least(0, "units that may fail, at least 0")],
         Option(
             section=ASKED,
             help="Reach --target and --min-case-apr even when any N units fail; without these, "

@@ -1,5 +1,7 @@
 """Values that many tests start from."""
 
+import logging
+
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -14,6 +16,8 @@ from scenarios.runs import FrameAxis, build_runs
 
 settings.register_profile("place-rsus", deadline=None)  # how long an example takes is no test
 settings.load_profile("place-rsus")
+# The first test that compiles is told so, on a new machine: whichever that is, and however quiet.
+logging.getLogger("geometry.kernels").setLevel(logging.ERROR)
 
 
 @pytest.fixture(scope="session")

@@ -71,5 +71,7 @@ def build_result(name, layout=(A_UNIT,), **changes) -> Result:
         "packet_loss": 0.0,
         "vam_rate": 0.0,
         "not_driven": [],
+        "possible_runs": 1,
+        "driven": [],
     }
     return msgspec.convert(plain | changes, Result)

@@ -84,7 +84,7 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
             rivals=np.array(rivals, dtype=np.int64).reshape(-1, 2),
         )
     floors: list[Floor] = []
-    n_failures = draw(st.integers(0, 2)) if "failures" in kinds else 0
+    n_failures = draw(st.integers(0, 3)) if "failures" in kinds else 0
     if "floors" in kinds:
         floors.append(
             Floor(name="--target", share=rng.choice([1.0, 0.75, 0.5]), n_failures=n_failures)

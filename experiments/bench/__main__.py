@@ -29,7 +29,7 @@ from placement.visibility.build import build_detection_table
 from ..study.layout import load_carlancap_layout
 from .optimiser import measure_covering, measure_large, measure_optimiser
 from .perception import measure_perception
-from .rays import N_MOUNTS, REPEATS, Figures, measure_casting
+from .rays import N_MOUNTS, REPEATS, Figures, measure_casting, measure_table
 
 _WORKERS = os.cpu_count() or 1
 _OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 runs
@@ -45,12 +45,14 @@ def main(budget: int, out: Path | None) -> None:
     candidates = build_candidates(
         setting.scene, load_candidate_grid(), extra=load_carlancap_layout().units
     )
+    asked = build_setting(Question(), scene)
     figures = {
         "processors": os.cpu_count(),
         "rays by": caster_name(),
         **_measure_command(budget),  # before anything large: children count the parent's memory
         **measure_casting(setting, candidates),
-        **measure_optimiser(build_setting(Question(), scene), candidates, budget),
+        **measure_table(asked, candidates),
+        **measure_optimiser(asked, candidates, budget),
         **measure_covering(),
         **_measure_growth(candidates),
         **measure_perception(setting),

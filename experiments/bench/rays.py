@@ -21,7 +21,7 @@ from geometry.raycast import (
 )
 from placement.candidates import CandidatePose
 from placement.setting import Setting
-from placement.visibility.build import N_POINTS
+from placement.visibility.build import N_POINTS, build_detection_table
 from placement.visibility.casting import (
     World,
     build_static_mesh,
@@ -55,55 +55,55 @@ def ratio(ours_s: list[float], theirs_s: list[float]) -> float:
 N_MOUNTS = 24
 _WORKERS = os.cpu_count() or 1
 _MAX_DISTANCE_M = 60.0
+_EVERY_MOUNT = 4  # of which the table's verdicts are counted
 
 
 class Recorder:
     """A caster that keeps the rays it is asked for."""
 
     def __init__(self, caster: RayCaster) -> None:
-        self._caster = caster
+        self.caster = caster
         self.rays: list[tuple[FloatRays, FloatRays]] = []
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
         """See :class:`geometry.raycast.RayCaster`."""
         self.rays.append((np.array(origins_m), np.array(vectors_m)))
-        return self._caster.is_blocked(origins_m, vectors_m)
+        return self.caster.is_blocked(origins_m, vectors_m)
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
         """See :class:`geometry.raycast.RayCaster`."""
         self.rays.append((np.array(origins_m), np.array(vectors_m)))
-        return self._caster.first_hit(origins_m, vectors_m)
+        return self.caster.first_hit(origins_m, vectors_m)
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
         """See :class:`geometry.raycast.RayCaster`."""
-        return self._caster.first_triangle(origins_m, vectors_m)
+        return self.caster.first_triangle(origins_m, vectors_m)
 
 
 def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> Figures:
-    """The table's rays, against the same rays handed to bare Embree in one call per scene."""
+    """The table's rays: how many are cast, and how long that takes beside bare Embree.
+
+    Bare Embree gets the same rays in one call per scene and thread, with everything prepared.
+    """
     world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=0)
     mounts = list({tuple(c.pose.position_m): c for c in candidates}.values())[:N_MOUNTS]
 
-    def cast(cast_world: World, workers: int) -> None:
-        with ThreadPoolExecutor(workers) as pool:
-            for future in [
-                pool.submit(
-                    cast_sight,
-                    cast_world,
-                    mount.pose.position_m,
-                    near_m=mount.sensor.near_m,
-                    max_distance_m=_MAX_DISTANCE_M,
-                )
-                for mount in mounts
-            ]:
-                future.result()
+    def cast(cast_world: World) -> None:
+        for mount in mounts:
+            cast_sight(
+                cast_world,
+                mount.pose.position_m,
+                near_m=mount.sensor.near_m,
+                max_distance_m=_MAX_DISTANCE_M,
+                for_lidar=False,
+            )
 
     statics = [Recorder(static) for static in world.static]
     bodies = [Recorder(body) for body in world.bodies]
     vut = Recorder(world.vut_body)
-    cast(replace(world, static=tuple(statics), bodies=tuple(bodies), vut_body=vut), 1)
+    cast(replace(world, static=tuple(statics), bodies=tuple(bodies), vut_body=vut))
     meshes = [
         *(
             (*build_static_mesh(setting.scene, obstruction, world.origin_m), static)
@@ -118,26 +118,95 @@ def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> 
         ),
         (world.vut.shapes[0].vertices_m, world.vut.shapes[0].triangles, vut),
     ]
-    bare = [
-        bare_embree(vertices, np.asarray(triangles), recorder.rays)
-        for vertices, triangles, recorder in meshes
-        if recorder.rays
-    ]
-
-    def cast_bare() -> None:
-        for run in bare:
-            run()
-
+    cast_to = [mesh for mesh in meshes if mesh[2].rays]
     with threadpool_limits(1):
-        ours_s, bare_s = in_turn(lambda: cast(world, _WORKERS), cast_bare)
-        with one_thread():
-            ours_on_one_s, bare_on_one_s = in_turn(lambda: cast(world, 1), cast_bare)
-    n_rays = sum(len(origins) for _, _, recorder in meshes for origins, _ in recorder.rays)
+        seconds = {
+            n_threads: in_turn(
+                _together(
+                    [(r.caster.is_blocked, rays) for *_, r in cast_to for rays in r.rays], n_threads
+                ),
+                _together(
+                    [
+                        (bare_embree(vertices, np.asarray(triangles), [part]), ())
+                        for vertices, triangles, recorder in cast_to
+                        for part in _split(recorder.rays, n_threads)
+                    ],
+                    n_threads,
+                ),
+            )
+            for n_threads in dict.fromkeys((1, _WORKERS))
+        }
+        sight_s, bare_s = in_turn(
+            lambda: cast(world),
+            _together(
+                [(bare_embree(v, np.asarray(t), recorder.rays), ()) for v, t, recorder in cast_to],
+                1,
+            ),
+        )
+    n_rays = sum(len(origins) for *_, recorder in meshes for origins, _ in recorder.rays)
+    n_points = (
+        sum(
+            int((np.linalg.norm(_from_mount(world, mount), axis=1) <= _MAX_DISTANCE_M).sum())
+            for mount in mounts
+        )
+        * world.views.axes_m.shape[2]
+    )
     return {
         "rays cast": n_rays,
-        "rays: million per second, ours": n_rays / statistics.median(ours_s) / 1e6,
-        "rays: ours / bare Embree, one thread (at most 1.5)": ratio(ours_on_one_s, bare_on_one_s),
-        "rays: ours / bare Embree, all processors": ratio(ours_s, bare_s),
+        "rays: cast / points looked at (before 1.3; at most 0.43)": n_rays / n_points,
+        "rays: million per second, all processors": n_rays
+        / statistics.median(seconds[_WORKERS][0])
+        / 1e6,
+        "rays: casting / bare Embree, one thread (at most 1.2)": ratio(*seconds[1]),
+        "rays: casting / bare Embree, all processors (at most 1.2)": ratio(*seconds[_WORKERS]),
+        "rays: with all that spares them / bare Embree, one thread": ratio(sight_s, bare_s),
+    }
+
+
+def _from_mount(world: World, mount: CandidatePose) -> FloatArray:
+    """Way from a mount to the middle of each view's footprint, (n_views, 3)."""
+    offset_m = mount.pose.position_m - world.origin_m
+    ground_m = world.views.position_m - offset_m[:2]
+    return np.column_stack([ground_m, np.full(len(ground_m), offset_m[2])])
+
+
+def _split(
+    rays: list[tuple[FloatRays, FloatRays]], n_parts: int
+) -> Iterator[tuple[FloatRays, FloatRays]]:
+    """All rays in as many parts, each in one piece."""
+    origins, vectors = (np.concatenate(part) for part in zip(*rays, strict=True))
+    yield from zip(np.array_split(origins, n_parts), np.array_split(vectors, n_parts), strict=True)
+
+
+def _together(calls: list[tuple[Callable[..., object], Any]], n_threads: int) -> Callable[[], None]:
+    """All calls, on some threads."""
+
+    def run() -> None:
+        with ThreadPoolExecutor(n_threads) as pool:
+            for done in [pool.submit(call, *given) for call, given in calls]:
+                done.result()
+
+    return run
+
+
+def measure_table(setting: Setting, candidates: tuple[CandidatePose, ...]) -> Figures:
+    """Verdicts of the table per second, over the whole build for some mounts."""
+    positions = list(dict.fromkeys(tuple(c.pose.position_m) for c in candidates))[::_EVERY_MOUNT]
+    some = [c for c in candidates if tuple(c.pose.position_m) in set(positions)]
+    seconds = []
+    for repeat in range(REPEATS + 1):
+        began_s = time.perf_counter()
+        build_detection_table(
+            setting.scene, some, setting.runs, setting.axis, detector=setting.planner
+        )
+        if repeat > 0:  # the first one may compile
+            seconds.append(time.perf_counter() - began_s)
+    n_verdicts = len(some) * setting.axis.n_frames
+    return {
+        "table: verdicts": n_verdicts,
+        "table: million verdicts per second (before 3.4; at least 30)": n_verdicts
+        / statistics.median(seconds)
+        / 1e6,
     }
 
 

@@ -26,7 +26,7 @@ _LIBRARIES = (
 
 
 class RaysState(msgspec.Struct, frozen=True):
-    """The library that casts rays; why it is not Open3D, if it is not."""
+    """The library that casts rays; why Open3D cannot, if it cannot."""
 
     by: str
     problem: str | None

@@ -13,7 +13,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 from msgspec import Meta
 
-from placement.compute import Compute
+from placement.compute import RAYS, Compute
 from placement.question import (
     ASKED,
     BASELINE_NAME,
@@ -367,6 +367,17 @@ _cache_option = option(
 )
 
 
+_rays_option = option(
+    "--rays",
+    type=click.Choice(RAYS),
+    default=RAYS[0],
+    show_default=True,
+    section=PROGRAM,
+    is_common=False,
+    help="Library that casts rays; auto: the fastest that loads. The results are the same.",
+)
+
+
 def compute_options(*, has_cache: bool = False) -> Decorator:
     """Options that say how to compute; the command gets them as one `compute`.
 
@@ -379,18 +390,23 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def with_compute(
-            *args: Any, seed: int, workers: int, uses_cache: bool = False, **values: Any
+            *args: Any, seed: int, workers: int, rays: str, uses_cache: bool = False, **values: Any
         ) -> Any:
+            if rays != RAYS[0]:
+                from geometry.raycast import caster_name
+
+                caster_name(rays, where="--rays")
             compute = Compute(
                 seed=seed,
                 workers=workers,
+                rays=rays,
                 cache_folder=cache_folder() if uses_cache else None,
                 progress=click.get_current_context().find_root().obj,
             )
             return command(*args, compute=compute, **values)
 
         cache = [_cache_option] if has_cache else []
-        return _decorate(with_compute, [_seed_option, _workers_option, *cache])
+        return _decorate(with_compute, [_seed_option, _workers_option, _rays_option, *cache])
 
     return decorate
 

@@ -1,6 +1,5 @@
 """How a command begins and ends: what it needs to know, what it prints. Imports nothing heavy."""
 
-import logging
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -13,17 +12,10 @@ from ..progress import StageProgress
 if TYPE_CHECKING:
     from placement.layout import Layout
 
-_log = logging.getLogger(__name__)
-
 
 def begin(progress: StageProgress, *, quiet: bool) -> None:
-    """Show what happens from here on; say so where rays are cast by the slower library."""
+    """Show what happens from here on."""
     progress.start(quiet=quiet)
-    from geometry.raycast import open3d_problem
-
-    problem = open3d_problem()
-    if problem is not None:
-        _log.warning("%s", problem)
 
 
 def load_one_layout(names: Sequence[str]) -> "Layout":

@@ -212,24 +212,17 @@ class Result(Record, frozen=True, kw_only=True):
         says("any: in each frame any unit may detect; single: one unit has to confirm by itself."),
     ]
     runs: Annotated[int, says("Runs that every layout was evaluated on.", ge=1)]
-    possible_runs: (
-        Annotated[
-            int,
-            says(
-                "These, and the runs that the junction has the roads for, but not the room; "
-                "missing in earlier results.",
-                ge=1,
-            ),
-        ]
-        | UnsetType
-    ) = UNSET
+    possible_runs: Annotated[
+        int,
+        says("These, and the runs that the junction has the roads for, but not the room.", ge=1),
+    ]
     driven: Annotated[
         tuple[str, ...],
         says(
             "How many of the possible runs are driven, what is missing, and why, in sentences; "
             "empty where nothing is."
         ),
-    ] = ()
+    ]
     apr: Annotated[
         Share | None,
         says(

@@ -1,23 +1,18 @@
 """Layout -> Evaluation, by rendering every frame: independent of the detection table.
 
-``surroundings`` holds everything there is to see, and the place of the VUT's camera; ``render``
-casts one ray per pixel and gives instances and depths; ``perceive`` derives the visible and the
-amodal box of the VRU in every frame; ``scan`` counts LiDAR points; ``watch`` detects from every
-unit, and draws pictures for networks; ``evaluate`` adds what VRUs announce themselves, confirms,
-brakes and looks for contact.
+``surroundings`` holds everything there is to see, and the place of the VUT's camera; ``solids``
+keeps its triangles; ``pixels`` draws the VRU's at pixel centres and takes away what others hide,
+which ``trees`` find; ``perceive`` gives the visible and the amodal box of the VRU in every frame;
+``scan`` counts LiDAR points, by rays; ``watch`` detects from every unit, and draws pictures for
+networks; ``evaluate`` adds what VRUs announce themselves, confirms, brakes and looks for contact.
 """
 
 from .evaluate import evaluate_layout, evaluate_layouts
 from .perceive import perceive_from_roadside, perceive_from_vut
-from .render import STATIC, VRU, VUT, View
-from .surroundings import Surroundings, VutCamera, build_surroundings, load_vut_camera, render_frame
+from .surroundings import Surroundings, VutCamera, build_surroundings, load_vut_camera
 
 __all__ = [
-    "STATIC",
-    "VRU",
-    "VUT",
     "Surroundings",
-    "View",
     "VutCamera",
     "build_surroundings",
     "evaluate_layout",
@@ -25,5 +20,4 @@ __all__ = [
     "load_vut_camera",
     "perceive_from_roadside",
     "perceive_from_vut",
-    "render_frame",
 ]

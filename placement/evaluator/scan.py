@@ -19,7 +19,7 @@ from geometry.weather import Weather
 
 from ..detectors import VRU_CLASSES
 from .perceive import distances_m
-from .render import Solid
+from .solids import Solid
 from .surroundings import Surroundings, VutCamera, relative_road_poses
 
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same

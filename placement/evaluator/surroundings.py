@@ -20,7 +20,9 @@ from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
 from ..detectors import VRU_CLASSES, vru_class
-from .render import Solid, View, build_body, build_lens, build_static, render_view
+from .solids import Solid, build_body, build_scene_mesh, build_static
+
+_POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
 
 # ---------- surroundings of runs
 
@@ -37,6 +39,7 @@ class Surroundings:
     # static_index, vru_index: (n_frames,): which of them is there
     static_index: IntArray
     vru_index: IntArray
+    sight_index: IntArray  # (n_frames,): see :func:`find_sights`
     # static_poses, vru_poses, vut_poses: (n_frames, 3): road poses: east, north, yaw. World frame.
     # [m], [deg]
     static_poses: FloatArray
@@ -63,6 +66,7 @@ class Surroundings:
 _PER_FRAME = (
     "static_index",
     "vru_index",
+    "sight_index",
     "static_poses",
     "vru_poses",
     "vut_poses",
@@ -75,7 +79,7 @@ _PER_FRAME = (
 def build_surroundings(
     scene: Scene, runs: Sequence[Run], *, library: str | None = None
 ) -> Surroundings:
-    """Prepare a scene and runs for rendering; InputError if there is more than one VUT."""
+    """Prepare a scene and runs for all sensors; InputError if there is more than one VUT."""
     vuts = {run.encounter.vut.name: run.encounter.vut for run in runs}
     if len(vuts) != 1:
         raise InputError("runs: VUT", sorted(vuts), "the same vehicle in all runs")
@@ -88,19 +92,24 @@ def build_surroundings(
     n_frames = [len(run.time_s) for run in runs]
     weathers = list(dict.fromkeys(run.weather for run in runs))
     classes = [VRU_CLASSES.index(vru_class(run.encounter.vru)) for run in runs]
+    standing = build_scene_mesh(scene, middle_m=middle_m)
+    static_index = np.repeat(
+        [list(obstructions).index(_obstruction_key(run)) for run in runs], n_frames
+    )
+    vru_index = np.array([vrus[key] for key in vru_of_frame])
+    static_poses = np.tile([*middle_m, 0.0], (sum(n_frames), 1))
     return Surroundings(
         statics=tuple(
-            build_static(scene, obstruction, middle_m=middle_m, library=library)
+            build_static(standing, obstruction, middle_m=middle_m, library=library)
             for obstruction in obstructions.values()
         ),
         vrus=tuple(build_body(vru.shapes[index], library=library) for vru, index in vrus),
         vut=build_body(vut_actor.shapes[0], library=library),
         vut_actor=vut_actor,
-        static_index=np.repeat(
-            [list(obstructions).index(_obstruction_key(run)) for run in runs], n_frames
-        ),
-        vru_index=np.array([vrus[key] for key in vru_of_frame]),
-        static_poses=np.tile([*middle_m, 0.0], (sum(n_frames), 1)),
+        static_index=static_index,
+        vru_index=vru_index,
+        sight_index=find_sights(static_index, vru_index, static_poses, vru_poses),
+        static_poses=static_poses,
         vru_poses=vru_poses,
         vut_poses=np.concatenate(
             [_road_poses(run.vut_position_m, run.vut_yaw_deg) for run in runs]
@@ -112,30 +121,20 @@ def build_surroundings(
     )
 
 
-def render_frame(
-    surroundings: Surroundings,
-    frame_index: int,
-    pose: Pose,
-    camera: CameraModel,
-    *,
-    with_vut: bool = True,
-    crop_px: tuple[int, int, int, int] | None = None,
-) -> View:
-    """Render one frame; `crop_px` as for :func:`placement.evaluator.render.render_view`."""
-    vut = (surroundings.vut, surroundings.vut_poses[frame_index])
-    return render_view(
-        build_lens(pose, camera),
-        static=(
-            surroundings.statics[surroundings.static_index[frame_index]],
-            surroundings.static_poses[frame_index],
-        ),
-        vru=(
-            surroundings.vrus[surroundings.vru_index[frame_index]],
-            surroundings.vru_poses[frame_index],
-        ),
-        vut=vut if with_vut else None,
-        crop_px=crop_px,
-    )
+def find_sights(
+    static_index: IntArray, vru_index: IntArray, static_poses: FloatArray, vru_poses: FloatArray
+) -> IntArray:
+    """Numbers of sights, (n_frames,): equal where everything but the VUT is at the same place.
+
+    They grow with `static_index`, then with `vru_index`.
+    """
+    poses = np.concatenate([static_poses, vru_poses], axis=1)
+    columns = [static_index, vru_index, *(poses * 10**_POSE_DECIMALS).round().astype(np.int64).T]
+    order = np.lexsort(columns[::-1])
+    is_new = np.any([np.diff(column[order], prepend=0) != 0 for column in columns], axis=0)
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.cumsum(is_new)
+    return number
 
 
 def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> FloatArray:

@@ -241,7 +241,6 @@ class _Watcher:
             pose,
             camera,
             min_height_px=detector.min_box_height_px,
-            with_shares=detector.needs_shares,
         )
 
     def _look_from_vut(self, frames: IntArray) -> Evidence:
@@ -250,7 +249,6 @@ class _Watcher:
             self._surroundings.take(frames),
             self._mount,
             min_height_px=detector.min_box_height_px,
-            with_shares=detector.needs_shares,
         )
 
     def _scan(self, key: UnitKey, pose: Pose, lidar: LidarModel) -> BoolArray:

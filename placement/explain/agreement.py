@@ -108,7 +108,6 @@ def _cause(
         surroundings.take(np.array([frame - int(setting.axis.run_start[run])])),
         unit.pose,
         unit.sensor,
-        with_shares=True,
     )
     return place + _what_is_seen(setting, evidence, is_on_table=bool(on_table[unit.id][frame]))
 

@@ -107,9 +107,9 @@ def _causes(
     sensing = build_sensing(empty, open_sight, position_m, setting.planner)
     entries = open_sight.entry_of_frame[frames]
     weathers = world.views.weather_of_frame[frames]
-    in_the_open = sensing.detected(unit)[weathers, entries]
+    in_the_open = sensing.detected([unit])[0, weathers, entries]
     bright = replace(sensing, contrast=np.ones_like(sensing.contrast))
-    in_full_light = bright.detected(unit)[weathers, entries]
+    in_full_light = bright.detected([unit])[0, weathers, entries]
     inside = _inside_shares(world, unit, frames)
     things = iter(_things_between(world, names, unit, frames[in_the_open], open_sight))
     causes: list[tuple[Cause, str]] = []

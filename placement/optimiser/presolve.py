@@ -20,6 +20,8 @@ from .problem import Measure, PlacementProblem, Requirement
 
 WordArray = NDArray[np.uint64]
 
+_BLOCK_POSES = 256
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PresolveStatistics:
@@ -142,15 +144,16 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
     while True:
         poses = np.flatnonzero(usable)
         reduced = windows.reduce(poses)
-        if not is_monotone:
-            return reduced
         is_wished = reduced.limits.is_forced
         is_wished = is_wished | limits.is_forced_site[reduced.limits.site_index]
         sees: BoolArray = np.logical_or.reduce(reduced.words != 0, axis=1)
         is_needless = ~sees & ~is_wished
         left = np.flatnonzero(~is_needless)
         is_needless[left] = is_dominated(
-            reduced.words[left], reduced.limits.of_poses(left), max_units=limits.max_units
+            reduced.words[left],
+            reduced.limits.of_poses(left),
+            max_units=limits.max_units,
+            may_add=None if is_monotone else _settled_frames(reduced)[left],
         )
         if len(poses):  # a layout has a unit, even where none avoids anything: the cheapest then
             price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
@@ -160,11 +163,16 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
         usable[poses[is_needless]] = False
 
 
-def is_dominated(words: WordArray, limits: Limits, *, max_units: int) -> BoolArray:
+def is_dominated(
+    words: WordArray, limits: Limits, *, max_units: int, may_add: WordArray | None = None
+) -> BoolArray:
     """Poses without which some best set remains, whatever the stage.
 
     `words`, (n_poses, n_words): what each pose sees. `max_units`: no set has more units. Returns
-    (n_poses,): may be dropped, all together.
+    (n_poses,): may be dropped, all together. `may_add`, (n_poses, n_words), is what a dominator may
+    see beyond each pose, by default anything: where more runs avoided may be worse, frames of those
+    alone that the pose avoids by itself. In its place the dominator then avoids the same runs, no
+    later.
 
     Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that c
     is not: at the same site its price decides; elsewhere its site may have to be paid, too, and
@@ -211,12 +219,36 @@ def is_dominated(words: WordArray, limits: Limits, *, max_units: int) -> BoolArr
             if len(dominators) == 0 or row[word] == 0:
                 break
             dominators = dominators[(columns[word, dominators] & row[word]) == 0]
+        if may_add is not None:
+            beyond = words[order[dominators]] & ~(row | may_add[pose])
+            dominators = dominators[~np.logical_or.reduce(beyond != 0, axis=1)]
         at_site = np.bincount(sites[dominators], minlength=limits.n_sites)
         result[pose] = (
             at_site[own] >= limits.site_capacity[own]
             or np.minimum(at_site, limits.site_capacity).sum() > max_units - 1
         )
     return result
+
+
+def _settled_frames(reduced: ReducedProblem) -> WordArray:
+    """Frames that only runs need which each pose avoids alone, (n_poses, n_words)."""
+    is_needed = np.zeros((reduced.n_chains, reduced.n_frames), dtype=np.float32)
+    for chain in range(reduced.n_chains):
+        is_needed[chain, reduced.window_frames[reduced.chain(chain)].ravel()] = 1.0
+    shortest = np.full(reduced.n_chains, np.iinfo(np.int64).max)
+    in_time = (reduced.margin_s > -np.inf).sum(axis=1)
+    np.minimum.at(shortest, reduced.run_chain, in_time)
+    settled = np.empty_like(reduced.words)
+    for first in range(0, reduced.n_poses, _BLOCK_POSES):
+        rows = slice(first, first + _BLOCK_POSES)
+        detected = unpack_words(reduced.words[rows], reduced.n_frames)
+        is_open = np.empty((len(detected), reduced.n_chains), dtype=np.float32)
+        for chain in range(reduced.n_chains):
+            frames = reduced.window_frames[reduced.chain(chain)[: shortest[chain]]]
+            is_whole: BoolArray = np.logical_and.reduce(detected[:, frames], axis=2)
+            is_open[:, chain] = ~np.logical_or.reduce(is_whole, axis=1)
+        settled[rows] = pack_words(is_open @ is_needed == 0.0)
+    return settled
 
 
 def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArray, FloatArray]:

@@ -53,13 +53,34 @@ class Measure:
         for sample in range(n_samples):
             mine = self.sample_index == sample
             by_sample[..., sample] = is_avoided[..., mine] @ self.weight[mine]
+        return self.of_worlds(by_sample)
+
+    def of_worlds(self, by_sample: FloatArray) -> FloatArray:
+        """Ratio from the weight of avoided runs by world, (..., n_samples) or of all, (..., 1)."""
+        if self.is_mean:
+            total: FloatArray = by_sample.sum(axis=-1)
+            return total
         ratio = by_sample / self.sample_weight
-        order = np.argsort(ratio, axis=-1, kind="stable")
+        parts, order = self._counted(ratio)
         worst_first = np.take_along_axis(ratio, order, axis=-1)
-        ends = np.minimum(np.cumsum(self.sample_weight[order], axis=-1), self.tail)
-        parts = np.diff(ends, axis=-1, prepend=0.0)
         result: FloatArray = (parts * worst_first).sum(axis=-1) / self.tail
         return result
+
+    def worst_worlds(self, is_avoided: BoolArray) -> FloatArray:
+        """By how much each world counts for a set of avoided runs, (n_samples,); they sum to 1."""
+        by_sample = np.bincount(
+            self.sample_index, weights=self.weight * is_avoided, minlength=len(self.sample_weight)
+        )
+        parts, order = self._counted(by_sample / self.sample_weight)
+        share = np.zeros(len(by_sample))
+        share[order] = parts / self.tail
+        return share
+
+    def _counted(self, ratio: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Weights of the worst worlds up to the tail, worst first, and that order."""
+        order = np.argsort(ratio, axis=-1, kind="stable")
+        ends = np.minimum(np.cumsum(self.sample_weight[order], axis=-1), self.tail)
+        return np.diff(ends, axis=-1, prepend=0.0), order
 
     @property
     def limit(self) -> float:
@@ -105,9 +126,6 @@ def build_measure(
 
 
 Fusion = Literal["any", "single"]
-
-MAX_FAILURES = 2
-"""Failed units that can be asked to be survived."""
 
 
 class PlacementValue(NamedTuple):
@@ -162,8 +180,8 @@ class Floor:
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= 1.0:
             raise InputError(self.name, self.share, "a share of the runs, 0 to 1")
-        if self.n_failures not in range(MAX_FAILURES + 1):
-            raise InputError("--survive", self.n_failures, f"0 to {MAX_FAILURES} units")
+        if self.n_failures < 0:
+            raise InputError("--survive", self.n_failures, "units that may fail, at least 0")
 
     def __repr__(self) -> str:
         return f"Floor({self.name!r}, {self.share:g}, {self.n_failures} failures)"
@@ -218,8 +236,8 @@ class PlacementProblem:
             raise InputError("--fusion", self.fusion, "one of " + ", ".join(get_args(Fusion)))
         if self.goal not in get_args(Goal):
             raise InputError("goal", self.goal, "one of " + ", ".join(get_args(Goal)))
-        if self.survive not in range(MAX_FAILURES + 1):
-            raise InputError("--survive", self.survive, f"0 to {MAX_FAILURES} units")
+        if self.survive < 0:
+            raise InputError("--survive", self.survive, "units that may fail, at least 0")
         for floor in self.floors:
             counted = floor.is_counted
             if counted is not None and counted.shape != (self.table.axis.n_runs,):

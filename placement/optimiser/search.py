@@ -16,6 +16,7 @@ from .model import Cut, entering_poses, last_links, solve_window_model, solver_t
 from .objectives import TOLERANCE, VALUE_OBJECTIVES, Objective
 from .presolve import ReducedProblem, WordArray
 from .problem import PlacementValue, Requirement
+from .tied_sets import SetSearch, can_walk
 
 # ---------- cuts
 
@@ -118,6 +119,7 @@ def _cut(reduced: ReducedProblem, union: WordArray, fails: Fails, *, n_units: in
 # ---------- the search
 
 
+_START_SHARE = 0.2  # of the time left
 _SOLVER_TOLERANCE = 1.0e-6  # rows, whole numbers and gaps are met up to this
 
 
@@ -135,6 +137,16 @@ class Search:
         self.nothing_meets_all = False  # proven that no set meets limits and floors
         self.row = no_values(reduced)
         self._cuts: dict[tuple[float, ...], list[Cut]] = {}
+        self._sets: SetSearch | None = None
+
+    @property
+    def sets(self) -> SetSearch | None:
+        """Exchanges and walks through all sets; None where wishes or money stand in their way."""
+        if not can_walk(self.reduced):
+            return None
+        if self._sets is None or self._sets.reduced is not self.reduced:
+            self._sets = SetSearch(self.reduced)
+        return self._sets
 
     @property
     def value(self) -> PlacementValue:
@@ -171,7 +183,11 @@ class Search:
 
     def start(self, starts: Sequence[IntArray] = ()) -> None:
         """Find a first set, from some to begin with; there may be none that reaches the floors."""
-        units = solve_heuristically(self.reduced, self.limit, starts=starts, end_s=self.end_s)
+        if self.sets is None:
+            units = solve_heuristically(self.reduced, self.limit, starts=starts, end_s=self.end_s)
+        else:
+            end_s = time.monotonic() + _START_SHARE * self.left_s()
+            units = self.sets.look(starts, limit=self.limit, end_s=end_s)
         if units is not None:
             self.keep(units)
         if self.shortfall > 0.0:

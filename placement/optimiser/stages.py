@@ -1,5 +1,7 @@
 """The objectives one by one: better sets, and how much better one could be."""
 
+import time
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -26,6 +28,7 @@ _BLOCK_SETS = 1 << 14
 _STEPS = 400
 _WORKERS = 2
 _COVER_SHARE = 0.5  # of the time left
+_WALK_SHARE = 0.6  # of the time left
 _WHOLE_GAP = 0.999  # a limit above a whole number by less proves that number
 
 
@@ -188,6 +191,8 @@ class Stages:
         self.apr_limit = search.reduced.measure.limit
         self.is_complete: bool | None = None  # not tried yet
         self.has_enumerated: bool | None = None
+        # By the failures to be survived: no set exceeds it; infinite where nothing is known.
+        self.walk_limit: defaultdict[int, float] = defaultdict(lambda: np.inf)
 
     def plan(self) -> list[tuple[Objective, Callable[[], float]]]:
         """The stages in order, and what finds their bounds."""
@@ -241,7 +246,11 @@ class Stages:
         """No layout has a higher APR."""
         search = self.search
         if not self._is_settled(search.value.apr, self.apr_limit):
-            if self._is_complete() or self._beats_all_promises(Objective.APR, search.value.apr):
+            if (
+                self._is_complete()
+                or self._walk(0)
+                or self._beats_all_promises(Objective.APR, search.value.apr)
+            ):
                 self.apr_limit = search.value.apr
             else:
                 promised = self._promised(Objective.APR)
@@ -399,8 +408,10 @@ class Stages:
         search = self.search
         value = self._left(n_failures)
         if not self._is_settled(value, limit):
-            if self._is_complete() or (n_failures == 1 and self._enumerate()):
+            if self._is_complete() or self._walk(n_failures):
                 limit = self._left(n_failures)
+            elif self.walk_limit[n_failures] < limit:
+                limit = self.walk_limit[n_failures]
             else:
                 limit = self._bound_failed_by_models(n_failures, limit)
         self._hold(
@@ -520,6 +531,38 @@ class Stages:
             if self.is_complete:
                 search.proofs["exhaustive enumeration"] = None
         return self.is_complete
+
+    def _walk(self, n_failures: int) -> bool:
+        """Walk through all sets that may be better in a stage; whether that was done.
+
+        The stage is the APR when so many units fail; the APR itself is held in a later one. Where
+        few sets are best, the best of them all is best in every stage that comes.
+        """
+        search = self.search
+        sets = search.sets
+        if sets is None or not search.uses_models or search.left_s() <= 0.0:
+            return False
+        holds_apr = n_failures > 0 and not self.problem.survive
+
+        def better(units: IntArray) -> IntArray:
+            search.keep(sets.climb(units, end_s=search.end_s))
+            return self._units()
+
+        tied = sets.tied(
+            self._units(),
+            n_failures=n_failures,
+            least_apr=search.value.apr if holds_apr else None,
+            end_s=time.monotonic() + _WALK_SHARE * search.left_s(),
+            on_better=better,
+        )
+        search.proofs["branch and bound"] = None
+        self.walk_limit[n_failures] = tied.limit
+        if tied.sets is not None:
+            best = sets.best_of(tied.sets, n_failures=n_failures, value=tied.value)
+            if best is not None:
+                search.keep(best)
+            self.is_complete = True
+        return tied.is_finished
 
     def _enumerate(self) -> bool:
         """Go through all sets that could be better, if they are few; whether that was done."""

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from geometry.arrays import IntArray
 from geometry.catalogue import Sensor
+from geometry.lidar import LidarModel
 from geometry.poses import wrap_deg
 from geometry.sensors import CameraModel
 
@@ -24,7 +25,7 @@ from ..optimiser.limits import fitting
 from ..setting import Setting
 from ..visibility.build import N_POINTS
 from ..visibility.casting import build_world, cast_sight
-from ..visibility.sensing import Sensing, build_sensing, reach_m
+from ..visibility.sensing import Sensing, build_sensing, has_lidar, reach_m
 from .proposals import Places
 
 # ---------- poses at hand
@@ -181,7 +182,7 @@ class RayRows:
         keys = list(mounts)
 
         def project(row: int, sensing: Sensing) -> None:
-            packed[row] = np.packbits(sensing.frames(candidates[row]), bitorder="little")
+            packed[row] = sensing.packed([candidates[row]])[0]
 
         # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
         with threadpool_limits(1), ThreadPoolExecutor(self.workers) as pool:
@@ -214,7 +215,13 @@ class RayRows:
         if key in self._mounts and self._mounts[key][1] >= needed_m:
             return self._mounts[key]
         position_m, near_m = candidates[0].pose.position_m, candidates[0].sensor.near_m
-        sight = cast_sight(self.world, position_m, near_m=near_m, max_distance_m=needed_m)
+        sight = cast_sight(
+            self.world,
+            position_m,
+            near_m=near_m,
+            max_distance_m=needed_m,
+            for_lidar=has_lidar(candidates),
+        )
         return build_sensing(self.world, sight, position_m, self.detector), needed_m
 
     def _reach_of(self, sensor: Sensor) -> float:
@@ -233,7 +240,8 @@ class RayRows:
 
 def _mount_key(candidate: CandidatePose) -> tuple[float, ...]:
     """Equal for poses that share all rays."""
-    return (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
+    is_lidar = isinstance(candidate.sensor, LidarModel)
+    return (*candidate.pose.position_m.tolist(), candidate.sensor.near_m, is_lidar)
 
 
 # ---------- moves

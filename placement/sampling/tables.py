@@ -4,7 +4,6 @@ import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +17,13 @@ from scenarios.runs import FrameAxis
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, Progress
 from ..detection_table import DetectionTable
-from ..detectors import Evidence, PlanningDetector, ResponseDetector
+from ..detectors import ResponseDetector
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
 from ..visibility import build_detection_table, load_table, save_table, table_fingerprint
 from ..visibility.build import N_POINTS
 from ..visibility.casting import World, build_world, cast_sight
-from ..visibility.sensing import build_sensing, reach_m
+from ..visibility.sensing import build_sensing, has_lidar, reach_m
 from .uncertainty import Uncertainty
 from .worlds import Luck, Sample, draw_samples, pose_key
 
@@ -43,7 +42,9 @@ def build_drawn_table(
     from scipy.special import ndtr
 
     setting = sample.setting
-    world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed)
+    world = build_world(
+        setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
+    )
     groups: dict[tuple[float, ...], list[int]] = {}
     for row, candidate in enumerate(sample.candidates):
         key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
@@ -133,27 +134,9 @@ def link_frames(frames: IntArray) -> FrameLinks:
     return FrameLinks(is_frame=np.arange(lengths.max()) < lengths[:, None], index=index)
 
 
-class _Listener:
-    """Stands where the detector is asked whether to expect something, and keeps how likely it is.
-
-    What it is asked by, :class:`placement.visibility.sensing.Sensing`, knows entries: views that
-    many frames share. Chance is a matter of frames, and is drawn later.
-    """
-
-    def __init__(self, detector: ResponseDetector) -> None:
-        self._detector = detector
-        self.heard: list[tuple[IntArray, FloatArray]] = []
-
-    def is_expected(self, evidence: Evidence) -> BoolArray:
-        """Rows that are not out of the question, (n,)."""
-        probability = self._detector.probability(evidence)
-        self.heard.append((evidence.draw_index, probability))
-        return probability > 0.0
-
-
 def _probabilities(
     world: World, candidates: Sequence[CandidatePose], detector: ResponseDetector
-) -> "list[NDArray[np.float64]]":
+) -> Iterator[NDArray[np.float64]]:
     """Probability of a detection in every frame, of all candidates of one mount position."""
     position_m, near_m = candidates[0].pose.position_m, candidates[0].sensor.near_m
     sight = cast_sight(
@@ -161,20 +144,20 @@ def _probabilities(
         position_m,
         near_m=near_m,
         max_distance_m=max(reach_m(c.sensor, detector, world) for c in candidates),
+        for_lidar=has_lidar(candidates),
     )
-    listener = _Listener(detector)
-    # Of a planning detector, sensing only asks what the listener answers.
-    sensing = build_sensing(world, sight, position_m, cast(PlanningDetector, listener))
-    found = []
+    sensing = build_sensing(world, sight, position_m, detector)
     for candidate in candidates:
-        listener.heard.clear()
         # One more entry, of no probability, for frames in which nothing is seen (index -1).
         by_entry = np.zeros((len(world.views.weathers), len(sight.view_index) + 1))
-        by_entry[:, :-1] = sensing.detected(candidate)  # of a LiDAR that is all there is
-        for in_weather, (entries, probability) in zip(by_entry, listener.heard, strict=False):
-            in_weather[entries] = probability
-        found.append(by_entry[world.views.weather_of_frame, sight.entry_of_frame])
-    return found
+        if isinstance(candidate.sensor, LidarModel):
+            by_entry[:, :-1] = sensing.detected([candidate])[0]
+        for _, evidence in sensing.evidence([candidate]):
+            entries = evidence.draw_index
+            for in_weather, contrast in zip(by_entry, sensing.contrast, strict=True):
+                seen = replace(evidence, contrast=contrast[entries])
+                in_weather[entries] = detector.probability(seen)
+        yield by_entry[world.views.weather_of_frame, sight.entry_of_frame]
 
 
 def drawing_key(luck: Luck, detector: ResponseDetector) -> str:

@@ -28,7 +28,7 @@ from ..detection_table import DetectionTable
 from ..detectors import PlanningDetector
 from ..setting import Setting
 from .casting import World, build_world, cast_sight
-from .sensing import Sensing, build_sensing, max_distance_m, reach_m
+from .sensing import build_sensing, has_lidar, max_distance_m, reach_m
 
 N_POINTS = 160  # per VRU: neighbouring points are about 10 cm apart
 
@@ -49,7 +49,7 @@ def build_detection_table(
     The detector says what counts as a detection of a camera; a LiDAR counts points. Progress is
     told the mount positions.
     """
-    world = build_world(scene, runs, n_points=N_POINTS, seed=compute.seed)
+    world = build_world(scene, runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays)
     mounts = _group_by_mount(candidates)
     packed = np.zeros((len(candidates), -(-axis.n_frames // 8)), dtype=np.uint8)
 
@@ -89,16 +89,14 @@ def _mount_rows(
     reach_m = 2.0 * world.radius_m + max(
         _reach_m(candidate.sensor, detector, world) for candidate in candidates
     )
-    sight = cast_sight(world, position_m, near_m=near_m, max_distance_m=reach_m)
-    sensing: Sensing = build_sensing(world, sight, position_m, detector)
-    # One more entry, never detected, for frames in which nothing is seen (index -1).
-    detected = np.zeros(
-        (len(candidates), len(world.views.weathers), len(sight.view_index) + 1), bool
+    sight = cast_sight(
+        world,
+        position_m,
+        near_m=near_m,
+        max_distance_m=reach_m,
+        for_lidar=has_lidar(candidates),
     )
-    for row, candidate in enumerate(candidates):
-        detected[row, :, :-1] = sensing.detected(candidate)
-    frames = detected[:, world.views.weather_of_frame, sight.entry_of_frame]
-    return np.packbits(frames, axis=1, bitorder="little")
+    return build_sensing(world, sight, position_m, detector).packed(candidates)
 
 
 def _reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
@@ -122,14 +120,15 @@ def detected_frames(
     These are the rows that :func:`build_detection_table` has for each. Rays are cast once for all
     from one place, and only to what any of them has in its view.
     """
-    world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed)
+    world = build_world(
+        setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
+    )
     places: dict[tuple[float, ...], list[int]] = {}
     for row, (unit, _) in enumerate(looks):
         key = (*unit.pose.position_m.tolist(), unit.sensor.near_m)
         places.setdefault(key, []).append(row)
     frames = np.zeros((len(looks), setting.axis.n_frames), dtype=bool)
-    middle_m = world.views.points_m.mean(axis=1, dtype=np.float64)
-    pending = [pool.submit(_fill, frames, world, middle_m, looks, rows) for rows in places.values()]
+    pending = [pool.submit(_fill, frames, world, looks, rows) for rows in places.values()]
     for done, future in enumerate(as_completed(pending), start=1):
         future.result()
         compute.progress(STAGE, done, len(places))
@@ -139,7 +138,6 @@ def detected_frames(
 def _fill(
     frames: BoolArray,
     world: World,
-    middle_m: FloatArray,
     looks: Sequence[Look],
     rows: Sequence[int],
 ) -> None:
@@ -148,7 +146,8 @@ def _fill(
     first, detector = here[0]
     position_m = first.pose.position_m
     farthest_m = max(reach_m(unit.sensor, detector, world) for unit, detector in here)
-    seen = _in_view(world, middle_m - (position_m - world.origin_m), [unit for unit, _ in here])
+    offset_m = world.views.middle_m - (position_m - world.origin_m)
+    seen = _in_view(world, offset_m, [unit for unit, _ in here])
     # What is nowhere is not near: no ray is cast to what no look from here has in its view.
     views = replace(world.views, position_m=np.where(seen[:, None], world.views.position_m, np.nan))
     sight = cast_sight(
@@ -156,10 +155,12 @@ def _fill(
         position_m,
         near_m=first.sensor.near_m,
         max_distance_m=farthest_m,
+        for_lidar=has_lidar([unit for unit, _ in here]),
     )
     sensing = build_sensing(world, sight, position_m, detector)
     for row, (unit, detector) in zip(rows, here, strict=True):
-        frames[row] = replace(sensing, detector=detector).frames(unit)
+        bits = replace(sensing, detector=detector).packed([unit])[0]
+        frames[row] = np.unpackbits(bits, count=frames.shape[1], bitorder="little")
 
 
 def _in_view(world: World, offset_m: FloatArray, units: Sequence[CandidatePose]) -> BoolArray:
@@ -176,7 +177,7 @@ def _in_view(world: World, offset_m: FloatArray, units: Sequence[CandidatePose])
 
 # ---------- tables on disk, under a hash of everything that went into them
 
-_FORMAT = "place-rsus/table/3"  # raise it whenever the same inputs give another table
+_FORMAT = "place-rsus/table/4"  # raise it whenever the same inputs give another table
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 

@@ -11,12 +11,12 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from geometry.actors import Actor, PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.poses import body_rotation, to_world
-from geometry.raycast import FloatRays, RayCaster, build_caster, ray_lengths_m
+from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
 from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
@@ -46,6 +46,42 @@ def build_static_mesh(
     return np.concatenate(vertices) - origin_m, np.concatenate(triangles)
 
 
+def _build_boxes(obstruction: tuple[PlacedActor, ...], origin_m: FloatArray) -> FloatArray:
+    """Corners of the triangles of boxes around bodies, (n, 12, 3, 3); normals point outwards."""
+    boxes = []
+    for parked in obstruction:
+        vertices = parked.actor.shapes[0].vertices_m
+        corners = np.where(_BOX_CORNERS, vertices.max(axis=0), vertices.min(axis=0))
+        boxes.append((to_world(corners, parked.pose) - origin_m)[_BOX_TRIANGLES])
+    return np.array(boxes).reshape(-1, 12, 3, 3)
+
+
+_BOX_CORNERS = np.array([[i & 4, i & 2, i & 1] for i in range(8)], dtype=bool)  # x, y, z
+_BOX_TRIANGLES = np.array(
+    [
+        *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5)),  # behind, ahead
+        *((0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6)),  # right, left
+        *((0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),  # below, above
+    ]
+)
+
+
+def _is_inside_any(boxes_m: FloatArray, point_m: FloatArray) -> bool:
+    """Whether a point is in one of some convex bodies, (n, n_triangles, 3, 3), or nearly so."""
+    a, b, c = np.moveaxis(boxes_m, 2, 0)
+    normals = np.cross(b - a, c - a)
+    outside_m = ((point_m - a) * normals).sum(axis=-1) / np.linalg.norm(normals, axis=-1)
+    return bool((outside_m <= _NEARLY_M).all(axis=1).any())
+
+
+_NEARLY_M = 0.01
+
+
+def _corners(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> FloatArray:
+    corners: FloatArray = np.asarray(vertices_m, dtype=np.float64)[triangles]
+    return corners.reshape(-1, 3, 3)
+
+
 # ---------- points on a body
 
 
@@ -63,6 +99,8 @@ class Surface:
     # (n, 3): the part of the surface around each point: its area along its mean outward normal.
     # [m^2]
     area_m2: FloatArray
+    hull_index: IntArray  # (n_corners,): points at the corners of the convex hull of all
+    radius_m: float  # all points lie this near to their mean. [m]
 
 
 @cache  # tables of variants ask for the same bodies again
@@ -103,7 +141,17 @@ def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -
         shape_index=shape_index,
         points_m=freeze(points),
         area_m2=freeze(area * (mesh.area / len(samples))),
+        hull_index=freeze(_hull_corners(points)),
+        radius_m=float(np.linalg.norm(points - points.mean(axis=0), axis=1).max()),
     )
+
+
+def _hull_corners(points_m: FloatArray) -> IntArray:
+    """Points at the corners of the convex hull; all of them if they lie in a plane."""
+    try:
+        return ConvexHull(points_m).vertices.astype(np.int64)
+    except (QhullError, ValueError):  # fewer than four points, or a flat body
+        return np.arange(len(points_m))
 
 
 # ---------- rays
@@ -122,11 +170,23 @@ class VruViews:
     # surface_index, static_index: (n_views,): into the surfaces and static casters of `World`
     surface_index: IntArray
     static_index: IntArray
-    # (n_views, n_points, 3): the body's points, relative to the origin of `World`. [m]
-    points_m: FloatRays
+    # (n_views, 3, n_points): by axis, the body's points, relative to the origin of `World`. [m]
+    axes_m: FloatRays
+    # (n_views, 3, n_corners): by axis, the points at the corners of the body's convex hull; some
+    # stand there twice. [m]
+    hull_m: FloatRays
+    # middle_m, radius_m: (n_views, 3), (n_views,): mean of the points, and how far the farthest is
+    # from it. [m]
+    middle_m: FloatArray
+    radius_m: FloatArray
     view_of_frame: IntArray  # (n_frames,): which view each frame of the frame axis shows
     weathers: tuple[Weather, ...]  # distinct weathers
     weather_of_frame: IntArray  # (n_frames,): which of them it is
+
+    @property
+    def points_m(self) -> FloatRays:
+        """The body's points (n_views, n_points, 3), in metres from the origin of `World`."""
+        return np.swapaxes(self.axes_m, 1, 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,6 +196,9 @@ class World:
     # (3,): subtracted from every coordinate: rays are cast in single precision. [m]
     origin_m: FloatArray
     static: tuple[RayCaster, ...]  # the scene with each distinct obstruction
+    scene_m: FloatArray  # (n, 3, 3): corners of the scene's triangles, relative to `origin_m`. [m]
+    # (n, 12, 3, 3): the same of boxes around the bodies of each distinct obstruction. [m]
+    boxes_m: tuple[FloatArray, ...]
     surfaces: tuple[Surface, ...]  # each distinct shape of a VRU, and its caster in `bodies`
     bodies: tuple[RayCaster, ...]  # VRUs in their own frame
     vut: Actor  # the vehicle under test, and its caster in its own frame
@@ -148,10 +211,13 @@ class World:
     @property
     def radius_m(self) -> float:
         """All points of any VRU lie this near to their mean, in metres."""
-        return max(
-            float(np.linalg.norm(surface.points_m - surface.points_m.mean(axis=0), axis=1).max())
-            for surface in self.surfaces
-        )
+        return max(surface.radius_m for surface in self.surfaces)
+
+    @property
+    def height_limits_m(self) -> tuple[float, float]:
+        """Heights of the lowest and the highest point of any VRU, in metres."""
+        heights = [surface.points_m[:, 2] for surface in self.surfaces]
+        return float(np.min(heights)), float(np.max(heights))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -159,7 +225,8 @@ class Sight:
     """Visible points of the VRU from one mount position, whatever the camera's direction."""
 
     view_index: IntArray  # (n,): view of each entry
-    is_visible: BoolArray  # (n, n_points): points that the rays reach
+    # (n, n_points): points that the rays reach; of a whole VRU maybe all, see :func:`cast_sight`
+    is_visible: BoolArray
     is_whole: BoolArray  # (n,): nothing but the VRU itself hides any of its points
     # (n,): of the points that the VRU itself does not hide, those that nothing hides
     visible_share: FloatArray
@@ -167,10 +234,12 @@ class Sight:
     entry_of_frame: IntArray
 
 
-def build_world(scene: Scene, runs: Sequence[Run], *, n_points: int, seed: int) -> World:
+def build_world(
+    scene: Scene, runs: Sequence[Run], *, n_points: int, seed: int, rays: str = "auto"
+) -> World:
     """Prepare scene, bodies and views for :func:`cast_sight`, from any thread.
 
-    All runs have the same VUT.
+    All runs have the same VUT. `rays` names the library that casts them.
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     shapes = _find_shapes(runs)
@@ -179,16 +248,16 @@ def build_world(scene: Scene, runs: Sequence[Run], *, n_points: int, seed: int) 
     surfaces = tuple(
         build_surface(actor, index, n_points=n_points, seed=seed) for actor, index in shapes
     )
+    meshes = [build_static_mesh(scene, parked, origin) for parked in obstructions.values()]
     return World(
         origin_m=origin,
-        static=tuple(
-            build_caster(*build_static_mesh(scene, parked, origin))
-            for parked in obstructions.values()
-        ),
+        static=tuple(build_caster(*mesh, library=rays) for mesh in meshes),
+        scene_m=_corners(scene.vertices_m - origin, scene.triangles),
+        boxes_m=tuple(_build_boxes(parked, origin) for parked in obstructions.values()),
         surfaces=surfaces,
-        bodies=tuple(_shape_caster(actor.shapes[index]) for actor, index in shapes),
+        bodies=tuple(_shape_caster(actor.shapes[index], rays) for actor, index in shapes),
         vut=vut,
-        vut_body=_shape_caster(vut.shapes[0]),
+        vut_body=_shape_caster(vut.shapes[0], rays),
         vut_position_m=np.concatenate([run.vut_position_m for run in runs]) - origin[:2],
         vut_yaw_deg=np.concatenate([run.vut_yaw_deg for run in runs]),
         views=_build_views(runs, surfaces, list(obstructions), origin),
@@ -201,8 +270,8 @@ def _find_shapes(runs: Sequence[Run]) -> list[tuple[Actor, int]]:
     return [(actor, int(index)) for actor, index in found]
 
 
-def _shape_caster(shape: Shape) -> RayCaster:
-    return build_caster(shape.vertices_m, shape.triangles)
+def _shape_caster(shape: Shape, rays: str) -> RayCaster:
+    return build_caster(shape.vertices_m, shape.triangles, library=rays)
 
 
 def _build_views(
@@ -237,12 +306,19 @@ def _build_views(
     body_points = np.stack([surface.points_m for surface in surfaces])[surface_index]
     points = body_points @ np.swapaxes(body_rotation(unique[:, 2]), 1, 2)
     points[..., :2] += unique[:, None, :2]
+    # As many numbers as machines handle at once divide the number of corners.
+    n_corners = -(-max(len(surface.hull_index) for surface in surfaces) // 16) * 16
+    corners = np.stack([np.resize(surface.hull_index, n_corners) for surface in surfaces])
+    axes = np.ascontiguousarray(np.swapaxes(points, 1, 2), dtype=np.float32)
     return VruViews(
         position_m=unique[:, :2],
         yaw_deg=unique[:, 2],
         surface_index=surface_index,
         static_index=unique[:, 4].astype(np.int64),
-        points_m=points.astype(np.float32),
+        axes_m=axes,
+        hull_m=np.take_along_axis(axes, corners[surface_index][:, None, :], axis=2),
+        middle_m=points.mean(axis=1),
+        radius_m=np.array([surface.radius_m for surface in surfaces])[surface_index],
         view_of_frame=view_of_frame.ravel(),
         weathers=tuple(pick_weather(name, "runs: weather") for name in weathers),
         weather_of_frame=np.repeat(
@@ -252,60 +328,82 @@ def _build_views(
 
 
 def cast_sight(
-    world: World, position_m: FloatArray, *, near_m: float, max_distance_m: float
+    world: World,
+    position_m: FloatArray,
+    *,
+    near_m: float,
+    max_distance_m: float,
+    for_lidar: bool = True,
 ) -> Sight:
-    """Cast all rays of one mount position; entries without any visible point are left out.
+    """Find what is seen from a mount position; entries without any visible point are left out.
 
     What is nearer than `near_m` to the lens hides nothing; VRUs farther than `max_distance_m` are
-    not looked at.
+    not looked at. Rays are cast where something may stand in their way. What a body hides of itself
+    is of no account for a camera as long as nothing else hides anything: with `for_lidar` false, no
+    rays are cast for it, and all points of such a body are taken to be visible.
     """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
     ground_distance = np.hypot(*(views.position_m - eye[:2]).T)
     near_views = np.flatnonzero(np.hypot(ground_distance, eye[2]) <= max_distance_m)
-    faces_eye = _is_self_visible(world, eye, near_views)
-    is_visible = faces_eye & ~_is_blocked_by_static(
-        world, eye, near_views, faces_eye, near_m=near_m
+    blocked = _is_blocked_by_static(
+        world, eye, near_views, near_m=near_m, max_distance_m=max_distance_m
     )
-
-    entry_of_view = np.full(len(views.yaw_deg), -1)
-    is_seen = is_visible.any(axis=1)
-    entry_of_view[near_views[is_seen]] = np.arange(int(is_seen.sum()))
-    near_views, is_visible, faces_eye = (
-        near_views[is_seen],
-        is_visible[is_seen],
-        faces_eye[is_seen],
-    )
-    entry_of_frame = entry_of_view[views.view_of_frame]
-
-    frames = _frames_behind_vut(world, eye, entry_of_frame)
-    entries = entry_of_frame[frames]
+    n_blocked = np.count_nonzero(blocked, axis=1)
+    row_of_view = np.full(len(views.yaw_deg), -1)
+    is_left = n_blocked < blocked.shape[1]
+    row_of_view[near_views[is_left]] = np.flatnonzero(is_left)
+    frames = _frames_behind_vut(world, eye, row_of_view[views.view_of_frame])
+    rows = row_of_view[views.view_of_frame[frames]]
     behind_vut = _is_blocked_by_vut(
-        world, eye, frames, near_views[entries], is_visible[entries], near_m=near_m
+        world, eye, frames, near_views[rows], blocked[rows], near_m=near_m
     )
     is_hit = behind_vut.any(axis=1)
-    frames, entries, behind_vut = frames[is_hit], entries[is_hit], behind_vut[is_hit]
-    left_visible = is_visible[entries] & ~behind_vut
-    is_left = left_visible.any(axis=1)
+    frames, rows, behind_vut = frames[is_hit], rows[is_hit], behind_vut[is_hit]
+
+    is_asked = is_left & (for_lidar | (n_blocked > 0) | _is_close(world, eye, near_views))
+    is_asked[rows] = True
+    faces_eye = np.ones(blocked.shape, dtype=bool)
+    asked = np.flatnonzero(is_asked)
+    faces_eye[asked] = _is_self_visible(world, eye, near_views[asked])
+
+    is_visible = faces_eye & ~blocked
+    is_seen = np.asarray(is_visible.any(axis=1))
+    entry_of_row: IntArray = np.full(len(near_views) + 1, -1)  # one more, for frames without a row
+    entry_of_row[np.flatnonzero(is_seen)] = np.arange(int(is_seen.sum()))
+    entry_of_frame: IntArray = entry_of_row[row_of_view[views.view_of_frame]]
+    # The VUT hides a part only if it is one that would be seen.
+    left_visible = is_visible[rows] & ~behind_vut
+    is_less = is_seen[rows] & (left_visible != is_visible[rows]).any(axis=1)
+    frames, rows, left_visible = frames[is_less], rows[is_less], left_visible[is_less]
+    is_more = left_visible.any(axis=1)
+    n_seen = int(is_seen.sum())
     entry_of_frame[frames] = -1
-    entry_of_frame[frames[is_left]] = len(near_views) + np.arange(int(is_left.sum()))
-    n_facing = faces_eye.sum(axis=1)
-    shown = np.concatenate([is_visible, left_visible[is_left]])
+    entry_of_frame[frames[is_more]] = n_seen + np.arange(int(is_more.sum()))
+    shown_rows = np.concatenate([np.flatnonzero(is_seen), rows[is_more]])
+    shown = np.concatenate([is_visible[is_seen], left_visible[is_more]])
+    is_whole = (is_visible[is_seen] == faces_eye[is_seen]).all(axis=1)
     return Sight(
-        view_index=np.concatenate([near_views, near_views[entries[is_left]]]),
+        view_index=near_views[shown_rows],
         is_visible=shown,
-        is_whole=np.concatenate(
-            [(is_visible == faces_eye).all(axis=1), np.zeros(int(is_left.sum()), dtype=bool)]
-        ),
-        visible_share=shown.sum(axis=1) / np.concatenate([n_facing, n_facing[entries[is_left]]]),
+        is_whole=np.concatenate([is_whole, np.zeros(int(is_more.sum()), dtype=bool)]),
+        visible_share=np.count_nonzero(shown, axis=1)
+        / np.count_nonzero(faces_eye, axis=1)[shown_rows],
         entry_of_frame=entry_of_frame,
     )
+
+
+def _is_close(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
+    """Views from in or just beside the body: it may hide all of itself."""
+    distance = np.linalg.norm(world.views.middle_m[view_index] - eye_m, axis=1)
+    is_close: BoolArray = distance < 2.0 * world.views.radius_m[view_index]
+    return is_close
 
 
 def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
     """Points that the VRU's own body does not hide, (n, n_points)."""
     views = world.views
-    n_points = views.points_m.shape[1]
+    n_points = views.axes_m.shape[2]
     visible = np.empty((len(view_index), n_points), dtype=bool)
     offset = np.column_stack(
         [eye_m[:2] - views.position_m[view_index], np.full(len(view_index), eye_m[2])]
@@ -325,27 +423,54 @@ def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> B
 
 
 def _is_blocked_by_static(
-    world: World, eye_m: FloatArray, view_index: IntArray, is_asked: BoolArray, *, near_m: float
+    world: World,
+    eye_m: FloatArray,
+    view_index: IntArray,
+    *,
+    near_m: float,
+    max_distance_m: float,
 ) -> BoolArray:
     """Points hidden by the scene or the case's obstruction, (n, n_points)."""
+    from .shadows import N_AROUND, N_UP, fill_rays, find_unclear_points, mark_nearest
+
     views = world.views
-    blocked = np.zeros(is_asked.shape, dtype=bool)
-    for index, caster in enumerate(world.static):
+    blocked = np.zeros((len(view_index), views.axes_m.shape[2]), dtype=bool)
+    if len(view_index) == 0:
+        return blocked
+    # Things farther than this are behind all bodies: footprints' middles are what is near enough.
+    far_m = max_distance_m + 2.0 * world.radius_m + 1.0
+    low_m, high_m = world.height_limits_m
+    limits = (near_m, far_m, low_m, high_m)
+    of_scene = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
+    mark_nearest(of_scene, world.scene_m, eye_m, *limits)
+    for index, (caster, boxes) in enumerate(zip(world.static, world.boxes_m, strict=True)):
         rows = np.flatnonzero(views.static_index[view_index] == index)
-        asked = np.flatnonzero(is_asked[rows])
-        vectors = views.points_m[view_index[rows]].reshape(-1, 3).take(asked, axis=0)
-        vectors -= eye_m.astype(np.float32)
-        part = np.zeros(is_asked[rows].shape, dtype=bool)
-        part.reshape(-1)[asked] = caster.is_blocked(
-            *_shorten(eye_m.astype(np.float32), vectors, near_m)
+        if len(rows) == 0:
+            continue
+        nearest = of_scene
+        if len(boxes):
+            nearest = of_scene.copy()
+            mark_nearest(nearest, boxes.reshape(-1, 3, 3), eye_m, *limits)
+            if _is_inside_any(boxes, eye_m):  # of a box only the outside is known
+                nearest[:] = 0.0
+        here = view_index[rows]
+        asked = np.zeros((len(rows), blocked.shape[1]), dtype=bool)
+        find_unclear_points(
+            nearest, views.axes_m, views.middle_m, views.radius_m, eye_m, here, asked
         )
-        blocked[rows] = part
+        starts, vectors = (np.empty((int(asked.sum()), 3), np.float32) for _ in range(2))
+        fill_rays(views.axes_m, here, asked, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
+        asked[asked] = caster.is_blocked(starts, vectors)
+        blocked[rows] = asked
     return blocked
 
 
-def _frames_behind_vut(world: World, eye_m: FloatArray, entry_of_frame: IntArray) -> IntArray:
-    """Frames in which the VUT may stand between eye and VRU: a conservative sieve."""
-    frames = np.flatnonzero(entry_of_frame >= 0)
+def _frames_behind_vut(world: World, eye_m: FloatArray, row_of_frame: IntArray) -> IntArray:
+    """Frames in which the VUT may stand between eye and VRU: a conservative sieve.
+
+    Those whose row is -1 are left out.
+    """
+    frames = np.flatnonzero(row_of_frame >= 0)
     target = world.views.position_m[world.views.view_of_frame[frames]]
     way = target - eye_m[:2]
     to_vut = world.vut_position_m[frames] - eye_m[:2]
@@ -361,40 +486,42 @@ def _frames_behind_vut(world: World, eye_m: FloatArray, entry_of_frame: IntArray
     return kept
 
 
+_AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
+
+
 def _is_blocked_by_vut(
     world: World,
     eye_m: FloatArray,
     frames: IntArray,
     view_index: IntArray,
-    is_asked: BoolArray,
+    is_hidden: BoolArray,
     *,
     near_m: float,
 ) -> BoolArray:
-    """Points hidden by the VUT, by rays in its frame, (n, n_points)."""
-    blocked = np.zeros(is_asked.shape, dtype=bool)
+    """Points hidden by the VUT, by rays in its frame, (n, n_points); hidden ones are left out."""
+    from .shadows import find_rays_at_body
+
+    blocked = np.zeros(is_hidden.shape, dtype=bool)
     if len(frames) == 0:
         return blocked
-    rotation = body_rotation(world.vut_yaw_deg[frames])
-    vut_position = np.column_stack([world.vut_position_m[frames], np.zeros(len(frames))])
-    eye_vut = np.einsum("ni,nij->nj", eye_m - vut_position, rotation)
-    points = world.views.points_m[view_index] - vut_position[:, None, :]
-    points_vut = (points @ rotation).astype(np.float32)
-    row = np.repeat(np.arange(len(frames)), is_asked.sum(axis=1))
-    origins = eye_vut.astype(np.float32)[row]
-    vectors = points_vut[is_asked] - origins
-    blocked[is_asked] = world.vut_body.is_blocked(*_shorten(origins, vectors, near_m))
+    yaw = np.radians(world.vut_yaw_deg[frames])
+    vertices = world.vut.shapes[0].vertices_m
+    starts, vectors = (np.empty((is_hidden.size, 3), np.float32) for _ in range(2))
+    n_rays = find_rays_at_body(
+        world.views.axes_m,
+        view_index,
+        is_hidden,
+        eye_m,
+        world.vut_position_m[frames],
+        np.cos(yaw),
+        np.sin(yaw),
+        vertices.min(axis=0) - _AROUND_BODY_M,
+        vertices.max(axis=0) + _AROUND_BODY_M,
+        near_m,
+        _OFF_SURFACE_M,
+        starts,
+        vectors,
+        blocked,
+    )
+    blocked[blocked] = world.vut_body.is_blocked(starts[:n_rays], vectors[:n_rays])
     return blocked
-
-
-def _shorten(
-    origins_m: NDArray[np.float32], vectors_m: NDArray[np.float32], near_m: float
-) -> tuple[FloatRays, FloatRays]:
-    """Rays that start `near_m` from the eye and end a millimetre before the point.
-
-    `vectors_m` is changed in place.
-    """
-    per_length = np.float32(1.0) / ray_lengths_m(vectors_m)
-    starts = vectors_m * (np.float32(near_m) * per_length)[:, None]
-    starts += origins_m
-    vectors_m *= (1.0 - np.float32(near_m + _OFF_SURFACE_M) * per_length)[:, None]
-    return starts, vectors_m

@@ -1,7 +1,7 @@
 """Detections of the sensors of one mount position: projects the points that the rays reach."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,6 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.catalogue import Sensor
 from geometry.lidar import LidarModel, beams_per_steradian, load_lidar_detection, return_probability
 from geometry.poses import body_rotation, camera_rotation
-from geometry.raycast import FloatRays
 from geometry.sensors import CameraModel
 
 from ..candidates import CandidatePose
@@ -18,6 +17,8 @@ from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vr
 from .casting import Sight, World
 
 _MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outside the image
+_NEARLY = 0.999  # for the rounding of single precision
+_PAIRS = 1 << 21  # of sensors and entries that are looked at together
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,8 +28,9 @@ class Sensing:
     world: World  # what is looked at
     sight: Sight  # which points the rays reach
     detector: PlanningDetector  # of cameras
-    offsets_m: FloatRays  # (n, n_points, 3): points of each entry, from the mount. [m]
-    # middle_m, distance_m: (n, 3), (n,): mean of the points, and how far it is. [m]
+    eye_m: FloatArray  # (3,): the mount, relative to the origin of `world`. [m]
+    # middle_m, distance_m: (n, 3), (n,): mean of each entry's points, from the mount, and how far
+    # it is. [m]
     middle_m: FloatArray
     distance_m: FloatArray
     half_angle_rad: FloatArray  # (n,): within which the body lies around its middle. [rad]
@@ -36,35 +38,66 @@ class Sensing:
     vru_class: IntArray  # (n,): into ``VRU_CLASSES``
     aspect_deg: FloatArray  # (n,): between line of sight and heading. [deg]
 
-    def detected(self, candidate: CandidatePose) -> BoolArray:
-        """Whether each entry is detected in each weather, (n_weathers, n)."""
-        pose, sensor = candidate.pose, candidate.sensor
-        detected = np.zeros(self.contrast.shape, dtype=bool)
-        ahead = body_rotation(pose.yaw_deg, pose.pitch_deg)[:, 0]
-        off_axis = np.arccos(
-            np.clip(self.middle_m @ ahead / np.maximum(self.distance_m, 1e-6), -1, 1)
-        )
-        limit = np.radians(0.5 * sensor.diagonal_fov_deg) + self.half_angle_rad
-        entries = np.flatnonzero(off_axis <= limit)
-        if isinstance(sensor, LidarModel):
-            rotation = body_rotation(pose.yaw_deg, pose.pitch_deg)
-            detected[:, entries] = _count(self, entries, rotation, sensor)
-        else:
-            rotation = camera_rotation(pose.yaw_deg, pose.pitch_deg)
-            evidence = _project(self, entries, rotation, sensor)
-            for in_weather, contrast in zip(detected, self.contrast, strict=True):
-                seen = replace(evidence, contrast=contrast[entries])
-                in_weather[entries] = self.detector.is_expected(seen)
+    def detected(self, candidates: Sequence[CandidatePose]) -> BoolArray:
+        """Whether each sensor detects each entry in each weather, (n_sensors, n_weathers, n).
+
+        The sight must have been cast for LiDARs if one is among the sensors.
+        """
+        detected = np.zeros((len(candidates), *self.contrast.shape), dtype=bool)
+        for row, candidate in enumerate(candidates):
+            if isinstance(candidate.sensor, LidarModel):
+                _, entries = self._pairs([candidate])
+                rotation = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)
+                detected[row][:, entries] = _count(self, entries, rotation, candidate.sensor)
+        for rows, evidence in self.evidence(candidates):
+            for weather, contrast in enumerate(self.contrast):
+                seen = replace(evidence, contrast=contrast[evidence.draw_index])
+                is_expected = self.detector.is_expected(seen)
+                detected[rows[is_expected], weather, evidence.draw_index[is_expected]] = True
         return detected
 
-    def frames(self, candidate: CandidatePose) -> BoolArray:
-        """Whether each frame of the frame axis shows a detected VRU, (n_frames,)."""
-        # One more entry, never detected, for frames in which nothing is seen (index -1).
-        detected = np.pad(self.detected(candidate), ((0, 0), (0, 1)))
-        in_frames: BoolArray = detected[
-            self.world.views.weather_of_frame, self.sight.entry_of_frame
-        ]
-        return in_frames
+    def packed(self, candidates: Sequence[CandidatePose]) -> NDArray[np.uint8]:
+        """Frames of the frame axis that show a detected VRU, (n_sensors, ceil(n_frames / 8)).
+
+        As bits, the first frame in the lowest.
+        """
+        from .projecting import pack_frames
+
+        weather_of_frame = self.world.views.weather_of_frame
+        packed = np.zeros((len(candidates), -(-len(weather_of_frame) // 8)), dtype=np.uint8)
+        detected = self.detected(candidates)
+        pack_frames(detected, weather_of_frame, self.sight.entry_of_frame, packed)
+        return packed
+
+    def evidence(self, candidates: Sequence[CandidatePose]) -> Iterator[tuple[IntArray, Evidence]]:
+        """Evidence of all cameras that see enough of an entry, at full contrast.
+
+        That is a box as high as the detector asks for. In parts: the index of each row's candidate,
+        and the evidence, whose `draw_index` is the entry. LiDARs are left out.
+        """
+        rows = [i for i, c in enumerate(candidates) if not isinstance(c.sensor, LidarModel)]
+        step = max(1, _PAIRS // max(1, len(self.distance_m)))
+        for first in range(0, len(rows), step):
+            some = np.array(rows[first : first + step])
+            part, entries = self._pairs([candidates[row] for row in some])
+            row_index, evidence = _project(self, [candidates[row] for row in some], part, entries)
+            yield some[row_index], evidence
+
+    def _pairs(self, candidates: Sequence[CandidatePose]) -> tuple[IntArray, IntArray]:
+        """Index of the sensor and entry wherever one may be in the other's field of view."""
+        from .projecting import pairs_in_cones
+
+        poses = [candidate.pose for candidate in candidates]
+        ahead = body_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses])[:, :, 0]
+        half_fov = np.radians([0.5 * c.sensor.diagonal_fov_deg for c in candidates])
+        row, entry = pairs_in_cones(
+            self.middle_m,
+            self.distance_m,
+            self.half_angle_rad,
+            np.ascontiguousarray(ahead),
+            half_fov,
+        )
+        return row, entry
 
 
 def build_sensing(
@@ -72,23 +105,28 @@ def build_sensing(
 ) -> Sensing:
     """All that does not depend on where a sensor at a mount looks."""
     views = world.views
-    eye = (position_m - world.origin_m).astype(np.float32)
-    offsets = views.points_m[sight.view_index] - eye
-    middle = offsets.mean(axis=1).astype(np.float64)
+    eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
+    middle = views.middle_m[sight.view_index] - eye
     distance = np.linalg.norm(middle, axis=1)
+    radius = views.radius_m[sight.view_index]
     classes = np.array([VRU_CLASSES.index(vru_class(s.actor)) for s in world.surfaces])
     return Sensing(
         world=world,
         sight=sight,
         detector=detector,
-        offsets_m=offsets,
+        eye_m=eye,
         middle_m=middle,
         distance_m=distance,
-        half_angle_rad=np.arcsin(np.minimum(1.0, world.radius_m / np.maximum(distance, 1e-6))),
+        half_angle_rad=np.arcsin(np.minimum(1.0, radius / np.maximum(distance, 1e-6))),
         contrast=np.stack([w.contrast * w.transmission(distance) for w in views.weathers]),
         vru_class=classes[views.surface_index[sight.view_index]],
         aspect_deg=aspects_deg(middle[:, :2], views.yaw_deg[sight.view_index]),
     )
+
+
+def has_lidar(candidates: Sequence[CandidatePose]) -> bool:
+    """Whether a LiDAR is among the sensors: it counts the points that a camera need not know."""
+    return any(isinstance(candidate.sensor, LidarModel) for candidate in candidates)
 
 
 def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
@@ -122,42 +160,45 @@ def max_distance_m(
 
 
 def _project(
-    sensing: Sensing, entries: IntArray, rotation: FloatArray, camera: CameraModel
-) -> Evidence:
-    """Evidence of one camera for some entries, at full contrast."""
-    sight = sensing.sight
-    offsets_m = sensing.offsets_m[entries]
-    in_camera = offsets_m.reshape(-1, 3) @ rotation.astype(np.float32)
-    shape = offsets_m.shape[:2]
-    depth = in_camera[:, 2]
-    per_depth = np.float32(camera.focal_length_px) / np.maximum(depth, _MIN_DEPTH_M)
-    columns = (in_camera[:, 0] * per_depth + np.float32(0.5 * camera.width_px)).reshape(shape)
-    rows = (in_camera[:, 1] * per_depth + np.float32(0.5 * camera.height_px)).reshape(shape)
-    whole = _boxes(columns, rows)
-    # Of a body that the image cuts off, only the points inside the image count.
-    limits = np.array([camera.width_px, camera.height_px] * 2)
-    is_cut = (whole < 0.0).any(axis=1) | (whole > limits).any(axis=1)
-    is_cut |= depth.reshape(shape).min(axis=1, initial=np.float32(np.inf)) <= _MIN_DEPTH_M
-    is_outside = np.zeros(shape, dtype=bool)
-    cut = np.flatnonzero(is_cut)
-    is_outside[cut] = (
-        (depth.reshape(shape)[cut] <= _MIN_DEPTH_M)
-        | (np.abs(columns[cut] - 0.5 * camera.width_px) > 0.5 * camera.width_px)
-        | (np.abs(rows[cut] - 0.5 * camera.height_px) > 0.5 * camera.height_px)
+    sensing: Sensing, candidates: Sequence[CandidatePose], row: IntArray, entry: IntArray
+) -> tuple[IntArray, Evidence]:
+    """Pairs of a camera and an entry in which something is seen: the camera, and the evidence."""
+    from .projecting import box_pairs
+
+    least_px = sensing.detector.min_box_height_px
+    views, sight = sensing.world.views, sensing.sight
+    cameras = [c.sensor for c in candidates if isinstance(c.sensor, CameraModel)]
+    poses = [candidate.pose for candidate in candidates]
+    rotation = camera_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses])
+    boxes = np.empty((len(row), 8), dtype=np.float32)
+    inside_share = np.empty(len(row))
+    box_pairs(
+        views.axes_m,
+        views.hull_m,
+        sensing.eye_m.astype(np.float32),
+        sight.view_index,
+        sight.is_visible,
+        sight.is_whole,
+        rotation.astype(np.float32),
+        np.array([camera.focal_length_px for camera in cameras], dtype=np.float32),
+        np.array([(camera.width_px, camera.height_px) for camera in cameras], dtype=np.float32),
+        np.float32(_MIN_DEPTH_M),
+        np.float32(_NEARLY * least_px),
+        row,
+        entry,
+        boxes,
+        inside_share,
     )
-    amodal = whole.copy()
-    amodal[cut] = _boxes(columns[cut], rows[cut], is_outside[cut])
-    # The visible part of a body that nothing else hides has the body's own box.
-    visible = amodal.copy()
-    part = np.flatnonzero(~sight.is_whole[entries])
-    hidden = ~sight.is_visible[entries[part]] | is_outside[part]
-    visible[part] = _boxes(columns[part], rows[part], hidden)
-    return Evidence(
+    height_px = boxes[:, 3].astype(np.float64) - boxes[:, 1]
+    seen = np.flatnonzero((height_px >= least_px) & (height_px > 0.0))
+    visible, amodal = np.split(boxes[seen].astype(np.float64), 2, axis=1)
+    entries = entry[seen]
+    return row[seen], Evidence(
         visible_px=visible,
         amodal_px=amodal,
-        contrast=np.ones(len(entries)),
+        contrast=np.ones(len(seen)),
         visible_share=sight.visible_share[entries],
-        inside_share=_areas(np.clip(whole, 0.0, limits)) / np.maximum(_areas(whole), 1.0e-9),
+        inside_share=inside_share[seen],
         aspect_deg=sensing.aspect_deg[entries],
         vru_class=sensing.vru_class[entries],
         draw_index=entries,
@@ -174,7 +215,7 @@ def _count(
     """
     views, sight = sensing.world.views, sensing.sight
     view = sight.view_index[entries]
-    offsets = sensing.offsets_m[entries].astype(np.float64)
+    offsets = views.points_m[view] - sensing.eye_m
     distance = np.linalg.norm(offsets, axis=-1)
     ahead, left, up = np.moveaxis(offsets @ rotation, -1, 0)
     azimuth_deg = np.degrees(np.arctan2(left, ahead))
@@ -209,24 +250,3 @@ def _count(
             for weather in views.weathers
         ]
     )
-
-
-def _areas(boxes_px: FloatArray) -> FloatArray:
-    areas: FloatArray = (boxes_px[:, 2:] - boxes_px[:, :2]).prod(axis=1)
-    return areas
-
-
-def _boxes(
-    columns: NDArray[np.floating[Any]],
-    rows: NDArray[np.floating[Any]],
-    hidden: BoolArray | None = None,
-) -> FloatArray:
-    """Boxes around the points of each entry that are not hidden, (n, 4); zeros where all are."""
-    boxes = np.empty((len(columns), 4))
-    for axis, values in enumerate((columns, rows)):
-        low = values if hidden is None else np.where(hidden, np.float32(np.inf), values)
-        high = values if hidden is None else np.where(hidden, np.float32(-np.inf), values)
-        boxes[:, axis] = low.min(axis=1, initial=np.float32(np.inf))
-        boxes[:, axis + 2] = high.max(axis=1, initial=np.float32(-np.inf))
-    boxes[boxes[:, 0] > boxes[:, 2]] = 0.0
-    return boxes

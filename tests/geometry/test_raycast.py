@@ -264,22 +264,45 @@ def break_open3d(monkeypatch):
         ),
     ],
 )
-def test_where_open3d_cannot_load_embreex_casts_and_one_line_says_why(
-    break_open3d, error, cause, remedy
-):
+def test_why_open3d_cannot_load_is_told_with_the_remedy(break_open3d, error, cause, remedy):
     break_open3d(error)
-    assert open3d_problem() == (
-        f"Open3D cannot load ({cause}): rays are cast by embreex instead. "
-        f"Same results; to use Open3D: {remedy}"
-    )
+    reason = f"Open3D cannot load ({cause}); to use it: {remedy}"
+    assert open3d_problem() == reason
+    assert caster_name() == "embreex"
+    with pytest.raises(InputError) as caught:
+        caster_name("open3d", where="--rays")
+    assert str(caught.value) == f"--rays: got 'open3d'; expected a library that loads: {reason}"
+    with pytest.raises(InputError, match="library: got 'open3d'"):
+        build_caster(BOX.vertices, BOX.faces, library="open3d")
+
+
+def test_embreex_casts_where_it_loads_and_open3d_is_not_imported(break_open3d):
+    break_open3d(AssertionError("imported"))
     assert caster_name() == "embreex"
     assert isinstance(build_caster(BOX.vertices, BOX.faces), raycast.EmbreexCaster)
-    with pytest.raises(ImportError, match="Open3D cannot load"):
-        build_caster(BOX.vertices, BOX.faces, library="open3d")
 
 
 @pytest.mark.system
 @needs_open3d
-def test_open3d_casts_where_it_loads():
+def test_open3d_casts_where_embreex_cannot_load_or_it_is_asked_for(monkeypatch):
+    assert isinstance(build_caster(BOX.vertices, BOX.faces, library="open3d"), raycast.Open3dCaster)
+    monkeypatch.setattr(raycast, "embreex_problem", lambda: "embreex cannot load")
     assert caster_name() == "open3d"
-    assert isinstance(build_caster(BOX.vertices, BOX.faces), raycast.Open3dCaster)
+    with pytest.raises(InputError, match="a library that loads: embreex cannot load"):
+        caster_name("embreex")
+
+
+def test_where_no_library_loads_both_reasons_are_told(monkeypatch):
+    for name in ("embreex", "open3d"):
+        monkeypatch.setattr(raycast, f"{name}_problem", lambda name=name: f"no {name}")
+    with pytest.raises(InputError) as caught:
+        caster_name()
+    assert str(caught.value) == (
+        "rays: got 'auto'; expected a library that loads: no embreex; no open3d"
+    )
+
+
+def test_an_unknown_library_is_refused_with_the_known_ones():
+    with pytest.raises(InputError) as caught:
+        caster_name("optix")
+    assert str(caught.value) == "rays: got 'optix'; expected one of auto, embreex, open3d"

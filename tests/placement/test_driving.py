@@ -132,7 +132,7 @@ def test_a_case_that_no_approach_carries_is_told_with_a_reason():
         build_setting(Question(cases="CPTAns-50"), build_scene(lanes))
     assert str(caught.value) == (
         "--cases: got CPTAns-50, which no approach carries; expected a case that can be driven at "
-        "protocol (from the east: no lane leads out of the junction on the near side)"
+        "protocol (from the east, west: no lane leads out of the junction on the near side)"
     )
 
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from junctions import ARMS, build_scene, lanes_of, protocol_scene, turned
+from oracles import distance_to_chain_m
 
 from geometry.junction import build_junction
 from geometry.scene import Lane
@@ -235,15 +236,19 @@ def test_a_turn_that_ends_beyond_the_mapped_lane_cannot_be_carried(golf):
         stage("CPTAfs-50", golf, speed_kmh=20.0, junction=junction)
 
 
-def test_a_bent_approach_cannot_carry_a_straight_drive(golf):
+def test_a_bent_approach_is_driven_along_its_bend(golf):
     bent = Lane(
         id="bent",
         kind="driving",
         width_m=3.5,
         centreline_m=[[-80.0, 10.0], [-30.0, -1.75], [-11.5, -1.75]],
     )
-    text = refusal("CPLA-50", golf, [*arms_without("west"), bent])
-    assert text.startswith("lane bent is not straight: ")
+    junction = build_junction(build_scene([*arms_without("west"), bent]))
+    motion = stage("CPLA-50", golf, speed_kmh=60.0, junction=junction).encounter.vut_motion
+    front, yaw_rad = motion.path.course.at(np.linspace(-60.0, -8.0, 600))
+    # At the corner of 13 degrees the smoothed line cuts 0.35 x 2 m x 0.23.
+    assert distance_to_chain_m(front, bent.centreline_m).max() == pytest.approx(0.16, abs=0.02)
+    assert np.degrees(yaw_rad[[0, -1]]) == pytest.approx([-13.2, 0.0], abs=0.2)
 
 
 def test_arms_that_meet_askew_still_carry_turns_with_their_own_angle(golf):

@@ -270,16 +270,20 @@ def test_a_turn_that_is_not_tabulated_is_refused(side, speed_kmh, message):
     assert str(caught.value) == message
 
 
-@pytest.mark.parametrize("angle_deg", [41.2, 180.0, -90.0, np.nan])
-def test_lanes_at_an_angle_that_the_clothoids_cannot_serve_are_refused(angle_deg):
+@pytest.mark.parametrize("angle_deg", [0.0, 180.0, -90.0, np.nan])
+def test_lanes_at_an_angle_that_no_turn_serves_are_refused(angle_deg):
     with pytest.raises(InputError) as caught:
         load_turns()["far_10"].turn.turned_by(angle_deg)
-    assert str(caught.value) == f"angle_deg: got {angle_deg}; expected 41.24 <= degrees < 180"
+    assert str(caught.value) == f"angle_deg: got {angle_deg}; expected 0 < degrees < 180"
 
 
-def test_the_clothoids_alone_serve_the_smallest_angle():
-    turn = load_turns()["far_10"].turn.turned_by(41.24)
+@pytest.mark.parametrize("angle_deg", [41.24, 30.0, 5.0])
+def test_clothoids_alone_serve_small_angles(angle_deg):
+    turn = load_turns()["far_10"].turn.turned_by(angle_deg)
     assert turn.arc_deg == 0.0
+    assert turn.angle_deg == pytest.approx(angle_deg)
+    _, end_deg = turn.at(turn.length_m)
+    assert end_deg == pytest.approx(angle_deg)
     assert turn.length_m == pytest.approx(2.0 * turn.clothoid_length_m)
 
 

@@ -1,5 +1,4 @@
 import json
-import logging
 import os
 import re
 import signal
@@ -465,17 +464,15 @@ def test_a_reader_that_goes_away_gets_no_traceback():
     assert (done.returncode, done.stderr) == (1, b"")
 
 
-# Warnings
+# Rays
 
 
-def test_one_line_warns_where_open3d_cannot_load(run, small_study, monkeypatch, caplog):
-    problem = "Open3D cannot load (libX11.so.6 is missing): apt-get install libx11-6"
+def test_open3d_is_asked_for_where_it_cannot_load_in_one_line(run, small_study, monkeypatch):
+    problem = "Open3D cannot load (libX11.so.6 is missing); to use it: apt-get install libx11-6"
     monkeypatch.setattr("geometry.raycast.open3d_problem", lambda: problem)
-    with caplog.at_level(logging.WARNING):
-        code, out, _ = run("evaluate", "--layout", "carlancap-12", "--json", "--quiet")
-    assert code == 0
-    json.loads(out)
-    assert [record.getMessage() for record in caplog.records] == [problem]
+    code, out, err = run("evaluate", "--layout", "carlancap-12", "--rays", "open3d")
+    assert (code, out) == (2, "")
+    assert f"--rays: got 'open3d'; expected a library that loads: {problem}" in err
 
 
 # Interruptions

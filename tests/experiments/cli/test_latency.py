@@ -273,6 +273,8 @@ def test_the_text_says_how_long_each_level_holds(curves):
         "packet_loss": 0.0,
         "vam_rate": 0.0,
         "not_driven": [],
+        "possible_runs": 1,
+        "driven": [],
         "seconds": {},
         "versions": {},
     }

@@ -200,6 +200,8 @@ def summary_of(**changes):
         "packet_loss": 0.0,
         "vam_rate": 0.0,
         "not_driven": [],
+        "possible_runs": 1,
+        "driven": [],
         "sentences": [],
         "seconds": {},
         "versions": {},

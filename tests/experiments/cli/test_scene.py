@@ -331,7 +331,7 @@ def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
     assert command(*given, "csv").code == 0
 
 
-def test_a_case_by_name_that_no_arm_carries_is_refused_but_a_set_goes_on(command, tmp_path):
+def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(command, tmp_path):
     osm = OsmText()
     crossing_streets(osm, bearings=[FOUR[0], FOUR[2], FOUR[3]], highway="residential")
     osm.node(9.0, -9.0, highway="street_lamp")
@@ -348,8 +348,17 @@ def test_a_case_by_name_that_no_arm_carries_is_refused_but_a_set_goes_on(command
     refused = {entry["case"] for entry in summary["not_driven"]} - set(summary["cases"])
     assert summary["cases"]
     assert refused
-    result = command(*given, *few, sorted(refused)[0])
+    one = sorted(refused)[0]
+    assert summary["possible_runs"] >= summary["runs"]
+    assert one in " ".join(summary["driven"])
+    result = command(*given, *few, one)
     assert (result.code, "which no approach carries" in result.err) == (2, True), result.err
+    both = f"{summary['cases'][0]},{one}"
+    told = json.loads(command(*given, *few, both).out)
+    assert told["cases"] == summary["cases"][:1]
+    assert told["driven"][0].endswith(f"no {one} at all.")
+    result = command(*given, "--strict", *few, both)
+    assert (result.code, f"{one}, which no approach carries" in result.err) == (2, True)
 
 
 def test_pictures_show_something():

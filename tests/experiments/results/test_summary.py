@@ -77,6 +77,13 @@ def evaluation_of(axis, camera):
 def setting_of(axis, *refusals):
     return SimpleNamespace(
         axis=axis,
+        runs=[
+            SimpleNamespace(
+                case=SimpleNamespace(name=name, vru=SimpleNamespace(class_name="pedestrian")),
+                approach=approach,
+            )
+            for name, approach in zip(axis.cases, axis.approaches, strict=True)
+        ],
         refusals=refusals,
         detector=load_detector(),
         vut_sensors=("camera", "lidar"),
@@ -157,7 +164,7 @@ def test_versions_name_what_the_numbers_depend_on():
 
 def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
     refusal = Refusal(
-        case=SimpleNamespace(name="C"), approach="north", speeds_kmh=(20.0, 25.0), reason="no lane"
+        case=SimpleNamespace(name="C"), approach="north", speeds_kmh=(20.0, 25.0), reason="no room"
     )
     axis = replace(axis, weathers=("night", "day") + ("night",) * (N_RUNS - 2))
     setting = setting_of(axis, refusal)
@@ -169,7 +176,19 @@ def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
         "packet_loss": 0.25,
         "vam_rate": 0.5,
         "not_driven": [
-            {"case": "C", "approach": "north", "speeds_kmh": [20.0, 25.0], "reason": "no lane"}
+            {
+                "case": "C",
+                "approach": "north",
+                "speeds_kmh": [20.0, 25.0],
+                "reason": "no room",
+                "is_possible": True,
+            }
+        ],
+        # Two speeds in two weathers.
+        "possible_runs": N_RUNS + 4,
+        "driven": [
+            f"{N_RUNS} of {N_RUNS + 4} possible runs could be driven: no C at all.",
+            "4 runs: no room (C from the north).",
         ],
     }
 

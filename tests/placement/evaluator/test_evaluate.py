@@ -71,10 +71,10 @@ def pretend(monkeypatch, build_layout, setting, axis):
             box = np.where(row[:, None], [0.0, 0.0, 50.0, 50.0], 0.0)
             return build_evidence(box, draw_index=surroundings.draw_index)
 
-        def from_roadside(surroundings, pose, camera, *, min_height_px, with_shares):
+        def from_roadside(surroundings, pose, camera, *, min_height_px):
             return evidence(rows[round(float(pose.position_m[0]))], surroundings)
 
-        def from_vut(surroundings, vut_camera, *, min_height_px, with_shares):
+        def from_vut(surroundings, vut_camera, *, min_height_px):
             return evidence(by_vut, surroundings)
 
         def by_vut_lidar(surroundings, mount, lidar, rng):
@@ -387,13 +387,13 @@ def test_runs_of_two_frames_are_too_short_to_confirm(
 def test_interruption_leaves_the_other_units_unseen(monkeypatch, build_layout, setting):
     n_seen = []
 
-    def from_roadside(surroundings, pose, camera, *, min_height_px, with_shares):
+    def from_roadside(surroundings, pose, camera, *, min_height_px):
         n_seen.append(1)
         return build_evidence(
             np.zeros((len(surroundings.vru_poses), 4)), draw_index=surroundings.draw_index
         )
 
-    def from_vut(surroundings, vut_camera, *, min_height_px, with_shares):
+    def from_vut(surroundings, vut_camera, *, min_height_px):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(watch, "perceive_from_roadside", from_roadside)

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ray_renderer import render_frame
 
 from geometry.image_boxes import mask_box
 from geometry.poses import Pose
@@ -9,7 +10,7 @@ from geometry.scene import Site
 from geometry.scene_files import load_study_scene
 from geometry.weather import load_weathers
 from placement.compute import Compute
-from placement.evaluator.surroundings import build_surroundings, render_frame
+from placement.evaluator.surroundings import build_surroundings
 from placement.imaging import build_backdrop, draw_picture, render_picture
 
 CORNER = Pose(
@@ -61,7 +62,7 @@ def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
 
 @pytest.mark.parametrize("back", [0, 5, 12])
 @pytest.mark.parametrize("with_vut", [True, False])
-def test_instances_and_depths_are_those_of_the_evaluator(
+def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
     backdrop, study_run, small, back, with_vut
 ):
     camera = replace(small, width_px=960, height_px=540)
@@ -86,7 +87,7 @@ def test_instances_and_depths_are_those_of_the_evaluator(
     vru = picture.instance == picture.names.index("vru")
     box = mask_box(vru)
     assert box.any()
-    # The evaluator casts each body in its own frame: rays along an edge may go either way.
+    # The other one casts each body in its own frame: rays along an edge may go either way.
     assert box == pytest.approx(view.visible_box_px, abs=1.0)
     is_same = np.isclose(picture.depth_m, view.depth_m, rtol=1e-4)
     assert is_same.mean() > 0.9995

@@ -107,9 +107,7 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
                 for name in ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m")
             } | {"vru_yaw_deg": run.vru_yaw_deg[:1], "vru_shape": run.vru_shape[:1]}
             surroundings = build_surroundings(setting.scene, [replace(run, **one_frame)])
-            evidence = perceive_from_roadside(
-                surroundings, pose.pose, pose.sensor, with_shares=True
-            )
+            evidence = perceive_from_roadside(surroundings, pose.pose, pose.sensor)
             (likely,) = setting.planner.probability(
                 replace(evidence, contrast=surroundings.contrast(evidence_distance(pose, run)))
             )

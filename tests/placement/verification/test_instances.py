@@ -262,7 +262,7 @@ def test_what_may_be_missing_is_none(problem, tmp_path):
         ({"budget_eur": np.array(np.nan)}, "--budget-cost: got nan"),
         ({"fusion": np.array("both")}, "--fusion: got 'both'; expected one of any, single"),
         ({"goal": np.array("most")}, "goal: got 'most'"),
-        ({"survive": np.array(7)}, "--survive: got 7"),
+        ({"survive": np.array(-1)}, "--survive: got -1"),
         ({"tail": np.array(0.0)}, "tail: got 0.0"),
         ({"tail": np.array(np.nan)}, "tail: got nan"),
         ({"sample_index": np.array([0, 5, 0])}, "sample_index: got a sample without weight"),

@@ -12,7 +12,6 @@ from geometry.lidar import (
     load_lidar_detection,
     load_lidars,
 )
-from geometry.poses import camera_rotation
 from placement.detectors import VRU_CLASSES, GeometricDetector, load_planning_detector
 from placement.evaluator import scan
 from placement.evaluator.perceive import perceive_from_roadside
@@ -114,16 +113,19 @@ def _evidence_of_frames(scene, runs, candidate, detector):
     world = build_world(scene, runs, n_points=N_POINTS, seed=0)
     position, pose, camera = candidate.pose.position_m, candidate.pose, candidate.sensor
     sight = cast_sight(world, position, near_m=camera.near_m, max_distance_m=1000.0)
-    frames = np.flatnonzero(sight.entry_of_frame >= 0)
     made = build_sensing(world, sight, position, detector)
-    entries = sight.entry_of_frame[frames]
-    by_points = sensing._project(
-        made, entries, camera_rotation(pose.yaw_deg, pose.pitch_deg), camera
+    ((_, evidence),) = made.evidence([candidate])
+    row_of_entry = np.full(len(sight.view_index) + 1, -1)
+    row_of_entry[evidence.draw_index] = np.arange(len(evidence))
+    frames = np.flatnonzero(row_of_entry[sight.entry_of_frame] >= 0)
+    rows = row_of_entry[sight.entry_of_frame[frames]]
+    fields = (
+        *("visible_px", "amodal_px", "visible_share", "inside_share", "aspect_deg"),
+        *("vru_class", "draw_index"),
     )
-    by_points = replace(by_points, contrast=made.contrast[0, entries])
-    by_pixels = perceive_from_roadside(
-        build_surroundings(scene, runs).take(frames), pose, camera, with_shares=True
-    )
+    by_points = replace(evidence, **{name: getattr(evidence, name)[rows] for name in fields})
+    by_points = replace(by_points, contrast=made.contrast[0, by_points.draw_index])
+    by_pixels = perceive_from_roadside(build_surroundings(scene, runs).take(frames), pose, camera)
     return by_points, by_pixels
 
 
@@ -152,9 +154,7 @@ def test_a_table_of_the_response_counts_frames_from_the_planned_probability_on(
     candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
     scene = build_scene(*WALLS)
     surroundings = build_surroundings(scene, random_runs)
-    evidence = perceive_from_roadside(
-        surroundings, candidate.pose, candidate.sensor, with_shares=True
-    )
+    evidence = perceive_from_roadside(surroundings, candidate.pose, candidate.sensor)
     for plan_probability in (0.2, 0.5, 0.8):
         detector = replace(RESPONSE, plan_probability=plan_probability)
         (found,) = table_of(scene, [candidate], random_runs, detector)

@@ -1,0 +1,537 @@
+"""Which pixels of an image show the VRU: triangles drawn at pixel centres, by compiled code.
+
+A pixel is a direction from the lens, one metre deep: the ray through its centre. A triangle with
+corners a, b, c (camera frame) covers it where the direction lies on the same side of the three
+planes through the lens and an edge; the depth there is a . (b x c) / (sum of the three products).
+That needs no clipping, and neighbours that share an edge leave no gap [1]_. Only the rows and
+columns in which it is looked for are found by projecting and clipping.
+
+Nothing can hide the VRU but what reaches into its beam: the pyramid from the lens through the box
+of the VRU in the image, as deep as the VRU. Trees of boxes find it; where they find nothing, the
+visible box is the amodal one, and nothing is drawn but the VRU's outline.
+
+References
+----------
+.. [1] M. Olano, T. Greer, "Triangle Scan Conversion using 2D Homogeneous Coordinates",
+   Graphics Hardware 1997.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from geometry.arrays import FloatArray, IntArray
+from geometry.kernels import kernel
+
+from .sights import Seen, Sights, Tree
+from .trees import MAX_OPEN
+
+# Few numbers are tuples, which need no memory: passing arrays costs more than the arithmetic.
+Point = tuple[float, float, float]  # right, down, ahead: camera frame. [m]
+Edges = tuple[Point, Point, Point]  # normals of planes through the lens
+Window = tuple[int, int, int, int]  # first column and row, and those after the last
+Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max. [px]
+
+_MIN_DEPTH_M = 1.0e-6
+_TOUCH_M = 1.0e-6  # what the VRU stands on does not hide it
+_SLACK_PX = 1.0e-6  # more than rounding moves an edge
+_N_PLANES = 6
+
+
+class Image(NamedTuple):
+    """What pixels are: of a camera at its place."""
+
+    focal_px: float
+    width_px: int
+    height_px: int
+    near_m: float  # distance from the lens at which drawing starts
+    up_m: float  # height of the lens
+
+
+# ---------- the image
+
+
+@kernel
+def _least_depth(image: Image, window: Window) -> float:
+    """Depth before which nothing is drawn in any pixel of a window."""
+    half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
+    across = max(half_width - window[0], window[2] - half_width) / image.focal_px
+    down = max(half_height - window[1], window[3] - half_height) / image.focal_px
+    depth: float = image.near_m / np.sqrt(1.0 + across * across + down * down)
+    return depth
+
+
+@kernel
+def _to_camera(turn: FloatArray, shift: FloatArray, points: FloatArray, out: FloatArray) -> None:
+    """Points (n, 3) in the camera frame: columns right, down, ahead."""
+    for row in range(len(points)):
+        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        for axis in range(3):
+            out[row, axis] = turn[axis, 0] * x + turn[axis, 1] * y + turn[axis, 2] * z + shift[axis]
+
+
+@kernel
+def find_crop(image: Image, hull: FloatArray, min_height_px: float) -> tuple[Window, float]:
+    """Part of the image that holds a body, a pixel larger than its hull (n, 3), camera frame.
+
+    It is zeros where the body is outside the field of view or the part is not `min_height_px` high,
+    the whole image where the body reaches behind the lens. Gives also the share of the body's box
+    that the image's edges do not cut off: 0 where it reaches behind.
+    """
+    n = len(hull)
+    half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
+    n_left, n_right, n_above, n_below, n_behind = 0, 0, 0, 0, 0
+    nearest = np.inf
+    for row in range(n):
+        # The planes through the lens and the image's edges: they also hold behind the lens.
+        across, down, depth = hull[row, 0], hull[row, 1], hull[row, 2]
+        n_left += -image.focal_px * across > half_width * depth
+        n_right += image.focal_px * across > half_width * depth
+        n_above += -image.focal_px * down > half_height * depth
+        n_below += image.focal_px * down > half_height * depth
+        n_behind += depth <= 0.0
+        nearest = min(nearest, depth)
+    is_outside = n_left == n or n_right == n or n_above == n or n_below == n or n_behind == n
+    if nearest <= _MIN_DEPTH_M:
+        if is_outside or image.height_px < min_height_px:
+            return (0, 0, 0, 0), 0.0
+        return (0, 0, image.width_px, image.height_px), 0.0
+    x_min, x_max, y_min, y_max = np.inf, -np.inf, np.inf, -np.inf
+    for row in range(n):
+        scale = image.focal_px / hull[row, 2]
+        x, y = half_width + scale * hull[row, 0], half_height + scale * hull[row, 1]
+        x_min, x_max = min(x_min, x), max(x_max, x)
+        y_min, y_max = min(y_min, y), max(y_max, y)
+    left, right = max(x_min, 0.0), min(x_max, float(image.width_px))
+    top, bottom = max(y_min, 0.0), min(y_max, float(image.height_px))
+    inside = max(right - left, 0.0) / max(x_max - x_min, 1.0e-9)
+    inside *= max(bottom - top, 0.0) / max(y_max - y_min, 1.0e-9)
+    if is_outside:
+        return (0, 0, 0, 0), inside
+    x_low = int(np.floor(left)) - 1 if left >= 1.0 else 0
+    y_low = int(np.floor(top)) - 1 if top >= 1.0 else 0
+    x_high, y_high = int(np.ceil(right)) + 1, int(np.ceil(bottom)) + 1
+    x_high, y_high = min(x_high, image.width_px), min(y_high, image.height_px)
+    if x_low >= x_high or y_low >= y_high or y_high - y_low < min_height_px:
+        return (0, 0, 0, 0), inside
+    return (x_low, y_low, x_high, y_high), inside
+
+
+# ---------- triangles
+
+
+@kernel
+def _corner(points: FloatArray, row: int) -> Point:
+    return points[row, 0], points[row, 1], points[row, 2]
+
+
+@kernel
+def _find_span(image: Image, least_depth: float, a: Point, b: Point, c: Point) -> Bounds:
+    """Bounds of the part of a triangle that is at least so deep; empty if there is none."""
+    bounds = (np.inf, np.inf, -np.inf, -np.inf)
+    bounds = _with_edge(image, least_depth, a, b, bounds)
+    bounds = _with_edge(image, least_depth, b, c, bounds)
+    return _with_edge(image, least_depth, c, a, bounds)
+
+
+@kernel
+def _with_edge(image: Image, least_depth: float, p: Point, q: Point, bounds: Bounds) -> Bounds:
+    """Bounds stretched by an edge from p to just before q, as far as it is deep enough."""
+    if p[2] >= least_depth:
+        bounds = _with_point(image, p[0], p[1], p[2], bounds)
+    if (p[2] >= least_depth) != (q[2] >= least_depth):
+        part = (least_depth - p[2]) / (q[2] - p[2])
+        x, y = p[0] + part * (q[0] - p[0]), p[1] + part * (q[1] - p[1])
+        bounds = _with_point(image, x, y, least_depth, bounds)
+    return bounds
+
+
+@kernel
+def _with_point(image: Image, right: float, down: float, ahead: float, bounds: Bounds) -> Bounds:
+    scale = image.focal_px / ahead
+    x, y = 0.5 * image.width_px + scale * right, 0.5 * image.height_px + scale * down
+    return min(bounds[0], x), min(bounds[1], y), max(bounds[2], x), max(bounds[3], y)
+
+
+@kernel
+def _pixels_within(bounds: Bounds, window: Window) -> Window:
+    """Pixels of a window whose centres lie within bounds; zeros if there are none."""
+    left = max(bounds[0] - 0.5 - _SLACK_PX, float(window[0]))
+    top = max(bounds[1] - 0.5 - _SLACK_PX, float(window[1]))
+    right = min(bounds[2] + 0.5 + _SLACK_PX, float(window[2]))
+    bottom = min(bounds[3] + 0.5 + _SLACK_PX, float(window[3]))
+    if not (left < right and top < bottom):
+        return 0, 0, 0, 0
+    # No number is negative: cutting off rounds down.
+    return int(np.ceil(left)), int(np.ceil(top)), int(right), int(bottom)
+
+
+@kernel
+def _cross(p: Point, q: Point) -> Point:
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+
+
+@kernel
+def _dot(p: Point, q: Point) -> float:
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@kernel
+def _find_edges(a: Point, b: Point, c: Point) -> tuple[Edges, float]:
+    """Normals of the planes through the lens and the edges, and a . (b x c), which is positive.
+
+    A direction that the triangle covers ahead of the lens is on the positive side of all three.
+    """
+    volume = _dot(a, _cross(b, c))
+    if volume < 0.0:
+        return (_cross(c, b), _cross(a, c), _cross(b, a)), -volume
+    return (_cross(b, c), _cross(c, a), _cross(a, b)), volume
+
+
+@kernel
+def _depth_at(
+    image: Image, edges: Edges, volume: float, is_near: bool, across: float, down: float
+) -> float:
+    """Depth of a triangle in a direction; infinite where it does not cover it, or is too near."""
+    direction = (across, down, 1.0)
+    first, second = _dot(edges[0], direction), _dot(edges[1], direction)
+    third = _dot(edges[2], direction)
+    total = first + second + third
+    if first < 0.0 or second < 0.0 or third < 0.0 or total <= 0.0:
+        return np.inf
+    depth: float = volume / total
+    if is_near and depth * np.sqrt(1.0 + across * across + down * down) < image.near_m:
+        return np.inf
+    return depth
+
+
+@kernel
+def _passes_by(
+    image: Image, edges: Edges, volume: float, window: Window, farthest_m: float
+) -> bool:
+    """Whether a plane through a triangle, or through its edge and the lens, keeps off a beam."""
+    n_before, n_first, n_second, n_third = 0, 0, 0, 0
+    for corner in range(4):
+        x = window[0] if corner < 2 else window[2]
+        y = window[1] if corner % 2 == 0 else window[3]
+        direction = (
+            (x - 0.5 * image.width_px) / image.focal_px,
+            (y - 0.5 * image.height_px) / image.focal_px,
+            1.0,
+        )
+        first, second = _dot(edges[0], direction), _dot(edges[1], direction)
+        third = _dot(edges[2], direction)
+        n_first += first < 0.0
+        n_second += second < 0.0
+        n_third += third < 0.0
+        n_before += (first + second + third) * farthest_m < volume
+    return n_before == 4 or n_first == 4 or n_second == 4 or n_third == 4
+
+
+# ---------- the VRU
+
+
+@kernel
+def _project(image: Image, points: FloatArray, least_depth: float, pixels: FloatArray) -> bool:
+    """Columns and rows of points (camera frame); whether all are ahead, otherwise unfinished."""
+    for row in range(len(points)):
+        if points[row, 2] < least_depth:
+            return False
+        scale = image.focal_px / points[row, 2]
+        pixels[row, 0] = 0.5 * image.width_px + scale * points[row, 0]
+        pixels[row, 1] = 0.5 * image.height_px + scale * points[row, 1]
+    return True
+
+
+@kernel
+def draw(
+    image: Image, points: FloatArray, triangles: IntArray, window: Window, depth_m: FloatArray
+) -> Window:
+    """Draw a body's `points` (camera frame) and `triangles` in a window of the image.
+
+    With depths in the pixels of the window, row by row, they become those of the body where it is
+    nearer. Without (an empty array), it only gives the box around the pixels that the body covers,
+    zeros if there are none; then a triangle that cannot make the box larger is not drawn: few are,
+    in an order without order.
+    """
+    is_outline = len(depth_m) == 0
+    least_depth = _least_depth(image, window)
+    pixels = np.empty((len(points), 2))
+    is_ahead = _project(image, points, least_depth, pixels)
+    width = window[2] - window[0]
+    middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
+    per_px = 1.0 / image.focal_px
+    x_low, y_low, x_high, y_high = image.width_px, image.height_px, 0, 0
+    # What lies within these bounds lies in the box already.
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    for row in range(len(triangles)):
+        i, j, k = triangles[row, 0], triangles[row, 1], triangles[row, 2]
+        if is_ahead:
+            bounds = (
+                min(min(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
+                min(min(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
+                max(max(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
+                max(max(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
+            )
+            if bounds[0] > left and bounds[1] > top and bounds[2] < right and bounds[3] < bottom:
+                continue
+        a, b, c = _corner(points, i), _corner(points, j), _corner(points, k)
+        if not is_ahead:
+            bounds = _find_span(image, least_depth, a, b, c)
+        x_min, y_min, x_max, y_max = _pixels_within(bounds, window)
+        if x_min >= x_max or y_min >= y_max:
+            continue
+        edges, volume = _find_edges(a, b, c)
+        is_near = min(min(a[2], b[2]), c[2]) < image.near_m
+        for y in range(y_min, y_max):
+            down = (y - middle_y) * per_px
+            start = (y - window[1]) * width - window[0]
+            for x in range(x_min, x_max):
+                if is_outline and x_low <= x < x_high and y_low <= y < y_high:
+                    continue
+                across = (x - middle_x) * per_px
+                depth = _depth_at(image, edges, volume, is_near, across, down)
+                if not depth < np.inf:
+                    continue
+                if is_outline:
+                    x_low, x_high = min(x_low, x), max(x_high, x + 1)
+                    y_low, y_high = min(y_low, y), max(y_high, y + 1)
+                else:
+                    depth_m[start + x] = min(depth_m[start + x], depth)
+        if is_outline and x_low < x_high:
+            left = x_low - 0.5 + _SLACK_PX if x_low > window[0] else -np.inf
+            right = x_high + 0.5 - _SLACK_PX if x_high < window[2] else np.inf
+            top = y_low - 0.5 + _SLACK_PX if y_low > window[1] else -np.inf
+            bottom = y_high + 0.5 - _SLACK_PX if y_high < window[3] else np.inf
+    if x_low >= x_high:
+        return 0, 0, 0, 0
+    return x_low, y_low, x_high, y_high
+
+
+@kernel
+def _draw_all(
+    image: Image, points: FloatArray, triangles: IntArray, box: Window, depth_m: FloatArray
+) -> int:
+    """Depths of the whole VRU in the pixels of its box; gives the number of pixels."""
+    for pixel in range(len(depth_m)):
+        depth_m[pixel] = np.inf
+    draw(image, points, triangles, box, depth_m)
+    n_pixels = 0
+    for pixel in range(len(depth_m)):
+        n_pixels += depth_m[pixel] < np.inf
+    return n_pixels
+
+
+@kernel
+def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -> int:
+    """Number of pixels of a window that show the VRU; the box around them becomes a row."""
+    width, height = window[2] - window[0], window[3] - window[1]
+    x_min, y_min, x_max, y_max = width, height, 0, 0
+    n_pixels = 0
+    for y in range(height):
+        for x in range(width):
+            if depth_m[y * width + x] < np.inf:
+                n_pixels += 1
+                x_min, x_max = min(x_min, x), max(x_max, x + 1)
+                y_min, y_max = min(y_min, y), max(y_max, y + 1)
+    has_any = n_pixels > 0
+    found[row, 0] = window[0] + x_min if has_any else 0
+    found[row, 1] = window[1] + y_min if has_any else 0
+    found[row, 2] = window[0] + x_max if has_any else 0
+    found[row, 3] = window[1] + y_max if has_any else 0
+    return n_pixels
+
+
+# ---------- what hides it
+
+
+@kernel
+def _set_beam(
+    image: Image,
+    box: Window,
+    farthest_m: float,
+    turn: FloatArray,
+    shift: FloatArray,
+    planes: FloatArray,
+) -> None:
+    """Planes of the beam through a box, in a body's frame: outside is where one is positive."""
+    half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
+    normal = np.zeros((_N_PLANES, 4))  # and a constant; camera frame
+    normal[0, 0], normal[0, 2] = -1.0, (box[0] - half_width) / image.focal_px
+    normal[1, 0], normal[1, 2] = 1.0, (half_width - box[2]) / image.focal_px
+    normal[2, 1], normal[2, 2] = -1.0, (box[1] - half_height) / image.focal_px
+    normal[3, 1], normal[3, 2] = 1.0, (half_height - box[3]) / image.focal_px
+    normal[4, 2], normal[4, 3] = 1.0, -farthest_m
+    normal[5, 2], normal[5, 3] = -1.0, _least_depth(image, box)
+    for plane in range(_N_PLANES):
+        constant = normal[plane, 3]
+        for axis in range(3):
+            planes[plane, axis] = 0.0
+            for side in range(3):
+                planes[plane, axis] += normal[plane, side] * turn[side, axis]
+            constant += normal[plane, axis] * shift[axis]
+        planes[plane, 3] = constant
+
+
+@kernel
+def _is_outside(
+    planes: FloatArray, low_m: float, high_m: float, low: FloatArray, high: FloatArray, node: int
+) -> bool:
+    """Whether a node's box lies outside of one of the planes, or of the heights of a beam."""
+    if high[node, 2] <= low_m or low[node, 2] >= high_m:
+        return True
+    for plane in range(_N_PLANES):
+        value = planes[plane, 3]
+        for axis in range(3):
+            normal = planes[plane, axis]
+            value += normal * (low[node, axis] if normal > 0.0 else high[node, axis])
+        if value > 0.0:
+            return True
+    return False
+
+
+@kernel
+def hide(
+    image: Image,
+    tree: Tree,
+    turn: FloatArray,
+    shift: FloatArray,
+    box: Window,
+    farthest_m: float,
+    low_m: float,
+    high_m: float,
+    depth_m: FloatArray,
+) -> bool:
+    """Hide what a body is before, or say whether it is before anything.
+
+    With depths in the pixels of a box, those of pixels that the body hides become infinite. Without
+    (an empty array), it gives whether the body covers a pixel of the box at less than `farthest_m`.
+    Nothing farther than that, nor outside of two heights, is looked at. [m], the body's frame.
+    """
+    if len(tree.second) == 0:
+        return False
+    planes = np.empty((_N_PLANES, 4))
+    _set_beam(image, box, farthest_m, turn, shift, planes)
+    least_depth = _least_depth(image, box)
+    middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
+    per_px = 1.0 / image.focal_px
+    is_asked = len(depth_m) == 0
+    width = box[2] - box[0]
+    waiting = np.empty(MAX_OPEN, dtype=np.int64)
+    corners = np.empty((3, 3))
+    waiting[0] = 0
+    n_waiting = 1
+    while n_waiting:
+        n_waiting -= 1
+        node = waiting[n_waiting]
+        if _is_outside(planes, low_m, high_m, tree.low_m, tree.high_m, node):
+            continue
+        if tree.second[node] >= 0:
+            waiting[n_waiting], waiting[n_waiting + 1] = tree.second[node], node + 1
+            n_waiting += 2
+            continue
+        for row in range(tree.start[node], tree.end[node]):
+            _to_camera(turn, shift, tree.corners_m[row], corners)
+            a, b, c = _corner(corners, 0), _corner(corners, 1), _corner(corners, 2)
+            bounds = _find_span(image, least_depth, a, b, c)
+            x_min, y_min, x_max, y_max = _pixels_within(bounds, box)
+            if x_min >= x_max or y_min >= y_max:
+                continue
+            edges, volume = _find_edges(a, b, c)
+            if volume == 0.0 or _passes_by(image, edges, volume, box, farthest_m):
+                continue
+            is_near = min(min(a[2], b[2]), c[2]) < image.near_m
+            for y in range(y_min, y_max):
+                down = (y - middle_y) * per_px
+                start = (y - box[1]) * width - box[0]
+                for x in range(x_min, x_max):
+                    before_m = farthest_m if is_asked else depth_m[start + x]
+                    if before_m == np.inf:
+                        continue
+                    across = (x - middle_x) * per_px
+                    if _depth_at(image, edges, volume, is_near, across, down) > before_m:
+                        continue
+                    if is_asked:
+                        return True
+                    depth_m[start + x] = np.inf
+    return False
+
+
+# ---------- many sights
+
+
+@kernel
+def see(
+    image: Image,
+    min_height_px: float,
+    vertices_m: FloatArray,
+    triangles: IntArray,
+    hull_m: FloatArray,
+    standing: Tree,
+    parked: Tree,
+    vut: Tree,
+    sights: Sights,
+    seen: Seen,
+) -> None:
+    """Fill `seen`, which is blank: boxes and shares of one VRU's body in one static world.
+
+    The VRU's `vertices_m`, `triangles` and `hull_m` are in its body frame; what may hide it are the
+    `standing` scene, what is `parked` in it, and the `vut`. Where the VRU's part of the image is
+    not `min_height_px` high, boxes are zeros.
+    """
+    hull, points = np.empty((len(hull_m), 3)), np.empty((len(vertices_m), 3))
+    nothing = np.empty(0)
+    depth_m, left_m = nothing, nothing  # in the pixels of the box; infinite where it is not seen
+    low_m, high_m = image.up_m, image.up_m
+    for row in range(len(hull_m)):
+        low_m, high_m = min(low_m, hull_m[row, 2]), max(high_m, hull_m[row, 2])
+    low_m += _TOUCH_M
+    has_vut = len(sights.vut.shift) > 0
+    for sight in range(len(sights.vru.shift)):
+        turn, shift = sights.vru.turn[sight], sights.vru.shift[sight]
+        _to_camera(turn, shift, hull_m, hull)
+        crop, inside_share = find_crop(image, hull, min_height_px)
+        seen.inside_share[sight] = inside_share
+        if crop[2] == 0:
+            continue
+        _to_camera(turn, shift, vertices_m, points)
+        box = draw(image, points, triangles, crop, nothing)
+        if box[2] == 0:
+            continue
+        for side, edge_px in enumerate(box):
+            seen.amodal_px[sight, side] = edge_px
+            seen.visible_px[sight, side] = edge_px
+        farthest_m = 0.0
+        for row in range(len(hull)):
+            farthest_m = max(farthest_m, hull[row, 2])
+        area = (box[2] - box[0]) * (box[3] - box[1])
+        if len(depth_m) < area:
+            depth_m, left_m = np.empty(area), np.empty(area)
+        n_pixels, n_left = 0, -1  # not counted: the VRU's, and those that nothing static hides
+        at, there = sights.static.turn[sight], sights.static.shift[sight]
+        for tree in (standing, parked):
+            if not hide(image, tree, at, there, box, farthest_m, low_m, high_m, nothing):
+                continue
+            if n_pixels == 0:
+                n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
+            hide(image, tree, at, there, box, farthest_m, low_m, high_m, depth_m[:area])
+            n_left = _measure(depth_m, box, seen.visible_px, sight)
+            seen.visible_share[sight] = n_left / n_pixels
+        if not has_vut:
+            continue
+        for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
+            for side in range(4):
+                seen.frame_visible_px[frame, side] = seen.visible_px[sight, side]
+            seen.frame_visible_share[frame] = seen.visible_share[sight]
+            at, there = sights.vut.turn[frame], sights.vut.shift[frame]
+            if n_left == 0:
+                continue
+            if not hide(image, vut, at, there, box, farthest_m, low_m, high_m, nothing):
+                continue
+            if n_pixels == 0:
+                n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
+            for pixel in range(area):
+                left_m[pixel] = depth_m[pixel]
+            hide(image, vut, at, there, box, farthest_m, low_m, high_m, left_m[:area])
+            n_seen = _measure(left_m, box, seen.frame_visible_px, frame)
+            seen.frame_visible_share[frame] = n_seen / n_pixels

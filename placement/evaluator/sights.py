@@ -1,0 +1,63 @@
+"""What goes into the drawing of many frames, and what comes out: tuples for compiled code."""
+
+from typing import NamedTuple
+
+from geometry.arrays import FloatArray, IntArray
+
+
+class Tree(NamedTuple):
+    """Boxes around ever fewer triangles: a parent is followed by its first child.
+
+    Attributes
+    ----------
+    corners_m : (n_triangles, 3, 3) float
+        Corners, leaf by leaf.
+    low_m, high_m : (n_nodes, 3) float
+        Box of each node. Without triangles there is no node.
+    second : (n_nodes,) int
+        The second child; -1 for a leaf.
+    start, end : (n_nodes,) int
+        Triangles of a node.
+    """
+
+    corners_m: FloatArray
+    low_m: FloatArray
+    high_m: FloatArray
+    second: IntArray
+    start: IntArray
+    end: IntArray
+
+
+class Placed(NamedTuple):
+    """Where bodies are, seen from a camera: ``turn @ point + shift`` is right, down, ahead."""
+
+    turn: FloatArray  # (n, 3, 3)
+    shift: FloatArray  # (n, 3). [m]
+
+    def take(self, rows: slice) -> "Placed":
+        """Some of them."""
+        return Placed(self.turn[rows], self.shift[rows])
+
+
+class Sights(NamedTuple):
+    """Where everything is in frames that differ in more than the VUT."""
+
+    vru: Placed
+    static: Placed
+    vut: Placed  # of every frame, sight by sight; none where the VUT is not to be seen
+    frame_start: IntArray  # (n + 1,): into them
+
+
+class Seen(NamedTuple):
+    """What is found; boxes in pixels, zeros where there is none."""
+
+    amodal_px: FloatArray  # (n, 4): of each sight
+    inside_share: FloatArray  # (n,): of the VRU's box, what the image's edges do not cut off
+    visible_px: FloatArray  # (n, 4): of each sight, were the VUT not there
+    visible_share: FloatArray  # (n,): by pixels; 1 where the VRU covers none
+    frame_visible_px: FloatArray  # (n_frames, 4): with the VUT
+    frame_visible_share: FloatArray  # (n_frames,)
+
+    def take(self, sights: slice, frames: slice) -> "Seen":
+        """Parts of the same arrays."""
+        return Seen(*(part[sights] for part in self[:4]), *(part[frames] for part in self[4:]))

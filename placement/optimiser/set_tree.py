@@ -1,0 +1,376 @@
+"""All sets of so many poses that reach a share of the runs: branch and bound, prices on runs.
+
+A set avoids a run only if one of its poses sees a certain frame of one of the run's windows; any
+frame of each window may be asked for, so that every choice makes the problem a maximal covering
+problem that promises no less (see :mod:`placement.optimiser.window_cover`). There a pose *covers*
+a run, and prices on runs bound all sets that contain certain poses:
+
+    sum over runs of max over m of (weight G(n + m) - m price) + the best poses' sums of prices,
+
+where n of the poses that are certain cover the run, m more do, and G(n) is what n covering poses
+are worth. With G(n) = 1 from n = 1 on that is the share of runs avoided (the Lagrangian dual of
+Cornuejols, Fisher, Nemhauser 1977). What is left when N of K units fail is no more than what is
+left on average, and of the ways to fail the share C(K - n, N - n) / C(K, N) takes all n poses that
+cover a run: G is concave again, so that the same prices bound it. It is also no more than what is
+left without a certain unit. A node is given up when any of these bounds is below its need.
+
+Sets that remain are valued on the windows themselves. A walk that ends has met every set.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from math import comb
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+
+from .limits import Limits
+from .presolve import ReducedProblem, WordArray, pack_words, unpack_words
+
+_ROUNDS = 8
+_ROOT_STEPS = 250
+_LATER_STEPS = 120  # in rounds that begin with good prices
+_SMALL_SHARE = 1.0e-3
+_SHARE_DIGITS = 3
+_SLACK = 1.0e-9  # relative, of needs: rounding of sums
+_OUT_SETS = 1 << 16
+_WORK = 30_000  # candidates looked at between two looks at the clock
+_STEPS = (60, 30, 10, 6)  # of subgradient in nodes of depth 0, 1, ..
+_PRICES_OF_APR = (0.0, 0.3, 1.0, 3.0)
+
+
+# ---------- detections by chains
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """Detections of a reduced problem, laid out by chains."""
+
+    # (n_phases, n_poses, n_words): whether a pose sees the i-th frame of each window of each chain
+    phases: WordArray
+    start: IntArray  # (n_chains + 1,): first word of each chain
+    last: IntArray  # (n_runs,): windows of its chain that end in time for each run
+    run_chain: IntArray  # (n_runs,): chain of each run
+    n_links: IntArray  # (n_chains,): windows of each chain
+
+    @property
+    def longest(self) -> int:
+        """Windows of the longest chain: what stands for none seen."""
+        return int(self.n_links.max(initial=0))
+
+    def union(self, units: IntArray) -> WordArray:
+        """What a set of poses sees, (n_phases, n_words)."""
+        union: WordArray = np.bitwise_or.reduce(self.phases[:, units], axis=1)
+        return union
+
+    def chain_worth(self, weight: FloatArray) -> FloatArray:
+        """Weight of avoided runs by chain and first window seen, (n_chains, longest + 1)."""
+        worth = np.zeros((len(self.n_links), self.longest + 1))
+        for chain, last, amount in zip(self.run_chain, self.last, weight, strict=True):
+            worth[chain, :last] += amount
+        return worth
+
+
+@lru_cache(maxsize=4)
+def build_links(reduced: ReducedProblem) -> Links:
+    """Lay out the detections of a reduced problem by chains."""
+    from .tree_kernels import lay_out
+
+    n_links = np.diff(reduced.chain_start)
+    n_words = -(-n_links // 64)
+    start = np.cumsum([0, *n_words])
+    bit = np.arange(len(reduced.chain_window)) - np.repeat(reduced.chain_start[:-1], n_links)
+    place = 64 * np.repeat(start[:-1], n_links) + bit
+    frames = reduced.window_frames[reduced.chain_window]
+    phases = np.zeros((frames.shape[1], reduced.n_poses, start[-1]), dtype=np.uint64)
+    lay_out(reduced.words, np.ascontiguousarray(frames.T), place, phases)
+    return Links(
+        phases=phases,
+        start=start,
+        last=(reduced.margin_s > -np.inf).sum(axis=1),
+        run_chain=reduced.run_chain,
+        n_links=n_links,
+    )
+
+
+def link_bytes(reduced: ReducedProblem) -> int:
+    """Memory that the detections by chains take."""
+    n_words = int((-(-np.diff(reduced.chain_start) // 64)).sum())
+    return 8 * int(reduced.window_frames.shape[1]) * reduced.n_poses * n_words
+
+
+def first_seen(links: Links, sets: IntArray, *, left_out: int = -1) -> IntArray:
+    """First window of each chain that sets see, (n_sets, n_chains); without one of their units.
+
+    `left_out` is the place of that unit in each set; negative: none.
+    """
+    from .tree_kernels import set_links
+
+    first = np.empty((len(sets), len(links.n_links)), dtype=np.int64)
+    set_links(links.phases, links.start, sets, left_out, links.longest, first)
+    return first
+
+
+def avoided_runs(links: Links, first: IntArray) -> BoolArray:
+    """Runs that are avoided, (.., n_runs), given the first window seen of each chain."""
+    avoided: BoolArray = first[..., links.run_chain] < links.last
+    return avoided
+
+
+# ---------- prices at the root
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Root:
+    """A covering problem that promises no less than the windows do, and prices on its rows."""
+
+    covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
+    weight: FloatArray  # (n_rows,): runs that the same poses cover are one row
+    price: FloatArray  # (n_rows,)
+    limit: float  # no set of so many units reaches more
+    share: FloatArray  # (n_poses,): how often each pose was picked of late
+
+
+def find_root(
+    links: Links, limits: Limits, weight: FloatArray, *, n_units: int, end_s: float = np.inf
+) -> Root:
+    """Ask for the frames, window by window, that bound sets of so many units best.
+
+    `weight`, (n_runs,), is what runs are worth. Windows are asked for the frame that the poses
+    picked so far see least, again and again, and the best round is kept.
+    """
+    from .tree_kernels import first_windows
+
+    n_phases, n_poses, n_words = links.phases.shape
+    bits = np.zeros(64 * n_words, dtype=bool)
+    for word, count in zip(links.start[:-1], links.n_links, strict=True):
+        bits[64 * word : 64 * word + count] = True
+    asked = np.zeros((n_phases, n_words), dtype=np.uint64)
+    asked[0] = pack_words(bits)
+    first = np.empty((n_poses, len(links.n_links)), dtype=np.int64)
+    seen_sum = np.zeros((n_phases, 64 * n_words))
+    price = 0.3 * weight
+    best: Root | None = None
+    for number in range(_ROUNDS):
+        first_windows(links.phases, links.start, asked, links.longest, first)
+        columns = np.packbits(avoided_runs(links, first), axis=0).T
+        _, index, row = np.unique(columns, axis=0, return_index=True, return_inverse=True)
+        covers = pack_words(avoided_runs(links, first)[:, index])
+        row = row.ravel()
+        row_weight, row_price = np.zeros(len(index)), np.zeros(len(index))
+        np.add.at(row_weight, row, weight)
+        np.add.at(row_price, row, price)
+        root = _tighten(
+            covers,
+            row_weight,
+            row_price,
+            limits,
+            _rewards(n_units, 0)[0],
+            n_units,
+            n_steps=_LATER_STEPS if number else _ROOT_STEPS,
+        )
+        settled = best is not None and root.limit > best.limit * (1.0 - 1.0e-5)
+        if best is None or root.limit < best.limit:
+            best = root
+        if (settled and number > 2) or time.monotonic() > end_s:
+            break
+        part = np.divide(weight, row_weight[row], out=np.zeros(len(weight)), where=weight > 0.0)
+        price = root.price[row] * part
+        used = np.flatnonzero(root.share > _SMALL_SHARE)
+        for phase in range(n_phases):
+            seen = root.share[used] @ unpack_words(links.phases[phase, used], 64 * n_words)
+            seen_sum[phase] += np.minimum(seen, 1.0)
+        rounded = np.round(seen_sum / max(float(seen_sum.max()), 1.0e-300), _SHARE_DIGITS)
+        least = rounded.argmin(axis=0)
+        for phase in range(n_phases):
+            asked[phase] = pack_words((least == phase) & bits)
+    assert best is not None
+    return best
+
+
+def _tighten(
+    covers: WordArray,
+    weight: FloatArray,
+    price: FloatArray,
+    limits: Limits,
+    reward: FloatArray,
+    n_units: int,
+    *,
+    need: float = 0.0,
+    n_steps: int = _ROOT_STEPS,
+) -> Root:
+    """Better prices for all sets of so many units, by the reward of being covered so often."""
+    from .tree_kernels import fill_cover, tighten_node
+
+    n_poses, n_rows = len(covers), len(weight)
+    candidate = np.arange(n_poses)
+    cover = np.empty((n_rows, n_poses), dtype=np.float32)
+    fill_cover(covers, candidate, n_poses, cover)
+    price, gain, share = price.copy(), np.empty(n_poses), np.zeros(n_poses)
+    limit, _ = tighten_node(
+        cover,
+        n_poses,
+        candidate,
+        limits.site_index,
+        limits.site_capacity,
+        weight,
+        reward,
+        np.zeros(n_rows, dtype=np.uint8),
+        n_units,
+        price,
+        need,
+        n_steps,
+        gain,
+        share,
+    )
+    share *= n_units / max(float(share.sum()), 1.0e-300)
+    return Root(covers=covers, weight=weight, price=price, limit=limit, share=share)
+
+
+def _rewards(n_units: int, n_failures: int) -> FloatArray:
+    """What a row is worth by the number of units that cover it, (3, n_units + 2).
+
+    For a whole set, on average when units fail, and when one certain unit and others fail.
+    """
+    rewards = np.zeros((3, n_units + 2))
+    rewards[0, 1:] = 1.0
+    rewards[1] = [_share_left(n, n_units, n_failures) for n in range(n_units + 2)]
+    fewer = max(n_failures - 1, 0)
+    rewards[2] = [_share_left(n, n_units - 1, fewer) for n in range(n_units + 2)]
+    return rewards
+
+
+def _share_left(n_covering: int, n_units: int, n_failures: int) -> float:
+    """Of the ways in which units fail, the share that leaves one of the covering units."""
+    if n_covering == 0:
+        return 0.0
+    if n_covering > n_failures or n_units < n_failures:
+        return 1.0
+    n_lost = comb(max(n_units - n_covering, 0), n_failures - n_covering)
+    return 1.0 - n_lost / comb(n_units, n_failures)
+
+
+# ---------- the walk
+
+
+class SetWalk:
+    """A walk through all sets of so many units that reach `need`, also when units fail.
+
+    With failures, `left` is what must remain of any `n_failures` of them; sets are checked exactly
+    for one failure, and for more only by bounds. Sites' capacities hold; other limits do not count.
+    """
+
+    def __init__(
+        self,
+        links: Links,
+        limits: Limits,
+        weight: FloatArray,
+        root: Root,
+        *,
+        n_units: int,
+        need: float,
+        n_failures: int = 0,
+        left: float = 0.0,
+    ) -> None:
+        from .tree_kernels import Forest, Walk
+
+        n_poses, n_rows = len(root.covers), len(root.weight)
+        n_phases, _, n_words = links.phases.shape
+        self.n_failures, self.n_units = n_failures, n_units
+        self.total = float(weight.sum())
+        rewards = _rewards(n_units, n_failures)
+        prices = [root.price, root.price]
+        self.price_of_apr = 0.0
+        self.root_limit = root.limit
+        if n_failures:
+            self.root_limit = np.inf
+            for amount in _PRICES_OF_APR:
+                reward = rewards[1] + amount * rewards[0]
+                trial = _tighten(
+                    root.covers, root.weight, root.price, limits, reward, n_units, need=0.0
+                )
+                if trial.limit - amount * need < self.root_limit:
+                    self.root_limit = trial.limit - amount * need
+                    self.price_of_apr, prices[1] = amount, trial.price
+            rewards[1] += self.price_of_apr * rewards[0]
+        worth = links.chain_worth(weight)
+        steps = [*_STEPS, *[_STEPS[-1]] * n_units][:n_units]
+        self.forest = Forest(
+            phases=links.phases,
+            start=links.start,
+            worth=worth,
+            chains=_hardest_first(links, worth, root),
+            covers=root.covers,
+            weight=root.weight,
+            site=limits.site_index,
+            rewards=rewards,
+            steps=np.array(steps),
+        )
+        self.walk = Walk(
+            needs=np.zeros(4),
+            where=np.array([0, 1, 0, 0]),
+            chosen=np.zeros(n_units, dtype=np.int64),
+            union=np.zeros((n_units + 1, n_phases, n_words), dtype=np.uint64),
+            n_covering=np.zeros((n_units + 1, n_rows), dtype=np.uint8),
+            price=np.zeros((n_units + 1, n_units + 2, n_rows)),
+            room=np.zeros((n_units + 1, limits.n_sites), dtype=np.int64),
+            candidate=np.zeros((n_units, n_poses), dtype=np.int64),
+            gain=np.zeros((n_units, 2, n_poses)),
+            fixed=np.zeros((n_units, 2)),
+            n_candidates=np.zeros(n_units, dtype=np.int64),
+            position=np.zeros(n_units, dtype=np.int64),
+            cover=np.zeros((n_rows, n_poses), dtype=np.float32),
+            gain_now=np.zeros(n_poses),
+        )
+        usable = np.flatnonzero(
+            ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
+        )
+        self.walk.candidate[0, : len(usable)] = usable
+        self.walk.n_candidates[0] = len(usable)
+        self.walk.room[0] = limits.site_capacity
+        self.walk.price[0, 0], self.walk.price[0, 1] = prices
+        self.out = np.empty((n_poses + _OUT_SETS, n_units), dtype=np.int64)
+        self.raise_needs(need, left)
+
+    def raise_needs(self, need: float, left: float = 0.0) -> None:
+        """Ask for more from here on."""
+        slack = _SLACK * max(self.total, 1.0)
+        self.walk.needs[0] = need - slack
+        self.walk.needs[1] = left + self.price_of_apr * need - slack
+        self.walk.needs[2] = left - slack
+        self.walk.needs[3] = left - slack
+
+    def blocks(self, end_s: float) -> Iterator[IntArray]:
+        """Sets that meet the needs, many at a time, until `end_s` on the monotonic clock.
+
+        An empty block says that nothing was found for a while.
+        """
+        from .tree_kernels import FINISHED, grow
+
+        while not self.is_finished and time.monotonic() < end_s:
+            self.walk.where[2] = 0
+            state = grow(
+                self.forest, self.walk, self.n_failures, self.n_failures == 1, _WORK, self.out
+            )
+            yield self.out[: self.walk.where[2]].copy()
+            if state == FINISHED:
+                break
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether all sets were gone through."""
+        return bool(self.walk.where[0] < 0)
+
+
+def _hardest_first(links: Links, worth: FloatArray, root: Root) -> IntArray:
+    """Chains in the order of what the worthiest poses lose in them."""
+    n_look = min(len(root.covers), 256)
+    gain = unpack_words(root.covers, len(root.weight)) @ root.price
+    best = np.argsort(-gain, kind="stable")[:n_look]
+    first = first_seen(links, best[:, None])
+    lost = worth[:, 0] - worth[np.arange(len(worth)), first].mean(axis=0)
+    order: IntArray = np.argsort(-lost, kind="stable")
+    return order

@@ -1,0 +1,372 @@
+"""Good sets by exchanges, and all sets that are as good as the best in the first stages.
+
+The stages after the APR choose among sets that tie. Where the tree of sets
+(:mod:`placement.optimiser.set_tree`) leaves few of them, they are all valued, and every later stage
+is proven at once. Where they are many, the APR that is left when units fail is asked for in the
+tree, too; few sets are best in both.
+"""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from geometry.arrays import FloatArray, IntArray
+
+from .bitsets import BestSet, SetValues, set_values
+from .limits import fitting, is_allowed
+from .objectives import TOLERANCE
+from .presolve import ReducedProblem
+from .problem import Measure
+from .set_tree import (
+    Links,
+    Root,
+    SetWalk,
+    avoided_runs,
+    build_links,
+    find_root,
+    first_seen,
+    link_bytes,
+)
+
+MAX_WALK_UNITS = 16
+_MAX_BYTES = 3 << 28  # of detections by chains
+_MAX_TIED = 100_000
+_BLOCK_SETS = 1 << 12
+_MAX_PARTNERS = 128  # that are valued in all objectives
+_N_RESTARTS = 12
+_SEED = 1
+_WORLD_ROUNDS = 12
+_STEP_UP = 2.0 * TOLERANCE
+
+
+def can_walk(reduced: ReducedProblem) -> bool:
+    """Whether best sets have as many units as allowed or are parts of such: no wishes or money."""
+    limits = reduced.limits
+    return (
+        limits.budget_eur is None
+        and not (limits.is_forced.any() or limits.is_forced_site.any() or len(limits.rivals))
+        and not reduced.floors
+        and not reduced.objectives[0].is_minimised
+        and len(reduced.weight) > 0
+        and 2 <= limits.max_units <= min(MAX_WALK_UNITS, reduced.n_poses)
+        and link_bytes(reduced) <= _MAX_BYTES
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tied:
+    """Sets that tie at the best value of a stage."""
+
+    sets: IntArray | None  # (n, n_units): all of them; None: too many, or not all were looked at
+    value: float  # the best that was found
+    limit: float  # no set exceeds it
+    is_finished: bool  # whether the value is proven
+
+
+class SetSearch:
+    """What it takes to exchange units of sets, and to walk through all sets."""
+
+    def __init__(self, reduced: ReducedProblem) -> None:
+        self.reduced = reduced
+        self.links: Links = build_links(reduced)
+        self.n_units = reduced.limits.max_units
+        self.survive = reduced.survive
+        self._tables = _world_tables(self.links, reduced.measure)
+        self._root: tuple[FloatArray, Root] | None = None
+
+    # ---------- values
+
+    def shares_with_each(self, units: IntArray) -> FloatArray:
+        """APR of a set together with each pose, (n_poses,)."""
+        from .tree_kernels import totals_with_each
+
+        total = np.empty((self.reduced.n_poses, len(self._tables)))
+        union = self.links.union(np.asarray(units, dtype=np.int64))
+        totals_with_each(self.links.phases, self.links.start, self._tables, union, total)
+        return self.reduced.measure.of_worlds(total)
+
+    def left_with_each(self, units: IntArray, n_failures: int) -> FloatArray:
+        """APR that a set together with each pose keeps when its worst units fail, (n_poses,)."""
+        if n_failures > len(units):
+            return np.zeros(self.reduced.n_poses)
+        left = np.full(self.reduced.n_poses, np.inf)
+        for failed in combinations(range(len(units)), n_failures):
+            left = np.minimum(left, self.shares_with_each(np.delete(units, failed)))
+        if n_failures:
+            for failed in combinations(range(len(units)), n_failures - 1):
+                left = np.minimum(left, self.shares(np.delete(units, failed)[None, :])[0])
+        return left
+
+    def shares(self, sets: IntArray, *, left_out: int = -1) -> FloatArray:
+        """APR of sets, (n_sets,), without one of their units if that is not negative."""
+        share = np.empty(len(sets))
+        for start in range(0, len(sets), _BLOCK_SETS):
+            part = slice(start, start + _BLOCK_SETS)
+            first = first_seen(self.links, sets[part], left_out=left_out)
+            share[part] = self.reduced.measure.of(avoided_runs(self.links, first))
+        return share
+
+    def left(self, sets: IntArray, n_failures: int) -> FloatArray:
+        """APR that sets keep when their worst units fail, (n_sets,)."""
+        n_units = sets.shape[1]
+        if n_failures > n_units:
+            return np.zeros(len(sets))
+        if n_failures == 1:
+            kept = [self.shares(sets, left_out=unit) for unit in range(n_units)]
+        else:
+            kept = [
+                self.shares(np.delete(sets, failed, axis=1))
+                for failed in combinations(range(n_units), n_failures)
+            ]
+        smallest: FloatArray = np.min(kept, axis=0)
+        return smallest
+
+    # ---------- exchanges
+
+    def fill(self, units: IntArray) -> IntArray:
+        """Add the poses that gain most, one by one, while there is room."""
+        while len(units) < self.n_units:
+            fits = fitting(self.reduced.limits, units)
+            if not fits.any():
+                break
+            share = np.where(fits, self.shares_with_each(units), -np.inf)
+            units = np.append(units, share.argmax())
+        return units
+
+    def climb(self, units: IntArray, *, end_s: float) -> IntArray:
+        """Exchange one unit for another while that makes the set better in any stage."""
+        value, idle, place = set_values(self.reduced, units[None, :])[0], 0, 0
+        while idle < len(units) and (time.monotonic() < end_s):
+            rest = np.delete(units, place % len(units))
+            partners = self._best_partners(rest)
+            sets = np.column_stack([np.tile(rest, (len(partners), 1)), partners])
+            values = set_values(self.reduced, sets)
+            idle += 1
+            if len(sets):
+                row = values.best_row()
+                if values[row].exceeds(value):
+                    units, value, idle = sets[row], values[row], 0
+            place = (place + 1) % len(units)
+        return units
+
+    def _best_partners(self, rest: IntArray) -> IntArray:
+        """Poses that make the best sets with others, by the first stages."""
+        best = np.flatnonzero(fitting(self.reduced.limits, rest))
+        first: list[Callable[[], FloatArray]] = [
+            lambda: self.shares_with_each(rest),
+            lambda: self.left_with_each(rest, 1),
+        ]
+        if self.survive:
+            first = [lambda: self.left_with_each(rest, self.survive), *first]
+        for find in first:
+            if len(best) > 1:
+                value = find()[best]
+                best = best[value >= value.max() - TOLERANCE]
+        return best[:_MAX_PARTNERS]
+
+    def look(
+        self, starts: Iterable[IntArray], *, limit: SetValues, end_s: float
+    ) -> IntArray | None:
+        """Best of local optima: of some starts, of the greedy set, of sets near the relaxed one.
+
+        It ends at a set as good as `limit`, which none exceeds, or at `end_s` on the monotonic
+        clock, but completes the first start. None if no set is within the limits.
+        """
+        rng = np.random.default_rng(_SEED)
+        best = BestSet()
+        none = np.empty(0, dtype=np.int64)
+        begin = [*starts, none]
+        chance = self.root.share + 1.0e-9
+        for number in range(len(begin) + _N_RESTARTS):
+            if best.units is not None and time.monotonic() > end_s:
+                break
+            if number < len(begin):
+                units = begin[number]
+            elif number % 2 or best.units is None:
+                units = self._drawn(rng, none, chance, self.n_units)
+            else:
+                n_out = int(rng.integers(1, max(2, self.n_units // 2 + 1)))
+                units = self._drawn(rng, rng.permutation(best.units)[n_out:], chance, n_out - 1)
+            units = self.fill(units)
+            if not is_allowed(self.reduced.limits, units):
+                continue
+            units = self.climb(units, end_s=end_s)
+            best.offer(units[None, :], set_values(self.reduced, units[None, :]))
+            if best.values is not None and not limit.exceeds(best.values):
+                break
+        return best.units
+
+    def _drawn(
+        self, rng: np.random.Generator, units: IntArray, chance: FloatArray, n_more: int
+    ) -> IntArray:
+        for _ in range(n_more):
+            fits = fitting(self.reduced.limits, units)
+            if not fits.any():
+                break
+            weight = np.where(fits, chance, 0.0)
+            units = np.append(units, rng.choice(len(weight), p=weight / weight.sum()))
+        return units
+
+    # ---------- the walk
+
+    @property
+    def root(self) -> Root:
+        """Prices on runs for sets of as many units as allowed."""
+        return self._find_root()[1]
+
+    @property
+    def apr_limit(self) -> float:
+        """No set has a higher APR."""
+        return self._rounded_down(self.root.limit)
+
+    def _find_root(self) -> tuple[FloatArray, Root]:
+        """The weights of runs that bound the APR best, and their prices."""
+        if self._root is None:
+            reduced = self.reduced
+            weight = reduced.weight
+            if not reduced.measure.is_mean:
+                weight = self._worst_weights()
+            root = find_root(self.links, reduced.limits, weight, n_units=self.n_units)
+            self._root = weight, root
+        return self._root
+
+    def _worst_weights(self) -> FloatArray:
+        """Weights of runs whose sum is no less than the mean over the worst worlds, of any set.
+
+        That mean is the least of all sums in which worlds weigh up to 1 / tail times what they
+        weigh. Which sum bounds all sets best is played out: the worlds answer the poses that are
+        picked, the poses the average of the worlds' answers (Brown 1951).
+        """
+        measure = self.reduced.measure
+        answers = measure.sample_weight.copy()
+        mean = answers
+        for number in range(1, _WORLD_ROUNDS):
+            weight = measure.weight * (mean / measure.sample_weight)[measure.sample_index]
+            units = self._greedy_by(weight)
+            first = first_seen(self.links, units[None, :])
+            worst = measure.worst_worlds(avoided_runs(self.links, first)[0])
+            answers = answers + worst
+            mean = answers / (number + 1)
+        result: FloatArray = measure.weight * (mean / measure.sample_weight)[measure.sample_index]
+        return result
+
+    def _greedy_by(self, weight: FloatArray) -> IntArray:
+        from .tree_kernels import totals_with_each
+
+        table = self.links.chain_worth(weight)[None, :, :]
+        total = np.empty((self.reduced.n_poses, 1))
+        units = np.empty(0, dtype=np.int64)
+        for _ in range(self.n_units):
+            fits = fitting(self.reduced.limits, units)
+            if not fits.any():
+                break
+            totals_with_each(
+                self.links.phases, self.links.start, table, self.links.union(units), total
+            )
+            units = np.append(units, np.where(fits, total[:, 0], -np.inf).argmax())
+        return units
+
+    def _rounded_down(self, limit: float) -> float:
+        """A limit of shares; where all runs weigh the same, a whole number of them."""
+        measure = self.reduced.measure
+        limit = min(limit, measure.limit)
+        unit = float(measure.weight.min())
+        if not measure.is_mean or unit <= 0.0:
+            return limit
+        count = measure.weight / unit
+        if (np.abs(count - count.round()) > 1.0e-9 * count).any():
+            return limit
+        return float(min(np.floor(limit / unit + 1.0e-6) * unit, measure.limit))
+
+    def tied(
+        self,
+        units: IntArray,
+        *,
+        n_failures: int,
+        least_apr: float | None,
+        end_s: float,
+        on_better: Callable[[IntArray], IntArray],
+    ) -> Tied:
+        """All sets as good as the best, by the APR when units fail, 0 for none.
+
+        `units` is the best set so far; `least_apr` is what the whole set must reach, by default
+        what must be left. `on_better` takes better sets and returns what they were improved to.
+        The walk ends at `end_s` on the monotonic clock.
+        """
+        weight, root = self._find_root()
+
+        def value_of(sets: IntArray) -> FloatArray:
+            if n_failures:
+                return self.left(sets, n_failures)
+            return self.shares(sets)
+
+        best = float(value_of(np.sort(units)[None, :])[0])
+        walk = SetWalk(
+            self.links,
+            self.reduced.limits,
+            weight,
+            root,
+            n_units=self.n_units,
+            need=best if least_apr is None else least_apr,
+            n_failures=n_failures,
+            left=best,
+        )
+        limit = self._rounded_down(walk.root_limit)
+        tied: list[IntArray] = []
+        keeps_all = True
+        for block in walk.blocks(end_s):
+            if not len(block):
+                continue
+            if least_apr is not None:
+                block = block[self.shares(block) >= least_apr - TOLERANCE]
+            value = value_of(block)
+            if len(block) and value.max() > best + TOLERANCE:
+                better = on_better(block[value.argmax()])
+                best = max(float(value.max()), float(value_of(better[None, :])[0]))
+                tied, keeps_all = [], True
+            block = block[value >= best - TOLERANCE]
+            if keeps_all:
+                tied.append(block)
+                if sum(map(len, tied)) > _MAX_TIED:
+                    tied, keeps_all = [], False
+            step = 0.0 if keeps_all else _STEP_UP
+            walk.raise_needs(best + step if least_apr is None else least_apr, best + step)
+        if not walk.is_finished:
+            return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
+        sets = np.concatenate([np.empty((0, self.n_units), dtype=np.int64), *tied])
+        return Tied(sets=sets if keeps_all else None, value=best, limit=best, is_finished=True)
+
+    def best_of(self, sets: IntArray, *, n_failures: int, value: float) -> IntArray | None:
+        """Best of tied sets and of their parts that tie with them; None if there is none.
+
+        A part is as good in the first stages only if a whole set is that has room for one more.
+        """
+        best = BestSet()
+        while len(sets) and sets.shape[1] > 0:
+            for start in range(0, len(sets), _BLOCK_SETS):
+                part = sets[start : start + _BLOCK_SETS]
+                best.offer(part, set_values(self.reduced, part))
+            smaller = np.concatenate(
+                [np.delete(sets, unit, axis=1) for unit in range(sets.shape[1])]
+            )
+            if not smaller.shape[1]:
+                break
+            smaller = np.unique(np.sort(smaller, axis=1), axis=0)
+            left = self.left(smaller, n_failures) if n_failures else self.shares(smaller)
+            sets = smaller[left >= value - TOLERANCE]
+        return best.units
+
+
+def _world_tables(links: Links, measure: Measure) -> FloatArray:
+    """What chains are worth in each world, (n_worlds, n_chains, longest + 1)."""
+    if measure.is_mean:
+        return links.chain_worth(measure.weight)[None, :, :]
+    return np.stack(
+        [
+            links.chain_worth(np.where(measure.sample_index == sample, measure.weight, 0.0))
+            for sample in range(len(measure.sample_weight))
+        ]
+    )

@@ -1,0 +1,331 @@
+"""Loops that spare rays: which points of a body anything may stand in front of, seen from a mount.
+
+All directions from the eye are sorted into cells: azimuth by the diamond angle, elevation by its
+sine, so that no trigonometric function is needed. Each cell knows how near the nearest thing in it
+may be. Triangles are cut into pieces of a degree, and each piece counts in all cells between its
+least and greatest azimuth and elevation: a cell never knows too little, and where it knows nothing
+nearer than a point, the ray to that point would meet nothing.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.kernels import kernel
+
+Array = NDArray[Any]
+
+N_AROUND = 1024  # cells of azimuth
+N_UP = 512  # cells of elevation
+_PIECE_SIN = 0.02  # sine of the angle within which a piece lies around its middle
+_SMALLEST_M = 0.005  # pieces are not cut any smaller
+_SLACK_M = 1.0e-3  # for rays in single precision
+_SLACK_SIN = 1.0e-5
+_MOST_CUTS = 64
+
+
+@kernel
+def _diamond(x: float, y: float) -> float:
+    """Azimuth as a number from 0 to 4 that grows with the angle."""
+    size = abs(x) + abs(y)
+    if size == 0.0:
+        return 0.0
+    share = y / size
+    if x < 0.0:
+        return 2.0 - share
+    return share if share >= 0.0 else 4.0 + share
+
+
+@kernel
+def _around(x: float, y: float) -> int:
+    """Column of cells of an azimuth."""
+    return min(int(_diamond(x, y) * (0.25 * N_AROUND)), N_AROUND - 1)
+
+
+@kernel
+def _up(sine: float) -> int:
+    """Row of cells of an elevation."""
+    return max(0, min(int((sine + 1.0) * (0.5 * N_UP)), N_UP - 1))
+
+
+@kernel
+def _window(x: float, y: float, z: float, radius: float) -> tuple[int, int, int, int]:
+    """Cells that a sphere touches, the eye outside of it: rows, columns; the end may be > N."""
+    level = np.sqrt(x * x + y * y)
+    distance = np.sqrt(x * x + y * y + z * z)
+    sine = radius / distance
+    cosine = np.sqrt(max(0.0, 1.0 - sine * sine))
+    up, flat = z / distance, level / distance
+    low, high = up * cosine - flat * sine, up * cosine + flat * sine
+    if level <= radius:  # straight above or below: all azimuths
+        if z < 0.0:
+            low = -1.0
+        else:
+            high = 1.0
+        return _up(low), _up(high), 0, N_AROUND - 1
+    turn = radius / level
+    keep = np.sqrt(1.0 - turn * turn)
+    first = _around(x * keep + y * turn, y * keep - x * turn)
+    last = _around(x * keep - y * turn, y * keep + x * turn)
+    if last < first:
+        last += N_AROUND
+    return _up(low), _up(high), first, last
+
+
+@kernel
+def _piece_window(corners: Any, x: float, y: float, sine: float) -> tuple[int, int, int, int]:
+    """Cells that a triangle touches, as `_window`: `sine` is that of its half angle at least.
+
+    Azimuth on a triangle is between those of its corners. Of a point p = sum of shares t of the
+    corners c, height / |p| is at most the greatest such ratio of a corner times sum t |c| / |p|,
+    which is 1 .. 1 / cos(the triangle's angle); and at least the least one likewise.
+    """
+    middle = _diamond(x, y)
+    left = right = 0.0
+    bottom, top = 1.0, -1.0
+    for cx, cy, cz in corners:
+        turn = _diamond(cx, cy) - middle
+        if turn > 2.0:
+            turn -= 4.0
+        elif turn < -2.0:
+            turn += 4.0
+        left, right = min(left, turn), max(right, turn)
+        ratio = cz / np.sqrt(cx * cx + cy * cy + cz * cz)
+        bottom, top = min(bottom, ratio), max(top, ratio)
+    bulge = 1.0 / (1.0 - 2.0 * sine * sine)
+    bottom = bottom * bulge if bottom < 0.0 else bottom
+    top = top * bulge if top > 0.0 else top
+    distance = np.sqrt(x * x + y * y)
+    slack = _SLACK_M / distance + _SLACK_SIN
+    first = int(np.floor((middle + left - slack) * (0.25 * N_AROUND)))
+    last = int(np.floor((middle + right + slack) * (0.25 * N_AROUND)))
+    if first < 0:
+        first, last = first + N_AROUND, last + N_AROUND
+    return _up(bottom - slack), _up(top + slack), first, last
+
+
+@kernel
+def mark_nearest(
+    nearest: Array,
+    triangles: Array,
+    eye: Array,
+    near_m: float,
+    far_m: float,
+    low_m: float,
+    high_m: float,
+) -> None:
+    """Enter triangles (n, 3, 3) into cells (N_UP, N_AROUND) of distances from the eye.
+
+    Left out is what is nearer than `near_m`, farther than `far_m`, and what no way from the eye to
+    a point whose height is `low_m` .. `high_m` can meet.
+    """
+    floor, ceiling = min(eye[2], low_m), max(eye[2], high_m)
+    stack = np.empty((_MOST_CUTS + 1, 9))
+    for number in range(len(triangles)):
+        for corner in range(3):
+            for axis in range(3):
+                stack[0, 3 * corner + axis] = triangles[number, corner, axis] - eye[axis]
+        height = 1
+        while height > 0:
+            height -= 1
+            ax, ay, az, bx, by, bz, cx, cy, cz = stack[height]
+            if max(az, bz, cz) + eye[2] <= floor or min(az, bz, cz) + eye[2] >= ceiling:
+                continue
+            x, y, z = (ax + bx + cx) / 3.0, (ay + by + cy) / 3.0, (az + bz + cz) / 3.0
+            radius2 = max(
+                (ax - x) ** 2 + (ay - y) ** 2 + (az - z) ** 2,
+                (bx - x) ** 2 + (by - y) ** 2 + (bz - z) ** 2,
+                (cx - x) ** 2 + (cy - y) ** 2 + (cz - z) ** 2,
+            )
+            distance2 = x * x + y * y + z * z
+            radius, distance = np.sqrt(radius2), np.sqrt(distance2)
+            if distance + radius < near_m - _SLACK_M or distance - radius > far_m:
+                continue
+            is_piece = radius <= _PIECE_SIN * distance or radius <= _SMALLEST_M
+            if not is_piece and height + 2 <= _MOST_CUTS:
+                ab = (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2
+                bc = (bx - cx) ** 2 + (by - cy) ** 2 + (bz - cz) ** 2
+                ca = (cx - ax) ** 2 + (cy - ay) ** 2 + (cz - az) ** 2
+                # Turned so that the longest side leads from a to b.
+                if bc >= ab and bc >= ca:
+                    ax, ay, az, bx, by, bz, cx, cy, cz = bx, by, bz, cx, cy, cz, ax, ay, az
+                elif ca >= ab and ca >= bc:
+                    ax, ay, az, bx, by, bz, cx, cy, cz = cx, cy, cz, ax, ay, az, bx, by, bz
+                mx, my, mz = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
+                for first, (px, py, pz) in enumerate(((ax, ay, az), (bx, by, bz))):
+                    part = stack[height + first]
+                    part[0], part[1], part[2] = px, py, pz
+                    part[3], part[4], part[5] = mx, my, mz
+                    part[6], part[7], part[8] = cx, cy, cz
+                height += 2
+                continue
+            wide = radius + _SLACK_M + _SLACK_SIN * distance
+            if distance <= wide:
+                nearest[:] = 0.0
+                return
+            least = np.float32(max(0.0, distance - wide))
+            if np.sqrt(x * x + y * y) <= wide:  # straight above or below
+                low, high, begin, end = _window(x, y, z, wide)
+            else:
+                corners = ((ax, ay, az), (bx, by, bz), (cx, cy, cz))
+                low, high, begin, end = _piece_window(corners, x, y, wide / distance)
+            for up in range(low, high + 1):
+                row = nearest[up]
+                for column in range(begin, min(end, N_AROUND - 1) + 1):
+                    row[column] = min(row[column], least)
+                for column in range(0, end - N_AROUND + 1):
+                    row[column] = min(row[column], least)
+
+
+@kernel
+def find_unclear_points(
+    nearest: Array,
+    points: Array,
+    middle: Array,
+    radius: Array,
+    eye: Array,
+    views: Array,
+    unclear: Array,
+) -> None:
+    """Set `unclear` (n, n_points) where something may stand before a point of a view.
+
+    `points` (n_views, 3, n_points), `middle` (n_views, 3), `radius` (n_views,): each body's points,
+    and a sphere around them; `views` (n,): which of them are asked for.
+    """
+    ex, ey, ez = eye[0], eye[1], eye[2]
+    for row in range(len(views)):
+        view = views[row]
+        x, y, z = middle[view, 0] - ex, middle[view, 1] - ey, middle[view, 2] - ez
+        distance = np.sqrt(x * x + y * y + z * z)
+        wide = radius[view] + _SLACK_M
+        is_clear = distance > wide
+        if is_clear:
+            far = np.float32(distance + wide)
+            low, high, begin, end = _window(x, y, z, wide)
+            for up in range(low, high + 1):
+                for around in range(begin, end + 1):
+                    column = around if around < N_AROUND else around - N_AROUND
+                    if nearest[up, column] <= far:
+                        is_clear = False
+                        break
+                if not is_clear:
+                    break
+        if is_clear:
+            continue
+        for point in range(points.shape[2]):
+            x = points[view, 0, point] - ex
+            y = points[view, 1, point] - ey
+            z = points[view, 2, point] - ez
+            distance = np.sqrt(x * x + y * y + z * z)
+            if distance == 0.0:
+                unclear[row, point] = True
+                continue
+            unclear[row, point] = nearest[_up(z / distance), _around(x, y)] <= distance
+
+
+@kernel
+def fill_rays(
+    points: Array,
+    views: Array,
+    asked: Array,
+    eye: Array,
+    near_m: float,
+    off_surface_m: float,
+    starts: Array,
+    vectors: Array,
+) -> None:
+    """Rays from the eye to the points asked for (n, n_points), row by row, in single precision.
+
+    They start `near_m` from the eye and end `off_surface_m` before the point.
+    """
+    one, near, cut = np.float32(1.0), np.float32(near_m), np.float32(near_m + off_surface_m)
+    ex, ey, ez = np.float32(eye[0]), np.float32(eye[1]), np.float32(eye[2])
+    ray = 0
+    for row in range(len(views)):
+        view = views[row]
+        for point in range(points.shape[2]):
+            if not asked[row, point]:
+                continue
+            x = points[view, 0, point] - ex
+            y = points[view, 1, point] - ey
+            z = points[view, 2, point] - ez
+            per_length = one / np.sqrt(x * x + y * y + z * z)
+            begin, share = near * per_length, one - cut * per_length
+            starts[ray, 0] = x * begin + ex
+            starts[ray, 1] = y * begin + ey
+            starts[ray, 2] = z * begin + ez
+            vectors[ray, 0] = x * share
+            vectors[ray, 1] = y * share
+            vectors[ray, 2] = z * share
+            ray += 1
+
+
+@kernel
+def find_rays_at_body(
+    points: Array,
+    views: Array,
+    hidden: Array,
+    eye: Array,
+    position: Array,
+    cosine: Array,
+    sine: Array,
+    lowest: Array,
+    highest: Array,
+    near_m: float,
+    off_surface_m: float,
+    starts: Array,
+    vectors: Array,
+    asked: Array,
+) -> int:
+    """Rays to points of some views that meet the box around a body, in the body's frame.
+
+    Row n asks for the points of view `views[n]` that are not `hidden[n]`, while the body is at
+    `position[n]` (2,) with its heading's `cosine[n]` and `sine[n]`; its box reaches from `lowest`
+    (3,) to `highest` (3,). Sets `asked` (n, n_points) and returns the number of rays; `starts` and
+    `vectors` have room for all points of all rows.
+    """
+    one, near, cut = np.float32(1.0), np.float32(near_m), np.float32(near_m + off_surface_m)
+    ray = 0
+    for row in range(len(views)):
+        view = views[row]
+        c, s = cosine[row], sine[row]
+        px, py = position[row, 0], position[row, 1]
+        wx, wy = eye[0] - px, eye[1] - py
+        ex, ey, ez = wx * c + wy * s, wy * c - wx * s, eye[2]
+        for point in range(points.shape[2]):
+            if hidden[row, point]:
+                continue
+            wx, wy = points[view, 0, point] - px, points[view, 1, point] - py
+            x, y = wx * c + wy * s, wy * c - wx * s
+            z = np.float64(points[view, 2, point])
+            first, last = 0.0, 1.0
+            for origin, target, low, high in (
+                (ex, x, lowest[0], highest[0]),
+                (ey, y, lowest[1], highest[1]),
+                (ez, z, lowest[2], highest[2]),
+            ):
+                way = target - origin
+                if abs(way) < 1.0e-9:
+                    if origin < low or origin > high:
+                        first = 2.0
+                    continue
+                enter, leave = (low - origin) / way, (high - origin) / way
+                if enter > leave:
+                    enter, leave = leave, enter
+                first, last = max(first, enter), min(last, leave)
+            if first > last:
+                continue
+            asked[row, point] = True
+            ox, oy, oz = np.float32(ex), np.float32(ey), np.float32(ez)
+            vx, vy, vz = np.float32(x) - ox, np.float32(y) - oy, np.float32(z) - oz
+            per_length = one / np.sqrt(vx * vx + vy * vy + vz * vz)
+            begin, share = near * per_length, one - cut * per_length
+            starts[ray, 0] = vx * begin + ox
+            starts[ray, 1] = vy * begin + oy
+            starts[ray, 2] = vz * begin + oz
+            vectors[ray, 0] = vx * share
+            vectors[ray, 1] = vy * share
+            vectors[ray, 2] = vz * share
+            ray += 1
+    return ray

@@ -1,0 +1,94 @@
+"""What is driven of what is possible, in sentences."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from experiments.results.drives import describe_driven
+from scenarios.runs import Refusal
+
+KINDS = {"CPNA": "pedestrian", "CPLA": "pedestrian", "CBNA": "cyclist", "CBLA": "cyclist"}
+
+
+def case(name):
+    return SimpleNamespace(name=name, vru=SimpleNamespace(class_name=KINDS[name]))
+
+
+def setting(driven, refusals, *, weathers=("day",)):
+    runs = [SimpleNamespace(case=case(name), approach=arm) for name, arm in driven]
+    axis = SimpleNamespace(n_runs=len(runs) * len(weathers), weathers=weathers * len(runs))
+    return SimpleNamespace(runs=runs, axis=axis, refusals=tuple(refusals))
+
+
+def refused(name, arm, reason="too short", *, n=9, is_possible=True):
+    return Refusal(
+        case=case(name),
+        approach=arm,
+        speeds_kmh=tuple(range(n)),
+        reason=reason,
+        is_possible=is_possible,
+    )
+
+
+def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
+    assert describe_driven(setting([("CPNA", "north")], [])) == []
+
+
+@pytest.mark.parametrize(
+    ("driven", "refusals", "lines"),
+    [
+        (
+            [("CPNA", "north"), ("CBNA", "north")],
+            [refused("CPNA", "south"), refused("CBNA", "south")],
+            [
+                "2 of 20 possible runs could be driven: nothing from the south.",
+                "18 runs: too short (CPNA and CBNA from the south).",
+            ],
+        ),
+        (
+            [("CPNA", "north"), ("CPNA", "south"), ("CBNA", "north"), ("CBLA", "north")],
+            [refused("CBNA", "south"), refused("CBLA", "south", "a house.", n=2)],
+            [
+                "4 of 15 possible runs could be driven: no cyclist case from the south.",
+                "9 runs: too short (CBNA from the south).",
+                "2 runs: a house (CBLA from the south).",
+            ],
+        ),
+        (
+            [("CPNA", "north"), ("CPNA", "south"), ("CPLA", "north")],
+            [refused("CPLA", "south"), refused("CBLA", "north"), refused("CBLA", "south")],
+            [
+                "3 of 30 possible runs could be driven: no CBLA at all; no CPLA from the south.",
+                "27 runs: too short (CPLA from the south; CBLA from the north and south).",
+            ],
+        ),
+        (
+            [("CPNA", "north"), ("CPNA", "south"), ("CPLA", "north")],
+            [refused("CPLA", "south", "no lane", is_possible=False)],
+            [
+                "All 3 possible runs are driven.",
+                "Not possible: no lane (CPLA from the south).",
+            ],
+        ),
+        (
+            [("CPNA", "north")],
+            [refused("CPNA", "north", n=2)],
+            [
+                "1 of 3 possible runs could be driven.",
+                "2 runs: too short (CPNA from the north).",
+            ],
+        ),
+    ],
+)
+def test_the_widest_gaps_come_first_and_each_reason_has_a_line(driven, refusals, lines):
+    assert describe_driven(setting(driven, refusals)) == lines
+
+
+def test_every_weather_counts():
+    told = describe_driven(
+        setting([("CPNA", "north")], [refused("CPNA", "south", n=1)], weathers=("day", "fog"))
+    )
+    assert told == [
+        "2 of 4 possible runs could be driven: nothing from the south.",
+        "2 runs: too short (CPNA from the south).",
+    ]

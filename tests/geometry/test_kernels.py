@@ -1,0 +1,123 @@
+"""Machine code in the user's cache, by processes of their own: what is loaded stays loaded."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+_PROGRAM = """
+import logging
+logging.basicConfig(format="%(message)s")
+from geometry.kernels import kernel
+import summing
+print(summing.total(3.5, 4))
+print(sum(summing.total.stats.cache_hits.values()))
+"""
+_MODULE = """
+from geometry.kernels import kernel
+
+@kernel
+def twice(x):
+    return x + x
+
+@kernel
+def total(x, n):
+    found = 0.0
+    for _ in range(n):
+        found += twice(x)
+    return found / 0.0 if n < 0 else found
+"""
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Start a program that sums; folder of the cache, and what goes before the program."""
+    (tmp_path / "summing.py").write_text(_MODULE)
+
+    def build(folder, before=""):
+        return subprocess.Popen(
+            [sys.executable, "-c", before + _PROGRAM],
+            env=os.environ
+            | {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}", "NUMBA_CACHE_DIR": str(folder)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    return build
+
+
+def _end(process):
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    total, hits = out.split()
+    assert total == "28.0"
+    return int(hits), err.splitlines()
+
+
+COMPILING = ["compiling for this machine, once: some seconds"]
+
+
+def test_code_is_compiled_once_and_said_so_also_by_two_processes_at_once(start, tmp_path):
+    folder = tmp_path / "compiled"
+    both = [start(folder), start(folder)]
+    for process in both:
+        _, told = _end(process)
+        assert told in (COMPILING, [])
+    assert _end(start(folder)) == (1, [])
+
+
+@pytest.mark.parametrize(
+    ("pattern", "harm"), [("*.nbi", "cut"), ("*.nbi", "flipped"), ("*.nbc", "flipped")]
+)
+def test_damaged_code_is_compiled_anew(start, tmp_path, pattern, harm):
+    folder = tmp_path / "compiled"
+    _end(start(folder))
+    files = list(folder.rglob(pattern))
+    assert files
+    for file in files:
+        data = bytearray(file.read_bytes())
+        data[len(data) // 2] ^= 16
+        file.write_bytes({"cut": data[: len(data) // 2], "flipped": data}[harm])
+    hits, told = _end(start(folder))
+    assert hits == 0
+    assert len(told) == 2
+    assert told[0].startswith("kept machine code not used, made anew: ")
+    assert told[1:] == COMPILING
+    assert _end(start(folder)) == (1, [])
+
+
+def test_where_no_folder_can_be_made_each_process_compiles(start, tmp_path):
+    (tmp_path / "file").touch()
+    folder = tmp_path / "file" / "below"
+    told = [f"compiling in every call, some seconds: {folder} cannot be written to"]
+    for _ in range(2):
+        assert _end(start(folder)) == (0, told)
+
+
+def test_a_full_disk_costs_no_more_than_time(start, tmp_path):
+    folder = tmp_path / "compiled"
+    fill = """
+import errno, numba.core.caching as caching
+def full(self, path):
+    raise OSError(errno.ENOSPC, "No space left on device")
+caching.IndexDataCacheFile._open_for_write = full
+"""
+    hits, told = _end(start(folder, before=fill))
+    assert hits == 0
+    assert told == [*COMPILING, f"machine code not kept: {folder}: No space left on device"]
+
+
+def test_a_folder_that_goes_while_the_program_runs_costs_no_more_than_time(start, tmp_path):
+    folder = tmp_path / "compiled"
+    gone = f"""
+import shutil, geometry.kernels, summing
+shutil.rmtree({str(folder)!r})
+open({str(folder)!r}, "w").close()
+"""
+    hits, told = _end(start(folder, before=gone))
+    assert hits == 0
+    assert told[-1].startswith(f"machine code not kept: {folder}: ")

@@ -1,0 +1,144 @@
+"""The tree of sets against all sets, on small tables: bounds, walks, ties."""
+
+import time
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import questions
+
+from geometry.arrays import IntArray
+from placement.optimiser import PlacementProblem, presolve
+from placement.optimiser.bitsets import left_after_failures, set_values, union_apr, unions_of
+from placement.optimiser.limits import are_allowed
+from placement.optimiser.presolve import ReducedProblem
+from placement.optimiser.set_tree import (
+    SetWalk,
+    avoided_runs,
+    build_links,
+    find_root,
+    first_seen,
+)
+from placement.optimiser.tied_sets import SetSearch, can_walk
+
+END_S = np.inf
+ANY_PROBLEM = st.from_type(PlacementProblem)
+
+
+def all_sets(reduced: ReducedProblem, n_units: int) -> IntArray:
+    numbers = np.array(list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64)
+    return numbers[are_allowed(reduced.limits, numbers.reshape(-1, n_units))]
+
+
+def as_tuples(sets: IntArray) -> list[tuple[int, ...]]:
+    return sorted(tuple(sorted(units)) for units in sets.tolist())
+
+
+@given(problem=ANY_PROBLEM)
+@settings(max_examples=60)
+def test_chains_tell_which_runs_a_set_avoids(problem: PlacementProblem) -> None:
+    reduced = presolve(problem)
+    n_units = reduced.limits.max_units
+    if not len(reduced.weight) or reduced.n_poses < n_units:
+        return
+    sets, links = all_sets(reduced, n_units), build_links(reduced)
+    share = avoided_runs(links, first_seen(links, sets)) @ reduced.weight
+    assert share == pytest.approx(union_apr(reduced, unions_of(reduced, sets)))
+    for unit in range(n_units):
+        others = unions_of(reduced, np.delete(sets, unit, axis=1))
+        share = avoided_runs(links, first_seen(links, sets, left_out=unit)) @ reduced.weight
+        assert share == pytest.approx(union_apr(reduced, others))
+
+
+@given(problem=ANY_PROBLEM, n_failures=st.integers(0, 2), place=st.floats(0.0, 1.0))
+@settings(max_examples=200)
+def test_a_walk_meets_every_set_that_meets_its_needs(
+    problem: PlacementProblem, n_failures: int, place: float
+) -> None:
+    reduced = presolve(problem)
+    n_units = reduced.limits.max_units
+    if n_units < 2 or not len(reduced.weight) or reduced.n_poses < n_units:
+        return
+    sets = all_sets(reduced, n_units)
+    if not len(sets):
+        return
+    share = union_apr(reduced, unions_of(reduced, sets))
+    left = left_after_failures(reduced, reduced.measure, n_failures, sets)
+    need = float(np.quantile(share, place, method="nearest"))
+    left_need = float(np.quantile(left, place, method="nearest"))
+    links = build_links(reduced)
+    root = find_root(links, reduced.limits, reduced.weight, n_units=n_units)
+    walk = SetWalk(
+        links,
+        reduced.limits,
+        reduced.weight,
+        root,
+        n_units=n_units,
+        need=need,
+        n_failures=n_failures,
+        left=left_need,
+    )
+    met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(END_S)])
+    meets = (share >= need - 1e-9) & ((n_failures == 0) | (left >= left_need - 1e-9))
+    assert walk.is_finished
+    assert root.limit >= share.max() - 1e-9
+    if meets.any():
+        assert walk.root_limit >= (left if n_failures else share)[meets].max() - 1e-9
+    if n_failures < 2:
+        assert as_tuples(met) == as_tuples(sets[meets])
+    else:
+        assert set(as_tuples(sets[meets])) <= set(as_tuples(met))
+        assert len(set(as_tuples(met))) == len(met)
+
+
+@given(problem=questions())
+@settings(max_examples=200)
+def test_the_best_of_the_tied_sets_is_the_best_of_all(problem: PlacementProblem) -> None:
+    reduced = presolve(replace(problem, floors=(), goal="best"))
+    if not can_walk(reduced):
+        return
+    sizes = [all_sets(reduced, n) for n in range(1, reduced.limits.max_units + 1)]
+    sizes = [sets for sets in sizes if len(sets)]
+    if not sizes or sizes[-1].shape[1] < reduced.limits.max_units:
+        return
+    values = [set_values(reduced, sets) for sets in sizes]
+    best = max((value[value.best_row()] for value in values), key=lambda row: tuple(row.gains))
+    for value in values:
+        row = value[value.best_row()]
+        best = row if row.exceeds(best) else best
+    search = SetSearch(reduced)
+    assert search.apr_limit >= max(search.shares(sets).max() for sets in sizes) - 1e-9
+    tied = search.tied(
+        sizes[-1][0],
+        n_failures=reduced.survive,
+        least_apr=None,
+        end_s=END_S,
+        on_better=lambda units: search.climb(units, end_s=END_S),
+    )
+    assert tied.is_finished
+    assert tied.sets is not None
+    found = search.best_of(tied.sets, n_failures=reduced.survive, value=tied.value)
+    assert found is not None
+    np.testing.assert_allclose(set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9)
+
+
+@given(problem=ANY_PROBLEM)
+@settings(max_examples=20)
+def test_a_walk_without_time_proves_nothing_but_its_limit(problem: PlacementProblem) -> None:
+    reduced = presolve(problem)
+    if not can_walk(reduced):
+        return
+    search = SetSearch(reduced)
+    sets = all_sets(reduced, reduced.limits.max_units)
+    if not len(sets):
+        return
+    tied = search.tied(
+        sets[0], n_failures=0, least_apr=None, end_s=time.monotonic(), on_better=lambda units: units
+    )
+    assert not tied.is_finished
+    assert tied.sets is None
+    assert tied.value == pytest.approx(search.shares(sets[:1])[0])
+    assert tied.limit >= search.shares(sets).max() - 1e-9

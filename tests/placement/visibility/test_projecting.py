@@ -1,0 +1,169 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+from numpy_sensing import NumpySensing
+from strategies import angles_deg, cameras, numbers, pitches_deg
+
+from geometry.actors import PlacedActor
+from geometry.image_boxes import box_height_px
+from geometry.lidar import load_lidars
+from geometry.poses import Pose
+from placement.detectors import GeometricDetector, load_planning_detector
+from placement.visibility.build import N_POINTS
+from placement.visibility.casting import build_world, cast_sight
+from placement.visibility.projecting import _limits, pack_frames
+from placement.visibility.sensing import build_sensing
+
+WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
+DETECTORS = {
+    "far-sighted": GeometricDetector(min_iou=0.5, min_box_height_px=3.0, min_contrast=0.05),
+    "geometric": load_planning_detector("geometric"),
+    "response": load_planning_detector("response"),
+}
+
+
+@pytest.fixture(scope="module")
+def world(build_scene, build_run, actors):
+    """Road users that jump about among walls and a van, by day and in fog, the VUT near them."""
+    rng = np.random.default_rng(12)
+    van = PlacedActor(
+        actor=actors["parked-van"], pose=Pose(position_m=[-3.0, -4.0, 0.0], yaw_deg=30.0)
+    )
+    runs = []
+    for body in ("adult", "child", "cyclist"):
+        vru = rng.uniform(-1.0, 1.0, (90, 3)) * [20.0, 20.0, 180.0]
+        aside = rng.uniform(2.5, 6.0, 90) * np.exp(1j * rng.uniform(0, 2 * np.pi, 90))
+        vut = vru + np.column_stack([aside.real, aside.imag, rng.uniform(-180, 180, 90)])
+        for obstruction, weather in (((), "day"), ((van,), "fog")):
+            name = f"{body}/{weather}"
+            run = build_run(vru, vut, vru=body, obstruction=obstruction, name=name)
+            runs.append(replace(run, weather=weather))
+    return build_world(build_scene(*WALLS), runs, n_points=N_POINTS, seed=0)
+
+
+def _sensing(world, candidates, detector, *, for_lidar=False):
+    position_m, near_m = candidates[0].pose.position_m, candidates[0].sensor.near_m
+    sight = cast_sight(world, position_m, near_m=near_m, max_distance_m=1000.0, for_lidar=for_lidar)
+    return build_sensing(world, sight, position_m, detector)
+
+
+def _random_looks(mount, rng, small_camera, n):
+    """Cameras of several lenses and sizes at one place, in any direction."""
+    position_m = [*rng.uniform(-15.0, 15.0, 2), rng.uniform(0.5, 9.0)]
+    return [
+        mount(
+            f"{number}",
+            position_m,
+            yaw_deg=rng.uniform(-180.0, 180.0),
+            pitch_deg=rng.uniform(-60.0, 15.0),
+            camera=replace(
+                small_camera,
+                width_px=int(rng.integers(200, 2500)),
+                height_px=int(rng.integers(200, 1600)),
+                horizontal_fov_deg=rng.uniform(15.0, 150.0),
+            ),
+        )
+        for number in range(n)
+    ]
+
+
+@pytest.mark.parametrize("detector", DETECTORS)
+@pytest.mark.parametrize("seed", range(4))
+def test_every_verdict_is_that_of_numpy(world, mount, small_camera, detector, seed):
+    looks = _random_looks(mount, np.random.default_rng(seed), small_camera, 12)
+    sensing = _sensing(world, looks, DETECTORS[detector])
+    found = sensing.detected(looks)
+    expected = np.array([NumpySensing(sensing).detected(look) for look in looks])
+    assert np.array_equal(found, expected)
+    assert found.shape == (12, 2, len(sensing.distance_m))
+    assert found.any()
+    assert not sensing.sight.is_whole.all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_evidence_is_that_of_numpy_wherever_anything_is_seen(world, mount, small_camera, seed):
+    looks = _random_looks(mount, np.random.default_rng(100 + seed), small_camera, 8)
+    sensing = _sensing(world, looks, DETECTORS["geometric"])
+    parts = list(sensing.evidence(looks))
+    row_index = np.concatenate([rows for rows, _ in parts])
+    for row, look in enumerate(looks):
+        expected = NumpySensing(sensing).evidence(look)
+        height_px = box_height_px(expected.visible_px)
+        seen = np.flatnonzero(height_px >= sensing.detector.min_box_height_px)
+        picked = [np.flatnonzero(rows == row) for rows, _ in parts]
+        entries = np.concatenate(
+            [part.draw_index[some] for (_, part), some in zip(parts, picked, strict=True)]
+        )
+        assert np.array_equal(np.sort(entries), seen)
+        for name in ("visible_px", "amodal_px", "inside_share", "visible_share", "aspect_deg"):
+            values = np.concatenate(
+                [getattr(part, name)[some] for (_, part), some in zip(parts, picked, strict=True)]
+            )
+            # Far outside the image single precision is coarse.
+            np.testing.assert_allclose(
+                values, getattr(expected, name)[entries], rtol=1e-5, atol=1e-3
+            )
+    assert len(row_index) > 0
+
+
+def test_many_sensors_at_once_detect_what_each_does_alone(world, mount, small_camera, monkeypatch):
+    looks = _random_looks(mount, np.random.default_rng(5), small_camera, 6)
+    lidar = replace(load_lidars()["carla-ncap-lidar"], near_m=small_camera.near_m)
+    looks.insert(3, replace(looks[0], id="lidar", sensor=lidar))
+    sensing = _sensing(world, looks, DETECTORS["far-sighted"], for_lidar=True)
+    together = sensing.detected(looks)
+    assert together[3].any()
+    alone = np.concatenate([sensing.detected([look]) for look in looks])
+    assert np.array_equal(together, alone)
+    expected = np.array([NumpySensing(sensing).detected(look) for look in looks])
+    assert np.array_equal(together, expected)
+    # In parts, as many as fit: the same.
+    monkeypatch.setattr("placement.visibility.sensing._PAIRS", 1000)
+    assert np.array_equal(sensing.detected(looks), together)
+
+
+@pytest.mark.parametrize("detector", DETECTORS)
+def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
+    world, mount, small_camera, detector
+):
+    looks = _random_looks(mount, np.random.default_rng(9), small_camera, 12)
+    detector = DETECTORS[detector]
+    some, every = (_sensing(world, looks, detector, for_lidar=known) for known in (False, True))
+    assert np.array_equal(some.sight.is_whole, every.sight.is_whole)
+    assert np.array_equal(some.sight.visible_share, every.sight.visible_share)
+    assert np.array_equal(some.packed(looks), every.packed(looks))
+    part = ~some.sight.is_whole
+    assert np.array_equal(some.sight.is_visible[part], every.sight.is_visible[part])
+    assert some.sight.is_visible.sum() > every.sight.is_visible.sum()
+
+
+@given(cameras(), angles_deg, pitches_deg, numbers(0.3, 12.0))
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_camera_gets_the_verdicts_of_numpy(world, mount, camera, yaw_deg, pitch_deg, height_m):
+    look = mount("a", [1.0, -9.0, height_m], yaw_deg=yaw_deg, pitch_deg=pitch_deg, camera=camera)
+    assume(camera.near_m < 5.0)
+    sensing = _sensing(world, [look], DETECTORS["far-sighted"])
+    expected = NumpySensing(sensing).detected(look)
+    assert np.array_equal(sensing.detected([look])[0], expected)
+
+
+@given(st.lists(st.floats(width=32, allow_nan=False), min_size=1, max_size=40))
+def test_the_limits_of_numbers_are_found_by_their_bits(values):
+    numbers_32 = np.array(values, dtype=np.float32)
+    limits = np.empty(2, dtype=np.float32)
+    _limits(numbers_32.view(np.int32), len(numbers_32), limits.view(np.int32))
+    assert limits.tolist() == [numbers_32.min(), numbers_32.max()]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 70))
+def test_frames_are_packed_as_numpy_packs_them(seed, n_frames):
+    rng = np.random.default_rng(seed)
+    detected = rng.random((3, 2, 5)) < 0.5
+    weather, entry = rng.integers(0, 2, n_frames), rng.integers(-1, 5, n_frames)
+    packed = np.zeros((3, -(-n_frames // 8)), dtype=np.uint8)
+    pack_frames(detected, weather, entry, packed)
+    padded = np.pad(detected, ((0, 0), (0, 0), (0, 1)))[:, weather, entry]
+    assert np.array_equal(packed, np.packbits(padded, axis=1, bitorder="little"))
