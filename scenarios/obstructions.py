@@ -96,7 +96,8 @@ def _beside_vut(
             yaw_deg=line.yaw_deg,
             gap_m=obstruction.between_gap_m,
         )
-    row, bumper_m = vut_way.beside(left_m, bumper_m)
+    row_m = sum(actor.length_m + obstruction.between_gap_m for actor in obstruction.bodies)
+    row, bumper_m = vut_way.beside(left_m, bumper_m, back_m=row_m)
     bodies = []
     for actor in obstruction.bodies:
         station_m = bumper_m - 0.5 * actor.length_m

@@ -153,13 +153,11 @@ def _crossing(case: Case, junction: Junction, arm: Arm, vut_way: Way) -> tuple[f
     if side is None or not side.entry_lanes:
         raise NoRoadError(f"no lane leads into the junction from the {case.vru_side} side")
     lane, left_m = _cyclists_lane(case, side)
+    ridden_m = _travel_m(case, 0.0)
     middle = lane_way(
-        lane,
-        is_in=True,
-        length_m=_travel_m(case, 0.0),
-        max_bend_m=load_way_rules().max_lane_bend_m,
+        lane, is_in=True, length_m=ridden_m, max_bend_m=load_way_rules().max_lane_bend_m
     )
-    return _meet(vut_way, middle.beside(left_m, 0.0)[0])
+    return _meet(vut_way, middle.beside(left_m, 0.0, back_m=ridden_m)[0])
 
 
 def _across(line: Line, direction: FloatArray) -> StraightWay:
@@ -204,7 +202,7 @@ def _lay_longitudinal(
     driven_m = -begin_s * vut_speed_kmh * kmh
     _check_straight(vut_way, lane, max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
-    vru_way, vru_m = vut_way.beside(impact_offset_m(case, vut), impact_m)
+    vru_way, vru_m = vut_way.beside(impact_offset_m(case, vut), impact_m, back_m=travel_m)
     encounter = set_off(
         case,
         vut=vut,
@@ -460,14 +458,12 @@ def _ridden_lane(case: Case, junction: Junction, arm: Arm, entry: Line) -> Way:
         kerb = _Kerb(lane=lanes[0], is_in=not is_against, left_m=left_m)
         if cycleways:
             kerb = _Kerb(lane=cycleways[0], is_in=not is_against, left_m=0.0)
-    way = lane_way(
-        kerb.lane,
-        is_in=kerb.is_in,
-        length_m=_travel_m(case, 0.0),
-        max_bend_m=rules.max_lane_bend_m,
-    )
-    way, _ = way.beside(kerb.left_m, 0.0)
-    return reversed_way(way) if is_against else way
+    ridden_m = _travel_m(case, 0.0)
+    way = lane_way(kerb.lane, is_in=kerb.is_in, length_m=ridden_m, max_bend_m=rules.max_lane_bend_m)
+    left_m = kerb.left_m
+    if is_against:
+        way, left_m = reversed_way(way), -left_m
+    return way.beside(left_m, 0.0, back_m=ridden_m)[0]
 
 
 def _is_along(way: Way, line: Line, ridden_m: float, tolerance_m: float) -> bool:

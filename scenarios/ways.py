@@ -49,8 +49,11 @@ class Way(Protocol):
         """The point some metres to the left of a station, (2,)."""
         ...
 
-    def beside(self, left_m: float, station_m: float) -> "tuple[Way, float]":
-        """The way some metres to the left of it, and where one of its stations lies on that way."""
+    def beside(self, left_m: float, station_m: float, *, back_m: float) -> "tuple[Way, float]":
+        """The way some metres to the left of it, and where one of its stations lies on that way.
+
+        It is needed from the station on and so far back; farther back it may go straight.
+        """
         ...
 
     def vut_path(self, station_m: float, vut: Actor) -> Path:
@@ -88,7 +91,7 @@ class StraightWay:
         """See :meth:`Way.point`."""
         return self.line.at(station_m, left_m)
 
-    def beside(self, left_m: float, station_m: float) -> "tuple[Way, float]":
+    def beside(self, left_m: float, station_m: float, *, back_m: float) -> "tuple[Way, float]":
         """See :meth:`Way.beside`."""
         beside = Line(point_m=self.line.at(station_m, left_m), direction=self.line.direction)
         return StraightWay(line=beside), 0.0
@@ -128,10 +131,11 @@ class CurvedWay:
         """See :meth:`Way.point`."""
         return self.course.tangent(station_m).at(0.0, left_m)
 
-    def beside(self, left_m: float, station_m: float) -> "tuple[Way, float]":
+    def beside(self, left_m: float, station_m: float, *, back_m: float) -> "tuple[Way, float]":
         """See :meth:`Way.beside`."""
         try:
-            course = self.course.beside(left_m)
+            near = self.course.between(station_m - back_m, self.course.end_m)
+            course = near.beside(left_m)
         except InputError:
             raise CannotCarryError(
                 f"the lane bends too sharply for a way {abs(left_m):.1f} m beside it"
