@@ -5,6 +5,7 @@ detects in it, and a window needs all its frames. With "single", the frames of t
 are the statements "this pose alone has confirmed by then", and each window needs one of them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,8 +20,6 @@ from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
 from .problem import Measure, PlacementProblem, Requirement
 
 WordArray = NDArray[np.uint64]
-
-_BLOCK_POSES = 256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +152,7 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
             reduced.words[left],
             reduced.limits.of_poses(left),
             max_units=limits.max_units,
-            may_add=None if is_monotone else _settled_frames(reduced)[left],
+            may_add=None if is_monotone else _settled_frames(reduced, left),
         )
         if len(poses):  # a layout has a unit, even where none avoids anything: the cheapest then
             price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
@@ -164,15 +163,18 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
 
 
 def is_dominated(
-    words: WordArray, limits: Limits, *, max_units: int, may_add: WordArray | None = None
+    words: WordArray,
+    limits: Limits,
+    *,
+    max_units: int,
+    may_add: Callable[[int], WordArray] | None = None,
 ) -> BoolArray:
     """Poses without which some best set remains, whatever the stage.
 
     `words`, (n_poses, n_words): what each pose sees. `max_units`: no set has more units. Returns
-    (n_poses,): may be dropped, all together. `may_add`, (n_poses, n_words), is what a dominator may
-    see beyond each pose, by default anything: where more runs avoided may be worse, frames of those
-    alone that the pose avoids by itself. In its place the dominator then avoids the same runs, no
-    later.
+    (n_poses,): may be dropped, all together. `may_add` tells what a dominator may see beyond a
+    pose, by default anything: where more runs avoided may be worse, frames of those alone that the
+    pose avoids by itself. In its place the dominator then avoids the same runs, no later.
 
     Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that c
     is not: at the same site its price decides; elsewhere its site may have to be paid, too, and
@@ -219,8 +221,8 @@ def is_dominated(
             if len(dominators) == 0 or row[word] == 0:
                 break
             dominators = dominators[(columns[word, dominators] & row[word]) == 0]
-        if may_add is not None:
-            beyond = words[order[dominators]] & ~(row | may_add[pose])
+        if may_add is not None and len(dominators):
+            beyond = words[order[dominators]] & ~(row | may_add(int(pose)))
             dominators = dominators[~np.logical_or.reduce(beyond != 0, axis=1)]
         at_site = np.bincount(sites[dominators], minlength=limits.n_sites)
         result[pose] = (
@@ -230,25 +232,25 @@ def is_dominated(
     return result
 
 
-def _settled_frames(reduced: ReducedProblem) -> WordArray:
-    """Frames that only runs need which each pose avoids alone, (n_poses, n_words)."""
-    is_needed = np.zeros((reduced.n_chains, reduced.n_frames), dtype=np.float32)
-    for chain in range(reduced.n_chains):
-        is_needed[chain, reduced.window_frames[reduced.chain(chain)].ravel()] = 1.0
+def _settled_frames(reduced: ReducedProblem, poses: IntArray) -> Callable[[int], WordArray]:
+    """What finds the frames that only runs need which a pose avoids alone, (n_words,)."""
+    n_links = np.diff(reduced.chain_start)
     shortest = np.full(reduced.n_chains, np.iinfo(np.int64).max)
     in_time = (reduced.margin_s > -np.inf).sum(axis=1)
     np.minimum.at(shortest, reduced.run_chain, in_time)
-    settled = np.empty_like(reduced.words)
-    for first in range(0, reduced.n_poses, _BLOCK_POSES):
-        rows = slice(first, first + _BLOCK_POSES)
-        detected = unpack_words(reduced.words[rows], reduced.n_frames)
-        is_open = np.empty((len(detected), reduced.n_chains), dtype=np.float32)
-        for chain in range(reduced.n_chains):
-            frames = reduced.window_frames[reduced.chain(chain)[: shortest[chain]]]
-            is_whole: BoolArray = np.logical_and.reduce(detected[:, frames], axis=2)
-            is_open[:, chain] = ~np.logical_or.reduce(is_whole, axis=1)
-        settled[rows] = pack_words(is_open @ is_needed == 0.0)
-    return settled
+    number = np.arange(len(reduced.chain_window)) - np.repeat(reduced.chain_start[:-1], n_links)
+    is_for_all = number < np.repeat(shortest, n_links)
+    frames = reduced.window_frames[reduced.chain_window]
+
+    def find(pose: int) -> WordArray:
+        detected = unpack_words(reduced.words[poses[pose]], reduced.n_frames)
+        is_whole = np.logical_and.reduce(detected[frames], axis=1) & is_for_all
+        is_open = ~np.logical_or.reduceat(is_whole, reduced.chain_start[:-1])
+        is_settled = np.ones(reduced.n_frames, dtype=bool)
+        is_settled[frames[np.repeat(is_open, n_links)]] = False
+        return pack_words(is_settled)
+
+    return find
 
 
 def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArray, FloatArray]:

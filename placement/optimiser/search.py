@@ -145,7 +145,7 @@ class Search:
         if not can_walk(self.reduced):
             return None
         if self._sets is None or self._sets.reduced is not self.reduced:
-            self._sets = SetSearch(self.reduced)
+            self._sets = SetSearch(self.reduced, end_s=self.end_s)
         return self._sets
 
     @property

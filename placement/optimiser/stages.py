@@ -253,6 +253,8 @@ class Stages:
             ):
                 self.apr_limit = search.value.apr
             else:
+                limit = min(self.apr_limit, self.walk_limit[0])
+                self.apr_limit = settle(search.value.apr, limit, self.apr_limit)
                 promised = self._promised(Objective.APR)
                 self.apr_limit = settle(search.value.apr, promised, self.apr_limit)
                 if not self._is_settled(search.value.apr, self.apr_limit):

@@ -35,8 +35,9 @@ MAX_WALK_UNITS = 16
 _MAX_BYTES = 3 << 28  # of detections by chains
 _MAX_TIED = 100_000
 _BLOCK_SETS = 1 << 12
-_MAX_PARTNERS = 128  # that are valued in all objectives
+_MAX_PARTNERS = 32  # that are valued in all objectives
 _N_RESTARTS = 12
+_PATIENCE = 5  # restarts without a better set
 _SEED = 1
 _WORLD_ROUNDS = 12
 _STEP_UP = 2.0 * TOLERANCE
@@ -69,8 +70,8 @@ class Tied:
 class SetSearch:
     """What it takes to exchange units of sets, and to walk through all sets."""
 
-    def __init__(self, reduced: ReducedProblem) -> None:
-        self.reduced = reduced
+    def __init__(self, reduced: ReducedProblem, *, end_s: float = np.inf) -> None:
+        self.reduced, self.end_s = reduced, end_s
         self.links: Links = build_links(reduced)
         self.n_units = reduced.limits.max_units
         self.survive = reduced.survive
@@ -179,9 +180,9 @@ class SetSearch:
         best = BestSet()
         none = np.empty(0, dtype=np.int64)
         begin = [*starts, none]
-        chance = self.root.share + 1.0e-9
+        chance, idle = self.root.share + 1.0e-9, 0
         for number in range(len(begin) + _N_RESTARTS):
-            if best.units is not None and time.monotonic() > end_s:
+            if best.units is not None and (idle > _PATIENCE or time.monotonic() > end_s):
                 break
             if number < len(begin):
                 units = begin[number]
@@ -194,7 +195,9 @@ class SetSearch:
             if not is_allowed(self.reduced.limits, units):
                 continue
             units = self.climb(units, end_s=end_s)
+            before = best.units
             best.offer(units[None, :], set_values(self.reduced, units[None, :]))
+            idle = idle + 1 if best.units is before else 0
             if best.values is not None and not limit.exceeds(best.values):
                 break
         return best.units
@@ -229,7 +232,9 @@ class SetSearch:
             weight = reduced.weight
             if not reduced.measure.is_mean:
                 weight = self._worst_weights()
-            root = find_root(self.links, reduced.limits, weight, n_units=self.n_units)
+            root = find_root(
+                self.links, reduced.limits, weight, n_units=self.n_units, end_s=self.end_s
+            )
             self._root = weight, root
         return self._root
 
