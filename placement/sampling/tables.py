@@ -39,8 +39,6 @@ def build_drawn_table(
     weathers; from frame to frame they are linked as in the evaluator. Boxes are not drawn: they
     are near enough to match. A LiDAR counts the points that it may expect.
     """
-    from scipy.special import ndtr
-
     setting = sample.setting
     world = build_world(
         setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
@@ -53,15 +51,23 @@ def build_drawn_table(
     packed = np.zeros((len(sample.candidates), -(-setting.axis.n_frames // 8)), dtype=np.uint8)
 
     def fill(rows: list[int]) -> None:
-        likely = _probabilities(world, [sample.candidates[row] for row in rows], detector)
-        for row, probability in zip(rows, likely, strict=True):
-            seen: BoolArray = probability > 0.0
+        from .drawing import draw_frames
+
+        candidates = [sample.candidates[row] for row in rows]
+        limits, entry_of_frame = _limits(world, candidates, detector)
+        for row, limit in zip(rows, limits, strict=True):
             planned = sample.planned[row]
-            if seen.any() and not isinstance(planned.sensor, LidarModel):
+            if (limit == -np.inf).all():
+                continue
+            if isinstance(planned.sensor, LidarModel):  # nothing is left to chance
+                noise = np.zeros(links.n_cells)
+            else:
                 rng = sample.luck.rng("detector", *pose_key(planned))
-                noise = links.noise(detector.frame_correlation, rng)[seen]
-                seen[seen] = ndtr(noise) < probability[seen]
-            packed[row] = np.packbits(seen, bitorder="little")
+                noise = links.linked(detector.frame_correlation, rng)
+            draw_frames(
+                *(limit, world.views.weather_of_frame, entry_of_frame),
+                *(noise, links.cell_of_frame, packed[row]),
+            )
 
     with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         pending = [pool.submit(fill, rows) for rows in groups.values()]
@@ -100,27 +106,26 @@ def lose_messages(sample: Sample, table: DetectionTable) -> DetectionTable:
 class FrameLinks:
     """Which frames share their luck, and which follow one another."""
 
-    # (n_runs, longest): runs side by side, the same run in several weathers once; the rest of a row
-    # is empty
-    is_frame: BoolArray
-    index: IntArray  # (n_frames,): which of its true entries each frame is
+    n_runs: int  # the same run in several weathers once
+    longest: int  # frames of the longest run
+    # (n_frames,): which of the `n_runs` x `longest` cells of runs side by side each frame is
+    cell_of_frame: IntArray
 
-    def noise(self, correlation: float, rng: np.random.Generator) -> FloatArray:
-        """Standard normal numbers, (n_frames,): a first-order autoregression in each run.
+    @property
+    def n_cells(self) -> int:
+        """Number of cells."""
+        return self.n_runs * self.longest
+
+    def linked(self, correlation: float, rng: np.random.Generator) -> FloatArray:
+        """Standard normal numbers, (n_cells,): a first-order autoregression in each run.
 
         `correlation` is that of a frame with the next, 0 .. 1.
         """
-        fresh = rng.standard_normal(self.is_frame.shape)
-        step = np.sqrt(1.0 - correlation**2)
-        if step == 0.0:
-            linked = np.repeat(fresh[:, :1], fresh.shape[1], axis=1)
-        else:
-            from scipy.signal import lfilter
+        from .drawing import link_noise
 
-            fresh[:, 0] /= step  # the first one stands for all that came before
-            linked = lfilter([step], [1.0, -correlation], fresh, axis=1)
-        noise: FloatArray = linked[self.is_frame][self.index]
-        return noise
+        noise = rng.standard_normal((self.n_runs, self.longest))
+        link_noise(noise, correlation)
+        return noise.ravel()
 
 
 def link_frames(frames: IntArray) -> FrameLinks:
@@ -131,13 +136,22 @@ def link_frames(frames: IntArray) -> FrameLinks:
     draws, index = np.unique(frames, return_inverse=True)
     starts = np.flatnonzero(np.diff(draws, prepend=draws[0] - 2) != 1)
     lengths = np.diff(np.append(starts, len(draws)))
-    return FrameLinks(is_frame=np.arange(lengths.max()) < lengths[:, None], index=index)
+    longest = int(lengths.max())
+    run = np.repeat(np.arange(len(starts)), lengths)
+    cell = run * longest + np.arange(len(draws)) - starts[run]
+    return FrameLinks(n_runs=len(starts), longest=longest, cell_of_frame=cell[index])
 
 
-def _probabilities(
+def _limits(
     world: World, candidates: Sequence[CandidatePose], detector: ResponseDetector
-) -> Iterator[NDArray[np.float64]]:
-    """Probability of a detection in every frame, of all candidates of one mount position."""
+) -> tuple[FloatArray, IntArray]:
+    """What a standard normal number must be less than to be a detection, for one mount position.
+
+    Of each candidate, weather and entry, (n, n_weathers, n_entries), and the entry that each frame
+    shows; -1 where nothing is seen.
+    """
+    from scipy.special import ndtri
+
     position_m, near_m = candidates[0].pose.position_m, candidates[0].sensor.near_m
     sight = cast_sight(
         world,
@@ -147,17 +161,15 @@ def _probabilities(
         for_lidar=has_lidar(candidates),
     )
     sensing = build_sensing(world, sight, position_m, detector)
-    for candidate in candidates:
-        # One more entry, of no probability, for frames in which nothing is seen (index -1).
-        by_entry = np.zeros((len(world.views.weathers), len(sight.view_index) + 1))
-        if isinstance(candidate.sensor, LidarModel):
-            by_entry[:, :-1] = sensing.detected([candidate])[0]
-        for _, evidence in sensing.evidence([candidate]):
-            entries = evidence.draw_index
-            for in_weather, contrast in zip(by_entry, sensing.contrast, strict=True):
-                seen = replace(evidence, contrast=contrast[entries])
-                in_weather[entries] = detector.probability(seen)
-        yield by_entry[world.views.weather_of_frame, sight.entry_of_frame]
+    limits = np.full((len(candidates), *sensing.contrast.shape), -np.inf)
+    lidars = [i for i, c in enumerate(candidates) if isinstance(c.sensor, LidarModel)]
+    limits[lidars] = np.where(sensing.detected([candidates[i] for i in lidars]), np.inf, -np.inf)
+    for rows, evidence in sensing.evidence(candidates):
+        entries = evidence.draw_index
+        for weather, contrast in enumerate(sensing.contrast):
+            probability = detector.probability(replace(evidence, contrast=contrast[entries]))
+            limits[rows, weather, entries] = ndtri(probability)
+    return limits, sight.entry_of_frame
 
 
 def drawing_key(luck: Luck, detector: ResponseDetector) -> str:

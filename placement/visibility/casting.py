@@ -116,22 +116,19 @@ def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -
     """
     import trimesh
 
+    from .spreading import farthest_samples
+
     shape = actor.shapes[shape_index]
     mesh = trimesh.Trimesh(shape.vertices_m, shape.triangles, process=False)
     samples, faces = trimesh.sample.sample_surface(mesh, _SAMPLES_PER_POINT * n_points, seed=seed)
     signs = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
     extremes = np.unique(np.argmax(shape.vertices_m @ signs[signs.any(axis=1)].T, axis=0))
-    chosen = [shape.vertices_m[index] for index in extremes[:n_points]]
-    normals = [mesh.vertex_normals[index] for index in extremes[:n_points]]
-    distance = np.min([np.linalg.norm(samples - point, axis=1) for point in chosen], axis=0)
-    while len(chosen) < n_points:
-        farthest = int(np.argmax(distance))
-        chosen.append(samples[farthest])
-        normals.append(mesh.face_normals[faces[farthest]])
-        distance = np.minimum(distance, np.linalg.norm(samples - samples[farthest], axis=1))
-    points = np.array(chosen)
+    corners = extremes[:n_points]
+    spread = farthest_samples(samples, shape.vertices_m[corners], n_points - len(corners))
+    points = np.concatenate([shape.vertices_m[corners], samples[spread]])
+    normals = np.concatenate([mesh.vertex_normals[corners], mesh.face_normals[faces[spread]]])
     # A sample belongs to the nearest point that faces the same way: not to one around the corner.
-    tree = cKDTree(np.hstack([points, _TURN_M * np.array(normals)]))
+    tree = cKDTree(np.hstack([points, _TURN_M * normals]))
     sample_normals = mesh.face_normals[faces]
     _, nearest = tree.query(np.hstack([samples, _TURN_M * sample_normals]))
     area = np.zeros_like(points)

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import kstest
 
 from geometry.catalogue import load_lidars
@@ -10,6 +11,7 @@ from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_from_roadside
 from placement.sampling import Uncertainty, draw_samples
+from placement.sampling.drawing import link_noise
 from placement.sampling.tables import (
     build_drawn_table,
     build_sample_tables,
@@ -33,7 +35,22 @@ def _first(setting, poses, uncertainty, seed=0):
 
 
 def _noise(frames, correlation, seed):
-    return link_frames(np.asarray(frames)).noise(correlation, np.random.default_rng(seed))
+    links = link_frames(np.asarray(frames))
+    return links.linked(correlation, np.random.default_rng(seed))[links.cell_of_frame]
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.3, 0.97, 1.0])
+def test_linked_noise_is_what_a_recursive_filter_makes_of_fresh_noise(correlation):
+    rng = np.random.default_rng(6)
+    fresh = rng.standard_normal((7, 30))
+    linked = fresh.copy()
+    link_noise(linked, correlation)
+    step = np.sqrt(1.0 - correlation**2)
+    for run, noise in zip(fresh, linked, strict=True):
+        assert noise[0] == run[0]
+        start = [correlation * run[0]]
+        expected, _ = lfilter([step], [1.0, -correlation], run[1:], zi=start)
+        assert noise[1:] == pytest.approx(expected, abs=1e-12)
 
 
 def test_noise_is_standard_normal_and_linked_within_runs_only():

@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import pdist
+from scipy.spatial.distance import cdist, pdist
 
 from geometry.actors import load_actors
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_surface
+from placement.visibility.spreading import farthest_samples
 
 BODIES = (("adult", 0), ("adult", 2), ("child", 3), ("cyclist", 1))
 
@@ -101,3 +102,15 @@ def test_the_parts_around_the_points_make_up_the_surface(surface):
     # No part is left out, and none is much of the whole.
     assert (parts_m2 > 0.0).mean() > 0.95
     assert parts_m2.max() < 0.05 * whole_m2
+
+
+def test_samples_are_chosen_one_by_one_the_farthest_from_all_before():
+    rng = np.random.default_rng(2)
+    samples, first = rng.normal(size=(400, 3)), rng.normal(size=(4, 3))
+    points, expected = list(first), []
+    for _ in range(30):
+        farthest = int(np.argmax(cdist(samples, points).min(axis=1)))
+        expected.append(farthest)
+        points.append(samples[farthest])
+    assert farthest_samples(samples, first, 30).tolist() == expected
+    assert farthest_samples(samples, first, 0).tolist() == []
