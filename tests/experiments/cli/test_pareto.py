@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import asdict as fields_of
 from PIL import Image
 from small_tables import avoiding_problem
 
@@ -20,6 +21,8 @@ from experiments.cli.pareto import front_text, pareto
 from experiments.figures.front import plot_front
 from experiments.jobs import pareto as pareto_job
 from experiments.jobs.pareto import describe_front, front_table
+from experiments.results.drives import build_drives_record
+from experiments.results.fronts import FrontResult
 from placement.layout import layout_from_records
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import pareto_front, tightened
@@ -170,9 +173,15 @@ def unit_poses(camera):
     return lambda name: CandidatePose(id=f"p{name}", site_id="", pose=pose, sensor=camera)
 
 
-def test_the_text_says_what_is_not_proven(loosened_front, unit_poses):
+def test_the_text_says_what_is_not_proven(loosened_front, unit_poses, small_study):
     problem = avoiding_problem(["1100", "0110", "0011"])
-    summary = describe_front(loosened_front, problem, candidates_of(problem, unit_poses))
+    summary = FrontResult(
+        **fields_of(describe_front(loosened_front, problem, candidates_of(problem, unit_poses))),
+        command="place-rsus pareto",
+        **fields_of(build_drives_record(small_study)),
+        seconds={},
+        versions={},
+    )
     text = front_text(summary, None)
     rows = [line.split() for line in text.splitlines()]
     assert ["1", "50.0", "%", "0.0", "%", "0.065", "s", "0.065", "s", "1,000", "proven"] in rows
