@@ -20,7 +20,6 @@ Sets that remain are valued on the windows themselves. A walk that ends has met 
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from math import comb
 
 import numpy as np
@@ -74,7 +73,6 @@ class Links:
         return worth
 
 
-@lru_cache(maxsize=4)
 def build_links(reduced: ReducedProblem) -> Links:
     """Lay out the detections of a reduced problem by chains."""
     from .tree_kernels import lay_out
