@@ -407,7 +407,7 @@ def _turning_way(
     beside = straight_line(kerb.lane, is_in=kerb.is_in)
     line = Line(point_m=beside.at(0.0, kerb.left_m), direction=direction)
     way = _ridden_lane(case, junction, arm, entry)
-    if turning.is_straight and _is_along(way, line, ridden_m, load_way_rules().max_lane_bend_m):
+    if turning.is_straight and _is_along(way, line, ridden_m, load_way_rules().max_kerb_step_m):
         way = StraightWay(line=line)
     _, way, vru_m = _meet(turning.exit_way, way)
     return way, vru_m

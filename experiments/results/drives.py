@@ -138,7 +138,7 @@ def _gaps(setting: Setting) -> Iterator[str]:
 
 
 def _reasons(setting: Setting) -> Iterator[str]:
-    """A line per reason, that of most runs first."""
+    """A line per reason: those of most possible runs first, last what is not possible."""
     groups: dict[str, list[Refusal]] = {}
     for one in setting.refusals:
         groups.setdefault(one.reason, []).append(one)
@@ -146,7 +146,8 @@ def _reasons(setting: Setting) -> Iterator[str]:
     def count(group: Sequence[Refusal]) -> int:
         return sum(len(one.speeds_kmh) for one in group) * _n_weathers(setting)
 
-    for reason, group in sorted(groups.items(), key=lambda item: -count(item[1])):
+    ranked = sorted(groups.items(), key=lambda item: (not item[1][0].is_possible, -count(item[1])))
+    for reason, group in ranked:
         arms: dict[str, list[str]] = {}
         for one in group:
             arms.setdefault(one.case.name, []).append(one.approach)
