@@ -14,7 +14,6 @@ from .objectives import TOLERANCE, Objective
 from .presolve import ReducedProblem, WordArray, pack_words, unpack_words
 from .problem import Measure
 
-_BLOCK_BYTES = 1 << 25
 _DECIMALS = 8  # differences below are rounding noise
 
 
@@ -112,26 +111,19 @@ def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
 
     Minus infinity where a run is not avoided.
     """
-    margin = np.empty((len(unions), len(reduced.weight)))
-    size = max(reduced.n_frames, len(reduced.window_frames), 1)
-    block = max(1, _BLOCK_BYTES // size)
-    for start in range(0, len(unions), block):
-        rows = slice(start, start + block)
-        seen = unpack_words(unions[rows], reduced.n_frames)
-        is_whole = seen[:, reduced.window_frames[:, 0]]
-        for frames in reduced.window_frames.T[1:]:
-            is_whole &= seen[:, frames]
-        margin[rows] = _first_margins_s(reduced, is_whole)
-    return margin
+    from .tree_kernels import first_whole_windows
 
-
-def _first_margins_s(reduced: ReducedProblem, is_whole: BoolArray) -> FloatArray:
-    margin = np.empty((len(is_whole), len(reduced.weight)))
-    for chain in range(reduced.n_chains):
-        runs = np.flatnonzero(reduced.run_chain == chain)
-        seen = is_whole[:, reduced.chain(chain)]
-        first = np.where(seen.any(axis=1), seen.argmax(axis=1), seen.shape[1])
-        margin[:, runs] = reduced.margin_s[runs][:, first].T
+    first = np.empty((len(unions), reduced.n_chains), dtype=np.int64)
+    first_whole_windows(
+        np.ascontiguousarray(unions),
+        reduced.window_frames,
+        reduced.chain_window,
+        reduced.chain_start,
+        first,
+    )
+    margin: FloatArray = reduced.margin_s[
+        np.arange(len(reduced.weight)), first[:, reduced.run_chain]
+    ]
     return margin
 
 

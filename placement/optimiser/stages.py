@@ -9,7 +9,14 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 
-from .bitsets import BestSet, left_after_failures, set_values, union_margins_s, unions_of
+from .bitsets import (
+    BestSet,
+    SetValues,
+    left_after_failures,
+    set_values,
+    union_margins_s,
+    unions_of,
+)
 from .bounds import Coverage, build_supply, timely_windows
 from .enumeration import MAX_POSES, MAX_UNITS, best_of_all, best_of_few, best_sets
 from .greedy import lazy_greedy, swap
@@ -141,12 +148,19 @@ def can_enumerate(reduced: ReducedProblem, n_units: int) -> bool:
 
 
 def best_beyond(
-    reduced: ReducedProblem, worth: Objective, need: float, *, n_units: int
+    reduced: ReducedProblem,
+    worth: Objective,
+    need: float,
+    *,
+    n_units: int,
+    known: SetValues,
+    left_s: Callable[[], float],
 ) -> tuple[IntArray | None, bool]:
     """Best set of so many units beside the forced ones, among all that promise more than `need`.
 
-    Only where :func:`can_enumerate` allows it. Returns the best set, forced units included, or None
-    if no set promises more; and whether all were looked at: if not, there were too many.
+    Only where :func:`can_enumerate` allows it, and only sets that are no worse than a `known` one.
+    Returns the best set, forced units included, or None if there is none; and whether all were
+    looked at: if not, there were too many, or no time is left.
     """
     coverage = build_coverage(reduced, worth).with_units(n_units)
     found = best_sets(coverage, need, max_triples=_MAX_TRIPLES, workers=2)
@@ -155,9 +169,15 @@ def best_beyond(
     forced = np.flatnonzero(reduced.limits.is_forced)
     best = BestSet()
     for start in range(0, len(found.sets), _BLOCK_SETS):
+        if left_s() <= 0.0:
+            return best.units, False
         part = found.sets[start : start + _BLOCK_SETS]
         sets = np.column_stack([np.tile(forced, (len(part), 1)), part])
         sets = sets[_worth(reduced, worth, sets) > need]  # cheaper to see than the other values
+        if Objective.APR_ONE_FAILED in reduced.objectives and len(sets):
+            # Failures are costly to go through: first all else, as if they did as well there.
+            as_well = np.full(len(sets), known.of(Objective.APR_ONE_FAILED))
+            sets = sets[set_values(reduced, sets, as_well).ties_or_beats(known)]
         if len(sets):
             best.offer(sets, set_values(reduced, sets))
     return best.units, True
@@ -377,7 +397,9 @@ class Stages:
         if not (is_possible and can_enumerate(reduced, n_units)):
             return False
         need = value + (1.0 if worth is Objective.APR else -1.0) * TOLERANCE
-        units, is_complete = best_beyond(reduced, worth, need, n_units=n_units)
+        units, is_complete = best_beyond(
+            reduced, worth, need, n_units=n_units, known=search.row, left_s=search.left_s
+        )
         if units is not None:
             search.keep(units)
         if is_complete:
@@ -397,7 +419,12 @@ class Stages:
         if search.left_s() <= 0.0:
             return False
         units, is_complete = best_beyond(
-            reduced, Objective.MEAN_MARGIN, total_margin_s - TOLERANCE, n_units=n_units
+            reduced,
+            Objective.MEAN_MARGIN,
+            total_margin_s - TOLERANCE,
+            n_units=n_units,
+            known=search.row,
+            left_s=search.left_s,
         )
         if not is_complete:
             return False

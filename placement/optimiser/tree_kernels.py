@@ -167,6 +167,30 @@ def set_links(
 
 
 @kernel
+def first_whole_windows(
+    unions: WordArray, window_frames: IntArray, links: IntArray, start: IntArray, first: IntArray
+) -> None:
+    """First window of each chain that each union sees as a whole, (n_unions, n_chains).
+
+    The links of chain g are windows ``links[start[g] : start[g + 1]]``; their number where none is
+    seen.
+    """
+    for row in range(len(unions)):
+        union = unions[row]
+        for chain in range(len(start) - 1):
+            place = start[chain]
+            while place < start[chain + 1]:
+                frames = window_frames[links[place]]
+                seen = np.uint64(1)
+                for frame in frames:
+                    seen &= union[frame >> 6] >> np.uint64(frame & 63)
+                if seen != 0:
+                    break
+                place += 1
+            first[row, chain] = place - start[chain]
+
+
+@kernel
 def totals_with_each(
     phases: WordArray,
     start: IntArray,
