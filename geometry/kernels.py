@@ -10,6 +10,7 @@ import hashlib
 import logging
 import os
 import pickle
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -19,6 +20,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from platformdirs import user_cache_path
+
+from .clock import stand_still_s
 
 F = TypeVar("F", bound=Callable[..., Any])
 _log = logging.getLogger(__name__)
@@ -104,10 +107,12 @@ class _Kept(FunctionCache):  # type: ignore[misc]
             found = None
         if found is None:
             _tell_once("compiling for this machine, once: some seconds")
+            _begun_s.append(time.monotonic())
         return found
 
     def save_overload(self, signature: Any, data: Any) -> None:
         """Keep code, or say why not."""
+        _stop_clock()
         try:
             super().save_overload(signature, data)
         except Exception as error:  # a disk that is full, a folder that went, a damaged index
@@ -123,6 +128,21 @@ class _Unkept(NullCache):  # type: ignore[misc]
         _tell_once(
             f"compiling in every call, some seconds: {compiled_folder()} cannot be written to"
         )
+        _begun_s.append(time.monotonic())
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        """Keeps nothing."""
+        _stop_clock()
+
+
+_begun_s: list[float] = []  # compiling one function may begin with others that it calls
+
+
+def _stop_clock() -> None:
+    """Take the time of the compiler, which works for one thread at a time, from all time limits."""
+    began_s = _begun_s.pop()
+    if not _begun_s:
+        stand_still_s(time.monotonic() - began_s)
 
 
 @cache

@@ -6,13 +6,13 @@ asked for; either nothing meets it, and no smaller conflict exists, or what meet
 complement.
 """
 
-import time
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
+from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
 
@@ -68,7 +68,7 @@ def find_conflicts(
     if problem.table.n_poses == 0:
         return ()
     wish = Wish(problem, separation, keeps_forced=keeps_forced)
-    oracle = Oracle(problem, end_s=time.monotonic() + time_limit_s, max_sets=max_sets)
+    oracle = Oracle(problem, end_s=now_s() + time_limit_s, max_sets=max_sets)
     asked: dict[frozenset[int], Answer] = {}
 
     def ask(active: frozenset[int]) -> Answer:

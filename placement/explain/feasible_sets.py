@@ -1,6 +1,5 @@
 """Whether any set of poses meets a wish, and how far one of its numbers has to give way."""
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.clock import now_s
 from geometry.errors import InputError
 
 from ..optimiser import Limits, PlacementProblem, ReducedProblem, cost_eur, is_allowed, presolve
@@ -231,7 +231,7 @@ class Oracle:
 
     def left_s(self) -> float:
         """Time left, in seconds."""
-        return self.end_s - time.monotonic()
+        return self.end_s - now_s()
 
     def find(self, problem: PlacementProblem) -> Answer:
         """A set that meets limits and floors."""
@@ -359,7 +359,7 @@ class Oracle:
 
     def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search:
         """A search that begins with a set found quickly, of the time left a part."""
-        end_s = time.monotonic() + _SHARE_OF_TIME * max(self.left_s(), 0.0)
+        end_s = now_s() + _SHARE_OF_TIME * max(self.left_s(), 0.0)
         search = Search(reduced, end_s=end_s)
         floors = reduced.floors if aim is None else (*reduced.floors, aim)
         units = choose_greedily(replace(reduced, floors=floors))

@@ -155,6 +155,31 @@ def left_after_failures(
     return smallest
 
 
+def are_kept_after_failure(reduced: ReducedProblem, sets: IntArray, least: float) -> BoolArray:
+    """Which sets of poses keep an APR of at least so much, whichever unit fails, (n_sets,).
+
+    Only where the APR is a weighted mean over all runs. As :func:`left_after_failures` of one
+    failure, but most sets that do not are found out at a few runs.
+    """
+    from .tree_kernels import are_kept_after_failure as find_kept
+
+    is_lost = reduced.margin_s == -np.inf
+    lost = np.zeros((reduced.n_chains, reduced.margin_s.shape[1]))
+    np.add.at(lost, reduced.run_chain, is_lost * reduced.weight[:, None])
+    kept = np.empty(len(sets), dtype=bool)
+    find_kept(
+        reduced.words,
+        np.ascontiguousarray(sets),
+        reduced.window_frames,
+        reduced.chain_window,
+        reduced.chain_start,
+        lost,
+        reduced.measure.limit - least,
+        kept,
+    )
+    return kept
+
+
 def set_values(
     reduced: ReducedProblem, sets: IntArray, one_failed: FloatArray | None = None
 ) -> SetValues:

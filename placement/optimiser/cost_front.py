@@ -1,12 +1,12 @@
 """What more money buys: from the cheapest useful layout upwards, each step with its proof."""
 
-import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geometry.arrays import FloatArray
+from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 
 from .front import (
@@ -141,7 +141,7 @@ def cost_front(
         reduced=reduced,
         stages=stages,
         effort=effort,
-        end_s=time.monotonic() + effort.time_limit_s,
+        end_s=now_s() + effort.time_limit_s,
         step=float(weight.min()) if step_apr is None else step_apr,
         largest=largest_values(reduced, "first") or {},
         levels_eur=price_levels_eur(problem.limits),
@@ -233,7 +233,7 @@ class _Climb:
 
     def _cheapest(self, asked: Sequence[tuple[float, int]], last: FrontPoint | None) -> _Step:
         """The cheapest layout that reaches APRs: pairs of a share and how many units may fail."""
-        began_s = time.monotonic()
+        began_s = now_s()
         problem = replace(self.problem, goal="cheapest", floors=self._floors(asked))
         reduced = replace(self.reduced, floors=self._requirements(asked)).with_goal("cheapest")
         effort = self._effort()
@@ -254,7 +254,7 @@ class _Climb:
             pose_index=to_full(reduced, units),
             cost_eur=search.value.cost_eur,
             least_eur=known_eur,
-            seconds=time.monotonic() - began_s,
+            seconds=now_s() - began_s,
             floors=tuple(asked),
         )
 
@@ -318,7 +318,7 @@ class _Climb:
         )
 
     def _effort(self) -> Effort:
-        left_s = max(self.end_s - time.monotonic(), 1.0e-3)
+        left_s = max(self.end_s - now_s(), 1.0e-3)
         return replace(self.effort, time_limit_s=left_s / _SHARES)
 
 

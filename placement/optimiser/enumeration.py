@@ -6,7 +6,6 @@ that all have that APR. Few have: to put together what they allow takes seconds 
 the models take minutes.
 """
 
-import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import chain, combinations, pairwise
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.clock import now_s
 
 from .bitsets import BestSet, best_set, concatenate_values, set_values, union_apr, unions_of
 from .bounds import Coverage, ValueArray
@@ -52,7 +52,7 @@ def best_of_few(
         for part in _parts(sets[are_allowed(reduced.limits, sets)]):
             if not len(part):
                 continue
-            if time.monotonic() > end_s:
+            if now_s() > end_s:
                 return best.units, False
             best.offer(part, set_values(reduced, part))
     return best.units, True

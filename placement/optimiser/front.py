@@ -5,7 +5,6 @@ values therefore never fall from point to point, and what no layout with more ca
 less can either.
 """
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -14,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from geometry.arrays import IntArray
+from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 
 from ..layout import Certificate, Stage
@@ -232,7 +232,7 @@ def look_around(
     check_limits(problem.limits, problem.table.pose_ids)
     search = Search(
         reduced if stages == "all" else without_margins(reduced),
-        end_s=time.monotonic() + effort.time_limit_s,
+        end_s=now_s() + effort.time_limit_s,
         uses_models=effort.solver in ("auto", "exact"),
     )
     if len(start):
@@ -267,13 +267,13 @@ def prove_point(
         is_cost = objective is Objective.COST
         if is_cost and is_cheapest:
             break
-        began_s = time.monotonic()
+        began_s = now_s()
         least_eur = _least_cost_eur(search, fewer) if is_cost else -np.inf
         if search.value.cost_eur <= least_eur + COST_TOLERANCE_EUR:
             bound = search.value.cost_eur
         else:
             bound = find_bound()
-        records.append((objective, bound, time.monotonic() - began_s))
+        records.append((objective, bound, now_s() - began_s))
         if stages == "first" and objective is FIRST_STAGES[-1]:
             break
     units = search.units
@@ -389,7 +389,7 @@ def pareto_front(
     """
     check_front(problem, stages)
     effort = Effort() if effort is None else effort
-    end_s = time.monotonic() + effort.time_limit_s
+    end_s = now_s() + effort.time_limit_s
     limits = problem.limits
     first = max(min_units, int(limits.is_forced.sum()), 1)
     if not 1 <= first <= max_units:
@@ -409,7 +409,7 @@ def pareto_front(
         if points and (settled is not None or units > full):
             points.append(replace(points[-1], units=units))  # as good, and as well proven
             continue
-        left_s = max(end_s - time.monotonic(), 1.0e-3) / min(max_units + 1 - units, _SHARES)
+        left_s = max(end_s - now_s(), 1.0e-3) / min(max_units + 1 - units, _SHARES)
         share = replace(effort, time_limit_s=left_s)
         fewer = points[-1] if points else None
         at_point = replace(problem, limits=replace(limits, budget_units=units))

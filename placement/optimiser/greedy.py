@@ -1,11 +1,11 @@
 """Layouts found quickly, without proof: greedy choice, then exchanges one for one."""
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.clock import now_s
 
 from .bitsets import BestSet, SetValues, set_values, values_with_each
 from .bounds import Coverage, ValueArray, gains
@@ -71,7 +71,7 @@ def improve(
     monotonic clock. The result is at least as good as `units`.
     """
     value = set_values(reduced, units[None, :])[0]
-    while limit.exceeds(value) and time.monotonic() < end_s:
+    while limit.exceeds(value) and now_s() < end_s:
         best = units, value
         positions = np.flatnonzero(~reduced.limits.is_forced[units])
         for change in (_exchanged, _without):  # to leave one out is only cheaper: tried last
@@ -110,7 +110,7 @@ def solve_heuristically(
         begin += [np.append(forced, pose) for pose in rng.choice(first, size=_N_RESTARTS)]
     best = BestSet()
     for start in begin:
-        if best.units is not None and time.monotonic() >= end_s:
+        if best.units is not None and now_s() >= end_s:
             break
         units = extend_greedily(reduced, start)
         if not len(units) or not is_allowed(reduced.limits, units):

@@ -17,7 +17,6 @@ steps and a sweep over K like. What OSQP returns proves nothing by itself: its m
 :func:`placement.optimiser.bounds.prove` has put them into the Lagrangian bound.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -27,6 +26,7 @@ import numpy as np
 from scipy import sparse
 
 from geometry.arrays import FloatArray, IntArray
+from geometry.clock import now_s
 
 from .bounds import Bound, Coverage, ValueArray, prove
 
@@ -184,7 +184,7 @@ def generate_columns(
         is_complete = tried[0].limit <= tightened.bound.limit + slack
         is_complete |= number > 0 and n_new == 0
         is_settled = not is_coarse and is_complete and before.limit - best.limit < slack
-        if is_settled or number == sizes.n_rounds - 1 or time.monotonic() > end_s:
+        if is_settled or number == sizes.n_rounds - 1 or now_s() > end_s:
             break
         origin = tried[0] if is_coarse else best
         inside = pool[tightened.bound.pick.poses]

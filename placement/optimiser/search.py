@@ -1,6 +1,5 @@
 """The best set found so far, and the loop of models and cuts that looks for better ones."""
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -8,6 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.clock import now_s
 
 from .bitsets import SetValues, no_values, set_values, union_margins_s, unions_of
 from .greedy import extend_greedily, improve, solve_heuristically
@@ -179,14 +179,14 @@ class Search:
 
     def left_s(self) -> float:
         """Time left, in seconds."""
-        return self.end_s - time.monotonic()
+        return self.end_s - now_s()
 
     def start(self, starts: Sequence[IntArray] = ()) -> None:
         """Find a first set, from some to begin with; there may be none that reaches the floors."""
         if self.sets is None:
             units = solve_heuristically(self.reduced, self.limit, starts=starts, end_s=self.end_s)
         else:
-            end_s = time.monotonic() + _START_SHARE * self.left_s()
+            end_s = now_s() + _START_SHARE * self.left_s()
             units = self.sets.look(starts, limit=self.limit, end_s=end_s)
         if units is not None:
             self.keep(units)

@@ -17,7 +17,6 @@ left without a certain unit. A node is given up when any of these bounds is belo
 Sets that remain are valued on the windows themselves. A walk that ends has met every set.
 """
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import comb
@@ -25,6 +24,7 @@ from math import comb
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.clock import now_s
 
 from .limits import Limits
 from .presolve import ReducedProblem, WordArray, pack_words, unpack_words
@@ -173,7 +173,7 @@ def find_root(
         settled = best is not None and root.limit > best.limit * (1.0 - 1.0e-5)
         if best is None or root.limit < best.limit:
             best = root
-        if (settled and number > 2) or time.monotonic() > end_s:
+        if (settled and number > 2) or now_s() > end_s:
             break
         part = np.divide(weight, row_weight[row], out=np.zeros(len(weight)), where=weight > 0.0)
         price = root.price[row] * part
@@ -348,7 +348,7 @@ class SetWalk:
         """
         from .tree_kernels import FINISHED, grow
 
-        while not self.is_finished and time.monotonic() < end_s:
+        while not self.is_finished and now_s() < end_s:
             self.walk.where[2] = 0
             state = grow(
                 self.forest, self.walk, self.n_failures, self.n_failures == 1, _WORK, self.out

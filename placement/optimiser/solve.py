@@ -6,13 +6,13 @@ can matter. Among those the layout is sought on the real windows.
 """
 
 import logging
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
+from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 
 from ..detection_table import DetectionTable
@@ -305,7 +305,7 @@ def solve_placement(
     time given.
     """
     effort = Effort() if effort is None else effort
-    end_s = time.monotonic() + effort.time_limit_s
+    end_s = now_s() + effort.time_limit_s
     check_limits(problem.limits, problem.table.pose_ids)
     if reduced is None and effort.solver != "exact" and is_large(problem):
         return _solve_large(problem, effort, on_stage)
@@ -319,9 +319,9 @@ def solve_placement(
     for objective, find_bound in stages.plan():
         if on_stage is not None:
             on_stage(objective.value)
-        began_s = time.monotonic()
+        began_s = now_s()
         bound = find_bound()
-        records.append((objective, bound, time.monotonic() - began_s))
+        records.append((objective, bound, now_s() - began_s))
         _log.info("%s: bound %.6g after %.2f s", objective, bound, records[-1][-1])
     assert search.units is not None
     pose_index = to_full(reduced, search.units)
@@ -342,7 +342,7 @@ def _solve_large(
     problem: PlacementProblem, effort: Effort, on_stage: Callable[[str], None] | None
 ) -> Solution:
     """The best among promising poses, bounded by what all poses promise."""
-    end_s = time.monotonic() + effort.time_limit_s
+    end_s = now_s() + effort.time_limit_s
     bounds_margins = problem.tail == 1.0
     outlook = look_out(problem, has_margins=bounds_margins, on_step=on_stage)
     pool = outlook.pool
@@ -351,7 +351,7 @@ def _solve_large(
     found = solve_placement(
         part,
         presolve(part),
-        effort=replace(effort, solver="greedy", time_limit_s=max(end_s - time.monotonic(), 1.0e-3)),
+        effort=replace(effort, solver="greedy", time_limit_s=max(end_s - now_s(), 1.0e-3)),
         starts=places,
         on_stage=on_stage,
     )

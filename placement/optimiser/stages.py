@@ -1,6 +1,5 @@
 """The objectives one by one: better sets, and how much better one could be."""
 
-import time
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
+from geometry.clock import now_s
 
 from .bitsets import (
     BestSet,
     SetValues,
+    are_kept_after_failure,
     left_after_failures,
     set_values,
     union_margins_s,
@@ -176,8 +177,11 @@ def best_beyond(
         sets = sets[_worth(reduced, worth, sets) > need]  # cheaper to see than the other values
         if Objective.APR_ONE_FAILED in reduced.objectives and len(sets):
             # Failures are costly to go through: first all else, as if they did as well there.
-            as_well = np.full(len(sets), known.of(Objective.APR_ONE_FAILED))
+            one_failed = float(known.of(Objective.APR_ONE_FAILED))
+            as_well = np.full(len(sets), one_failed)
             sets = sets[set_values(reduced, sets, as_well).ties_or_beats(known)]
+            if worth is Objective.MEAN_MARGIN and reduced.measure.is_mean:
+                sets = sets[are_kept_after_failure(reduced, sets, one_failed - TOLERANCE)]
         if len(sets):
             best.offer(sets, set_values(reduced, sets))
     return best.units, True
@@ -581,7 +585,7 @@ class Stages:
             self._units(),
             n_failures=n_failures,
             least_apr=search.value.apr if holds_apr else None,
-            end_s=time.monotonic() + _WALK_SHARE * search.left_s(),
+            end_s=now_s() + _WALK_SHARE * search.left_s(),
             on_better=better,
         )
         search.proofs["branch and bound"] = None

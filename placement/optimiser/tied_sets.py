@@ -6,7 +6,6 @@ is proven at once. Where they are many, the APR that is left when units fail is 
 tree, too; few sets are best in both.
 """
 
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import combinations
@@ -14,6 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
+from geometry.clock import now_s
 
 from .bitsets import BestSet, SetValues, set_values
 from .limits import fitting, is_allowed
@@ -140,7 +140,7 @@ class SetSearch:
     def climb(self, units: IntArray, *, end_s: float) -> IntArray:
         """Exchange one unit for another while that makes the set better in any stage."""
         value, idle, place = set_values(self.reduced, units[None, :])[0], 0, 0
-        while idle < len(units) and (time.monotonic() < end_s):
+        while idle < len(units) and (now_s() < end_s):
             rest = np.delete(units, place % len(units))
             partners = self._best_partners(rest)
             sets = np.column_stack([np.tile(rest, (len(partners), 1)), partners])
@@ -182,7 +182,7 @@ class SetSearch:
         begin = [*starts, none]
         chance, idle = self.root.share + 1.0e-9, 0
         for number in range(len(begin) + _N_RESTARTS):
-            if best.units is not None and (idle > _PATIENCE or time.monotonic() > end_s):
+            if best.units is not None and (idle > _PATIENCE or now_s() > end_s):
                 break
             if number < len(begin):
                 units = begin[number]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.arrays import FloatArray, IntArray
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .presolve import WordArray
@@ -188,6 +188,54 @@ def first_whole_windows(
                     break
                 place += 1
             first[row, chain] = place - start[chain]
+
+
+@kernel
+def are_kept_after_failure(
+    words: WordArray,
+    sets: IntArray,
+    window_frames: IntArray,
+    links: IntArray,
+    start: IntArray,
+    lost: FloatArray,
+    most_lost: float,
+    kept: BoolArray,
+) -> None:
+    """Whether sets lose no more than so much weight, whichever one of their units fails, (n_sets,).
+
+    ``lost[g, k]`` is the weight of the runs of chain g that are lost if the k-th of its windows is
+    the first that is seen. Few sets are looked at as a whole: the chains at which others before
+    failed come first.
+    """
+    n_chains = len(start) - 1
+    order = np.arange(n_chains)
+    union = np.empty(words.shape[1], dtype=np.uint64)
+    for row in range(len(sets)):
+        kept[row] = True
+        for failed in range(sets.shape[1]):
+            union[:] = 0
+            for unit in range(sets.shape[1]):
+                if unit != failed:
+                    union |= words[sets[row, unit]]
+            total = 0.0
+            for rank in range(n_chains):
+                chain = order[rank]
+                place = start[chain]
+                while place < start[chain + 1]:
+                    seen = np.uint64(1)
+                    for frame in window_frames[links[place]]:
+                        seen &= union[frame >> 6] >> np.uint64(frame & 63)
+                    if seen != 0:
+                        break
+                    place += 1
+                total += lost[chain, place - start[chain]]
+                if total > most_lost:
+                    kept[row] = False
+                    before = rank // 2  # nearer to the front, not all the way: some fail by chance
+                    order[rank], order[before] = order[before], chain
+                    break
+            if not kept[row]:
+                break
 
 
 @kernel

@@ -14,7 +14,6 @@ accounted for, and then which half of its poses that unit is among.
 """
 
 import heapq
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import count
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from geometry.arrays import FloatArray, IntArray
+from geometry.clock import now_s
 
 from .bounds import (
     Bound,
@@ -150,7 +150,7 @@ def find_window_cover(
     way is finished; then the best set and what is proven are returned. Without `branches`, only
     relaxations bound the set. `seed` is that of the restarts.
     """
-    began_s = time.monotonic()
+    began_s = now_s()
     end_s, report = began_s + time_limit_s, on_step or _ignore
     with threadpool_limits(1):  # products are too small for BLAS's threads
         report("values")
@@ -176,7 +176,7 @@ def find_window_cover(
             report("sharpen")
             multipliers = _sharpen(state, columns, gap, seed, end_s, workers)
             is_enough = root.limit <= state.value * (1.0 + gap)
-            if is_enough or time.monotonic() > end_s or multipliers is None:
+            if is_enough or now_s() > end_s or multipliers is None:
                 break
             report("bound")
             first_seen_values(
@@ -190,14 +190,14 @@ def find_window_cover(
             if is_enough or gained < _SETTLED * state.value:
                 break
         limit, n_nodes = root.limit, 0
-        if limit > state.value * (1.0 + gap) and time.monotonic() < end_s:
+        if limit > state.value * (1.0 + gap) and now_s() < end_s:
             if root is not columns:
                 first_seen_values(
                     packed, windows, worth, frames=root_frames, out=values, workers=workers
                 )
             report("exchange")
             _look_longer(state, coverage, root, gap, seed, end_s)
-        if branches and limit > state.value * (1.0 + gap) and time.monotonic() < end_s:
+        if branches and limit > state.value * (1.0 + gap) and now_s() < end_s:
             report("branch")
             limit, n_nodes = _branch(state, coverage, root, gap, end_s, workers)
     return WindowCover(
@@ -209,7 +209,7 @@ def find_window_cover(
         root_limit=root.limit,
         pool=root.pool,
         n_nodes=n_nodes,
-        seconds=time.monotonic() - began_s,
+        seconds=now_s() - began_s,
     )
 
 
@@ -258,7 +258,7 @@ def _sharpen(
         gained = lowest - tightened.bound.limit
         if gained > 0.0:
             lowest, kept, state.frames = tightened.bound.limit, multipliers, frames
-        if gained < _SETTLED * state.value or time.monotonic() > end_s:
+        if gained < _SETTLED * state.value or now_s() > end_s:
             break
     return kept
 
@@ -293,11 +293,11 @@ def _look_longer(
     shares[np.searchsorted(pool, root.pool)] = root.shares
     part = coverage.of_poses(pool)
     near = Tightened(bound=prove(part, root.bound.multipliers), shares=shares)
-    half_s = time.monotonic() + 0.5 * (end_s - time.monotonic())
+    half_s = now_s() + 0.5 * (end_s - now_s())
     for number in range(_N_LONGER):
         _look_near(state, part, pool, near, seed + _N_ROUNDS * _N_PASSES + number)
         is_enough = root.limit <= state.value * (1.0 + gap)
-        if is_enough or time.monotonic() > half_s:
+        if is_enough or now_s() > half_s:
             break
 
 
@@ -316,7 +316,7 @@ def _branch(
         root.bound.multipliers,
         evaluate=lambda poses: state.evaluate(left[poses]),
         gap=gap,
-        time_limit_s=end_s - time.monotonic(),
+        time_limit_s=end_s - now_s(),
         workers=workers,
     )
     state.best, state.value = left[search.poses], search.value
@@ -402,10 +402,10 @@ def branch_and_bound(
     ``limit <= (1 + gap) value``. Nodes with the highest limit come first: good sets come from
     exchanges rather than from the depth, and so the proven limit falls from node to node.
     """
-    end_s = time.monotonic() + time_limit_s
+    end_s = now_s() + time_limit_s
     with threadpool_limits(1):  # products are too small for BLAS's threads
         tree = _Tree(coverage, incumbent, multipliers, evaluate or coverage.value, gap, workers)
-        while tree.is_open and tree.n_nodes != max_nodes and time.monotonic() <= end_s:
+        while tree.is_open and tree.n_nodes != max_nodes and now_s() <= end_s:
             tree.look_at_next()
     return BranchResult(
         poses=tree.best,

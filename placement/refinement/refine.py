@@ -4,7 +4,6 @@ The search keeps the best set so far and the poses at hand, tries new ones aroun
 and aimed at weak spots, and at last turns the chosen ones step by step.
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product, starmap
@@ -12,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 from geometry.sensors import CameraModel
 
@@ -112,7 +112,7 @@ def turn(
     best = list(rows)
     values = stage_values(bench.problem(grid), best)
     position, n_settled = 0, 0
-    while n_settled < len(best) and time.monotonic() < end_s:
+    while n_settled < len(best) and now_s() < end_s:
         bench, found = _best_step(grid, bench, best, position, values, places, build_rows)
         if found is not None:
             best[position], values = found
@@ -266,7 +266,7 @@ class Search:
         """
         spread, n_idle, n_rounds = 1.0, 0, self.effort.n_rounds
         for done in range(n_rounds):
-            if time.monotonic() >= self.search_end_s:
+            if now_s() >= self.search_end_s:
                 return done
             report("refine: rounds", done, n_rounds)
             self._add_proposals(spread)
@@ -279,8 +279,8 @@ class Search:
                 report("refine: directions", 0, 0)
                 if not self.turn():
                     report("refine: solve", 0, 0)
-                    now_s = time.monotonic()
-                    if not self.solve(now_s + _SOLVER_SHARE * (self.search_end_s - now_s)):
+                    here_s = now_s()
+                    if not self.solve(here_s + _SOLVER_SHARE * (self.search_end_s - here_s)):
                         return done + 1
                 spread, n_idle = 1.0, 0
         return n_rounds
@@ -299,7 +299,7 @@ class Search:
 
     def solve(self, end_s: float) -> bool:
         """Solve on all poses at hand; whether that improves."""
-        limit_s = max(end_s - time.monotonic(), _LEAST_SOLVER_S)
+        limit_s = max(end_s - now_s(), _LEAST_SOLVER_S)
         limit_s = min(limit_s, self.solver.time_limit_s)
         solution = self._solved(replace(self.solver, time_limit_s=limit_s))
         self.certificate = None if solution is None else solution.certificate
@@ -474,7 +474,7 @@ def refine(
     InputError
         The table is not that of the candidates, or of sampled worlds.
     """
-    started_s = time.monotonic()
+    started_s = now_s()
     effort = RefinementEffort() if effort is None else effort
     problem = placement.problem
     _check_table(problem, setting, candidates)
@@ -504,7 +504,7 @@ def refine(
         moves=moves,
         n_tried=search.n_tried,
         n_rounds=n_rounds,
-        seconds=time.monotonic() - started_s,
+        seconds=now_s() - started_s,
     )
 
 

@@ -1,11 +1,10 @@
-import time
-
 import numpy as np
 import pytest
 from coverages import best_value, coverages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geometry.clock import now_s
 from placement.optimiser.bounds import Coverage, Supply, prove
 from placement.optimiser.greedy import lazy_greedy
 from placement.optimiser.relaxation import (
@@ -88,7 +87,7 @@ def test_column_generation_is_never_below_the_best(coverage: Coverage) -> None:
 def test_no_round_begins_after_the_time() -> None:
     coverage = draw_coverage(1, 60)
     chosen = lazy_greedy(coverage)
-    short = generate_columns(coverage, chosen, sizes=SMALL_POOL, end_s=time.monotonic() - 1.0)
+    short = generate_columns(coverage, chosen, sizes=SMALL_POOL, end_s=now_s() - 1.0)
     full = generate_columns(coverage, chosen, sizes=SMALL_POOL)
     assert full.bound.limit < short.bound.limit
     assert len(short.pool) <= SMALL_POOL.n_first + len(chosen)

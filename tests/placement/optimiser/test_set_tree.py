@@ -1,6 +1,5 @@
 """The tree of sets against all sets, on small tables: bounds, walks, ties."""
 
-import time
 from dataclasses import replace
 from itertools import combinations
 
@@ -11,6 +10,7 @@ from hypothesis import strategies as st
 from problems import questions
 
 from geometry.arrays import IntArray
+from geometry.clock import now_s
 from placement.optimiser import PlacementProblem, presolve
 from placement.optimiser.bitsets import left_after_failures, set_values, union_apr, unions_of
 from placement.optimiser.limits import are_allowed
@@ -136,7 +136,7 @@ def test_a_walk_without_time_proves_nothing_but_its_limit(problem: PlacementProb
     if not len(sets):
         return
     tied = search.tied(
-        sets[0], n_failures=0, least_apr=None, end_s=time.monotonic(), on_better=lambda units: units
+        sets[0], n_failures=0, least_apr=None, end_s=now_s(), on_better=lambda units: units
     )
     assert not tied.is_finished
     assert tied.sets is None

@@ -1,0 +1,15 @@
+"""The clock of time limits: it stands still while loops are compiled, once on each machine."""
+
+import time
+
+_stood_s = [0.0]
+
+
+def now_s() -> float:
+    """Seconds from some moment on, without those in which it stood still."""
+    return time.monotonic() - _stood_s[0]
+
+
+def stand_still_s(seconds: float) -> None:
+    """Let it have stood still for so long until now, in seconds."""
+    _stood_s[0] += seconds
