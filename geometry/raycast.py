@@ -89,7 +89,7 @@ class Open3dCaster:
 class EmbreexCaster:
     """Rays by embreex, the Embree binding that trimesh uses."""
 
-    name = "embreex"
+    name = "embree"
     # Embree stops at the end of a ray; "nothing hit" is read off that end.
     _FAR = np.float32(1.0e6)
 
@@ -155,7 +155,7 @@ def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
     Parameters
     ----------
     rays : str
-        One of ``RAYS``. By "auto" it is "embreex", or "open3d" where embreex cannot load.
+        One of ``RAYS``. By "auto" it is "embree", or "open3d" where embreex cannot load.
     where : str
         What asked for it, for error messages.
 

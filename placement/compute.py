@@ -26,7 +26,7 @@ def check_whole(where: str, value: Any, *, least: int) -> None:
         raise InputError(where, value, f"a whole number, at least {least}")
 
 
-RAYS = ("auto", "embreex", "open3d")  # as geometry.raycast has them, which loads numpy
+RAYS = ("auto", "embree", "open3d")  # as geometry.raycast has them, which loads numpy
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +47,7 @@ class Compute:
     progress : Progress
         Is told the stages; by default nobody is.
     rays : str
-        Library that casts rays: "embreex", "open3d", or by default "auto", the fastest that loads.
+        Library that casts rays: "embree", "open3d", or by default "auto", the fastest that loads.
 
     Raises
     ------

@@ -191,7 +191,7 @@ def _counting(solid: _Solid) -> list[int]:
 def _caster_of(scene: Scene, instances: Sequence[int], origin_m: FloatArray) -> RayCaster:
     triangles = np.asarray(scene.triangles)[np.isin(scene.triangle_instance, instances)]
     # A few thousand rays: not worth the second that Open3D takes to load.
-    return build_caster(scene.vertices_m - [*origin_m, 0.0], triangles, library="embreex")
+    return build_caster(scene.vertices_m - [*origin_m, 0.0], triangles, library="embree")
 
 
 def _blocker(solid: _Solid, starts_m: FloatArray, ends_m: FloatArray, origin_m: FloatArray) -> str:

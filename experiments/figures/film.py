@@ -164,7 +164,7 @@ class _Sightlines:
         self.run = run
         self.origin = np.append(scene.outline_m.mean(axis=0), 0.0)
         vertices, triangles = build_static_mesh(scene, run.obstruction, self.origin)
-        self.caster: RayCaster = build_caster(vertices, triangles, library="embreex")
+        self.caster: RayCaster = build_caster(vertices, triangles, library="embree")
         self.vut_camera = load_vut_camera()
         self.lens = self.vut_camera.pose_on(run.encounter.vut).position_m
 

@@ -13,7 +13,7 @@ from .numbers import count_runs, joined
 from .record import Record, Share, says
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
-_RAY_PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "embreex": ("embreex",)}
+_RAY_PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "embree": ("embreex",)}
 
 
 class RefusalRecord(Record, frozen=True, kw_only=True):

@@ -217,7 +217,7 @@ def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
         parking=tuple(parking),
         entries=tuple(entries),
         # Some hundred rays: not worth the second that Open3D takes to load.
-        solid=build_caster(scene.vertices_m - origin, triangles, library="embreex"),
+        solid=build_caster(scene.vertices_m - origin, triangles, library="embree"),
         origin_m=origin,
     )
 

@@ -14,7 +14,7 @@ from geometry.raycast import build_caster, caster_name, open3d_problem
 
 _OPEN3D_PROBLEM = open3d_problem()
 needs_open3d = pytest.mark.skipif(_OPEN3D_PROBLEM is not None, reason=str(_OPEN3D_PROBLEM))
-LIBRARIES = [pytest.param("open3d", marks=[needs_open3d, pytest.mark.system]), "embreex"]
+LIBRARIES = [pytest.param("open3d", marks=[needs_open3d, pytest.mark.system]), "embree"]
 
 BOX_M = np.array([2.0, 3.0, 4.0])
 BOX = trimesh.creation.box(extents=2.0 * BOX_M)
@@ -268,7 +268,7 @@ def test_why_open3d_cannot_load_is_told_with_the_remedy(break_open3d, error, cau
     break_open3d(error)
     reason = f"Open3D cannot load ({cause}); to use it: {remedy}"
     assert open3d_problem() == reason
-    assert caster_name() == "embreex"
+    assert caster_name() == "embree"
     with pytest.raises(InputError) as caught:
         caster_name("open3d", where="--rays")
     assert str(caught.value) == f"--rays: got 'open3d'; expected a library that loads: {reason}"
@@ -278,7 +278,7 @@ def test_why_open3d_cannot_load_is_told_with_the_remedy(break_open3d, error, cau
 
 def test_embreex_casts_where_it_loads_and_open3d_is_not_imported(break_open3d):
     break_open3d(AssertionError("imported"))
-    assert caster_name() == "embreex"
+    assert caster_name() == "embree"
     assert isinstance(build_caster(BOX.vertices, BOX.faces), raycast.EmbreexCaster)
 
 
@@ -289,11 +289,11 @@ def test_open3d_casts_where_embreex_cannot_load_or_it_is_asked_for(monkeypatch):
     monkeypatch.setattr(raycast, "embreex_problem", lambda: "embreex cannot load")
     assert caster_name() == "open3d"
     with pytest.raises(InputError, match="a library that loads: embreex cannot load"):
-        caster_name("embreex")
+        caster_name("embree")
 
 
 def test_where_no_library_loads_both_reasons_are_told(monkeypatch):
-    for name in ("embreex", "open3d"):
+    for name in ("embree", "open3d"):
         monkeypatch.setattr(raycast, f"{name}_problem", lambda name=name: f"no {name}")
     with pytest.raises(InputError) as caught:
         caster_name()

@@ -13,7 +13,7 @@ def test_what_is_installed_is_told(run, tmp_path):
     assert summary["is_well"]
     assert summary["libraries"]["numpy"]
     assert "HIGHS" in summary["milp_solvers"]
-    assert summary["rays"]["by"] in ("open3d", "embreex")
+    assert summary["rays"]["by"] in ("open3d", "embree")
     code, text, _ = run("doctor")
     assert "mixed-integer solvers: HIGHS" in text
     assert max(map(len, text.splitlines())) <= 80

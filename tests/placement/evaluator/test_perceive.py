@@ -283,7 +283,7 @@ def test_both_ray_libraries_agree_with_the_boxes(build_scene, build_run, camera)
     runs = _random_runs(build_run, np.random.default_rng(11), n_frames=6)
     scene = build_scene(*HOUSES)
     boxes = perceive_from_roadside(build_surroundings(scene, runs), MOUNTS[0], camera)
-    for library in ("embreex", "open3d"):
+    for library in ("embree", "open3d"):
         surroundings = build_surroundings(scene, runs, library=library)
         for frame in range(len(surroundings.vru_poses)):
             view = render_frame(surroundings, frame, MOUNTS[0], camera)

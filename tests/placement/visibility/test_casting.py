@@ -61,7 +61,7 @@ def _naive_visible(caster, middle, eye, points):
     return np.array(visible)
 
 
-def _compare(scene, runs, eye, frames, *, library="embreex"):
+def _compare(scene, runs, eye, frames, *, library="embree"):
     """Agreement with the naive oracle: (same, grazing) per point, over the frames asked for."""
     world = build_world(scene, runs, n_points=N_POINTS, seed=0)
     sight = cast_sight(world, np.asarray(eye), near_m=NEAR_M, max_distance_m=FAR_M)
