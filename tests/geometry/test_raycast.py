@@ -293,7 +293,7 @@ def test_open3d_casts_where_embreex_cannot_load_or_it_is_asked_for(monkeypatch):
 
 
 def test_where_no_library_loads_both_reasons_are_told(monkeypatch):
-    for name in ("embree", "open3d"):
+    for name in ("embreex", "open3d"):
         monkeypatch.setattr(raycast, f"{name}_problem", lambda name=name: f"no {name}")
     with pytest.raises(InputError) as caught:
         caster_name()
@@ -305,4 +305,4 @@ def test_where_no_library_loads_both_reasons_are_told(monkeypatch):
 def test_an_unknown_library_is_refused_with_the_known_ones():
     with pytest.raises(InputError) as caught:
         caster_name("optix")
-    assert str(caught.value) == "rays: got 'optix'; expected one of auto, embreex, open3d"
+    assert str(caught.value) == "rays: got 'optix'; expected one of auto, embree, open3d"
