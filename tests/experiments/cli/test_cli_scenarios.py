@@ -138,7 +138,6 @@ def test_forced_speeds_are_driven_with_a_warning(run, caplog):
         "15",
         "--force",
         "--json",
-        "--quiet",
     )
     assert code == 0
     assert [row["speeds_kmh"] for row in json.loads(out)] == [[15.0]] * 4

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import osqp
 import pytest
 
@@ -22,12 +23,21 @@ SIZE = SyntheticSize(
 
 
 @pytest.fixture
-def instance(tmp_path):
-    """A file with a made-up placement of which four units cannot see everything."""
+def instance(tmp_path, solver):
+    """A file with a made-up placement of which four units cannot see everything.
+
+    Where money is limited, sets cannot be walked through, and also "auto" goes by OSQP's prices.
+    """
     made = build_synthetic_instance(SIZE, seed=3)
     problem = PlacementProblem(
         table=made.to_table(),
-        limits=Limits(site_index=made.site_index, site_capacity=made.site_capacity, budget_units=4),
+        limits=Limits(
+            site_index=made.site_index,
+            site_capacity=made.site_capacity,
+            budget_units=4,
+            unit_cost_eur=np.ones(len(made.site_index)),
+            budget_eur=4.0 if solver == "auto" else None,
+        ),
         fusion="any",
         rule=AebRule(
             deceleration_mps2=7.72, latency_s=0.025, n_confirmations=3, frame_rate_hz=10.0

@@ -111,7 +111,7 @@ def test_the_file_has_the_same_items(build, scene):
     bill = build_bill(build((0, "own"), (0, "camera"), (None, "camera")), scene)
     rows = list(csv.DictReader(io.StringIO(bill_of_materials_csv(bill))))
     assert [(row["part"], row["name"], row["units"], row["sum_eur"]) for row in rows] == [
-        ("sensor", "=own<b>", "1", ""),
+        ("sensor", "'=own<b>", "1", ""),
         ("sensor", "carla-ncap-rgb", "2", "3000"),
         ("site", scene.sites[0].id, "2", "800"),
         ("site", "no site of the scene", "1", ""),
