@@ -155,26 +155,57 @@ def left_after_failures(
     return smallest
 
 
-def are_kept_after_failure(reduced: ReducedProblem, sets: IntArray, least: float) -> BoolArray:
+def keep_apr_after_failure(reduced: ReducedProblem, sets: IntArray, least: float) -> BoolArray:
     """Which sets of poses keep an APR of at least so much, whichever unit fails, (n_sets,).
 
     Only where the APR is a weighted mean over all runs. As :func:`left_after_failures` of one
     failure, but most sets that do not are found out at a few runs.
     """
-    from .tree_kernels import are_kept_after_failure as find_kept
+    lost = (reduced.margin_s == -np.inf) * reduced.weight[:, None]
+    most = reduced.measure.limit - least
+    return _lose_little(reduced, sets, lost, most, with_failures=True)
 
-    is_lost = reduced.margin_s == -np.inf
-    lost = np.zeros((reduced.n_chains, reduced.margin_s.shape[1]))
-    np.add.at(lost, reduced.run_chain, is_lost * reduced.weight[:, None])
+
+def may_keep_margins(
+    reduced: ReducedProblem, sets: IntArray, *, smallest_s: float, total_s: float
+) -> BoolArray:
+    """Which sets of poses may reach a smallest and a weighted total margin, (n_sets,).
+
+    All that do reach them are among these, up to rounding; most that do not are found out at a few
+    runs.
+    """
+    is_avoided = reduced.margin_s > -np.inf
+    worth = np.where(is_avoided, reduced.margin_s, 0.0) * reduced.weight[:, None]
+    best = worth.max(axis=1, keepdims=True)
+    is_too_small = is_avoided & (reduced.margin_s < smallest_s) & (reduced.weight[:, None] > 0.0)
+    lost = np.where(is_too_small, np.inf, best - worth)
+    most = float(best.sum()) - total_s + TOLERANCE
+    return _lose_little(reduced, sets, lost, most, with_failures=False)
+
+
+def _lose_little(
+    reduced: ReducedProblem,
+    sets: IntArray,
+    lost: FloatArray,
+    most: float,
+    *,
+    with_failures: bool,
+) -> BoolArray:
+    """Which sets lose no more than so much; `lost` is by run and first window seen."""
+    from .tree_kernels import lose_little
+
+    of_chain = np.zeros((reduced.n_chains, lost.shape[1]))
+    np.add.at(of_chain, reduced.run_chain, lost)
     kept = np.empty(len(sets), dtype=bool)
-    find_kept(
+    lose_little(
         reduced.words,
         np.ascontiguousarray(sets),
+        with_failures,
         reduced.window_frames,
         reduced.chain_window,
         reduced.chain_start,
-        lost,
-        reduced.measure.limit - least,
+        of_chain,
+        most,
         kept,
     )
     return kept

@@ -12,8 +12,9 @@ from geometry.clock import now_s
 from .bitsets import (
     BestSet,
     SetValues,
-    are_kept_after_failure,
+    keep_apr_after_failure,
     left_after_failures,
+    may_keep_margins,
     set_values,
     union_margins_s,
     unions_of,
@@ -174,17 +175,25 @@ def best_beyond(
             return best.units, False
         part = found.sets[start : start + _BLOCK_SETS]
         sets = np.column_stack([np.tile(forced, (len(part), 1)), part])
-        sets = sets[_worth(reduced, worth, sets) > need]  # cheaper to see than the other values
-        if Objective.APR_ONE_FAILED in reduced.objectives and len(sets):
-            # Failures are costly to go through: first all else, as if they did as well there.
-            one_failed = float(known.of(Objective.APR_ONE_FAILED))
-            as_well = np.full(len(sets), one_failed)
-            sets = sets[set_values(reduced, sets, as_well).ties_or_beats(known)]
-            if worth is Objective.MEAN_MARGIN and reduced.measure.is_mean:
-                sets = sets[are_kept_after_failure(reduced, sets, one_failed - TOLERANCE)]
+        if worth is Objective.MEAN_MARGIN:  # what is cheap to see comes first
+            sets = _no_worse_before(reduced, sets, known, need)
+        sets = sets[_worth(reduced, worth, sets) > need]
         if len(sets):
             best.offer(sets, set_values(reduced, sets))
     return best.units, True
+
+
+def _no_worse_before(
+    reduced: ReducedProblem, sets: IntArray, known: SetValues, need: float
+) -> IntArray:
+    """Sets that may reach a total margin without falling behind a known set in stages before."""
+    if Objective.SMALLEST_MARGIN in reduced.objectives:
+        smallest_s = float(known.of(Objective.SMALLEST_MARGIN)) - TOLERANCE
+        sets = sets[may_keep_margins(reduced, sets, smallest_s=smallest_s, total_s=need)]
+    if Objective.APR_ONE_FAILED in reduced.objectives and reduced.measure.is_mean:
+        least = float(known.of(Objective.APR_ONE_FAILED)) - TOLERANCE
+        sets = sets[keep_apr_after_failure(reduced, sets, least)]
+    return sets
 
 
 def _worth(reduced: ReducedProblem, worth: Objective, sets: IntArray) -> FloatArray:

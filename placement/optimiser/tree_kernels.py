@@ -191,9 +191,10 @@ def first_whole_windows(
 
 
 @kernel
-def are_kept_after_failure(
+def lose_little(
     words: WordArray,
     sets: IntArray,
+    with_failures: bool,
     window_frames: IntArray,
     links: IntArray,
     start: IntArray,
@@ -201,18 +202,18 @@ def are_kept_after_failure(
     most_lost: float,
     kept: BoolArray,
 ) -> None:
-    """Whether sets lose no more than so much weight, whichever one of their units fails, (n_sets,).
+    """Whether sets lose no more than so much: all their units, or whichever one of them fails.
 
-    ``lost[g, k]`` is the weight of the runs of chain g that are lost if the k-th of its windows is
-    the first that is seen. Few sets are looked at as a whole: the chains at which others before
-    failed come first.
+    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first that is seen.
+    Few sets are looked at as a whole: the chains at which others before failed come first.
     """
     n_chains = len(start) - 1
     order = np.arange(n_chains)
     union = np.empty(words.shape[1], dtype=np.uint64)
     for row in range(len(sets)):
         kept[row] = True
-        for failed in range(sets.shape[1]):
+        for case in range(sets.shape[1] if with_failures else 1):
+            failed = case if with_failures else -1
             union[:] = 0
             for unit in range(sets.shape[1]):
                 if unit != failed:

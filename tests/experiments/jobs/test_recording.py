@@ -249,9 +249,7 @@ def test_nothing_is_written_unless_asked_for_and_then_little(tmp_path, monkeypat
 
 def test_a_folder_with_other_things_is_not_replaced(tmp_path):
     _write(tmp_path / "data", _random(1))
-    with pytest.raises(
-        InputError, match=r"--out: got .*data, which holds 0/.* but no SHA256SUMS"
-    ):
+    with pytest.raises(InputError, match=r"--out: got .*data, which holds 0/.* but no SHA256SUMS"):
         _evaluate(tmp_path / "data", out=tmp_path / "data")
     assert (tmp_path / "data/Eval/0_0.txt").exists()
 
