@@ -211,7 +211,7 @@ def lose_little(
     order = np.arange(n_chains)
     union = np.empty(words.shape[1], dtype=np.uint64)
     for row in range(len(sets)):
-        kept[row] = True
+        kept[row] = most_lost >= 0.0
         for case in range(sets.shape[1] if with_failures else 1):
             failed = case if with_failures else -1
             union[:] = 0
