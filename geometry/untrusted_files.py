@@ -124,6 +124,18 @@ def _extract(
                 sink.write(chunk)
 
 
+def unpacked_bytes(archive: zipfile.ZipFile, where: str, *, max_bytes: int) -> int:
+    """Size of an instance file's content; raises InputError if it is more than so much."""
+    n_bytes = sum(member.file_size for member in archive.infolist())
+    if n_bytes > max_bytes:
+        raise InputError(
+            where,
+            Unquoted(f"{n_bytes:,} bytes when unpacked"),
+            f"an instance of at most {max_bytes:,}",
+        )
+    return n_bytes
+
+
 def refuse_bomb(n_bytes: int, where: str) -> None:
     """Raise InputError if a packed file `where` has more bytes unpacked than any honest one."""
     packed = max(1, Path(where).stat().st_size)

@@ -28,7 +28,7 @@ from geometry.files import (
     take_text,
     write_atomically,
 )
-from geometry.untrusted_files import MAX_UNPACKED_BYTES
+from geometry.untrusted_files import MAX_UNPACKED_BYTES, unpacked_bytes
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
@@ -541,7 +541,8 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
         with path.open("rb") as file, np.lib.npyio.NpzFile(file, allow_pickle=False) as archive:
             if "kind" not in archive.files:
                 raise InputError(f"{path}: kind", Unquoted("nothing"), f"a text such as {KIND}")
-            _check_unpacked_size(archive, path)
+            assert archive.zip is not None  # it is open
+            unpacked_bytes(archive.zip, str(path), max_bytes=MAX_UNPACKED_BYTES)
             yield archive
     except InputError:
         raise
@@ -550,18 +551,6 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
         raise InputError(str(path), Unquoted(reason), "a readable instance file") from None
     except Exception as error:  # what damaged archives raise has no end: zipfile's, zlib's, ..
         raise _damaged(str(path), error) from None
-
-
-def _check_unpacked_size(archive: np.lib.npyio.NpzFile, path: Path) -> None:
-    """Raise InputError if an archive holds more than memory is given to."""
-    assert archive.zip is not None  # it is open
-    n_bytes = sum(int(member.file_size) for member in archive.zip.infolist())
-    if n_bytes > MAX_UNPACKED_BYTES:
-        raise InputError(
-            str(path),
-            Unquoted(f"{n_bytes:,} bytes when unpacked"),
-            f"an instance of at most {MAX_UNPACKED_BYTES:,}",
-        )
 
 
 def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:

@@ -41,6 +41,7 @@ import scipy.sparse as sp
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
+from geometry.untrusted_files import unpacked_bytes
 
 from .instance import CoveringInstance
 from .memory import TEXT_BYTES, UNPACKED_BYTES, check_fits
@@ -510,13 +511,7 @@ def instance_kind(path: Path) -> str | None:
 def _load_npz(file: BinaryIO, where: str) -> CoveringInstance:
     try:
         with np.load(file, allow_pickle=False) as stored:
-            n_bytes = sum(member.file_size for member in stored.zip.infolist())
-            if n_bytes > _MAX_UNPACKED_BYTES:
-                raise InputError(
-                    where,
-                    Unquoted(f"{n_bytes:,} bytes when unpacked"),
-                    f"an instance of at most {_MAX_UNPACKED_BYTES:,}",
-                )
+            n_bytes = unpacked_bytes(stored.zip, where, max_bytes=_MAX_UNPACKED_BYTES)
             check_fits(
                 where,
                 f"{n_bytes:,} bytes when unpacked",
