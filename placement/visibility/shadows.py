@@ -225,6 +225,24 @@ def find_unclear_points(
 
 
 @kernel
+def shorten(
+    eye: tuple[np.float32, np.float32, np.float32],
+    way: tuple[np.float32, np.float32, np.float32],
+    near: np.float32,
+    cut: np.float32,
+    start: Array,
+    vector: Array,
+) -> None:
+    """The ray along the way from the eye to a point: it starts `near` and is `cut` shorter."""
+    x, y, z = way
+    one = np.float32(1.0)
+    per_length = one / np.sqrt(x * x + y * y + z * z)
+    begin, share = near * per_length, one - cut * per_length
+    start[0], start[1], start[2] = x * begin + eye[0], y * begin + eye[1], z * begin + eye[2]
+    vector[0], vector[1], vector[2] = x * share, y * share, z * share
+
+
+@kernel
 def fill_rays(
     points: Array,
     views: Array,
@@ -239,7 +257,7 @@ def fill_rays(
 
     They start `near_m` from the eye and end `off_surface_m` before the point.
     """
-    one, near, cut = np.float32(1.0), np.float32(near_m), np.float32(near_m + off_surface_m)
+    near, cut = np.float32(near_m), np.float32(near_m + off_surface_m)
     ex, ey, ez = np.float32(eye[0]), np.float32(eye[1]), np.float32(eye[2])
     ray = 0
     for row in range(len(views)):
@@ -250,14 +268,7 @@ def fill_rays(
             x = points[view, 0, point] - ex
             y = points[view, 1, point] - ey
             z = points[view, 2, point] - ez
-            per_length = one / np.sqrt(x * x + y * y + z * z)
-            begin, share = near * per_length, one - cut * per_length
-            starts[ray, 0] = x * begin + ex
-            starts[ray, 1] = y * begin + ey
-            starts[ray, 2] = z * begin + ez
-            vectors[ray, 0] = x * share
-            vectors[ray, 1] = y * share
-            vectors[ray, 2] = z * share
+            shorten((ex, ey, ez), (x, y, z), near, cut, starts[ray], vectors[ray])
             ray += 1
 
 
@@ -285,7 +296,7 @@ def find_rays_at_body(
     (3,) to `highest` (3,). Sets `asked` (n, n_points) and returns the number of rays; `starts` and
     `vectors` have room for all points of all rows.
     """
-    one, near, cut = np.float32(1.0), np.float32(near_m), np.float32(near_m + off_surface_m)
+    near, cut = np.float32(near_m), np.float32(near_m + off_surface_m)
     ray = 0
     for row in range(len(views)):
         view = views[row]
@@ -319,13 +330,6 @@ def find_rays_at_body(
             asked[row, point] = True
             ox, oy, oz = np.float32(ex), np.float32(ey), np.float32(ez)
             vx, vy, vz = np.float32(x) - ox, np.float32(y) - oy, np.float32(z) - oz
-            per_length = one / np.sqrt(vx * vx + vy * vy + vz * vz)
-            begin, share = near * per_length, one - cut * per_length
-            starts[ray, 0] = vx * begin + ox
-            starts[ray, 1] = vy * begin + oy
-            starts[ray, 2] = vz * begin + oz
-            vectors[ray, 0] = vx * share
-            vectors[ray, 1] = vy * share
-            vectors[ray, 2] = vz * share
+            shorten((ox, oy, oz), (vx, vy, vz), near, cut, starts[ray], vectors[ray])
             ray += 1
     return ray
