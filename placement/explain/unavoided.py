@@ -101,7 +101,8 @@ def _causes(
 ) -> list[tuple[Cause, str]]:
     """Cause, and the thing in the way, of each frame of a world."""
     nothing = build_caster(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
-    empty = replace(world, static=(nothing,) * len(world.static), vut_body=nothing)
+    clear = tuple(replace(obstruction, caster=nothing) for obstruction in world.obstructions)
+    empty = replace(world, scene=nothing, obstructions=clear, vut_body=nothing)
     position_m, near_m = unit.pose.position_m, unit.sensor.near_m
     open_sight = cast_sight(empty, position_m, near_m=near_m, max_distance_m=np.inf)
     sensing = build_sensing(empty, open_sight, position_m, setting.planner)
@@ -147,9 +148,12 @@ def _things_between(
         view = int(views.view_of_frame[frame])
         faces_eye = open_sight.is_visible[open_sight.entry_of_frame[frame]]
         rays = _rays(eye, views.points_m[view][faces_eye], unit.sensor.near_m)
-        static = int(views.static_index[view])
-        share, triangle = world.static[static].first_triangle(*rays)
-        thing = names[static][np.where(share < 1.0, triangle, -1)]
+        index = int(views.obstruction_index[view])
+        share, triangle = world.scene.first_triangle(*rays)
+        nearer, parked = world.obstructions[index].caster.first_triangle(*rays)
+        of_bodies = len(world.scene_m) + parked
+        share, triangle = np.minimum(share, nearer), np.where(nearer < share, of_bodies, triangle)
+        thing = names[index][np.where(share < 1.0, triangle, -1)]
         thing[_vut_shares(world, frame, rays) < np.minimum(share, 1.0)] = THE_VUT
         blockers = Counter(thing[thing != ""].tolist()).most_common(1)
         things.append(blockers[0][0] if blockers else "")
@@ -179,7 +183,7 @@ def _vut_shares(world: World, frame: int, rays: tuple[FloatRays, FloatRays]) -> 
 
 
 def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.object_]]:
-    """Name of the thing to which each triangle of each static world belongs."""
+    """Name of the thing to which each triangle belongs: those of the scene, then of the bodies."""
     instances = [scene.instances[index].id for index in scene.triangle_instance]
     names = []
     for parked in find_obstructions(runs).values():

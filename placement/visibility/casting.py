@@ -30,7 +30,7 @@ def obstruction_key(run: Run) -> tuple[object, ...]:
 
 
 def find_obstructions(runs: Sequence[Run]) -> dict[tuple[object, ...], tuple[PlacedActor, ...]]:
-    """Distinct obstructions in the order of `World.static`, by their content."""
+    """Distinct obstructions in the order of `World.obstructions`, by their content."""
     return {obstruction_key(run): run.obstruction for run in runs}
 
 
@@ -38,43 +38,52 @@ def build_static_mesh(
     scene: Scene, obstruction: tuple[PlacedActor, ...], origin_m: FloatArray
 ) -> tuple[FloatArray, NDArray[np.int32]]:
     """Vertices (n, 3) from an origin, and triangles (m, 3), of a scene with an obstruction."""
-    vertices, triangles = [scene.vertices_m], [scene.triangles]
-    for parked in obstruction:
-        shape = parked.actor.shapes[0]
+    vertices, triangles = bodies_mesh(obstruction, origin_m)
+    return (
+        np.concatenate([scene.vertices_m - origin_m, vertices]),
+        np.concatenate([scene.triangles, triangles + np.int32(len(scene.vertices_m))]),
+    )
+
+
+def bodies_mesh(
+    bodies: tuple[PlacedActor, ...], origin_m: FloatArray
+) -> tuple[FloatArray, NDArray[np.int32]]:
+    """Vertices (n, 3) from an origin, and triangles (m, 3), of placed bodies."""
+    vertices, triangles = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int32)]
+    for body in bodies:
+        shape = body.actor.shapes[0]
         triangles.append((shape.triangles + sum(map(len, vertices))).astype(np.int32))
-        vertices.append(to_world(shape.vertices_m, parked.pose))
-    return np.concatenate(vertices) - origin_m, np.concatenate(triangles)
+        vertices.append(to_world(shape.vertices_m, body.pose) - origin_m)
+    return np.concatenate(vertices), np.concatenate(triangles)
 
 
-def _build_boxes(obstruction: tuple[PlacedActor, ...], origin_m: FloatArray) -> FloatArray:
-    """Corners of the triangles of boxes around bodies, (n, 12, 3, 3); normals point outwards."""
-    boxes = []
-    for parked in obstruction:
-        vertices = parked.actor.shapes[0].vertices_m
-        corners = np.where(_BOX_CORNERS, vertices.max(axis=0), vertices.min(axis=0))
-        boxes.append((to_world(corners, parked.pose) - origin_m)[_BOX_TRIANGLES])
-    return np.array(boxes).reshape(-1, 12, 3, 3)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Obstruction:
+    """Bodies that stand in the scene in some of the runs, and the box of each in its own frame."""
+
+    caster: RayCaster  # of all of them, relative to the origin of `World`
+    position_m: FloatArray  # (n, 3): relative to the origin of `World`. [m]
+    rotation: FloatArray  # (n, 3, 3): from the frame of each into the world's
+    low_m: FloatArray  # (n, 3): where the box begins. [m]
+    high_m: FloatArray  # (n, 3): where it ends. [m]
 
 
-_BOX_CORNERS = np.array([[i & 4, i & 2, i & 1] for i in range(8)], dtype=bool)  # x, y, z
-_BOX_TRIANGLES = np.array(
-    [
-        *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5)),  # behind, ahead
-        *((0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6)),  # right, left
-        *((0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),  # below, above
-    ]
-)
+def _build_obstruction(
+    bodies: tuple[PlacedActor, ...], origin_m: FloatArray, rays: str
+) -> Obstruction:
+    vertices = [body.actor.shapes[0].vertices_m for body in bodies]
+    return Obstruction(
+        caster=build_caster(*bodies_mesh(bodies, origin_m), library=rays),
+        position_m=np.array([body.pose.position_m - origin_m for body in bodies]).reshape(-1, 3),
+        rotation=np.array(
+            [body_rotation(body.pose.yaw_deg, body.pose.pitch_deg) for body in bodies]
+        ).reshape(-1, 3, 3),
+        low_m=np.array([own.min(axis=0) for own in vertices]).reshape(-1, 3) - _AROUND_BODY_M,
+        high_m=np.array([own.max(axis=0) for own in vertices]).reshape(-1, 3) + _AROUND_BODY_M,
+    )
 
 
-def _is_inside_any(boxes_m: FloatArray, point_m: FloatArray) -> bool:
-    """Whether a point is in one of some convex bodies, (n, n_triangles, 3, 3), or nearly so."""
-    a, b, c = np.moveaxis(boxes_m, 2, 0)
-    normals = np.cross(b - a, c - a)
-    outside_m = ((point_m - a) * normals).sum(axis=-1) / np.linalg.norm(normals, axis=-1)
-    return bool((outside_m <= _NEARLY_M).all(axis=1).any())
-
-
-_NEARLY_M = 0.01
+_AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
 
 
 def _corners(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> FloatArray:
@@ -159,14 +168,14 @@ _OFF_SURFACE_M = 1.0e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VruViews:
-    """Every distinct (body, shape, pose, static world) in which a VRU is looked at."""
+    """Every distinct (body, shape, pose, obstruction) in which a VRU is looked at."""
 
     # (n_views, 2): middle of the footprint, relative to the origin of `World`. [m]
     position_m: FloatArray
     yaw_deg: FloatArray  # (n_views,): heading. [deg]
-    # surface_index, static_index: (n_views,): into the surfaces and static casters of `World`
+    # surface_index, obstruction_index: (n_views,): into the surfaces and obstructions of `World`
     surface_index: IntArray
-    static_index: IntArray
+    obstruction_index: IntArray
     # (n_views, 3, n_points): by axis, the body's points, relative to the origin of `World`. [m]
     axes_m: FloatRays
     # (n_views, 3, n_corners): by axis, the points at the corners of the body's convex hull; some
@@ -192,10 +201,9 @@ class World:
 
     # (3,): subtracted from every coordinate: rays are cast in single precision. [m]
     origin_m: FloatArray
-    static: tuple[RayCaster, ...]  # the scene with each distinct obstruction
-    scene_m: FloatArray  # (n, 3, 3): corners of the scene's triangles, relative to `origin_m`. [m]
-    # (n, 12, 3, 3): the same of boxes around the bodies of each distinct obstruction. [m]
-    boxes_m: tuple[FloatArray, ...]
+    scene: RayCaster  # what stands there in all runs
+    scene_m: FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
+    obstructions: tuple[Obstruction, ...]  # each distinct one; maybe without any body
     surfaces: tuple[Surface, ...]  # each distinct shape of a VRU, and its caster in `bodies`
     bodies: tuple[RayCaster, ...]  # VRUs in their own frame
     vut: Actor  # the vehicle under test, and its caster in its own frame
@@ -245,12 +253,13 @@ def build_world(
     surfaces = tuple(
         build_surface(actor, index, n_points=n_points, seed=seed) for actor, index in shapes
     )
-    meshes = [build_static_mesh(scene, parked, origin) for parked in obstructions.values()]
     return World(
         origin_m=origin,
-        static=tuple(build_caster(*mesh, library=rays) for mesh in meshes),
+        scene=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
         scene_m=_corners(scene.vertices_m - origin, scene.triangles),
-        boxes_m=tuple(_build_boxes(parked, origin) for parked in obstructions.values()),
+        obstructions=tuple(
+            _build_obstruction(parked, origin, rays) for parked in obstructions.values()
+        ),
         surfaces=surfaces,
         bodies=tuple(_shape_caster(actor.shapes[index], rays) for actor, index in shapes),
         vut=vut,
@@ -311,7 +320,7 @@ def _build_views(
         position_m=unique[:, :2],
         yaw_deg=unique[:, 2],
         surface_index=surface_index,
-        static_index=unique[:, 4].astype(np.int64),
+        obstruction_index=unique[:, 4].astype(np.int64),
         axes_m=axes,
         hull_m=np.take_along_axis(axes, corners[surface_index][:, None, :], axis=2),
         middle_m=points.mean(axis=1),
@@ -428,7 +437,7 @@ def _is_blocked_by_static(
     max_distance_m: float,
 ) -> BoolArray:
     """Points hidden by the scene or the case's obstruction, (n, n_points)."""
-    from .shadows import N_AROUND, N_UP, fill_rays, find_unclear_points, mark_nearest
+    from .shadows import N_AROUND, N_UP, find_points_behind, find_unclear_points, mark_nearest
 
     views = world.views
     blocked = np.zeros((len(view_index), views.axes_m.shape[2]), dtype=bool)
@@ -436,30 +445,45 @@ def _is_blocked_by_static(
         return blocked
     # Things farther than this are behind all bodies: footprints' middles are what is near enough.
     far_m = max_distance_m + 2.0 * world.radius_m + 1.0
-    low_m, high_m = world.height_limits_m
-    limits = (near_m, far_m, low_m, high_m)
-    of_scene = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
-    mark_nearest(of_scene, world.scene_m, eye_m, *limits)
-    for index, (caster, boxes) in enumerate(zip(world.static, world.boxes_m, strict=True)):
-        rows = np.flatnonzero(views.static_index[view_index] == index)
-        if len(rows) == 0:
+    nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
+    mark_nearest(nearest, world.scene_m, eye_m, near_m, far_m, *world.height_limits_m)
+    find_unclear_points(
+        nearest, views.axes_m, views.middle_m, views.radius_m, eye_m, view_index, blocked
+    )
+    _cast_to_points(world.scene, world, eye_m, view_index, blocked, near_m=near_m)
+    for index, obstruction in enumerate(world.obstructions):
+        rows = np.flatnonzero(views.obstruction_index[view_index] == index)
+        if len(rows) == 0 or len(obstruction.position_m) == 0:
             continue
-        nearest = of_scene
-        if len(boxes):
-            nearest = of_scene.copy()
-            mark_nearest(nearest, boxes.reshape(-1, 3, 3), eye_m, *limits)
-            if _is_inside_any(boxes, eye_m):  # of a box only the outside is known
-                nearest[:] = 0.0
         here = view_index[rows]
-        asked = np.zeros((len(rows), blocked.shape[1]), dtype=bool)
-        find_unclear_points(
-            nearest, views.axes_m, views.middle_m, views.radius_m, eye_m, here, asked
+        behind = np.zeros((len(rows), blocked.shape[1]), dtype=bool)
+        find_points_behind(
+            obstruction.position_m,
+            obstruction.rotation,
+            obstruction.low_m,
+            obstruction.high_m,
+            *(views.axes_m, views.middle_m, views.radius_m, eye_m, here, blocked[rows], behind),
         )
-        starts, vectors = (np.empty((int(asked.sum()), 3), np.float32) for _ in range(2))
-        fill_rays(views.axes_m, here, asked, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
-        asked[asked] = caster.is_blocked(starts, vectors)
-        blocked[rows] = asked
+        _cast_to_points(obstruction.caster, world, eye_m, here, behind, near_m=near_m)
+        blocked[rows] |= behind
     return blocked
+
+
+def _cast_to_points(
+    caster: RayCaster,
+    world: World,
+    eye_m: FloatArray,
+    view_index: IntArray,
+    asked: BoolArray,
+    *,
+    near_m: float,
+) -> None:
+    """Of the points asked for, (n, n_points), leave those that something hides, in place."""
+    from .shadows import fill_rays
+
+    starts, vectors = (np.empty((int(asked.sum()), 3), np.float32) for _ in range(2))
+    fill_rays(world.views.axes_m, view_index, asked, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
+    asked[asked] = caster.is_blocked(starts, vectors)
 
 
 def _frames_behind_vut(world: World, eye_m: FloatArray, row_of_frame: IntArray) -> IntArray:
@@ -481,9 +505,6 @@ def _frames_behind_vut(world: World, eye_m: FloatArray, row_of_frame: IntArray) 
     lowest_m = eye_m[2] * (1.0 - np.minimum(share + reach_share, 1.0))
     kept: IntArray = frames[(beside_m <= reach_m) & (lowest_m <= world.vut.height_m)]
     return kept
-
-
-_AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
 
 
 def _is_blocked_by_vut(

@@ -251,7 +251,7 @@ def test_both_ray_libraries_see_the_same(build_scene, build_run):
     seen = {}
     for name in CASTERS:
         world = build_world(scene, runs, n_points=N_POINTS, seed=0, rays=name)
-        assert {type(caster) for caster in (*world.static, *world.bodies, world.vut_body)} == {
+        assert {type(caster) for caster in (world.scene, *world.bodies, world.vut_body)} == {
             CASTERS[name]
         }
         sight = cast_sight(world, eye, near_m=NEAR_M, max_distance_m=FAR_M)
@@ -283,9 +283,9 @@ def test_equal_obstructions_are_one_static_world(build_scene, build_run, actors)
         for number, obstruction in enumerate((park(3.0), (), park(3.0), park(3.5)))
     ]
     world = build_world(build_scene(), runs, n_points=N_POINTS, seed=0)
-    assert len(world.static) == 3
-    static = world.views.static_index[world.views.view_of_frame]
-    assert static[0] == static[2]
+    assert len(world.obstructions) == 3
+    obstruction = world.views.obstruction_index[world.views.view_of_frame]
+    assert obstruction[0] == obstruction[2]
     assert len(world.views.yaw_deg) == 3
 
 
