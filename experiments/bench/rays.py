@@ -103,12 +103,18 @@ def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> 
     scene = Recorder(world.scene)
     parked = [Recorder(obstruction.caster) for obstruction in world.obstructions]
     bodies = [Recorder(body) for body in world.bodies]
-    vut = Recorder(world.vut_body)
+    vut = Recorder(world.vehicles.casters[0])
+    vehicles = replace(world.vehicles, casters=(vut,))
+    vut_shape = world.vehicles.actors[0].shapes[0]
     obstructions = tuple(
         replace(obstruction, caster=caster)
         for obstruction, caster in zip(world.obstructions, parked, strict=True)
     )
-    cast(replace(world, scene=scene, obstructions=obstructions, bodies=tuple(bodies), vut_body=vut))
+    cast(
+        replace(
+            world, scene=scene, obstructions=obstructions, bodies=tuple(bodies), vehicles=vehicles
+        )
+    )
     meshes = [
         (setting.scene.vertices_m - world.origin_m, setting.scene.triangles, scene),
         *(
@@ -122,7 +128,7 @@ def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> 
             for surface, body in zip(world.surfaces, bodies, strict=True)
             for shape in (surface.actor.shapes[surface.shape_index],)
         ),
-        (world.vut.shapes[0].vertices_m, world.vut.shapes[0].triangles, vut),
+        (vut_shape.vertices_m, vut_shape.triangles, vut),
     ]
     cast_to = [mesh for mesh in meshes if mesh[2].rays]
     with threadpool_limits(1):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from geometry.actors import Actor, PlacedActor, Shape
+from geometry.actors import Actor, MovingActor, PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.poses import body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster, build_caster
@@ -196,6 +196,18 @@ class VruViews:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Vehicles:
+    """Bodies that move: the VUT, and what else drives by; one row for each and each frame."""
+
+    actors: tuple[Actor, ...]  # distinct bodies, the VUT first
+    casters: tuple[RayCaster, ...]  # of each, in its own frame
+    actor_index: IntArray  # (n,): into `actors`
+    frame: IntArray  # (n,): of the frame axis
+    position_m: FloatArray  # (n, 2): relative to the origin of `World`. [m]
+    yaw_deg: FloatArray  # (n,): heading. [deg]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class World:
     """All that rays are cast against, and all that they are cast to."""
 
@@ -206,11 +218,7 @@ class World:
     obstructions: tuple[Obstruction, ...]  # each distinct one; maybe without any body
     surfaces: tuple[Surface, ...]  # each distinct shape of a VRU, and its caster in `bodies`
     bodies: tuple[RayCaster, ...]  # VRUs in their own frame
-    vut: Actor  # the vehicle under test, and its caster in its own frame
-    vut_body: RayCaster  # see `vut`
-    # vut_position_m, vut_yaw_deg: (n_frames, 2), (n_frames,): relative to `origin_m`. [m], [deg]
-    vut_position_m: FloatArray
-    vut_yaw_deg: FloatArray
+    vehicles: Vehicles  # what moves
     views: VruViews  # what is looked at
 
     @property
@@ -249,7 +257,6 @@ def build_world(
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     shapes = _find_shapes(runs)
     obstructions = find_obstructions(runs)
-    vut = runs[0].encounter.vut
     surfaces = tuple(
         build_surface(actor, index, n_points=n_points, seed=seed) for actor, index in shapes
     )
@@ -262,11 +269,33 @@ def build_world(
         ),
         surfaces=surfaces,
         bodies=tuple(_shape_caster(actor.shapes[index], rays) for actor, index in shapes),
-        vut=vut,
-        vut_body=_shape_caster(vut.shapes[0], rays),
-        vut_position_m=np.concatenate([run.vut_position_m for run in runs]) - origin[:2],
-        vut_yaw_deg=np.concatenate([run.vut_yaw_deg for run in runs]),
+        vehicles=_build_vehicles(runs, origin, rays),
         views=_build_views(runs, surfaces, list(obstructions), origin),
+    )
+
+
+def _build_vehicles(runs: Sequence[Run], origin_m: FloatArray, rays: str) -> Vehicles:
+    actors = {runs[0].encounter.vut: 0}
+    index, frame, position, yaw = [], [], [], []
+    first = 0
+    for run in runs:
+        vut = MovingActor(
+            actor=run.encounter.vut, position_m=run.vut_position_m, yaw_deg=run.vut_yaw_deg
+        )
+        for body in (vut, *run.traffic):
+            there = np.flatnonzero(body.is_there)
+            index.append(np.full(len(there), actors.setdefault(body.actor, len(actors))))
+            frame.append(first + there)
+            position.append(body.position_m[there] - origin_m[:2])
+            yaw.append(body.yaw_deg[there])
+        first += len(run.time_s)
+    return Vehicles(
+        actors=tuple(actors),
+        casters=tuple(_shape_caster(actor.shapes[0], rays) for actor in actors),
+        actor_index=np.concatenate(index),
+        frame=np.concatenate(frame),
+        position_m=np.concatenate(position),
+        yaw_deg=np.concatenate(yaw),
     )
 
 
@@ -359,13 +388,11 @@ def cast_sight(
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
     row_of_view[near_views[is_left]] = np.flatnonzero(is_left)
-    frames = _frames_behind_vut(world, eye, row_of_view[views.view_of_frame])
-    rows = row_of_view[views.view_of_frame[frames]]
-    behind_vut = _is_blocked_by_vut(
-        world, eye, frames, near_views[rows], blocked[rows], near_m=near_m
+    row_of_frame = row_of_view[views.view_of_frame]
+    frames, behind = _hidden_by_vehicles(
+        world, eye, row_of_frame, near_views, blocked, near_m=near_m
     )
-    is_hit = behind_vut.any(axis=1)
-    frames, rows, behind_vut = frames[is_hit], rows[is_hit], behind_vut[is_hit]
+    rows = row_of_frame[frames]
 
     is_asked = is_left & (for_lidar | (n_blocked > 0) | _is_close(world, eye, near_views))
     is_asked[rows] = True
@@ -377,9 +404,9 @@ def cast_sight(
     is_seen = np.asarray(is_visible.any(axis=1))
     entry_of_row: IntArray = np.full(len(near_views) + 1, -1)  # one more, for frames without a row
     entry_of_row[np.flatnonzero(is_seen)] = np.arange(int(is_seen.sum()))
-    entry_of_frame: IntArray = entry_of_row[row_of_view[views.view_of_frame]]
-    # The VUT hides a part only if it is one that would be seen.
-    left_visible = is_visible[rows] & ~behind_vut
+    entry_of_frame: IntArray = entry_of_row[row_of_frame]
+    # A vehicle hides a part only if it is one that would be seen.
+    left_visible = is_visible[rows] & ~behind
     is_less = is_seen[rows] & (left_visible != is_visible[rows]).any(axis=1)
     frames, rows, left_visible = frames[is_less], rows[is_less], left_visible[is_less]
     is_more = left_visible.any(axis=1)
@@ -486,60 +513,83 @@ def _cast_to_points(
     asked[asked] = caster.is_blocked(starts, vectors)
 
 
-def _frames_behind_vut(world: World, eye_m: FloatArray, row_of_frame: IntArray) -> IntArray:
-    """Frames in which the VUT may stand between eye and VRU: a conservative sieve.
+def _rows_between(world: World, eye_m: FloatArray, row_of_frame: IntArray) -> IntArray:
+    """Rows of vehicles that may stand between eye and VRU: a conservative sieve.
 
-    Those whose row is -1 are left out.
+    Those in frames whose row is -1 are left out.
     """
-    frames = np.flatnonzero(row_of_frame >= 0)
-    target = world.views.position_m[world.views.view_of_frame[frames]]
-    way = target - eye_m[:2]
-    to_vut = world.vut_position_m[frames] - eye_m[:2]
-    share = np.clip((to_vut * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-9), 0.0, 1.0)
-    beside_m = np.hypot(*(to_vut - share[:, None] * way).T)
-    reach_m = 0.5 * np.hypot(world.vut.length_m, world.vut.width_m) + max(
+    vehicles, views = world.vehicles, world.views
+    rows = np.flatnonzero(row_of_frame[vehicles.frame] >= 0)
+    actor = vehicles.actor_index[rows]
+    way = views.position_m[views.view_of_frame[vehicles.frame[rows]]] - eye_m[:2]
+    to_vehicle = vehicles.position_m[rows] - eye_m[:2]
+    share = np.clip(
+        (to_vehicle * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-9), 0.0, 1.0
+    )
+    beside_m = np.hypot(*(to_vehicle - share[:, None] * way).T)
+    half_diagonal_m = [0.5 * np.hypot(body.length_m, body.width_m) for body in vehicles.actors]
+    reach_m = np.array(half_diagonal_m)[actor] + max(
         0.5 * np.hypot(surface.actor.length_m, surface.actor.width_m) for surface in world.surfaces
     )
-    # Lowest ray over the far end of the VUT: from the eye down to the road below the VRU.
+    # Lowest ray over the far end of the vehicle: from the eye down to the road below the VRU.
     reach_share = reach_m / np.maximum(np.hypot(*way.T), 1e-9)
     lowest_m = eye_m[2] * (1.0 - np.minimum(share + reach_share, 1.0))
-    kept: IntArray = frames[(beside_m <= reach_m) & (lowest_m <= world.vut.height_m)]
+    height_m = np.array([body.height_m for body in vehicles.actors])[actor]
+    kept: IntArray = rows[(beside_m <= reach_m) & (lowest_m <= height_m)]
     return kept
 
 
-def _is_blocked_by_vut(
+_ROWS_TOGETHER = 4096  # of vehicles, whose rays are cast in one go
+
+
+def _hidden_by_vehicles(
     world: World,
     eye_m: FloatArray,
-    frames: IntArray,
-    view_index: IntArray,
-    is_hidden: BoolArray,
+    row_of_frame: IntArray,
+    view_of_row: IntArray,
+    hidden: BoolArray,
     *,
     near_m: float,
-) -> BoolArray:
-    """Points hidden by the VUT, by rays in its frame, (n, n_points); hidden ones are left out."""
+) -> tuple[IntArray, BoolArray]:
+    """Frames (n,) in which vehicles hide points, and which points, (n, n_points).
+
+    Points of a view that are `hidden` (n_rows, n_points) already are left out.
+    """
     from .shadows import find_rays_at_body
 
-    blocked = np.zeros(is_hidden.shape, dtype=bool)
-    if len(frames) == 0:
-        return blocked
-    yaw = np.radians(world.vut_yaw_deg[frames])
-    vertices = world.vut.shapes[0].vertices_m
-    starts, vectors = (np.empty((is_hidden.size, 3), np.float32) for _ in range(2))
-    n_rays = find_rays_at_body(
-        world.views.axes_m,
-        view_index,
-        is_hidden,
-        eye_m,
-        world.vut_position_m[frames],
-        np.cos(yaw),
-        np.sin(yaw),
-        vertices.min(axis=0) - _AROUND_BODY_M,
-        vertices.max(axis=0) + _AROUND_BODY_M,
-        near_m,
-        _OFF_SURFACE_M,
-        starts,
-        vectors,
-        blocked,
-    )
-    blocked[blocked] = world.vut_body.is_blocked(starts[:n_rays], vectors[:n_rays])
-    return blocked
+    vehicles = world.vehicles
+    between = _rows_between(world, eye_m, row_of_frame)
+    frames, place = np.unique(vehicles.frame[between], return_inverse=True)
+    behind = np.zeros((len(frames), hidden.shape[1]), dtype=bool)
+    for index, (actor, caster) in enumerate(zip(vehicles.actors, vehicles.casters, strict=True)):
+        vertices = actor.shapes[0].vertices_m
+        of_actor = np.flatnonzero(vehicles.actor_index[between] == index)
+        for start in range(0, len(of_actor), _ROWS_TOGETHER):
+            chosen = of_actor[start : start + _ROWS_TOGETHER]
+            own = between[chosen]
+            rows = row_of_frame[vehicles.frame[own]]
+            yaw = np.radians(vehicles.yaw_deg[own])
+            blocked = np.zeros((len(own), hidden.shape[1]), dtype=bool)
+            starts, vectors = (np.empty((blocked.size, 3), np.float32) for _ in range(2))
+            n_rays = find_rays_at_body(
+                world.views.axes_m,
+                view_of_row[rows],
+                hidden[rows],
+                eye_m,
+                vehicles.position_m[own],
+                np.cos(yaw),
+                np.sin(yaw),
+                vertices.min(axis=0) - _AROUND_BODY_M,
+                vertices.max(axis=0) + _AROUND_BODY_M,
+                near_m,
+                _OFF_SURFACE_M,
+                starts,
+                vectors,
+                blocked,
+            )
+            blocked[blocked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
+            order = np.argsort(place[chosen], kind="stable")
+            shown, first = np.unique(place[chosen][order], return_index=True)
+            behind[shown] |= np.logical_or.reduceat(blocked[order], first, axis=0)
+    is_hit = behind.any(axis=1)
+    return frames[is_hit], behind[is_hit]

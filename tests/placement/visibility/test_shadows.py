@@ -30,9 +30,14 @@ class Counter:
 
 
 def _sight_and_rays(world, eye, **options):
-    scene, vut = Counter(world.scene), Counter(world.vut_body)
+    scene, vut = Counter(world.scene), Counter(world.vehicles.casters[0])
     parked = [replace(each, caster=Counter(each.caster)) for each in world.obstructions]
-    counted = replace(world, scene=scene, obstructions=tuple(parked), vut_body=vut)
+    counted = replace(
+        world,
+        scene=scene,
+        obstructions=tuple(parked),
+        vehicles=replace(world.vehicles, casters=(vut,)),
+    )
     options = {"near_m": 0.35, "max_distance_m": 300.0} | options
     sight = cast_sight(counted, eye, **options)
     return sight, scene.n_rays + sum(each.caster.n_rays for each in parked), vut.n_rays
