@@ -26,7 +26,15 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
         [
             *("sumo", "-n", job["network"], "-r", job["routes"], "--seed", str(job["seed"])),
             *("--step-length", repr(step_s), "--no-step-log", "--no-warnings"),
-            *("--collision.action", "none", "--xml-validation", "never"),
+            # By default vehicles jump from lane to lane within one step.
+            *(
+                "--lanechange.duration",
+                "3",
+                "--collision.action",
+                "none",
+                "--xml-validation",
+                "never",
+            ),
             *("--duration-log.disable", "--random-depart-offset", "0"),
         ]
     )

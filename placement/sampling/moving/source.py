@@ -95,8 +95,14 @@ class MovingTraffic:
         members = {key: tuple(runs[index] for index in rows) for key, rows in groups.items()}
         trajectories, impact_s, count = self._windows(members, frame_s, rng)
         driven = list(runs)
-        for key, rows in groups.items():
-            longest = max(members[key], key=lambda run: len(run.time_s))
+        # A group's runs end together, but for runs whose impact is not on a frame.
+        together = {
+            (key, last_s): [row for row in rows if float(runs[row].time_s[-1]) == last_s]
+            for key, rows in groups.items()
+            for last_s in {float(runs[row].time_s[-1]) for row in rows}
+        }
+        for (key, _), rows in together.items():
+            longest = max((runs[row] for row in rows), key=lambda run: len(run.time_s))
             window = cut_window(
                 trajectories, longest.time_s + impact_s[key], middle_m=self.middle_m
             )
@@ -111,7 +117,7 @@ class MovingTraffic:
                 parked = tuple(id(placed) for placed in run.obstruction)
                 if parked not in in_parked:
                     in_parked[parked] = frames_in_parked(window, run.obstruction)
-                key_of_run = (id(run.encounter), *parked)
+                key_of_run = (id(run.encounter), len(run.time_s), *parked)
                 if key_of_run not in left:
                     left[key_of_run] = _beside(run, window, in_parked[parked], clearance_m)
                 bodies, n_left_out = left[key_of_run]
