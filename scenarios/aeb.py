@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError
-from geometry.files import load_toml, read_table
+from geometry.files import Table, load_toml, read_table
 
 from .encounters import (
     GRAZING_M,
@@ -75,8 +75,18 @@ class AebRule:
 
 @cache
 def load_aeb_rule() -> AebRule:
-    """The study's rule, from ``data/aeb.toml``."""
-    return read_table(load_toml(files(__package__) / "data" / "aeb.toml"), AebRule, "aeb.toml")
+    """The study's rule, from ``data/aeb.toml``: a confirmed track is never lost."""
+    return read_table(_load_tables()["study"], AebRule, "aeb.toml: study")
+
+
+@cache
+def load_track_memory_s() -> float:
+    """How long tracks live without detections where they are not the study's, in seconds."""
+    return float(_load_tables()["live_tracks"]["track_memory_s"])
+
+
+def _load_tables() -> Table:
+    return load_toml(files(__package__) / "data" / "aeb.toml")
 
 
 def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:
