@@ -11,7 +11,6 @@ from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
-from scenarios.aeb import is_in_time
 from scenarios.runs import find_onsets
 
 EVIL = "</script><script>alert(1)</script>\u2028\"'<!--&{{ 7 }}"

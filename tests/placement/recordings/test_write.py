@@ -17,7 +17,6 @@ from placement.recordings import (
     recorded_table,
     write_recording,
 )
-from scenarios.aeb import is_in_time
 from scenarios.exposure import weight_per_run
 from scenarios.runs import build_frame_axis, live_confirmation_times_s
 
