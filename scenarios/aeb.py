@@ -21,7 +21,8 @@ from .encounters import (
 from .encounters import Encounter as Encounter
 from .encounters import first_contact_s as first_contact_s
 
-_TIME_TOLERANCE_S = 1.0e-9  # frames lie on multiples of 0.1 s, which binary numbers only approach
+TIME_TOLERANCE_S = 1.0e-9
+"""Frames lie on multiples of 0.1 s, which binary numbers only approach."""
 
 # ---------- how the VUT brakes
 
@@ -65,7 +66,7 @@ class AebRule:
         if not isinstance(n_frames, int) or isinstance(n_frames, bool) or n_frames < 1:
             raise InputError("aeb.n_confirmations", n_frames, "a whole number, >= 1")
         frame_s = 1.0 / self.frame_rate_hz
-        if not self.track_memory_s >= frame_s - _TIME_TOLERANCE_S:  # nor is it NaN
+        if not self.track_memory_s >= frame_s - TIME_TOLERANCE_S:  # nor is it NaN
             raise InputError(
                 "aeb.track_memory_s",
                 self.track_memory_s,
@@ -216,7 +217,7 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         # A later onset has let the VUT keep the speed that an earlier one has taken since.
         onset_moves = encounter.vut_reach * (vut.speed_mps - slowest) * half_onset
         may_touch = (lowest <= onset_moves) & (since_onset[0] - half_onset <= standstill)
-        counts = (since_onset >= 0.0) & (since_onset <= standstill + _TIME_TOLERANCE_S)
+        counts = (since_onset >= 0.0) & (since_onset <= standstill + TIME_TOLERANCE_S)
         touches = ((separation <= 0.0) & counts).any(axis=0)
         touches |= may_touch & (onset_moves + speed * half_time <= GRAZING_M)
         return Measures(
@@ -353,7 +354,7 @@ def held_frames(
     last = np.broadcast_to(n_frames - 1 if last_frame is None else last_frame, times.shape)
     following = _first_from(seen, offset=1)
     next_s = np.where(following <= last, times[np.minimum(following, n_frames - 1)], until_s)
-    is_lost = seen & (next_s - times > memory_s + _TIME_TOLERANCE_S)
+    is_lost = seen & (next_s - times > memory_s + TIME_TOLERANCE_S)
     held: BoolArray = seen & (_first_from(is_lost, offset=0) > last)
     return held
 
@@ -384,7 +385,7 @@ def live_confirmation_time_s(
     (finite or not) and the margin, `until_s` less it.
     """
     times = np.asarray(time_s, dtype=np.float64)
-    frames = np.asarray(detected, dtype=bool) & (times <= until_s + _TIME_TOLERANCE_S)
+    frames = np.asarray(detected, dtype=bool) & (times <= until_s + TIME_TOLERANCE_S)
     memory_s = math.inf if until_s == math.inf else rule.track_memory_s
     confirmed = confirmation_mask(frames, n_confirmations=rule.n_confirmations)
     confirmed &= held_frames(frames, times, until_s=until_s, memory_s=memory_s)
@@ -397,5 +398,5 @@ def is_in_time(
 ) -> BoolArray:
     """Whether braking after a confirmation avoids: confirmation + latency <= last brake time."""
     onset = np.asarray(confirmation_s, dtype=np.float64) + latency_s
-    in_time: BoolArray = onset <= np.asarray(last_brake_s, dtype=np.float64) + _TIME_TOLERANCE_S
+    in_time: BoolArray = onset <= np.asarray(last_brake_s, dtype=np.float64) + TIME_TOLERANCE_S
     return in_time
