@@ -1,8 +1,11 @@
 """Sampled worlds: mounting errors, standing vehicles and latencies, drawn for each world."""
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 
 import numpy as np
 
@@ -131,10 +134,21 @@ def draw_samples(
     street = None if traffic.is_empty else build_street(setting.scene, traffic)
     ways = {} if street is None else build_ways(setting.runs, setting.rule)
     first, planned = Luck(seed=seed, purpose=purpose, index=0), tuple(candidates)
-    return (
-        _draw(setting, planned, uncertainty, replace(first, index=index), street, ways)
+    draws = (
+        partial(_draw, setting, planned, uncertainty, replace(first, index=index), street, ways)
         for index in range(n_samples)
     )
+    # SUMO drives in a process of its own: the next world's traffic while this one is looked at.
+    return (draw() for draw in draws) if uncertainty.moving is None else _one_ahead(draws)
+
+
+def _one_ahead(draws: Iterator[Callable[[], Sample]]) -> Iterator[Sample]:
+    with ThreadPoolExecutor(1) as pool:
+        pending = [pool.submit(draw) for draw in islice(draws, 1)]
+        while pending:
+            sample = pending.pop().result()
+            pending += [pool.submit(draw) for draw in islice(draws, 1)]
+            yield sample
 
 
 def _draw(

@@ -36,6 +36,7 @@ _COLUMNS = ("timestep_time", "vehicle_id", "vehicle_x", "vehicle_y", "vehicle_an
 _TYPE = "vehicle_type"
 _ON_FOOT_OR_CYCLE = ("bicycle", "bike", "ped", "person")  # road users, but no bodies to hide behind
 _STEP_TOLERANCE_S = 1.0e-3
+_MARGIN_M = 30.0  # beyond the reach: as far as a car drives in a second or two
 _log = logging.getLogger(__name__)
 
 # One sample: time, vehicle, x, y, angle, type.
@@ -67,7 +68,8 @@ def load_fcd(
         Added to x and y of the file. By default what the SUMO network says that lies beside the
         file (the only .net.xml in its folder); without one, nothing. [m]
     reach_m : float
-        Vehicles farther than this from the middle of the junction are left out. [m]
+        Vehicles must come as near to the middle of the junction; samples a little farther away
+        are kept, to be joined to those within. [m]
 
     Raises
     ------
@@ -97,7 +99,7 @@ def load_fcd(
         moved = placing.move(numbers[:, 1:3])
         away_m = np.hypot(*(moved - middle).T)
         nearest_m = min(nearest_m, float(away_m.min()))
-        for index in np.flatnonzero(away_m <= reach_m).tolist():
+        for index in np.flatnonzero(away_m <= reach_m + _MARGIN_M).tolist():
             name, kind = there[index][1], there[index][5]
             if name not in number:
                 number[name] = len(types)
@@ -109,7 +111,7 @@ def load_fcd(
                              "junction"), "fewer; cut out an hour")  # fmt: skip
     if n_seen == 0:
         raise InputError(str(path), Unquoted("no vehicle at any time"), "vehicles that drive")
-    if not kept:
+    if nearest_m > reach_m:
         got = Unquoted(
             f"no vehicle within {reach_m:g} m of the junction, the nearest {nearest_m:.0f} m away"
         )

@@ -29,7 +29,6 @@ from .windows import (
 )
 
 SUMO = "sumo"
-_KEPT_M = REACH_M + 30.0  # of a file: what comes near within a sample or two
 _SAME_TIME_S = 1.0e-6
 
 
@@ -221,7 +220,7 @@ def load_traffic(source: str, scene: Scene, *, offset: str = "") -> MovingTraffi
             name=f"SUMO, demand {demand.name}", middle_m=middle, demand=demand, network=network
         )
     demand = load_demand()
-    trajectories = load_fcd(path, scene, demand, offset_m=_read_offset(offset), reach_m=_KEPT_M)
+    trajectories = load_fcd(path, scene, demand, offset_m=_read_offset(offset), reach_m=REACH_M)
     return MovingTraffic(name=path.name, middle_m=middle, demand=demand, trajectories=trajectories)
 
 

@@ -10,6 +10,7 @@ import shapely
 from junctions import protocol_scene
 
 from geometry.errors import MissingExtraError
+from geometry.scene import Lane
 from geometry.scene_files import load_study_scene
 from placement.sampling.moving.demand import load_demand
 from placement.sampling.moving.network import build_network, missing_sumo
@@ -188,3 +189,36 @@ def test_a_pocket_for_turning_is_an_edge_of_its_own():
     assert 'id="west-in-edge-0_1"' in network.xml
     assert 'id="west-in-edge-1_1"' not in network.xml
     assert set(network.ways["west"]) == {"straight", "left", "right"}
+
+
+@needs_sumo
+def test_lanes_through_the_junction_are_driven_where_the_map_has_them():
+    """From the west the map has one lane through: SUMO turns nobody there, but elsewhere."""
+    scene = protocol_scene()
+    ends = {lane.id: lane.centreline_m for lane in scene.lanes}
+    through = Lane(
+        id="through",
+        kind="connecting",
+        width_m=3.5,
+        centreline_m=np.array([ends["west-in-0"][-1], [0.0, -1.5], ends["east-out-0"][0]]),
+    )
+    network = network_of(replace(scene, lanes=(*scene.lanes, through)), load_demand())
+    assert {turn: set(exits) for turn, exits in network.ways["west"].items()} == {
+        "straight": {"east"}
+    }
+    assert set(network.ways["east"]) == {"left", "straight", "right"}
+    assert "0.00,-1.50" in network.xml
+
+
+@needs_sumo
+def test_lanes_that_keep_left_are_driven_on_the_left():
+    scene = protocol_scene()
+    mirrored = tuple(
+        replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0]) for lane in scene.lanes
+    )
+    network = network_of(replace(scene, lanes=mirrored, keeps_left=True), load_demand())
+    right = network_of(scene, load_demand())
+    # In the mirror, north and south change places, and so do left and right.
+    assert set(right.ways["west"]["left"]) == {"north"}
+    assert set(network.ways["west"]["left"]) == {"north"}
+    assert 'lefthand="true"' in network.xml
