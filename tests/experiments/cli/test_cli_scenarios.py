@@ -70,8 +70,8 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--cases", "CPXX"], "--cases: got 'CPXX'; expected one of study, protocol-4.5.1, all"),
-        (["--cases", ""], "--cases: got ''; expected one of study"),
+        (["--cases", "CPXX"], "--cases: got 'CPXX'; expected one of default, study, protocol-4.5.1"),
+        (["--cases", ""], "--cases: got ''; expected one of default"),
         (["--speeds", "fast"], "--speeds: got 'fast'; expected km/h with commas between"),
         (["--cases", "CBLA", "--speeds", "70"], "--speeds: got 70; expected 25 to 60 km/h"),
         (["--approaches", "up"], "--approaches: got 'up'; expected one or more of east, north,"),
