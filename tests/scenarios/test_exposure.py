@@ -136,9 +136,7 @@ def test_a_position_can_be_named(table):
         "case,approach,position,weight\nCPLA-50,north,0,2\nCPLA-50,*,-15,1\nCPLA-50,,+15,1\n"
     )
     assert weigh(runs, str(path)) == pytest.approx([1 / 4, 1 / 4, 1 / 4, 1 / 4])
-    path = table(
-        "case,approach,position,weight\nCPLA-50,,'-15.0,1\nCPLA-50,,15,2\nCPLA-50,,'0,1\n"
-    )
+    path = table("case,approach,position,weight\nCPLA-50,,'-15.0,1\nCPLA-50,,15,2\nCPLA-50,,'0,1\n")
     assert weigh(runs, str(path)) == pytest.approx([1 / 8, 1 / 8, 1 / 4, 1 / 2])
     path = table("case,approach,position,weight\nCPLA-50,north,*,2\n")
     assert weigh(runs, str(path)) == pytest.approx([1 / 4] * 4)
