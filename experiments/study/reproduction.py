@@ -50,6 +50,8 @@ from .layout import load_carlancap_layout
 
 OWN_CASES = "CPNC-50,CBNA,CBLA"
 """The cases whose starts and figures the study publishes."""
+# At the junction alone, every run alike, a track for ever once confirmed.
+_AS_STUDIED = Question(cases=OWN_CASES, along_arms="0", weights="run", track_memory_s=math.inf)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,9 +76,7 @@ class Variant:
 def build_variants() -> tuple[Variant, ...]:
     """As it is first; then walls, parked cars, smallest box and field of view, changed."""
     layout = load_carlancap_layout()
-    base = build_setting(
-        Question(cases=OWN_CASES, along_arms="0", track_memory_s=math.inf), load_study_scene()
-    )
+    base = build_setting(_AS_STUDIED, load_study_scene())
     changes: Mapping[str, Callable[[], Setting]] = {
         "as it is": lambda: base,
         "walls 0.5 m nearer to the corner": lambda: _move_walls(base, 0.5),
@@ -375,13 +375,7 @@ def _evaluate(variant: Variant, compute: Compute) -> Evaluation:
 
 
 def _evaluate_weathers(detector: str, base: Variant, compute: Compute) -> Evaluation:
-    question = Question(
-        cases=OWN_CASES,
-        along_arms="0",
-        track_memory_s=math.inf,
-        weather=",".join(WEATHERS),
-        detector=detector,
-    )
+    question = replace(_AS_STUDIED, weather=",".join(WEATHERS), detector=detector)
     setting = build_setting(question, base.setting.scene)
     return evaluate_layout(base.layout, setting, compute=compute)
 

@@ -105,7 +105,11 @@ def plain(record):
 def test_all_runs_avoided_is_exactly_one_and_none_is_zero(evaluation_of):
     for n_avoided, ratio in ((N_RUNS, 1.0), (0, 0.0)):
         summary = plain(build_evaluation_record(evaluation_of(n_avoided), RULE))
-        ratios = {"all": ratio, "by_case": {"A": ratio, "B": ratio}}
+        ratios = {
+            "all": ratio,
+            "by_case": {"A": ratio, "B": ratio},
+            "by_position": {"0": ratio},
+        }
         assert summary == {
             "vut": ratios,
             "rsu_all": ratios,
@@ -179,6 +183,7 @@ def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
             {
                 "case": "C",
                 "approach": "north",
+                "position": "0",
                 "speeds_kmh": [20.0, 25.0],
                 "reason": "no room",
                 "is_possible": True,
