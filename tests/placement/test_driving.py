@@ -58,7 +58,7 @@ def test_the_rule_is_the_studys_but_for_what_the_question_changes():
 def test_tracks_live_as_long_as_asked_and_those_of_the_studys_cases_for_ever(
     monkeypatch, has_live_tracks
 ):
-    monkeypatch.setattr("placement.setting._TRACKS_LIVE_BY_DEFAULT", has_live_tracks)
+    monkeypatch.setattr("placement.setting.TRACKS_LIVE_BY_DEFAULT", has_live_tracks)
     default_s = load_track_memory_s() if has_live_tracks else math.inf
     for question, memory_s in (
         (Question(cases="study"), math.inf),
