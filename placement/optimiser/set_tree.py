@@ -2,8 +2,9 @@
 
 A set avoids a run only if one of its poses sees a certain frame of one of the run's windows, or a
 certain tail of it; any frame or tail of each window may be asked for, so that every choice makes
-the problem a maximal covering problem that promises no less (see :mod:`placement.optimiser.window_cover`). There a pose *covers*
-a run, and prices on runs bound all sets that contain certain poses:
+the problem a maximal covering problem that promises no less (see
+:mod:`placement.optimiser.window_cover`). There a pose *covers* a run, and prices on runs bound all
+sets that contain certain poses:
 
     sum over runs of max over m of (weight G(n + m) - m price) + the best poses' sums of prices,
 

@@ -290,10 +290,13 @@ def lose_little(
         kept[row] = most_lost >= 0.0
         for case in range(sets.shape[1] if with_failures else 1):
             failed = case if with_failures else -1
-            union[:] = 0
+            for word in range(len(union)):
+                union[word] = 0
             for unit in range(sets.shape[1]):
                 if unit != failed:
-                    union |= words[sets[row, unit]]
+                    of_unit = words[sets[row, unit]]
+                    for word in range(len(union)):
+                        union[word] |= of_unit[word]
             total = 0.0
             for rank in range(n_chains):
                 chain = order[rank]
