@@ -17,9 +17,6 @@ DEFAULT_CASES = "default"
 BASELINE_NAME = "carlancap-12"
 """What a user calls the study's own layout."""
 
-TRACKS_LIVE_BY_DEFAULT = False
-"""Whether confirmed tracks may be lost where the user does not say, but for the study's cases."""
-
 ASKED = "What is asked"
 MOUNTED = "What may be mounted, and where"
 SOUGHT = "How it is looked for"
@@ -378,10 +375,8 @@ class Question:
         Option(
             section=SEEN,
             help="A confirmed track lives so long without detections, and must live at the last "
-            "moment; inf: for ever, as the study reads it. Default: "
-            + (
-                "1, but inf for --cases study and recordings." if TRACKS_LIVE_BY_DEFAULT else "inf."
-            ),
+            "moment; inf: for ever, as the study reads it. Default: 1, but inf for --cases study "
+            "and recordings.",
             metavar="SECONDS",
             name="track-memory",
             takes_infinity=True,

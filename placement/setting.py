@@ -26,7 +26,7 @@ from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, 
 
 from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
 from .latency import load_latency_budget
-from .question import TRACKS_LIVE_BY_DEFAULT, Question
+from .question import Question
 
 # ---------- radio links
 
@@ -145,7 +145,7 @@ def _track_memory_s(question: Question) -> float:
     """
     if question.track_memory_s is not None:
         return question.track_memory_s
-    if is_study_set(question.cases) or not TRACKS_LIVE_BY_DEFAULT:
+    if is_study_set(question.cases):
         return math.inf
     return load_track_memory_s()
 

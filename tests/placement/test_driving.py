@@ -1,6 +1,6 @@
 import logging
-from dataclasses import replace
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -90,12 +90,8 @@ def test_the_rule_is_the_studys_but_for_what_the_question_changes():
     assert rule.frame_rate_hz == load_aeb_rule().frame_rate_hz
 
 
-@pytest.mark.parametrize("has_live_tracks", [False, True])
-def test_tracks_live_as_long_as_asked_and_those_of_the_studys_cases_for_ever(
-    monkeypatch, has_live_tracks
-):
-    monkeypatch.setattr("placement.setting.TRACKS_LIVE_BY_DEFAULT", has_live_tracks)
-    default_s = load_track_memory_s() if has_live_tracks else math.inf
+def test_tracks_live_as_long_as_asked_and_those_of_the_studys_cases_for_ever():
+    default_s = load_track_memory_s()
     for question, memory_s in (
         (Question(cases="study"), math.inf),
         (Question(cases="all"), default_s),
