@@ -178,7 +178,7 @@ def build_additional_variants() -> tuple[Variant, ...]:
 def _additional(setting: Setting, position: str) -> Setting:
     """The runs of the additional cases at one position along the arms."""
     cases = {figure.case for figure in load_additional()}
-    runs = [run for run in setting.runs if run.case.name in cases and run.position.name == position]
+    runs = [run for run in setting.runs if run.case.name in cases and run.position == position]
     return _of_runs(setting, runs)
 
 

@@ -81,7 +81,7 @@ def test_how_far_along_the_arms_is_chosen():
 
 
 def test_the_rule_is_the_studys_but_for_what_the_question_changes():
-    assert build_rule(Question()) == load_aeb_rule()
+    assert build_rule(Question(cases="study")) == load_aeb_rule()
     rule = build_rule(
         Question(deceleration_mps2=5.0, build_up_s=0.3, latency_s=0.0, n_confirmations=1)
     )
