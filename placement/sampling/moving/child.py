@@ -98,22 +98,26 @@ class _Vut:
         if row >= len(self.drive["front_m"]):
             return
         if not self.is_there:
-            route = f"{self.id}-route"
+            route = f"{self.id}.{step}"
             libsumo.route.add(route, self.drive["edges"])
             libsumo.vehicle.add(self.id, route, typeID=VUT)
             libsumo.vehicle.setSpeedMode(self.id, _SPEED_AS_SET)
             libsumo.vehicle.setLaneChangeMode(self.id, 0)
             self.is_there = True
         east, north = self.drive["front_m"][row]
-        libsumo.vehicle.setSpeed(self.id, self.drive["speed_mps"])
-        libsumo.vehicle.moveToXY(
-            self.id, "", -1, east, north, self.drive["angle_deg"][row], _EXACT_MAPPING
-        )
+        try:
+            libsumo.vehicle.setSpeed(self.id, self.drive["speed_mps"])
+            libsumo.vehicle.moveToXY(
+                self.id, "", -1, east, north, self.drive["angle_deg"][row], _EXACT_MAPPING
+            )
+        except libsumo.TraCIException:  # no lane within 100 m, or it has driven off the network
+            self.remove()
 
     def remove(self) -> None:
         """Take it off the road, if it is there."""
         if self.is_there and self.id in libsumo.vehicle.getIDList():
             libsumo.vehicle.remove(self.id)
+        self.is_there = False
 
 
 if __name__ == "__main__":

@@ -222,3 +222,14 @@ def test_lanes_that_keep_left_are_driven_on_the_left():
     assert set(right.ways["west"]["left"]) == {"north"}
     assert set(network.ways["west"]["left"]) == {"north"}
     assert 'lefthand="true"' in network.xml
+
+
+@needs_sumo
+def test_a_vut_that_comes_from_beyond_the_network_joins_in_when_it_is_there(runs):
+    """For the first second it is a kilometre away, where no lane is."""
+    run = lasting(next(run for run in runs if run.id == "CBLA/east/50"), 2.0)
+    position = np.array(run.vut_position_m)
+    position[:10] += [1000.0, 0.0]
+    scene, demand = load_study_scene(), replace(load_demand(), warm_up_s=10.0)
+    found = drive(scene, demand, [replace(run, vut_position_m=position)])
+    assert len(found.trajectories.bodies) > 0
