@@ -28,12 +28,13 @@ from geometry.files import (
     take_text,
     write_atomically,
 )
-from geometry.untrusted_files import MAX_UNPACKED_BYTES, unpacked_bytes
+from geometry.untrusted_files import unpacked_bytes
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
 from ..detection_table import DetectionTable
 from ..layout import Certificate, Stage
+from ..memory import check_fits
 from ..optimiser import Floor, Fusion, Goal, Limits, PlacementProblem, PresolveStatistics
 from ..optimiser.objectives import Objective
 
@@ -296,6 +297,7 @@ def _read_stage(table: Mapping[str, Any], where: str) -> Stage:
 KIND = "place-rsus/placement-problem/1"
 """What such a file says it holds; raise the number whenever the fields change."""
 
+_UNPACKED_BYTES = 4  # of memory for each byte of a file, unpacked, while it is read and checked
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -542,7 +544,13 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
             if "kind" not in archive.files:
                 raise InputError(f"{path}: kind", Unquoted("nothing"), f"a text such as {KIND}")
             assert archive.zip is not None  # it is open
-            unpacked_bytes(archive.zip, str(path), max_bytes=MAX_UNPACKED_BYTES)
+            n_bytes = unpacked_bytes(archive.zip, str(path))
+            check_fits(
+                str(path),
+                f"{n_bytes:,} bytes when unpacked",
+                _UNPACKED_BYTES * n_bytes,
+                "fewer poses or frames",
+            )
             yield archive
     except InputError:
         raise

@@ -43,8 +43,8 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
 from geometry.untrusted_files import unpacked_bytes
 
+from ...memory import check_fits
 from .instance import CoveringInstance
-from .memory import TEXT_BYTES, UNPACKED_BYTES, check_fits
 
 # ---------- others' formats
 
@@ -432,7 +432,10 @@ KIND = "place-rsus/covering-instance/1"
 
 _ZIP_MAGIC = b"PK"
 _MAX_BYTES = 1 << 30
-_MAX_UNPACKED_BYTES = 1 << 32
+_TEXT_BYTES = (
+    25  # of memory for each byte of a file of numbers while it is read; measured: 19 to 24
+)
+_UNPACKED_BYTES = 6  # of memory for each byte of our own files, unpacked, while they are read
 
 
 def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInstance:
@@ -462,7 +465,7 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
             check_fits(
                 where,
                 f"{status.st_size:,} bytes of text",
-                TEXT_BYTES * status.st_size,
+                _TEXT_BYTES * status.st_size,
                 "fewer rows or columns, or a file of this program (--out, .npz), a fifth of it",
             )
             data = file.read()
@@ -511,11 +514,11 @@ def instance_kind(path: Path) -> str | None:
 def _load_npz(file: BinaryIO, where: str) -> CoveringInstance:
     try:
         with np.load(file, allow_pickle=False) as stored:
-            n_bytes = unpacked_bytes(stored.zip, where, max_bytes=_MAX_UNPACKED_BYTES)
+            n_bytes = unpacked_bytes(stored.zip, where)
             check_fits(
                 where,
                 f"{n_bytes:,} bytes when unpacked",
-                UNPACKED_BYTES * n_bytes,
+                _UNPACKED_BYTES * n_bytes,
                 "fewer rows or columns",
             )
             fields = {name: stored[name] for name in stored.files}
