@@ -112,6 +112,8 @@ def read_table(table: object, kind: type[_T], where: str) -> _T:
         return msgspec.convert(table, kind, dec_hook=_read_array)
     except msgspec.ValidationError as error:
         raise _input_error(error, table, kind, where) from None
+    except UnicodeEncodeError as error:  # JSON can spell half of a surrogate pair
+        raise InputError(where, error.object, "text of whole characters") from None
 
 
 def read_tables(table: Table, kind: type[_T], where: str) -> dict[str, _T]:

@@ -563,9 +563,11 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
 
 def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:
     try:
-        array: NDArray[Any] = archive[name]
+        array: NDArray[Any] | bytes = archive[name]
     except Exception as error:
         raise _damaged(f"{where}: {name}", error) from None
+    if not isinstance(array, np.ndarray):  # what does not begin as an array comes as bytes
+        raise InputError(f"{where}: {name}", Unquoted("no array"), "an array")
     return array
 
 

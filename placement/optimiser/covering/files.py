@@ -182,7 +182,7 @@ def _formats_of_lines(data: bytes) -> set[str]:
     n_triples = sum(len(line) == _TRIPLE for line in lines)
     if 2 * n_lists > len(lines):
         formats = (_GECCO, _RAIL)  # as many records as the first, or the second number says
-        exact = {name for name, size in zip(formats, sizes, strict=False) if int(size) == n_lists}
+        exact = {name for name, size in zip(formats, sizes, strict=False) if float(size) == n_lists}
         return exact or set(formats)
     return {_STS} if 2 * n_triples > len(lines) else set()
 
@@ -430,6 +430,7 @@ FORMATS = (NPZ, *TEXT_FORMATS)
 KIND = "place-rsus/covering-instance/1"
 """What our own files say they hold; raise the number whenever the fields change."""
 
+_OPTIONAL = {"numbered_from": 0, "names": np.empty(0, dtype=np.str_)}
 _ZIP_MAGIC = b"PK"
 _MAX_BYTES = 1 << 30
 _TEXT_BYTES = (
@@ -540,8 +541,9 @@ def _load_npz(file: BinaryIO, where: str) -> CoveringInstance:
 
 def _covering_from(fields: Mapping[str, Any]) -> CoveringInstance:
     for name in ("n_rows", "covered_rows_start", "covered_rows", "cost", "weight"):
-        if name not in fields:
-            raise InputError(name, Unquoted("nothing"), "an array")
+        if not isinstance(fields.get(name), np.ndarray):  # what is no array is read as bytes
+            got = "something else" if name in fields else "nothing"
+            raise InputError(name, Unquoted(got), "an array")
         if fields[name].dtype.kind not in "iuf":
             raise InputError(name, Unquoted(f"an array of {fields[name].dtype}"), "numbers")
     start, rows = fields["covered_rows_start"], fields["covered_rows"]
@@ -554,6 +556,11 @@ def _covering_from(fields: Mapping[str, Any]) -> CoveringInstance:
         raise InputError(
             "covered_rows_start", Unquoted(f"shape {start.shape}"), "one number more than columns"
         )
+    first, names = (np.asarray(fields.get(name, empty)) for name, empty in _OPTIONAL.items())
+    if first.shape != () or first.dtype.kind not in "iu":
+        raise InputError("numbered_from", Unquoted(f"{first.dtype} of shape {first.shape}"), "0, 1")
+    if names.ndim != 1 or names.dtype.kind != "U":
+        raise InputError("names", Unquoted(f"{names.dtype} of shape {names.shape}"), "texts")
     try:
         covers = sp.csr_array(
             (np.ones(len(rows), dtype=np.bool_), rows, start),
@@ -566,6 +573,6 @@ def _covering_from(fields: Mapping[str, Any]) -> CoveringInstance:
         covers=covers,
         cost=fields["cost"],
         weight=fields["weight"],
-        names=tuple(map(str, np.atleast_1d(fields.get("names", ())))),
-        numbered_from=int(fields.get("numbered_from", 0)),
+        names=tuple(names.tolist()),
+        numbered_from=int(first),
     )
