@@ -4,6 +4,7 @@ import json
 import os
 import stat
 import struct
+import sys
 import zipfile
 import zlib
 from collections.abc import Collection, Iterator, Mapping
@@ -12,6 +13,9 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .errors import InputError, Unquoted
 from .files import MAX_TEXT_BYTES, check_file
@@ -142,6 +146,16 @@ def check_unpacked(n_bytes: int, where: str) -> None:
             Unquoted(f"{n_bytes:,} bytes or more when unpacked"),
             f"at most {MAX_UNPACKED_BYTES:,}, the budget of everything that is packed",
         )
+
+
+def is_text(array: NDArray[Any]) -> bool:
+    """Whether an array from a file has texts that Python can read: numpy looks at no character."""
+    if array.dtype.kind != "U":
+        return False
+    if not array.dtype.itemsize or not array.size:
+        return True
+    native = np.ascontiguousarray(array.astype(array.dtype.newbyteorder("=")))
+    return int(native.reshape(-1).view(np.uint32).max()) <= sys.maxunicode
 
 
 def refuse_bomb(n_bytes: int, where: str) -> None:

@@ -31,6 +31,7 @@ class Reader:
     # first name is what is read, "." stands for the folder.
     seeds: Callable[[], Mapping[str, tuple[str, Files]]]
     covers: tuple[str, ...]  # functions behind it, by module and name
+    share: int = 1  # of the time: about as many as it has formats
 
 
 def _written(write: Callable[[Path], object]) -> Files:
@@ -565,7 +566,7 @@ def _certified() -> Files:
 
 
 def _read_problem(path: Path) -> Any:
-    from placement.verification.certificates import instance_kind, load_problem
+    from placement.verification.instances import instance_kind, load_problem
 
     instance_kind(path)
     return load_problem(path)
@@ -655,6 +656,7 @@ READERS: Mapping[str, Reader] = {
             "geometry.untrusted_files.read_xml",
             "geometry.untrusted_files.read_xml_root",
         ),
+        share=4,
     ),
     "things": Reader(
         read=_read_things,
@@ -670,6 +672,7 @@ READERS: Mapping[str, Reader] = {
             "geometry.maps.point_files.open_points",
             "geometry.untrusted_files.read_text",
         ),
+        share=8,
     ),
     "sites": Reader(_read_sites, _sites, ("geometry.maps.site_files.read_sites",)),
     "scenes": Reader(
@@ -732,8 +735,9 @@ READERS: Mapping[str, Reader] = {
         read=_read_problem,
         seeds=lambda: {"npz": _one("instance.npz", _certified()["instance.npz"])},
         covers=(
-            "placement.verification.certificates.load_problem",
-            "placement.verification.certificates.instance_kind",
+            "placement.verification.instances.load_problem",
+            "placement.verification.instances.load_stored_problem",
+            "placement.verification.instances.instance_kind",
         ),
     ),
     "certificates": Reader(

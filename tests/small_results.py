@@ -1,13 +1,18 @@
 """A folder of results as an optimisation writes it: six runs, two units, no figures."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from experiments.jobs import placement, writing
 from experiments.progress import StageProgress
+from experiments.study.layout import load_carlancap_layout
 from geometry.actors import load_actors
 from geometry.scene_files import load_study_scene
+from placement import planning
+from placement.candidates import load_candidate_grid
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
 from placement.question import Question
@@ -43,12 +48,27 @@ def build_small_setting() -> Setting:
 
 
 def write_small_results(folder: Path, setting: Setting, question: Question | None = None) -> None:
-    """Choose two of the study's cameras, and write everything but the report and its figures."""
+    """Choose two cameras of a coarse grid, and write everything but the report and its figures."""
+    grid = replace(
+        load_candidate_grid(),
+        heights_m=np.array([6.0]),
+        yaw_step_deg=90.0,
+        pitches_deg=np.array([-20.0]),
+    )
+
+    study = load_carlancap_layout()
+    two_of_study = replace(study, units=study.units[:2])
+
+    def write_blank_report(folder: Path, *given: object, **options: object) -> None:
+        (folder / "report.html").write_text("<p>no figures</p>")
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(placement, "build_setting", lambda question, scene: setting)
-        patch.setattr(writing, "write_report", lambda *given, **options: None)
+        patch.setattr(planning, "load_candidate_grid", lambda: grid)
+        patch.setattr(placement, "find_baseline", lambda scene: two_of_study)
+        patch.setattr(writing, "write_report", write_blank_report)
         placement.run_placement(
-            question or Question(budget=2, within="carlancap-12", time_limit_s=60.0),
+            question or Question(budget=2, time_limit_s=60.0),
             out=folder,
             compute=Compute(workers=2),
             command="place-rsus",

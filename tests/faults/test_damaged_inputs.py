@@ -19,7 +19,8 @@ from geometry.scene_files import SCENE_FILE, THINGS_FILE, load_scene
 from placement.layout import load_layout
 from placement.private_ground import load_private_ground
 from placement.recordings import read_recording
-from placement.verification.certificates import load_certificate, load_problem
+from placement.verification.certificates import load_certificate
+from placement.verification.instances import load_problem
 from scenarios.exposure import weight_from_csv
 
 

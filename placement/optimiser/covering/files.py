@@ -41,7 +41,7 @@ import scipy.sparse as sp
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
-from geometry.untrusted_files import unpacked_bytes
+from geometry.untrusted_files import is_text, unpacked_bytes
 
 from ...memory import check_fits
 from .instance import CoveringInstance
@@ -530,7 +530,8 @@ def _load_npz(file: BinaryIO, where: str) -> CoveringInstance:
         raise InputError(
             where, Unquoted(f"a damaged file ({words})"), "an .npz file of this program"
         ) from None
-    kind = str(fields["kind"]) if "kind" in fields else Unquoted("nothing")
+    told = np.asarray(fields.get("kind", 0))
+    kind = str(told) if is_text(told) else Unquoted("no text" if "kind" in fields else "nothing")
     if kind != KIND:
         raise InputError(f"{where}: kind", kind, repr(KIND))
     try:
@@ -559,7 +560,7 @@ def _covering_from(fields: Mapping[str, Any]) -> CoveringInstance:
     first, names = (np.asarray(fields.get(name, empty)) for name, empty in _OPTIONAL.items())
     if first.shape != () or first.dtype.kind not in "iu":
         raise InputError("numbered_from", Unquoted(f"{first.dtype} of shape {first.shape}"), "0, 1")
-    if names.ndim != 1 or names.dtype.kind != "U":
+    if names.ndim != 1 or not is_text(names):
         raise InputError("names", Unquoted(f"{names.dtype} of shape {names.shape}"), "texts")
     try:
         covers = sp.csr_array(
