@@ -326,6 +326,42 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
         raise
 
 
+# ---------- folders whose content is believed: who else may write there?
+
+
+def writable_by_others(folder: Path) -> bool:
+    """Whether other users may put files into a folder, or another folder in its place.
+
+    A user's own group, which has the user's name and no other members, is nobody else; root may do
+    anything. False where the system has no such rights, or there is no such folder.
+    """
+    try:
+        import grp
+        import pwd
+    except ImportError:  # Windows
+        return False
+    me = os.getuid()
+    for index, path in enumerate([folder.absolute(), *folder.absolute().parents]):
+        try:
+            found = path.stat()
+        except OSError:
+            continue
+        if found.st_uid not in (me, 0):
+            return True
+        # What lies in a folder like /tmp can be moved by its owner alone.
+        is_kept = index > 0 and found.st_mode & stat.S_ISVTX
+        if found.st_mode & stat.S_IWOTH and not is_kept:
+            return True
+        if found.st_mode & stat.S_IWGRP and not is_kept and found.st_gid != 0:
+            try:
+                owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
+            except KeyError:
+                return True
+            if group.gr_name != owner or set(group.gr_mem) - {owner}:
+                return True
+    return False
+
+
 # ---------- temporary files and folders: whose process is alive?
 
 _YOUNG_S = 60.0  # a process may have made it and not locked it yet

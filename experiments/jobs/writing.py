@@ -10,6 +10,7 @@ import msgspec
 from matplotlib.axes import Axes
 
 from geometry.errors import InputError, Unquoted
+from geometry.files import write_atomically
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation
 from placement.layout import layout_records
@@ -139,4 +140,5 @@ def _kept_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
 
 
 def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    """Write a file, whole or not at all: what is kept of a failed writing can be read."""
+    write_atomically(path, lambda file: file.write(text.encode()))
