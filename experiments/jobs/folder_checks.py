@@ -247,6 +247,7 @@ def _check_runs(runs: "pd.DataFrame", problem: PlacementProblem, found: FolderCh
     columns: dict[str, Any] = {
         "case": axis.cases,
         "approach": axis.approaches,
+        "position": axis.positions,
         "weather": axis.weathers,
         "vut_speed_kmh": axis.vut_speed_kmh,
         "weight": axis.weight,
@@ -304,13 +305,13 @@ def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
             of_party = outcomes[name, party]
             cases = {ALL: ratios["all"], **ratios["by_case"]}
             for case, ratio in cases.items():
-                expected, _, _ = of_party.in_group([case, ALL, ALL, ALL])
+                expected, _, _ = of_party.in_group([case, *[ALL] * (len(_GROUPS) - 1)])
                 if not _agree(ratio, expected):
                     wrong = wrong or f"{name}, {party}, {case}: {ratio}, not {expected}"
     found.add(f"{MARKER}: ratios", wrong, f"of {', '.join(told)}: they follow from {RUNS_FILE}")
 
 
-_GROUPS = ("case", "approach", "weather", "vut_speed_kmh")
+_GROUPS = ("case", "approach", "position", "weather", "vut_speed_kmh")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,7 +25,14 @@ from geometry.files import (
 from ..layout import Certificate, Stage
 from ..optimiser import PlacementProblem, PresolveStatistics
 from ..optimiser.objectives import Objective
-from .instances import INSTANCE_FILE, KIND, KIND_WITH_MOUNTS, problem_hash, save_problem
+from .instances import (
+    INSTANCE_FILE,
+    KIND,
+    KIND_WITH_MOUNTS,
+    is_never_lost,
+    problem_hash,
+    save_problem,
+)
 from .mounts import Mounts
 
 SCHEMA = "place-rsus/certificate/1"
@@ -49,6 +56,10 @@ _FUSIONS: Mapping[str, str] = {
 _AVOIDED = (
     "a_r = 1 if a window of n frames in a row of run r is seen and the time of its last frame "
     "+ latency <= last brake time of r"
+)
+_ALIVE = (
+    "; and if from then on until last brake time - latency no longer than track_memory_s passes "
+    "without a frame that is seen"
 )
 
 
@@ -205,7 +216,7 @@ def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]
     """The model in words: fusion, what avoided means, and the formula of each stage."""
     return {
         "fusion": _FUSIONS[problem.fusion],
-        "avoided": _AVOIDED,
+        "avoided": _AVOIDED + ("" if is_never_lost(problem.rule) else _ALIVE),
         **{name: _FORMULAS[Objective(name)] for name in stages},
     }
 
@@ -236,7 +247,12 @@ def model_of(problem: PlacementProblem) -> dict[str, Any]:
             }
             for floor in problem.floors
         ],
-        "rule": asdict(problem.rule),
+        "rule": {
+            name: value
+            for name, value in asdict(problem.rule).items()
+            # Left out where it means nothing: JSON has no infinity.
+            if name != "track_memory_s" or not is_never_lost(problem.rule)
+        },
     }
 
 

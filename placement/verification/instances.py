@@ -7,6 +7,7 @@ may be missing is missing where it is None. Beside the problem it may have what 
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import check_file, write_atomically
 from geometry.untrusted_files import is_text, unpacked_bytes
 from scenarios.aeb import AebRule
+from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis
 
 from ..detection_table import DetectionTable
@@ -55,6 +57,7 @@ _FIELDS: Mapping[str, _Field] = {
     "run_ids": _Field("str", ("runs",)),
     "cases": _Field("str", ("runs",)),
     "approaches": _Field("str", ("runs",)),
+    "positions": _Field("str", ("runs",), is_optional=True),  # older files: 0 everywhere
     "weathers": _Field("str", ("runs",)),
     "vut_speed_kmh": _Field("float64", ("runs",)),
     "weight": _Field("float64", ("runs",)),
@@ -90,6 +93,7 @@ _FIELDS: Mapping[str, _Field] = {
     "latency_s": _Field("float64"),
     "n_confirmations": _Field("int64"),
     "frame_rate_hz": _Field("float64"),
+    "track_memory_s": _Field("float64", is_optional=True),  # infinite where it is missing
 }
 
 
@@ -183,6 +187,11 @@ def problem_hash(problem: PlacementProblem, mounts: Mounts | None = None) -> str
     return digest.hexdigest()
 
 
+def is_never_lost(rule: AebRule) -> bool:
+    """Whether a confirmed track lives for ever."""
+    return rule.track_memory_s == math.inf
+
+
 def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
     table, axis, limits, rule = problem.table, problem.table.axis, problem.limits, problem.rule
     floors = problem.floors
@@ -202,6 +211,10 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
     }
     for owner in (axis, limits, problem, rule):
         values |= {name: getattr(owner, name) for name in _FIELDS if hasattr(owner, name)}
+    if is_never_lost(rule):
+        values["track_memory_s"] = None
+    if set(axis.positions) == {AT_ZERO.name}:
+        del values["positions"]  # the same file, and hash, as before there were others
     arrays = {
         name: np.array(value, dtype=_FIELDS[name].dtype)
         for name, value in values.items()
@@ -224,6 +237,7 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
         run_ids=texts("run_ids"),
         cases=texts("cases"),
         approaches=texts("approaches"),
+        positions=texts("positions") if "positions" in arrays else (),
         weathers=texts("weathers"),
         vut_speed_kmh=arrays["vut_speed_kmh"],
         weight=arrays["weight"],
@@ -257,6 +271,7 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
             latency_s=number("latency_s"),
             n_confirmations=number("n_confirmations"),
             frame_rate_hz=number("frame_rate_hz"),
+            track_memory_s=number("track_memory_s") if "track_memory_s" in arrays else math.inf,
         ),
         floors=tuple(
             Floor(
