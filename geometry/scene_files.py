@@ -34,7 +34,7 @@ from .untrusted_files import check_gltf, refuse_bomb
 STUDY = "town05"
 FORMAT, VERSION = "place-rsus scene", 1
 SCENE_FILE, THINGS_FILE = "scene.toml", "things.glb"
-_MAX_BYTES = {SCENE_FILE: MAX_TOML_BYTES, THINGS_FILE: 1_000_000_000}
+_MAX_BYTES = {SCENE_FILE: MAX_TOML_BYTES, THINGS_FILE: 300_000_000}  # five million triangles
 _MILLIMETRES = 3
 _POLE_SECTIONS = 10
 _HEAD = """\
