@@ -303,11 +303,15 @@ def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
                 wrong = wrong or f"{name}, {party}: no runs of it in {RUNS_FILE}"
                 continue
             of_party = outcomes[name, party]
-            cases = {ALL: ratios["all"], **ratios["by_case"]}
-            for case, ratio in cases.items():
-                expected, _, _ = of_party.in_group([case, *[ALL] * (len(_GROUPS) - 1)])
+            groups = {("case", ALL): ratios["all"]}
+            for key in ("case", "position"):
+                told_by = ratios.get(f"by_{key}") or {}
+                groups |= {(key, word): ratio for word, ratio in told_by.items()}
+            for (key, word), ratio in groups.items():
+                group = [word if column == key else ALL for column in _GROUPS]
+                expected, _, _ = of_party.in_group(group)
                 if not _agree(ratio, expected):
-                    wrong = wrong or f"{name}, {party}, {case}: {ratio}, not {expected}"
+                    wrong = wrong or f"{name}, {party}, {word}: {ratio}, not {expected}"
     found.add(f"{MARKER}: ratios", wrong, f"of {', '.join(told)}: they follow from {RUNS_FILE}")
 
 

@@ -375,6 +375,10 @@ FOUND: dict[str, tuple[Change, str]] = {
         summary(lambda d: d["baseline"]["rsu_all"].update(all=0.0)),
         "summary.json: ratios",
     ),
+    "another ratio at a position": (
+        summary(lambda d: d["evaluation"]["vut"]["by_position"].update({"0": 0.123})),
+        "summary.json: ratios",
+    ),
     "more candidates": (summary(lambda d: d.update(candidates=9)), "summary.json: candidates"),
     "another budget, in the summary": (summary(lambda d: d.update(budget=9)), "summary.json: b"),
     "money spent": (summary(lambda d: d.update(spent_eur=1.0)), "summary.json: spent_eur"),
