@@ -249,7 +249,8 @@ def all_of_one(folder: Path) -> None:
     def tell(document: Document) -> None:
         vut = document["evaluation"]["vut"]
         vut["all"] = 1.0
-        vut["by_case"] = dict.fromkeys(vut["by_case"], 1.0)
+        for key in ("by_case", "by_position"):
+            vut[key] = dict.fromkeys(vut[key], 1.0)
 
     summary(tell)(folder)
 
