@@ -13,7 +13,7 @@ from problems import questions
 from geometry.errors import InputError
 from placement.detection_table import DetectionTable
 from placement.optimiser import Floor, Limits, PlacementProblem
-from placement.verification.certificates import (
+from placement.verification.instances import (
     KIND,
     instance_kind,
     load_problem,
