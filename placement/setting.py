@@ -145,12 +145,9 @@ def _track_memory_s(question: Question) -> float:
     """
     if question.track_memory_s is not None:
         return question.track_memory_s
-    if is_study_set(question.cases) or not _TRACKS_LIVE_BY_DEFAULT:
+    if is_study_set(question.cases):
         return math.inf
     return load_track_memory_s()
-
-
-_TRACKS_LIVE_BY_DEFAULT = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

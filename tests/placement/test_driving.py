@@ -1,4 +1,5 @@
 import logging
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from placement.setting import (
     drive,
     drive_one,
 )
-from scenarios.aeb import load_aeb_rule
+from scenarios.aeb import load_aeb_rule, load_track_memory_s
 from scenarios.cases import load_case_sets
 
 
@@ -87,6 +88,18 @@ def test_the_rule_is_the_studys_but_for_what_the_question_changes():
     assert (rule.deceleration_mps2, rule.build_up_s) == (5.0, 0.3)
     assert (rule.latency_s, rule.n_confirmations) == (0.0, 1)
     assert rule.frame_rate_hz == load_aeb_rule().frame_rate_hz
+
+
+def test_tracks_live_as_long_as_asked_and_those_of_the_studys_cases_for_ever():
+    default_s = load_track_memory_s()
+    for question, memory_s in (
+        (Question(cases="study"), math.inf),
+        (Question(cases="all"), default_s),
+        (Question(cases="CPNC-50"), default_s),
+        (Question(cases="study", track_memory_s=0.7), 0.7),
+        (Question(cases="CPNC-50", track_memory_s=math.inf), math.inf),
+    ):
+        assert build_rule(question).track_memory_s == memory_s
 
 
 def test_weaker_and_slower_brakes_must_begin_earlier():
@@ -159,6 +172,10 @@ def test_forced_speeds_are_warned_about(caplog):
         ({"speeds": "130"}, "--speeds: got 130; expected 10 to 60 km/h as the protocol drives"),
         ({"weights": "none"}, "--weights: got 'none'; expected run, case, euroncap-rating-2026"),
         ({"deceleration_mps2": 0.0}, "aeb.deceleration_mps2: got 0.0; expected a positive number"),
+        (
+            {"track_memory_s": 0.05},
+            "--track-memory: got 0.05; expected seconds, at least 0.1 (from one frame to the next)",
+        ),
     ],
 )
 def test_questions_that_cannot_be_answered_say_why(options, message):

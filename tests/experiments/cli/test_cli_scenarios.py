@@ -94,6 +94,11 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
         (["--deceleration", "nan"], "--deceleration: got 'nan'; expected m/s^2, more than 0"),
         (["--brake-build-up", "-1"], "--brake-build-up: got '-1'; expected seconds, at least 0"),
         (["--latency", "inf"], "--latency: got 'inf'; expected seconds, at least 0"),
+        (["--track-memory", "-1"], "--track-memory: got '-1'; expected seconds, more than 0, or i"),
+        (["--track-memory", "nan"], "--track-memory: got 'nan'; expected seconds, more than 0, or"),
+        (["--track-memory", "-inf"], "--track-memory: got '-inf'; expected seconds, more than 0,"),
+        (["--track-memory", "long"], "--track-memory: got 'long'; expected seconds, more than 0,"),
+        (["--track-memory", "0.09"], "--track-memory: got 0.09; expected seconds, at least 0.1 ("),
         (["--confirmations", "0"], "--confirmations: got '0'; expected a number of frames, at le"),
     ],
 )

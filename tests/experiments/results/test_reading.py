@@ -73,6 +73,11 @@ def _without_positions(summary):
         del summary["evaluation"][name]["by_position"]
 
 
+def test_a_result_that_does_not_say_how_long_tracks_live_is_one_where_they_never_die(folder):
+    rewrite(folder / "summary.json", lambda summary: summary.pop("track_memory_s"))
+    assert load_result(str(folder)).summary.track_memory_s is None
+
+
 def rewrite(path, change):
     summary = json.loads(path.read_text(encoding="utf-8"))
     change(summary)
