@@ -163,6 +163,7 @@ def variations(problem: PlacementProblem) -> dict[str, PlacementProblem]:
                 "latency_s",
                 "n_confirmations",
                 "frame_rate_hz",
+                "track_memory_s",
             )
         },
     }
@@ -173,6 +174,15 @@ def test_the_hash_changes_with_whatever_changes(problem):
     hashes["nothing"] = problem_hash(problem)
     assert len(set(hashes.values())) == len(hashes)
     assert all(len(text) == 64 for text in hashes.values())
+
+
+def test_tracks_that_live_for_ever_make_the_files_of_programs_without_a_memory(problem, tmp_path):
+    for memory_s, is_there in ((np.inf, False), (1.0, True)):
+        rule = replace(problem.rule, track_memory_s=memory_s)
+        save_problem(tmp_path / "a.npz", replace(problem, rule=rule))
+        with np.load(tmp_path / "a.npz") as archive:
+            assert ("track_memory_s" in archive.files) == is_there
+        assert load_problem(tmp_path / "a.npz").rule.track_memory_s == memory_s
 
 
 def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(problem, tmp_path):
@@ -205,7 +215,7 @@ def rewrite(path: Path, problem: PlacementProblem, **changes: Any) -> None:
     np.savez(path, **{name: array for name, array in arrays.items() if array is not ...})
 
 
-OPTIONAL = ("budget_units", "budget_eur", "sample_index")
+OPTIONAL = ("budget_units", "budget_eur", "sample_index", "track_memory_s")
 
 
 def test_every_field_that_is_missing_is_named(problem, tmp_path):
