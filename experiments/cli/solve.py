@@ -70,7 +70,8 @@ Examples:
     "track_memory_s",
     type=float,
     metavar="SECONDS",
-    expected="seconds, at least a frame's, or inf",
+    expected="seconds, at least from one frame to the next, or inf",
+    takes_infinity=True,
     help="Of placement problems: how long a track lives without detections, in place of the file's "
     "own; inf: for ever, as the study reads it.",
 )
