@@ -9,6 +9,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, freeze
 from scenarios.aeb import AebRule, is_in_time
 from scenarios.exposure import weight_share
+from scenarios.positions import sort_positions
 from scenarios.runs import FrameAxis, onset_times_s
 
 from .layout import Layout
@@ -134,6 +135,15 @@ def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
     """Accident prevention ratio per case, in the order in which the cases first appear."""
     cases = np.array(axis.cases)
     return {case: apr(verdict, axis, cases == case) for case in dict.fromkeys(axis.cases)}
+
+
+def apr_by_position(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
+    """Accident prevention ratio per position along the arms, as the VUT passes them."""
+    positions = np.array(axis.positions)
+    return {
+        position: apr(verdict, axis, positions == position)
+        for position in sort_positions(axis.positions)
+    }
 
 
 def earliest_arrival_s(parties: Sequence[tuple[BoolArray, float]], axis: FrameAxis) -> FloatArray:

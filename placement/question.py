@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from msgspec import Meta
 
-DEFAULT_CASES = "study"
+DEFAULT_CASES = "default"
 BASELINE_NAME = "carlancap-12"
 """What a user calls the study's own layout."""
 
@@ -256,12 +256,24 @@ class Question:
         str,
         Option(
             section=DRIVEN,
-            help="A set - study, protocol-4.5.1, all - or names with commas between; CPNA stands "
-            "for CPNA-25 and CPNA-75. `place-rsus scenarios list` shows them.",
+            help="A set - default (the study's cases, along the arms), study (those at the "
+            "junction alone), protocol-4.5.1, all - or names with commas between; CPNA stands for "
+            "CPNA-25 and CPNA-75. `place-rsus scenarios list` shows them.",
             metavar="CASES",
             is_common=True,
         ),
     ] = DEFAULT_CASES
+    along_arms: Annotated[
+        str,
+        Option(
+            section=DRIVEN,
+            help="Where along the arms cases are laid that are not bound to the junction: so far "
+            "before and behind it; 0: at the junction alone; default: 0,15,30,45, and 0 for "
+            "--cases study. Away from 0 each drives a third of the speeds, in turn.",
+            metavar="METRES",
+            is_common=True,
+        ),
+    ] = ""
     speeds: Annotated[
         str,
         Option(
@@ -302,11 +314,13 @@ class Question:
         str,
         Option(
             section=DRIVEN,
-            help="run: every run counts the same; case: every case; euroncap-rating-2026: by its "
-            "points; or a CSV file with case, approach, weight.",
+            help="run: every run counts the same; case: every case, and within it every approach, "
+            "then every position, then every run; euroncap-rating-2026: by its points; or a CSV "
+            "file with case, approach, weight, and if wanted position and weather; default: case, "
+            "and run for --cases study.",
             metavar="HOW",
         ),
-    ] = "run"
+    ] = ""
 
     fusion: Annotated[
         Literal["any", "single"],

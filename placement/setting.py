@@ -12,7 +12,8 @@ from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule
 from scenarios.cases import select_cases
-from scenarios.exposure import weigh
+from scenarios.exposure import default_weights, weigh
+from scenarios.positions import AT_ZERO, Position, is_bound, pick_positions, read_position
 from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, build_runs
 
 from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
@@ -131,8 +132,10 @@ class Drives:
     left_out: tuple[Refusal, ...]  # cases none of whose speeds were asked for
 
 
-def drive(question: Question, scene: Scene) -> Drives:
+def drive(question: Question, scene: Scene, *, position: Position | None = None) -> Drives:
     """Lay the cases of a question on a scene's junction; there may be no runs.
+
+    With a `position`, every speed is driven at this one alone.
 
     Raises InputError where a word of the question is unknown, or the protocol does not drive a
     speed.
@@ -140,6 +143,7 @@ def drive(question: Question, scene: Scene) -> Drives:
     selection = select_cases(question.cases, speeds=question.speeds or None, force=question.force)
     for beyond in selection.beyond:
         _log.warning("--force: %s km/h are not speeds of the protocol", beyond)
+    positions = (position,) if position else pick_positions(question.along_arms, question.cases)
     known = tuple(build_junction(scene).arms)
     approaches = _words(question.approaches, "--approaches", known) or known
     weathers = _words(question.weather, "--weather", WEATHERS)
@@ -152,6 +156,8 @@ def drive(question: Question, scene: Scene) -> Drives:
         rule=build_rule(question),
         approaches=approaches,
         weathers=weathers,
+        positions=positions,
+        is_spread=position is None,
     )
     left_out = tuple(
         Refusal(
@@ -167,9 +173,17 @@ def drive(question: Question, scene: Scene) -> Drives:
     return Drives(runs=runs, refused=refused, left_out=left_out)
 
 
-def drive_one(question: Question, scene: Scene) -> Run:
-    """The only run of a question; raises InputError if it names no run, or several."""
-    drives = drive(question, scene)
+def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
+    """The only run of a question at a position.
+
+    Raises InputError if it names no run, or several; or if there is no such position.
+    """
+    where = "--position"
+    place = read_position(position, where)
+    for case in select_cases(question.cases, force=True).cases:
+        if is_bound(case) and place != AT_ZERO:
+            raise InputError(where, position, f"0: {case.name} is bound to the junction")
+    drives = drive(question, scene, position=place)
     if not drives.runs and (*drives.refused, *drives.left_out):
         refusal = (*drives.refused, *drives.left_out)[0]
         raise InputError(
@@ -189,7 +203,8 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
     Parameters
     ----------
     question : Question, optional
-        What is driven and how much it counts; by default the study's cases, each run alike.
+        What is driven and how much it counts; by default the study's cases along the arms, each
+        case alike.
     scene : Scene, optional
         The junction, in place of the one that the question names.
 
@@ -214,7 +229,9 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
     return Setting(
         scene=scene,
         runs=runs,
-        axis=build_frame_axis(runs, weigh(runs, question.weights)),
+        axis=build_frame_axis(
+            runs, weigh(runs, question.weights or default_weights(question.cases))
+        ),
         rule=build_rule(question),
         detector=detector,
         planner=_planner(detector),

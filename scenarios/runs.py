@@ -22,6 +22,7 @@ from .aeb import AebRule, confirmation_time_s, last_brake_time_s
 from .cases import Case
 from .clearance import make_room
 from .encounters import Encounter
+from .positions import AT_ZERO, Position, positions_of, read_position, spread_speeds
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
 from .staging import CannotCarryError, NoRoadError, Staging, mirror_staging
@@ -37,11 +38,14 @@ class Run:
     Attributes
     ----------
     id : str
-        "case/approach/speed", by day; else "case/approach/speed/weather".
+        "case/approach/speed", by day; else "case/approach/speed/weather". At other positions than 0
+        the position stands behind the approach: "case/approach-15/speed".
     case : Case
         What is driven.
     approach : str
         The arm from which the VUT comes.
+    position : str
+        Where along its way, see :class:`scenarios.positions.Position`: "0", "-15", "+0", "+15".
     weather : str
         One of ``WEATHERS``.
     vut_speed_kmh : float
@@ -66,6 +70,7 @@ class Run:
     id: str
     case: Case
     approach: str
+    position: str
     weather: str
     vut_speed_kmh: float
     encounter: Encounter
@@ -90,6 +95,8 @@ class FrameAxis:
     ----------
     run_ids, cases, approaches, weathers : tuple of str
         Per run.
+    positions : tuple of str
+        Per run, see :attr:`Run.position`; nothing given stands for "0" in every run.
     vut_speed_kmh, weight, last_brake_time_s : (n_runs,) float
         Per run; weights sum to 1. [km/h], share, [s]
     run_start : (n_runs + 1,) int
@@ -107,9 +114,17 @@ class FrameAxis:
     last_brake_time_s: FloatArray
     run_start: IntArray
     time_s: FloatArray
+    positions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n_runs = len(self.run_ids)
+        object.__setattr__(self, "positions", self.positions or (AT_ZERO.name,) * n_runs)
+        if len(self.positions) != n_runs:
+            got = Unquoted(f"{len(self.positions)} positions")
+            raise InputError("positions", got, f"one per run, {n_runs}")
+        for name in set(self.positions):
+            if read_position(name, "positions").name != name:
+                raise InputError("positions", name, "a position by its name, such as 0, -15, +15")
         for field in ("vut_speed_kmh", "weight"):
             object.__setattr__(self, field, float_array(getattr(self, field), (n_runs,), field))
         if (self.weight < 0.0).any() or not np.isclose(self.weight.sum(), 1.0):
@@ -164,6 +179,7 @@ def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
         run_ids=tuple(run.id for run in runs),
         cases=tuple(run.case.name for run in runs),
         approaches=tuple(run.approach for run in runs),
+        positions=tuple(run.position for run in runs),
         weathers=tuple(run.weather for run in runs),
         vut_speed_kmh=np.array([run.vut_speed_kmh for run in runs]),
         weight=weight,
@@ -235,6 +251,8 @@ class Refusal:
         What is not driven.
     approach : str
         The arm from which the VUT would come.
+    position : str
+        Where along its way.
     speeds_kmh : tuple of float
         At which speeds. [km/h]
     reason : str
@@ -249,6 +267,7 @@ class Refusal:
     speeds_kmh: tuple[float, ...]
     reason: str
     is_possible: bool = True
+    position: str = AT_ZERO.name
 
 
 def build_runs(
@@ -259,6 +278,8 @@ def build_runs(
     rule: AebRule,
     approaches: Sequence[str] | None = None,
     weathers: Sequence[str] = ("day",),
+    positions: Sequence[Position] = (AT_ZERO,),
+    is_spread: bool = True,
 ) -> tuple[tuple[Run, ...], tuple[Refusal, ...]]:
     """Lay cases on every approach of a scene's junction.
 
@@ -277,11 +298,16 @@ def build_runs(
         Arms from which the VUT comes; by default all.
     weathers : sequence of str
         Every run is driven once in each. See ``WEATHERS``.
+    positions : sequence of Position
+        Where along the arms; cases that are bound to the junction have one place.
+    is_spread : bool
+        Other positions than 0 take turns with the speeds, see
+        :func:`scenarios.positions.spread_speeds`; else each drives all.
 
     Returns
     -------
     runs : tuple of Run
-        In the order of cases, approaches, speeds, weathers.
+        In the order of cases, approaches, positions, speeds, weathers.
     refusals : tuple of Refusal
         What could not be laid, with the reason.
 
@@ -303,42 +329,66 @@ def build_runs(
     refusals: list[Refusal] = []
     for case in cases:
         for approach in dict.fromkeys(approaches or junction.arms):
-            reasons: dict[tuple[str, bool], list[float]] = {}
-            for speed_kmh in case.vut_speeds_kmh:
-                try:
-                    staging = _stage(case, scene, right_hand, approach, speed_kmh, vut)
-                except CannotCarryError as error:
-                    is_possible = not isinstance(error, NoRoadError)
-                    reasons.setdefault((str(error), is_possible), []).append(speed_kmh)
-                    continue
-                run = _build_run(case, approach, speed_kmh, staging, rule=rule)
-                runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
-            refusals += [
-                Refusal(
-                    case=case,
-                    approach=approach,
-                    speeds_kmh=tuple(speeds),
-                    reason=reason,
-                    is_possible=is_possible,
+            for number, position in enumerate(positions_of(case, positions)):
+                turn = tuple(junction.arms).index(approach) + number
+                speeds_kmh = (
+                    spread_speeds(case.vut_speeds_kmh, position, turn=turn)
+                    if is_spread
+                    else case.vut_speeds_kmh
                 )
-                for (reason, is_possible), speeds in reasons.items()
-            ]
+                reasons: dict[tuple[str, bool], list[float]] = {}
+                for speed_kmh in speeds_kmh:
+                    try:
+                        staging = _stage(
+                            case, scene, right_hand, approach, position, speed_kmh, vut
+                        )
+                    except CannotCarryError as error:
+                        is_possible = not isinstance(error, NoRoadError)
+                        reasons.setdefault((str(error), is_possible), []).append(speed_kmh)
+                        continue
+                    run = _build_run(case, approach, position, speed_kmh, staging, rule=rule)
+                    runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
+                refusals += [
+                    Refusal(
+                        case=case,
+                        approach=approach,
+                        position=position.name,
+                        speeds_kmh=tuple(speeds),
+                        reason=reason,
+                        is_possible=is_possible,
+                    )
+                    for (reason, is_possible), speeds in reasons.items()
+                ]
     return tuple(runs), tuple(refusals)
 
 
 def _stage(
-    case: Case, scene: Scene, right_hand: Junction, approach: str, speed_kmh: float, vut: Actor
+    case: Case,
+    scene: Scene,
+    right_hand: Junction,
+    approach: str,
+    position: Position,
+    speed_kmh: float,
+    vut: Actor,
 ) -> Staging:
-    placement = find_placement(scene.name, case, approach)
+    placement = find_placement(scene.name, case, approach) if position == AT_ZERO else None
     if placement is not None:
         return stage_published(placement, vut_speed_kmh=speed_kmh, vut=vut)
     # The protocol's rules are those of traffic that keeps right.
-    staging = stage_by_protocol(case, right_hand, approach, vut_speed_kmh=speed_kmh, vut=vut)
+    staging = stage_by_protocol(
+        case, right_hand, approach, vut_speed_kmh=speed_kmh, vut=vut, position=position
+    )
     return make_room(mirror_staging(staging) if scene.keeps_left else staging, scene)
 
 
 def _build_run(
-    case: Case, approach: str, speed_kmh: float, staging: Staging, *, rule: AebRule
+    case: Case,
+    approach: str,
+    position: Position,
+    speed_kmh: float,
+    staging: Staging,
+    *,
+    rule: AebRule,
 ) -> Run:
     encounter = staging.encounter
     vut, vru = encounter.vut_motion, encounter.vru_motion
@@ -348,10 +398,12 @@ def _build_run(
     vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))
     vru_distance = vru.distance_m(time_s)
     vru_position, vru_yaw = vru.path.at(vru_distance)
+    place = approach if position == AT_ZERO else f"{approach}{position.name}"
     return Run(
-        id=f"{case.name}/{approach}/{speed_kmh:g}",
+        id=f"{case.name}/{place}/{speed_kmh:g}",
         case=case,
         approach=approach,
+        position=position.name,
         weather="day",
         vut_speed_kmh=speed_kmh,
         encounter=encounter,

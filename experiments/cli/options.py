@@ -231,7 +231,10 @@ def question_options(
 
 
 def one_run_options() -> Decorator:
-    """The argument and the options that name a single run, and how it brakes, as one `question`."""
+    """The argument and the options that name a single run, and how it brakes.
+
+    The command gets them as one `question`, and the `position` of the run.
+    """
     naming = (
         click.argument("cases", metavar="CASE"),
         option("--approach", "approaches", required=True, metavar="ARM", help="Such as east."),
@@ -245,10 +248,19 @@ def one_run_options() -> Decorator:
             expected="km/h, more than 0",
             help="Of the VUT.",
         ),
+        option(
+            "--position",
+            default="0",
+            show_default=True,
+            metavar="METRES",
+            help="Where along the arms: -15 is so far before the junction, +15 behind it.",
+        ),
     )
     apart = ("cases", "approaches", "speeds")
     others = question_options(
-        *(name for name in ONLY_DRIVEN if name not in apart), named_apart=apart, has_file=False
+        *(name for name in ONLY_DRIVEN if name not in (*apart, "along_arms")),
+        named_apart=apart,
+        has_file=False,
     )
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:

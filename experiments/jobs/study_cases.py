@@ -24,16 +24,17 @@ STAGE = "study's cases"
 def study_question(question: Question) -> Question:
     """The same question about what the study drives, read as the study does.
 
-    That is its cases by day, all speeds and approaches, each run alike. Scene, sensors, detector,
-    links and braking stay as they were asked for.
+    That is its cases by day, at the junction alone, all speeds and approaches, each run alike.
+    Scene, sensors, detector, links and braking stay as they were asked for.
     """
     return replace(
         question,
         cases="study",
+        along_arms="",
         speeds="",
         approaches="",
         weather="day",
-        weights="run",
+        weights="",
         force=False,
         strict=False,
     )

@@ -1,7 +1,7 @@
 """The answer: what a result says in a few sentences, its proof, and how far two models agree."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -12,9 +12,10 @@ from placement.layout import Layout
 from placement.optimiser.objectives import Objective
 from placement.setting import Setting
 from scenarios.exposure import weight_share
+from scenarios.positions import AT_ZERO, read_position
 from scenarios.runs import FrameAxis
 
-from ..results.dangers import DangerGroupRecord, avoided_runs
+from ..results.dangers import DangerGroupRecord, DangersRecord, avoided_runs
 from ..results.numbers import NOTHING, count_runs, joined, number, or_nan, percent, several
 from ..results.record import StageRecord
 from ..results.result import Result
@@ -86,15 +87,34 @@ def danger_sentences(result: Result) -> list[str]:
     are = "is" if dangers.not_avoided == 1 else "are"
     return [
         f"{dangers.not_avoided} of {count_runs(result.runs)} {are} not avoided: "
-        f"{_most_left(dangers.by_case, 'in')}."
+        f"{_most_left(dangers.by_case, 'in {}'.format)}{_at_positions(dangers)}."
     ]
 
 
-def _most_left(groups: Sequence[DangerGroupRecord], where: str) -> str:
+def _at_positions(dangers: DangersRecord) -> str:
+    """Where along the arms most are left; nothing where there is but one place."""
+    if not dangers.by_position:
+        return ""
+    return f"; by place {_most_left(dangers.by_position, position_words)}"
+
+
+def position_words(name: str) -> str:
+    """A position along the arms in words: "15 m before the junction" and the like."""
+    position = read_position(name, "position")
+    if position == AT_ZERO:
+        return "at the junction"
+    if position.distance_m == 0.0:
+        return "at the crosswalk ahead"
+    side = "beyond the crosswalk ahead" if position.is_behind else "before the junction"
+    return f"{position.distance_m:g} m {side}"
+
+
+def _most_left(groups: Sequence[DangerGroupRecord], words_of: Callable[[str], str]) -> str:
     """The groups with the largest share that is left, and how many are left in all others."""
     left = [group for group in groups if group.not_avoided]
     words = [
-        f"{group.not_avoided} of {group.runs} {where} {group.name}" for group in left[:_MAX_GROUPS]
+        f"{group.not_avoided} of {group.runs} {words_of(group.name)}"
+        for group in left[:_MAX_GROUPS]
     ]
     n_others = sum(group.not_avoided for group in left[_MAX_GROUPS:])
     return joined([*words, *([f"{n_others} elsewhere"] if n_others else [])])

@@ -9,10 +9,12 @@ from placement.evaluation import Evaluation
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.aeb import AebRule
+from scenarios.positions import AT_ZERO
 
 from ..figures.axes import NARROW_IN, describe_run, unit_labels
 from ..figures.evaluation import plot_heatmap, units_in_heatmap
-from ..results.numbers import count_runs, joined, number, percent
+from ..results.drives import describe_places
+from ..results.numbers import count_runs, number, percent
 from ..results.tables import margin_s
 from .accidents import several_weathers
 from .answer import is_weighted
@@ -187,15 +189,20 @@ def describe_hopeless(setting: Setting) -> list[str]:
 
 
 def describe_refusals(setting: Setting) -> list[str]:
-    """What was asked for and cannot be driven, in sentences; approaches share one with a reason."""
-    approaches: dict[tuple[str, tuple[float, ...], str], list[str]] = {}
+    """What was asked for and cannot be driven, in sentences; approaches share one with a reason.
+
+    Away from the junction, where each position has other speeds, these are not told.
+    """
+    places: dict[tuple[str, tuple[float, ...], str], dict[str, list[str]]] = {}
     for refusal in setting.refusals:
-        key = (refusal.case.name, refusal.speeds_kmh, refusal.reason)
-        approaches.setdefault(key, []).append(refusal.approach)
+        speeds = refusal.speeds_kmh if refusal.position == AT_ZERO.name else ()
+        of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})
+        of_reason.setdefault(refusal.approach, []).append(refusal.position)
     return [
-        f"{case} from the {joined(arms)} at {', '.join(f'{speed:g}' for speed in speeds)} km/h: "
-        f"{reason.removesuffix('.')}."
-        for (case, speeds, reason), arms in approaches.items()
+        f"{case} from the {describe_places(positions)}"
+        + (f" at {', '.join(f'{speed:g}' for speed in speeds)} km/h" if speeds else "")
+        + f": {reason.removesuffix('.')}."
+        for (case, speeds, reason), positions in places.items()
     ]
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from placement.baselines import RandomLayouts
 from placement.candidates import CandidatePose
-from placement.evaluation import Evaluation, Verdict, apr, apr_by_case
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, apr_by_position
 from placement.layout import Layout
 from placement.optimiser import apr as table_apr
 from placement.pipeline import Placement
@@ -24,6 +24,10 @@ class ScoreRecord(Record, frozen=True, kw_only=True):
     by_case: Annotated[
         dict[str, Share | None],
         says("APR of each case, by its name; null where no run of it has weight."),
+    ]
+    by_position: Annotated[
+        dict[str, Share | None],
+        says("APR of each position along the arms; null where no run there has weight."),
     ]
 
 
@@ -97,6 +101,7 @@ def build_score_record(
         runs_avoided=int(verdict.is_avoided.sum()),
         all=apr(verdict, axis),
         by_case={**apr_by_case(verdict, axis)},
+        by_position={**apr_by_position(verdict, axis)},
     )
 
 

@@ -10,7 +10,7 @@ from placement.evaluation import Evaluation
 from scenarios.runs import FrameAxis
 
 from .record import Record, says
-from .tables import RunGroup, groups_by_case
+from .tables import RunGroup, groups_by_case, groups_by_position
 
 
 class DangerGroupRecord(Record, frozen=True, kw_only=True):
@@ -28,6 +28,10 @@ class DangersRecord(Record, frozen=True, kw_only=True):
     by_case: Annotated[
         tuple[DangerGroupRecord, ...], says("The same by case, the largest share left first.")
     ]
+    by_position: Annotated[
+        tuple[DangerGroupRecord, ...],
+        says("By position along the arms, in the same order; empty where there is but one."),
+    ]
 
 
 def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
@@ -42,9 +46,12 @@ def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
 
 
 def build_dangers_record(is_avoided: BoolArray, axis: FrameAxis) -> DangersRecord:
-    """Runs that are left, counted by case; weights do not matter."""
+    """Runs that are left, counted by case and position; weights do not matter."""
+    positions = groups_by_position(axis)
     return DangersRecord(
-        not_avoided=int((~is_avoided).sum()), by_case=_groups(groups_by_case(axis), is_avoided)
+        not_avoided=int((~is_avoided).sum()),
+        by_case=_groups(groups_by_case(axis), is_avoided),
+        by_position=_groups(positions, is_avoided) if len(positions) > 1 else (),
     )
 
 

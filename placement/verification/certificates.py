@@ -30,6 +30,7 @@ from geometry.files import (
 )
 from geometry.untrusted_files import MAX_UNPACKED_BYTES, unpacked_bytes
 from scenarios.aeb import AebRule
+from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis
 
 from ..detection_table import DetectionTable
@@ -314,6 +315,7 @@ _FIELDS: Mapping[str, _Field] = {
     "run_ids": _Field("str", ("runs",)),
     "cases": _Field("str", ("runs",)),
     "approaches": _Field("str", ("runs",)),
+    "positions": _Field("str", ("runs",), is_optional=True),  # older files: 0 everywhere
     "weathers": _Field("str", ("runs",)),
     "vut_speed_kmh": _Field("float64", ("runs",)),
     "weight": _Field("float64", ("runs",)),
@@ -444,6 +446,8 @@ def _to_arrays(problem: PlacementProblem) -> Arrays:
     }
     for owner in (axis, limits, problem, rule):
         values |= {name: getattr(owner, name) for name in _FIELDS if hasattr(owner, name)}
+    if set(axis.positions) == {AT_ZERO.name}:
+        del values["positions"]  # the same file, and hash, as before there were others
     arrays = {
         name: np.array(value, dtype=_FIELDS[name].dtype)
         for name, value in values.items()
@@ -466,6 +470,7 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
         run_ids=texts("run_ids"),
         cases=texts("cases"),
         approaches=texts("approaches"),
+        positions=texts("positions") if "positions" in arrays else (),
         weathers=texts("weathers"),
         vut_speed_kmh=arrays["vut_speed_kmh"],
         weight=arrays["weight"],
