@@ -4,6 +4,7 @@ A field carries all that the command line and the question file need to know abo
 its section, its type with the values that it may have, and its default. Imports nothing heavy.
 """
 
+import math
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -36,6 +37,7 @@ class Option:
     name: str = ""
     is_common: bool = False  # whether most people need it: the short help shows it
     is_path: bool = False  # whether a shell completes the value as a path
+    takes_infinity: bool = False  # whether a number may be infinite
 
 
 def _share(of: str) -> Meta:
@@ -368,6 +370,17 @@ class Question:
             name="confirmations",
         ),
     ] = None
+    track_memory_s: Annotated[
+        Annotated[float, Meta(gt=0.0, description="seconds, more than 0, or inf")] | None,
+        Option(
+            section=SEEN,
+            help="A confirmed track lives so long without detections, and must live at the last "
+            "moment; inf: for ever once confirmed, as the study reads it, and as is the default.",
+            metavar="SECONDS",
+            name="track-memory",
+            takes_infinity=True,
+        ),
+    ] = None
     latency_s: Annotated[
         Annotated[float, _at_least(0, "seconds")] | None,
         Option(
@@ -463,7 +476,10 @@ def load_question_values(path: Path) -> dict[str, Any]:
         field = known[key]
         if field.kind is str and isinstance(value, int | float) and not isinstance(value, bool):
             value = str(value)
-        values[field.name] = read_table(value, field.kind, f"{path}: {key}")
+        is_endless = field.option.takes_infinity and value == math.inf
+        values[field.name] = (
+            value if is_endless else read_table(value, field.kind, f"{path}: {key}")
+        )
     return values
 
 

@@ -1,6 +1,7 @@
 """The setting in which layouts are placed and judged: scene, runs, braking, detectors, links."""
 
 import logging
+import math
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -10,7 +11,7 @@ from geometry.junction import build_junction
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
-from scenarios.aeb import AebRule, load_aeb_rule
+from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import select_cases
 from scenarios.exposure import default_weights, weigh
 from scenarios.positions import AT_ZERO, Position, is_bound, pick_positions, read_position
@@ -108,19 +109,41 @@ _log = logging.getLogger(__name__)
 def build_rule(question: Question) -> AebRule:
     """The study's braking rule, with what the question changes.
 
-    Raises InputError if the latency budget is unknown, or a latency is given beside it.
+    Raises InputError if the latency budget is unknown, a latency is given beside it, or tracks live
+    for less than a frame.
     """
     changes = {
         name: getattr(question, name)
         for name in ("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations")
         if getattr(question, name) is not None
     }
+    changes["track_memory_s"] = _track_memory_s(question)
     if question.latency_budget:
         if question.latency_s is not None:
             raise InputError("--latency", Unquoted("it beside --latency-budget"), "one of them")
         budget = load_latency_budget(question.latency_budget, where="--latency-budget")
         changes["latency_s"] = budget.mean_s
-    return replace(load_aeb_rule(), **changes)
+    try:
+        return replace(load_aeb_rule(), **changes)
+    except InputError as error:
+        if error.where != "aeb.track_memory_s":
+            raise
+        raise InputError("--track-memory", error.got, error.expected) from None
+
+
+def _track_memory_s(question: Question) -> float:
+    """How long tracks live: as the question says, else for ever where the study's cases are asked.
+
+    In seconds.
+    """
+    if question.track_memory_s is not None:
+        return question.track_memory_s
+    if question.cases == "study" or not _TRACKS_LIVE_BY_DEFAULT:
+        return math.inf
+    return load_track_memory_s()
+
+
+_TRACKS_LIVE_BY_DEFAULT = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

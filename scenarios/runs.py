@@ -18,7 +18,7 @@ from geometry.junction import Junction, build_junction, mirrored
 from geometry.scene import Scene
 from geometry.weather import load_weathers
 
-from .aeb import AebRule, confirmation_time_s, last_brake_time_s
+from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake_time_s
 from .cases import Case
 from .clearance import make_room
 from .encounters import Encounter
@@ -29,6 +29,7 @@ from .staging import CannotCarryError, NoRoadError, Staging, mirror_staging
 
 WEATHERS = tuple(load_weathers())
 _GRID_TOLERANCE = 1.0e-6  # of a frame
+_ROWS_TOGETHER = 64  # detections of so many sets of poses are looked at in one go
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -189,29 +190,49 @@ def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
     )
 
 
-def confirmation_times_s(
-    detected: BoolArray, axis: FrameAxis, *, n_confirmations: int
-) -> FloatArray:
-    """When the VRU of each run is first confirmed: (..., n_frames) detections -> (..., n_runs).
+def live_confirmation_times_s(detected: BoolArray, axis: FrameAxis, *, rule: AebRule) -> FloatArray:
+    """When the track of each run that is alive at its last moment was confirmed, in seconds.
 
-    No window reaches from one run into the next; see :func:`scenarios.aeb.confirmation_time_s`.
+    (..., n_frames) detections -> (..., n_runs); infinite where none is: the run is not avoided. The
+    last moment is the last brake time less the rule's latency. No track reaches from one run into
+    the next; see :func:`scenarios.aeb.live_confirmation_time_s`.
     """
-    return np.stack(
-        [
-            confirmation_time_s(
-                detected[..., axis.frames_of(run)],
-                axis.time_s[axis.frames_of(run)],
-                n_confirmations=n_confirmations,
-            )
-            for run in range(axis.n_runs)
-        ],
-        axis=-1,
-    )
+    last_brake_s = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
+    counts = np.asarray(is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s))
+    is_whole = _is_within_run(axis, rule.n_confirmations)
+    rows = detected.reshape(-1, axis.n_frames)
+    found = np.empty((len(rows), axis.n_runs))
+    for start in range(0, len(rows), _ROWS_TOGETHER):
+        block = rows[start : start + _ROWS_TOGETHER] & counts
+        live = confirmation_mask(block, n_confirmations=rule.n_confirmations) & is_whole
+        live &= _held(block, axis, rule)
+        found[start : start + _ROWS_TOGETHER] = _earliest(np.where(live, axis.time_s, np.inf), axis)
+    return found.reshape(*detected.shape[:-1], axis.n_runs)
 
 
-def onset_times_s(
-    arrival_s: FloatArray, axis: FrameAxis, *, n_confirmations: int
-) -> tuple[FloatArray, FloatArray]:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Onsets:
+    """From messages to braking, (n_runs,) each.
+
+    Attributes
+    ----------
+    confirmation_s : (n_runs,) float
+        When the track for which the VUT brakes was confirmed. Where no track is alive at the last
+        moment: when one is confirmed too late, or else the first that was lost again; infinite if
+        none is ever confirmed. [s]
+    onset_s : (n_runs,) float
+        When the VUT knows of that confirmation, so that braking may set in; infinite if no track is
+        confirmed, or the only ones were lost before the last moment. [s]
+    is_in_time : (n_runs,) bool
+        A confirmed track is alive at the last moment, and its messages have arrived.
+    """
+
+    confirmation_s: FloatArray
+    onset_s: FloatArray
+    is_in_time: BoolArray
+
+
+def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Onsets:
     """When the VRU of each run is confirmed, and when the VUT knows, if messages take their time.
 
     Parameters
@@ -220,25 +241,67 @@ def onset_times_s(
         When the VUT knows of a detection made in each frame; infinite where there is none. [s]
     axis : FrameAxis
         Runs and frames.
-    n_confirmations : int
-        Consecutive frames needed: the VUT knows when the last of their messages has arrived.
-
-    Returns
-    -------
-    confirmation_s, onset_s : (n_runs,) float
-        Time of the last frame of the window that is known first, and when it is known, so that
-        braking sets in; infinite if there is none. [s]
+    rule : AebRule
+        Confirmation, and for how long a track lives. A message that arrives after the last brake
+        time does not count; the age of a track is taken at the last brake time less the rule's
+        latency, also where messages take another time.
     """
+    n_frames = np.diff(axis.run_start)
+    last_brake_s = axis.last_brake_time_s.repeat(n_frames)
+    known_s = _known_s(arrival_s, axis, rule)
+    is_known = np.asarray(is_in_time(known_s, last_brake_s, latency_s=0.0))
+    arrives = np.asarray(is_in_time(arrival_s, last_brake_s, latency_s=0.0))
+    is_live = is_known & _held(arrives, axis, rule)
+    live_s = _earliest(np.where(is_live, known_s, np.inf), axis)
+    late_s = _earliest(np.where(is_known, np.inf, known_s), axis)
+    has_live = np.isfinite(live_s)
+    onset_s = np.where(has_live, live_s, late_s)
+    # The window that is known first; a track that was lost sets nothing in motion.
+    is_first = np.where(
+        np.isfinite(onset_s).repeat(n_frames),
+        (known_s == onset_s.repeat(n_frames)) & (is_live | ~has_live.repeat(n_frames)),
+        np.isfinite(known_s),
+    )
+    return Onsets(
+        confirmation_s=_earliest(np.where(is_first, axis.time_s, np.inf), axis),
+        onset_s=onset_s,
+        is_in_time=has_live,
+    )
+
+
+def _known_s(arrival_s: FloatArray, axis: FrameAxis, rule: AebRule) -> FloatArray:
+    """When the VUT knows of the window of frames that ends in each one, (n_frames,)."""
     known = np.full(axis.n_frames, np.inf)
-    if axis.n_frames >= n_confirmations:
-        windows = np.lib.stride_tricks.sliding_window_view(arrival_s, n_confirmations)
-        known[n_confirmations - 1 :] = windows.max(axis=1)
+    if axis.n_frames >= rule.n_confirmations:
+        windows = np.lib.stride_tricks.sliding_window_view(arrival_s, rule.n_confirmations)
+        known[rule.n_confirmations - 1 :] = windows.max(axis=1)
+    known[~_is_within_run(axis, rule.n_confirmations)] = np.inf
+    return known
+
+
+def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:
+    """Whether a frame and those before it, `n_frames` in all, are of one run, (n_frames,)."""
     start = axis.run_start[:-1].repeat(np.diff(axis.run_start))
-    known[np.arange(axis.n_frames) - start < n_confirmations - 1] = np.inf
-    onset = np.minimum.reduceat(known, axis.run_start[:-1])
-    first = [int(np.argmin(known[axis.frames_of(run)])) for run in range(axis.n_runs)]
-    confirmation = np.where(np.isfinite(onset), axis.time_s[axis.run_start[:-1] + first], np.inf)
-    return confirmation, onset
+    within: BoolArray = np.arange(axis.n_frames) - start >= n_frames - 1
+    return within
+
+
+def _held(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> BoolArray:
+    """Detected frames since which a track lives until the last moment of the frame's run."""
+    n_frames = np.diff(axis.run_start)
+    return held_frames(
+        detected,
+        axis.time_s,
+        until_s=(axis.last_brake_time_s - rule.latency_s).repeat(n_frames),
+        memory_s=rule.track_memory_s,
+        last_frame=(axis.run_start[1:] - 1).repeat(n_frames),
+    )
+
+
+def _earliest(times_s: FloatArray, axis: FrameAxis) -> FloatArray:
+    """Smallest time of each run: (..., n_frames) -> (..., n_runs)."""
+    earliest: FloatArray = np.minimum.reduceat(times_s, axis.run_start[:-1], axis=-1)
+    return earliest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

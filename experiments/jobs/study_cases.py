@@ -1,5 +1,6 @@
 """Layouts on the study's cases, beside the question that was asked."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -24,8 +25,9 @@ STAGE = "study's cases"
 def study_question(question: Question) -> Question:
     """The same question about what the study drives, read as the study does.
 
-    That is its cases by day, at the junction alone, all speeds and approaches, each run alike.
-    Scene, sensors, detector, links and braking stay as they were asked for.
+    That is its cases by day, at the junction alone, all speeds and approaches, each run alike, and a
+    track that is confirmed once lives for ever. Scene, sensors, detector, links and all else stay
+    as they were asked for.
     """
     return replace(
         question,
@@ -37,6 +39,7 @@ def study_question(question: Question) -> Question:
         weights="",
         force=False,
         strict=False,
+        track_memory_s=math.inf,
     )
 
 

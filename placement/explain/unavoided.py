@@ -13,7 +13,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.poses import body_rotation
 from geometry.raycast import FloatRays, build_caster, ray_lengths_m
 from geometry.scene import Scene
-from scenarios.aeb import confirmation_time_s, is_in_time
+from scenarios.aeb import confirmation_mask, is_in_time, live_confirmation_time_s
 from scenarios.runs import Run
 
 from ..candidates import CandidatePose, is_in_view
@@ -201,7 +201,7 @@ def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.object
 # ---------- runs
 
 
-Outcome = Literal["hopeless", "never seen", "never confirmed", "too late"]
+Outcome = Literal["hopeless", "never seen", "never confirmed", "lost again", "too late"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,10 +237,13 @@ class Unavoided:
         Which run.
     run_id : str
         Its name.
-    outcome : {"hopeless", "never seen", "never confirmed", "too late"}
-        "hopeless": no frame comes early enough for any unit. Otherwise what the chosen units do.
+    outcome : {"hopeless", "never seen", "never confirmed", "lost again", "too late"}
+        "hopeless": no frame comes early enough for any unit. Otherwise what the chosen units do;
+        "lost again": they confirm early enough, but the track is not alive at the last moment, and
+        none is confirmed after it.
     late_s : float
-        By how much braking sets in too late; infinite if it never does. [s]
+        By how much braking sets in too late; infinite if it never does, also where the track was
+        lost again. [s]
     n_frames : int
         Frames from which braking in time could follow.
     n_seen : int
@@ -345,8 +348,8 @@ def _find_miss(
     detected = _detected_in(problem.table, run)[chosen]
     seen = np.logical_or.reduce(detected, axis=0)
     together = seen if problem.fusion == "any" else detected
-    confirmed_s = confirmation_time_s(together, time_s, n_confirmations=rule.n_confirmations)
-    onset_s = float(np.min(confirmed_s)) + rule.latency_s
+    confirmed = confirmation_mask(together, n_confirmations=rule.n_confirmations)
+    late_s = np.where(confirmed & ~counts, time_s, np.inf).min(initial=np.inf) + rule.latency_s
     outcome: Outcome = "too late"
     look = None
     if int(counts.sum()) < rule.n_confirmations:
@@ -354,8 +357,10 @@ def _find_miss(
     else:
         if not seen.any():
             outcome = "never seen"
-        elif not np.isfinite(onset_s):
+        elif not confirmed.any():
             outcome = "never confirmed"
+        elif not np.isfinite(late_s):
+            outcome = "lost again"
         units = [candidates[pose] for pose in chosen]
         nearest = _who_should_see(setting.runs[run], units, np.flatnonzero(counts))
         look = Look(
@@ -366,7 +371,7 @@ def _find_miss(
     return _Miss(
         run=run,
         outcome=outcome,
-        late_s=onset_s - float(last_brake_s) if np.isfinite(last_brake_s) else np.inf,
+        late_s=float(late_s - last_brake_s) if np.isfinite(last_brake_s) else np.inf,
         counts=counts,
         seen=seen,
         look=look,
@@ -418,13 +423,14 @@ def _nearest_rescue(
     seen = detected[poses]
     if problem.fusion == "any":
         seen = seen | detected[chosen].any(axis=0)
-    confirmed_s = confirmation_time_s(
-        seen, axis.time_s[axis.frames_of(run)], n_confirmations=rule.n_confirmations
+    last_brake_s = float(axis.last_brake_time_s[run])
+    confirmed_s = live_confirmation_time_s(
+        seen,
+        axis.time_s[axis.frames_of(run)],
+        until_s=last_brake_s - rule.latency_s,
+        rule=rule,
     )
-    last_brake_s = axis.last_brake_time_s[run]
-    saves = np.isfinite(confirmed_s) & is_in_time(
-        confirmed_s, last_brake_s, latency_s=rule.latency_s
-    )
+    saves = np.isfinite(confirmed_s)
     if not saves.any():
         return None
     helping = np.flatnonzero(saves)
