@@ -25,7 +25,7 @@ STAGE = "study's cases"
 def study_question(question: Question) -> Question:
     """The same question about what the study drives, read as the study does.
 
-    That is its cases by day, at the junction alone, all speeds and approaches, each run alike, and a
+    That is its cases by day, at the junction alone, all speeds and approaches, each run alike; a
     track that is confirmed once lives for ever. Scene, sensors, detector, links and all else stay
     as they were asked for.
     """

@@ -291,8 +291,8 @@ def study_cases_section(record: StudyCasesRecord | UnsetType) -> Section | None:
 
 STUDY_CASES_NOTE = (
     "What the CarlaNCAP study drives, as it reads it: its cases by day, each at its one place, "
-    "every run alike. All else is as in the question above. By the evaluator; layouts were not "
-    "chosen for these runs."
+    "every run alike, and a track that is confirmed once lives for ever. All else is as in the "
+    "question above. By the evaluator; layouts were not chosen for these runs."
 )
 
 
