@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.actors import Actor, PlacedActor
+from geometry.actors import Actor, MovingActor, PlacedActor
 from geometry.arrays import (
     BoolArray,
     FloatArray,
@@ -66,6 +66,8 @@ class Run:
         Parked bodies of this run.
     last_brake_time_s : float
         Latest onset of braking that avoids. [s]
+    traffic : tuple of MovingActor
+        Vehicles that drive by, frame by frame; nobody touches VUT or VRU before the impact.
     """
 
     id: str
@@ -83,6 +85,16 @@ class Run:
     vru_shape: IntArray
     obstruction: tuple[PlacedActor, ...]
     last_brake_time_s: float
+    traffic: tuple[MovingActor, ...] = ()
+
+    def __post_init__(self) -> None:
+        for body in self.traffic:
+            if len(body.yaw_deg) != len(self.time_s):
+                raise InputError(
+                    f"run {self.id}: traffic",
+                    Unquoted(f"{len(body.yaw_deg)} frames"),
+                    f"{len(self.time_s)}, as many as the run has",
+                )
 
     def __repr__(self) -> str:
         return f"Run({self.id!r}, {len(self.time_s)} frames)"

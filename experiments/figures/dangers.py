@@ -56,9 +56,7 @@ def find_places(setting: Setting) -> tuple[Place, ...]:
     if len(points) > 1:
         labels = fcluster(linkage(points, "complete"), _SAME_PLACE_M, criterion="distance")
     return tuple(
-        Place(
-            position_m=points[labels == label].mean(axis=0), runs=np.flatnonzero(labels == label)
-        )
+        Place(position_m=points[labels == label].mean(axis=0), runs=np.flatnonzero(labels == label))
         for label in dict.fromkeys(labels.tolist())
     )
 

@@ -28,6 +28,7 @@ from .failures import failures_section
 from .front import front_section
 from .interactive.part import interactive_part
 from .margins import margins_section
+from .positions import positions_section
 from .private_ground import private_ground_section
 from .runs import build_heatmaps, cases_section, heatmaps_section, runs_section
 from .sampled_worlds import sampled_picture, sampled_section
@@ -162,6 +163,7 @@ def _build_report(
         front_section(result.front),
         *explanation_sections(result.explained, labels),
         accidents_section(evaluations, of_apr, is_optimised=bool(result.stages)),
+        positions_section(setting, evaluations, fusion=result.fusion),
         comparison_section(result, evaluations),
         study_cases_section(result.study_cases),
         margins_section(shown),

@@ -61,6 +61,10 @@ _AVOIDED = (
     "a_r = 1 if a window of n frames in a row of run r is seen and the time of its last frame "
     "+ latency <= last brake time of r"
 )
+_ALIVE = (
+    "; and if from then on until last brake time - latency no longer than track_memory_s passes "
+    "without a frame that is seen"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -115,7 +119,7 @@ def build_certificate(
             "stages": [stage.name for stage in certificate.stages],
             "in_words": {
                 "fusion": _FUSIONS[problem.fusion],
-                "avoided": _AVOIDED,
+                "avoided": _AVOIDED + ("" if _is_never_lost(problem.rule) else _ALIVE),
                 **{stage.name: _FORMULAS[Objective(stage.name)] for stage in certificate.stages},
             },
         },
@@ -228,7 +232,12 @@ def model_of(problem: PlacementProblem) -> dict[str, Any]:
             }
             for floor in problem.floors
         ],
-        "rule": asdict(problem.rule),
+        "rule": {
+            name: value
+            for name, value in asdict(problem.rule).items()
+            # Left out where it means nothing: JSON has no infinity.
+            if name != "track_memory_s" or not _is_never_lost(problem.rule)
+        },
     }
 
 
@@ -351,6 +360,7 @@ _FIELDS: Mapping[str, _Field] = {
     "latency_s": _Field("float64"),
     "n_confirmations": _Field("int64"),
     "frame_rate_hz": _Field("float64"),
+    "track_memory_s": _Field("float64", is_optional=True),  # infinite where it is missing
 }
 
 
@@ -427,6 +437,11 @@ def problem_hash(problem: PlacementProblem) -> str:
     return digest.hexdigest()
 
 
+def _is_never_lost(rule: AebRule) -> bool:
+    """Whether a confirmed track lives for ever."""
+    return rule.track_memory_s == math.inf
+
+
 def _to_arrays(problem: PlacementProblem) -> Arrays:
     table, axis, limits, rule = problem.table, problem.table.axis, problem.limits, problem.rule
     floors = problem.floors
@@ -448,6 +463,8 @@ def _to_arrays(problem: PlacementProblem) -> Arrays:
         values |= {name: getattr(owner, name) for name in _FIELDS if hasattr(owner, name)}
     if set(axis.positions) == {AT_ZERO.name}:
         del values["positions"]  # the same file, and hash, as before there were others
+    if _is_never_lost(rule):
+        values["track_memory_s"] = None
     arrays = {
         name: np.array(value, dtype=_FIELDS[name].dtype)
         for name, value in values.items()
@@ -504,6 +521,7 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
             latency_s=number("latency_s"),
             n_confirmations=number("n_confirmations"),
             frame_rate_hz=number("frame_rate_hz"),
+            track_memory_s=number("track_memory_s") if "track_memory_s" in arrays else math.inf,
         ),
         floors=tuple(
             Floor(
