@@ -34,8 +34,8 @@ def positions_section(
     pictures = danger_pictures(setting, shown, avoided)
     note = (
         "Every mark is a place where runs end in an impact if nobody brakes: impacts at most 6 m "
-        "apart are one place. The number is the share of its runs, by weight, that the units avoid, "
-        "in per cent; the darker, the more is left."
+        "apart are one place. The number is the share of its runs, by weight, that the units "
+        "avoid, in per cent; the darker, the more is left."
     )
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
     axis = setting.axis
