@@ -10,7 +10,7 @@ from placement.setting import Setting
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Refusal
 
-from .numbers import count_runs, joined
+from .numbers import count_runs, finite_or_none, joined
 from .record import Record, Share, says
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
@@ -43,6 +43,7 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
     vut_sensors: tuple[str, ...]
     packet_loss: Share
     vam_rate: Share
+    track_memory_s: float | None
     not_driven: tuple[RefusalRecord, ...]
     possible_runs: int
     driven: tuple[str, ...]
@@ -57,6 +58,7 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
         vut_sensors=tuple(setting.vut_sensors),
         packet_loss=setting.links.packet_loss,
         vam_rate=setting.links.vam_rate,
+        track_memory_s=finite_or_none(setting.rule.track_memory_s),
         not_driven=tuple(
             RefusalRecord(
                 case=refusal.case.name,

@@ -327,6 +327,13 @@ class Result(Record, frozen=True, kw_only=True):
     vut_sensors: Annotated[tuple[str, ...], says("Sensors of the vehicle under test.")]
     packet_loss: Annotated[Share, says("Share of the units' messages that get lost.")]
     vam_rate: Annotated[Share, says("Share of the road users that announce themselves.")]
+    track_memory_s: Annotated[
+        float | None,
+        says(
+            "How long a confirmed track lives without detections, in seconds; null: for ever, as "
+            "in results that do not say it."
+        ),
+    ] = None
     not_driven: Annotated[
         tuple[RefusalRecord, ...], says("What was asked for and has no room in the scene.")
     ]
