@@ -90,7 +90,8 @@ def plot_dangers(
     Returns
     -------
     axes : Axes
-        In metres, north up; the numbers are per cent.
+        In metres, north up; the numbers are per cent. A place where all runs are avoided is a
+        small white mark without a number.
     """
     places = find_places(setting) if places is None else places
     axes = axes or new_axes(width_in, width_in + 0.55)
@@ -99,25 +100,34 @@ def plot_dangers(
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     points = np.array([place.position_m for place in places])
     reach_m = float(np.abs(points - middle).max()) + _BORDER_M
+    size = 15.0 if width_in >= WIDTH_IN else 12.0
     for place in places:
         share = place.share_avoided(is_avoided, setting.axis.weight)
         if not np.isfinite(share):  # runs that do not count
             continue
+        is_safe = share > 1.0 - 1.0e-9
+        axes.plot(
+            *place.position_m,
+            marker="o",
+            markersize=(0.3 if is_safe else 1.0) * size,
+            markerfacecolor=SHADES(share),
+            markeredgecolor="black",
+            markeredgewidth=0.7,
+            linestyle="none",
+            zorder=7.0 if is_safe else 8.0 - 0.5 * share,  # the most dangerous on top
+            gid="place",
+        )
+        if is_safe:
+            continue
         axes.text(
             *place.position_m,
             f"{_whole_percent(share)}",
-            fontsize=7.5 if width_in >= WIDTH_IN else 6.0,
+            fontsize=0.5 * size,
             ha="center",
-            va="center",
+            va="center_baseline",
             color="white" if share < DARK_BELOW else "black",
-            bbox={
-                "boxstyle": "circle,pad=0.22",
-                "facecolor": SHADES(share),
-                "edgecolor": "black",
-                "linewidth": 0.7,
-            },
-            zorder=8,
-            gid="place",
+            zorder=8.0 - 0.5 * share,
+            gid="share",
         )
     for unit in layout.units:
         axes.plot(
@@ -149,7 +159,5 @@ def plot_dangers(
 
 
 def _whole_percent(share: float) -> int:
-    """Per cent without digits: what is not quite all or none is never shown as it."""
-    if 0.0 < share < 1.0:
-        return min(max(round(100.0 * share), 1), 99)
-    return round(100.0 * share)
+    """Per cent without digits, of what is not all: what is not quite none is never shown as it."""
+    return 0 if share < 1.0e-9 else min(max(round(100.0 * share), 1), 99)

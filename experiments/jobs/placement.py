@@ -49,7 +49,7 @@ from ..results.sampled_worlds import build_sampled_record
 from ..study.layout import find_baseline, load_carlancap_layout
 from .baselines import build_baselines_record, compare_layout, compare_placement
 from .pareto import describe_front
-from .study_cases import on_study_cases, study_question
+from .study_cases import on_study_cases
 from .writing import write_results
 
 _log = logging.getLogger(__name__)
@@ -219,11 +219,17 @@ def _on_study_cases(
 ) -> StudyCasesRecord | UnsetType:
     """The layouts on the study's cases; UNSET where these are asked about, or no arm has them."""
     try:
-        study = build_setting(study_question(question), scene)
+        record = on_study_cases(
+            question,
+            setting,
+            evaluations,
+            build=lambda other: build_setting(other, scene),
+            compute=compute,
+        )
     except InputError as error:  # the words of the question are known to be right
         _log.info("the study's cases: %s", error)
         return UNSET
-    return on_study_cases(setting, study, evaluations, compute=compute) or UNSET
+    return record or UNSET
 
 
 def run_evaluation(

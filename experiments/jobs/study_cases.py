@@ -1,7 +1,7 @@
 """Layouts on the study's cases, beside the question that was asked."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,10 @@ from placement.evaluator import evaluate_layouts
 from placement.evaluator.evaluate import Judge
 from placement.question import Question
 from placement.setting import Links, Setting
-from scenarios.runs import Run
+from scenarios.cases import select_cases
+from scenarios.exposure import weight_per_run
+from scenarios.positions import AT_ZERO, pick_positions
+from scenarios.runs import build_frame_axis
 
 from ..results.baselines import StudyCasesRecord, build_study_cases_record
 
@@ -44,35 +47,99 @@ def study_question(question: Question) -> Question:
 
 
 def on_study_cases(
+    question: Question,
     asked: Setting,
-    study: Setting,
     evaluations: Mapping[str, Evaluation],
     *,
+    build: Callable[[Question], Setting],
     compute: Compute,
 ) -> StudyCasesRecord | None:
     """What layouts prevent in the study's cases; None where these are what was asked about.
 
     Parameters
     ----------
+    question : Question
+        What was asked.
     asked : Setting
-        What the layouts were evaluated in.
-    study : Setting
-        The study's cases, see :func:`study_question`.
+        What it led to, and the layouts were evaluated in.
     evaluations : mapping of str to Evaluation
         By display name. Where the same frames were looked at there, nobody looks again.
+    build : function of Question
+        Setting of a question at the same scene.
     compute : Compute
         Of further evaluations.
+
+    Raises
+    ------
+    InputError
+        No arm of the junction carries any of the study's cases.
     """
+    rows = study_rows(question, asked)
+    study = build(study_question(question)) if rows is None else _part(asked, rows)
     if is_same_question(asked, study):
         return None
-    rows = _same_runs(asked, study)
-    if rows is not None and not _depends_on_chance(asked, evaluations):
-        judge = Judge(study.runs, study.axis, study.rule)
-        found = [judge_again(item, rows, study, judge) for item in evaluations.values()]
-    else:
+    return score_on(study, asked, rows, evaluations, compute=compute)
+
+
+def score_on(
+    study: Setting,
+    asked: Setting,
+    rows: IntArray | None,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    compute: Compute,
+) -> StudyCasesRecord:
+    """What layouts prevent in another setting; `rows` are its runs among those evaluated, if so."""
+    if rows is None or _depends_on_chance(asked, evaluations):
         layouts = [item.layout for item in evaluations.values()]
         found = evaluate_layouts(layouts, study, compute=compute.within(STAGE))
+    else:
+        judge = Judge(study.runs, study.axis, study.rule)
+        found = [judge_again(item, rows, study, judge) for item in evaluations.values()]
     return build_study_cases_record(dict(zip(evaluations, found, strict=True)))
+
+
+def study_rows(question: Question, asked: Setting) -> IntArray | None:
+    """Rows of the study's runs among those asked about, (n_runs,), in the study's order.
+
+    None where the question leaves cases, speeds, approaches, daylight or the place at the junction
+    out: then the study's runs are not all there.
+    """
+    wanted = {case.name: case for case in select_cases("study").cases}
+    given = {case.name: case for case in select_cases(question.cases, force=question.force).cases}
+    is_whole = (
+        not question.speeds
+        and not question.approaches
+        and "day" in [word.strip() for word in question.weather.split(",")]
+        and AT_ZERO in pick_positions(question.along_arms, question.cases)
+        and all(
+            name in given and set(case.vut_speeds_kmh) <= set(given[name].vut_speeds_kmh)
+            for name, case in wanted.items()
+        )
+    )
+    if not is_whole:
+        return None
+    order = list(wanted)
+    rows = [
+        (order.index(run.case.name), row)
+        for row, run in enumerate(asked.runs)
+        if run.case.name in wanted
+        and run.vut_speed_kmh in wanted[run.case.name].vut_speeds_kmh
+        and (run.position, run.weather) == (AT_ZERO.name, "day")
+    ]
+    return np.array([row for _, row in sorted(rows)], dtype=np.int64) if rows else None
+
+
+def _part(asked: Setting, rows: IntArray) -> Setting:
+    """Some of the runs, each counting alike, with tracks that are never lost."""
+    runs = tuple(asked.runs[row] for row in rows)
+    return replace(
+        asked,
+        runs=runs,
+        axis=build_frame_axis(runs, weight_per_run(runs)),
+        rule=replace(asked.rule, track_memory_s=math.inf),
+        refusals=(),
+    )
 
 
 def is_same_question(one: Setting, other: Setting) -> bool:
@@ -108,29 +175,6 @@ def judge_again(evaluation: Evaluation, rows: IntArray, part: Setting, judge: Ju
         units={name: judge.verdict([party]) for name, party in units.items()},
         rsu_all=judge.verdict([*units.values()]),
         vut_and_rsus=judge.verdict([*units.values(), vut]),
-    )
-
-
-def _same_runs(asked: Setting, study: Setting) -> IntArray | None:
-    """Rows of the study's runs among those asked about, (n_runs,); None if one is not there."""
-    index = {run.id: row for row, run in enumerate(asked.runs)}
-    rows = [index.get(run.id, -1) for run in study.runs]
-    if any(
-        row < 0 or not _is_same_drive(asked.runs[row], run)
-        for row, run in zip(rows, study.runs, strict=True)
-    ):
-        return None
-    return np.array(rows, dtype=np.int64)
-
-
-def _is_same_drive(one: Run, other: Run) -> bool:
-    """Whether two runs look the same, frame by frame."""
-    return (
-        one.weather == other.weather
-        and len(one.obstruction) == len(other.obstruction)
-        and np.array_equal(one.time_s, other.time_s)
-        and np.array_equal(one.vut_position_m, other.vut_position_m)
-        and np.array_equal(one.vru_position_m, other.vru_position_m)
     )
 
 

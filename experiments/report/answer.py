@@ -53,9 +53,15 @@ def answer(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
         sentences = [
             f"{count_sensors(subject.layout)}{how} {verb} {score}; "
             + "; ".join([car, *scores, *_baselines(result)]),
-            next_unit_sentence(result),
-            _proof_in_short(result.stages, result.candidates or 0),
-            *failed,
+            ". ".join(
+                part
+                for part in (
+                    next_unit_sentence(result),
+                    _proof_in_short(result.stages, result.candidates or 0),
+                    *failed,
+                )
+                if part
+            ),
         ]
     else:
         sentences = [
@@ -87,7 +93,7 @@ def danger_sentences(result: Result) -> list[str]:
     are = "is" if dangers.not_avoided == 1 else "are"
     return [
         f"{dangers.not_avoided} of {count_runs(result.runs)} {are} not avoided: "
-        f"{_most_left(dangers.by_case, 'in {}'.format)}{_at_positions(dangers)}."
+        f"{_most_left(dangers.by_case, 'in {}'.format, 'in other cases')}{_at_positions(dangers)}."
     ]
 
 
@@ -95,7 +101,7 @@ def _at_positions(dangers: DangersRecord) -> str:
     """Where along the arms most are left; nothing where there is but one place."""
     if not dangers.by_position:
         return ""
-    return f"; by place {_most_left(dangers.by_position, position_words)}"
+    return f". By place: {_most_left(dangers.by_position, position_words, 'elsewhere')}"
 
 
 def position_words(name: str) -> str:
@@ -109,15 +115,17 @@ def position_words(name: str) -> str:
     return f"{position.distance_m:g} m {side}"
 
 
-def _most_left(groups: Sequence[DangerGroupRecord], words_of: Callable[[str], str]) -> str:
+def _most_left(
+    groups: Sequence[DangerGroupRecord], words_of: Callable[[str], str], others: str
+) -> str:
     """The groups with the largest share that is left, and how many are left in all others."""
     left = [group for group in groups if group.not_avoided]
     words = [
-        f"{group.not_avoided} of {group.runs} {words_of(group.name)}"
+        f"{words_of(group.name)} {group.not_avoided} of {group.runs}"
         for group in left[:_MAX_GROUPS]
     ]
     n_others = sum(group.not_avoided for group in left[_MAX_GROUPS:])
-    return joined([*words, *([f"{n_others} elsewhere"] if n_others else [])])
+    return joined([*words, *([f"{others} {n_others}"] if n_others else [])])
 
 
 def next_unit_sentence(result: Result) -> str:

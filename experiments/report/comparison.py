@@ -49,9 +49,19 @@ def side_by_side_table(result: Result, evaluations: Mapping[str, Evaluation]) ->
                 number(_smallest_margin_s(item)),
             ]
             for name, item in evaluations.items()
-        ],
+        ]
+        + _random_rows(result),
         numeric=range(1, 7),
     )
+
+
+def _random_rows(result: Result) -> list[list[str]]:
+    """The row of random layouts, whose APR is known on the detection table alone; or none."""
+    random = result.baselines.random if result.baselines else None
+    if random is None:
+        return []
+    name = f"random: mean of {random.layouts}, on the detection table"
+    return [[name, str(random.units), NOTHING, percent(random.mean), NOTHING, NOTHING, NOTHING]]
 
 
 def _apr_one_failed(result: Result, name: str) -> float | None:

@@ -163,7 +163,7 @@ def _build_report(
         front_section(result.front),
         *explanation_sections(result.explained, labels),
         accidents_section(evaluations, of_apr, is_optimised=bool(result.stages)),
-        positions_section(setting, evaluations, fusion=result.fusion),
+        positions_section(setting, shown, fusion=result.fusion),
         comparison_section(result, evaluations),
         study_cases_section(result.study_cases),
         margins_section(shown),

@@ -11,36 +11,32 @@ from scenarios.runs import FrameAxis
 from ..figures.axes import NARROW_IN, WIDTH_IN
 from ..figures.dangers import find_places, plot_dangers
 from ..results.dangers import avoided_runs
-from ..results.numbers import NOTHING, percent
+from ..results.numbers import percent
 from ..results.tables import groups_by_direction, groups_by_position
 from .answer import position_words
 from .section import Block, Box, Picture, Section, Table, build_picture
 
 
-def positions_section(
-    setting: Setting, evaluations: Mapping[str, Evaluation], *, fusion: str
-) -> Section:
+def positions_section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -> Section:
     """Which places stay dangerous; layouts by display name.
 
     The first one, which was chosen with this fusion, is drawn, and so is the last one: that is what
     it is compared with.
     """
+    names = list(dict.fromkeys([next(iter(shown)), [*shown][-1]]))
     avoided = {
-        name: avoided_runs(item, fusion if order == 0 else "any")
-        for order, (name, item) in enumerate(evaluations.items())
+        name: avoided_runs(shown[name], fusion if order == 0 else "any")
+        for order, name in enumerate(names)
     }
-    names = list(avoided)
-    shown = {name: evaluations[name] for name in (names[0], names[-1])}
-    pictures = danger_pictures(setting, shown, avoided)
+    pictures = danger_pictures(setting, {name: shown[name] for name in names}, avoided)
     note = (
         "Every mark is a place where runs end in an impact if nobody brakes: impacts at most 6 m "
         "apart are one place. The number is the share of its runs, by weight, that the units "
-        "avoid, in per cent; the darker, the more is left."
+        "avoid, in per cent; the darker, the more is left. Small white marks: all are avoided."
     )
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
-    axis = setting.axis
-    if len(groups_by_position(axis)) > 1:
-        blocks += [position_table(avoided, axis), approach_table(names[0], avoided[names[0]], axis)]
+    if len(groups_by_position(setting.axis)) > 1:
+        blocks += [position_table(name, avoided[name], setting.axis) for name in names]
     return Section("dangers", "Where it is still dangerous", blocks)
 
 
@@ -72,43 +68,28 @@ def danger_pictures(
     return pictures
 
 
-def position_table(avoided: Mapping[str, BoolArray], axis: FrameAxis) -> Table:
-    """Share of the runs that each layout avoids, by position along the arms."""
+def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
+    """Share of the runs that a layout avoids, by position along the arms and approach of the car.
+
+    A row for each position as the car passes them, with how many of its runs are avoided.
+    """
+    approaches = groups_by_direction(axis)
     return Table(
-        caption="Share of the runs that are avoided, by position along the arms",
-        columns=["where", "runs", *avoided],
+        caption=f"Where along the arms {name} avoids how much",
+        columns=["where", "APR", "runs avoided", *(f"from the {name}" for name, _ in approaches)],
         rows=[
             [
                 position_words(position),
-                str(int(mask.sum())),
-                *(_share(is_avoided, axis, mask) for is_avoided in avoided.values()),
+                _share(is_avoided, axis, at),
+                f"{int((is_avoided & at).sum())} of {int(at.sum())}",
+                *(_share(is_avoided, axis, at & of_approach) for _, of_approach in approaches),
             ]
-            for position, mask in groups_by_position(axis)
+            for position, at in groups_by_position(axis)
         ],
-        numeric=range(1, 2 + len(avoided)),
-    )
-
-
-def approach_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
-    """Share of the runs that a layout avoids, by approach of the car and position."""
-    positions = groups_by_position(axis)
-    return Table(
-        caption=f"Share of the runs that {name} avoids, by approach and position",
-        columns=["the car comes from the", *(f"at {position} m" for position, _ in positions)],
-        rows=[
-            [
-                approach,
-                *(_share(is_avoided, axis, of_approach & mask) for _, mask in positions),
-            ]
-            for approach, of_approach in groups_by_direction(axis)
-        ],
-        numeric=range(1, 1 + len(positions)),
+        numeric=range(1, 3 + len(approaches)),
     )
 
 
 def _share(is_avoided: BoolArray, axis: FrameAxis, mask: BoolArray) -> str:
-    """Share by weight, and how many of how many runs."""
-    if not mask.any():
-        return NOTHING
-    share = weight_share(is_avoided, axis.weight * mask)
-    return f"{percent(share)} ({int((is_avoided & mask).sum())} of {int(mask.sum())})"
+    """Share of some runs, by weight; a dash where there are none."""
+    return percent(weight_share(is_avoided, axis.weight * mask))
