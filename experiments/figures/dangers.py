@@ -91,10 +91,10 @@ def plot_dangers(
     -------
     axes : Axes
         In metres, north up; the numbers are per cent. A place where all runs are avoided is a
-        small white mark without a number.
+        small white square without a number.
     """
     places = find_places(setting) if places is None else places
-    axes = axes or new_axes(width_in, width_in + 0.55)
+    axes = axes or new_axes(width_in, width_in + (0.55 if width_in >= WIDTH_IN else 0.3))
     draw_scene(axes, setting.scene)
     outline = setting.scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
@@ -108,8 +108,8 @@ def plot_dangers(
         is_safe = share > 1.0 - 1.0e-9
         axes.plot(
             *place.position_m,
-            marker="o",
-            markersize=(0.3 if is_safe else 1.0) * size,
+            marker="s" if is_safe else "o",  # small circles are sites
+            markersize=(0.27 if is_safe else 1.0) * size,
             markerfacecolor=SHADES(share),
             markeredgecolor="black",
             markeredgewidth=0.7,

@@ -32,7 +32,8 @@ def positions_section(setting: Setting, shown: Mapping[str, Evaluation], *, fusi
     note = (
         "Every mark is a place where runs end in an impact if nobody brakes: impacts at most 6 m "
         "apart are one place. The number is the share of its runs, by weight, that the units "
-        "avoid, in per cent; the darker, the more is left. Small white marks: all are avoided."
+        "avoid, in per cent; the darker, the more is left. At small white squares all are avoided. "
+        "Triangles are units, rings are sites that could carry some."
     )
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
     if len(groups_by_position(setting.axis)) > 1:
@@ -60,7 +61,7 @@ def danger_pictures(
                 drawn[max(drawn)],
                 narrow=drawn[NARROW_IN] if len(drawn) > 1 else None,
                 title=f"Where it is still dangerous with {name}",
-                caption=f"Of {len(places)} places, {n_left} have runs that are not avoided.",
+                caption=f"Places with runs that are not avoided: {n_left} of {len(places)}.",
                 alt=f"The junction from above: {len(places)} places, {n_left} of them with runs "
                 "that are not avoided. The tables below have the shares by position.",
             )
