@@ -461,10 +461,10 @@ def _to_arrays(problem: PlacementProblem) -> Arrays:
     }
     for owner in (axis, limits, problem, rule):
         values |= {name: getattr(owner, name) for name in _FIELDS if hasattr(owner, name)}
-    if set(axis.positions) == {AT_ZERO.name}:
-        del values["positions"]  # the same file, and hash, as before there were others
     if _is_never_lost(rule):
         values["track_memory_s"] = None
+    if set(axis.positions) == {AT_ZERO.name}:
+        del values["positions"]  # the same file, and hash, as before there were others
     arrays = {
         name: np.array(value, dtype=_FIELDS[name].dtype)
         for name, value in values.items()
