@@ -6,13 +6,13 @@ from itertools import chain, pairwise
 
 import numpy as np
 
-from geometry.arrays import FloatArray, IntArray, float_array
+from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
 from geometry.errors import InputError
 from geometry.junction import Arm, Junction, Line, build_junction, lane_line
 from geometry.scene import Lane, Scene
 
 from .candidates import CandidatePose
-from .optimiser import Limits, PlacementProblem, apr
+from .optimiser import Limits, PlacementProblem, apr, run_margins_s
 from .optimiser.limits import fitting, is_allowed
 
 N_RANDOM = 100
@@ -34,13 +34,17 @@ class RandomLayouts:
         Of each.
     apr : (n,) float
         Accident prevention ratio of each, 0..1.
+    mean_by_world : (n_worlds,) float
+        Mean of all in each sampled world; one number where nothing was sampled.
     """
 
     n_units: int
     apr: FloatArray
+    mean_by_world: FloatArray
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "apr", float_array(self.apr, (-1,), "apr"))
+        for name in ("apr", "mean_by_world"):
+            object.__setattr__(self, name, float_array(getattr(self, name), (-1,), name))
 
     @property
     def mean(self) -> float:
@@ -350,11 +354,20 @@ def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baseline
     is_complete = len(units) > 0 and is_allowed(limits, units)
     expert = tuple(sorted(units.tolist())) if is_complete else ()
     return Baselines(
-        random=RandomLayouts(
-            n_units=proposals.n_units, apr=[apr(problem, units) for units in proposals.random]
-        )
-        if proposals.random
-        else None,
+        random=_judge_random(problem, proposals) if proposals.random else None,
         expert=expert,
         corners=tuple(name for name in first if corners[name] in expert),
+    )
+
+
+def _judge_random(problem: PlacementProblem, proposals: Proposals) -> RandomLayouts:
+    margins_s = np.array([run_margins_s(problem, units) for units in proposals.random])
+    is_avoided: BoolArray = margins_s > -np.inf
+    measure = problem.measure()
+    worlds = [measure.sample_index == world for world in range(len(measure.sample_weight))]
+    avoided_share = is_avoided.mean(axis=0)
+    return RandomLayouts(
+        n_units=proposals.n_units,
+        apr=measure.of(is_avoided),
+        mean_by_world=[np.average(avoided_share, weights=measure.weight * mine) for mine in worlds],
     )

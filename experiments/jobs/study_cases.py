@@ -143,11 +143,15 @@ def _part(asked: Setting, rows: IntArray) -> Setting:
 
 
 def is_same_question(one: Setting, other: Setting) -> bool:
-    """Whether the same runs count the same, and are avoided by the same rule."""
+    """Whether the same runs, in any order, count the same, and are avoided by the same rule."""
+    (names, weight), (other_names, other_weight) = (
+        (np.sort(axis.run_ids), axis.weight[np.argsort(axis.run_ids)])
+        for axis in (one.axis, other.axis)
+    )
     return (
-        one.axis.run_ids == other.axis.run_ids
-        and np.allclose(one.axis.weight, other.axis.weight, rtol=1.0e-9, atol=0.0)
-        and one.rule == other.rule
+        one.rule == other.rule
+        and np.array_equal(names, other_names)
+        and np.allclose(weight, other_weight, rtol=1.0e-9, atol=0.0)
     )
 
 

@@ -91,6 +91,13 @@ def baseline_sentences(result: Result) -> list[str]:
             f"table{found}; 5 % of them have no more than {percent(random.low)}, 5 % no less than "
             f"{percent(random.high)}."
         )
+    if random is not None and random.in_worlds:
+        worlds = random.in_worlds
+        sentences.append(
+            f"Over the {worlds.worlds} sampled worlds that the layout was chosen in, their mean is "
+            f"{percent(worlds.mean)} (95 % interval {percent(worlds.low)} to "
+            f"{percent(worlds.high)})."
+        )
     if expert is not None:
         corners = ", ".join(expert.corners)
         sentences.append(

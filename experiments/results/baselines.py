@@ -3,12 +3,17 @@
 from collections.abc import Mapping, Sequence
 from typing import Annotated
 
+import numpy as np
+from msgspec import UNSET, UnsetType
+
+from geometry.arrays import FloatArray
 from placement.baselines import RandomLayouts
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, apr_by_position
 from placement.layout import Layout
 from placement.optimiser import apr as table_apr
 from placement.pipeline import Placement
+from placement.sampling import estimate_mean
 from scenarios.runs import FrameAxis
 
 from .record import Record, Share, UnitRecord, build_unit_records, says
@@ -31,6 +36,15 @@ class ScoreRecord(Record, frozen=True, kw_only=True):
     ]
 
 
+class RandomWorldsRecord(Record, frozen=True, kw_only=True):
+    """The mean of random layouts over sampled worlds, those that the layout found was chosen in."""
+
+    worlds: Annotated[int, says("How many.", ge=1)]
+    mean: Annotated[Share, says("Mean APR of all random layouts over these worlds.")]
+    low: Annotated[Share, says("Lower end of the 95 % interval.")]
+    high: Annotated[Share, says("Upper end of the 95 % interval.")]
+
+
 class RandomLayoutsRecord(Record, frozen=True, kw_only=True):
     """Layouts of candidate poses drawn at random within the limits, on the detection table."""
 
@@ -39,6 +53,10 @@ class RandomLayoutsRecord(Record, frozen=True, kw_only=True):
     mean: Annotated[Share, says("Mean APR.")]
     low: Annotated[Share, says("5 % of them have no higher APR.")]
     high: Annotated[Share, says("5 % of them have no lower APR.")]
+    in_worlds: (
+        Annotated[RandomWorldsRecord, says("The mean over worlds; only with --samples.")]
+        | UnsetType
+    ) = UNSET
 
 
 class ExpertLayoutRecord(Record, frozen=True, kw_only=True):
@@ -107,12 +125,21 @@ def build_score_record(
 
 def build_random_record(layouts: RandomLayouts) -> RandomLayoutsRecord:
     """Mean and ends of the APR of random layouts, without what summing up weights leaves over."""
+    n_worlds = len(layouts.mean_by_world)
     return RandomLayoutsRecord(
         layouts=len(layouts.apr),
         units=layouts.n_units,
         mean=round(layouts.mean, 12),
         low=round(layouts.low, 12),
         high=round(layouts.high, 12),
+        in_worlds=UNSET if n_worlds == 1 else _in_worlds(layouts.mean_by_world),
+    )
+
+
+def _in_worlds(mean_by_world: FloatArray) -> RandomWorldsRecord:
+    estimate = estimate_mean(np.clip(mean_by_world, 0.0, 1.0))
+    return RandomWorldsRecord(
+        worlds=len(mean_by_world), mean=estimate.mean, low=estimate.low, high=estimate.high
     )
 
 

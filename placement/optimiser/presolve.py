@@ -466,9 +466,7 @@ class _Windows:
         return is_needless
 
 
-def _any_of_rows(
-    rows: NDArray[np.uint8], begin: IntArray, end: IntArray
-) -> NDArray[np.uint8]:
+def _any_of_rows(rows: NDArray[np.uint8], begin: IntArray, end: IntArray) -> NDArray[np.uint8]:
     """Bits that are set in one of the rows begin .. end - 1: (n_rows, n) -> (n_ranges, n)."""
     result = np.zeros((len(begin), rows.shape[1]), dtype=np.uint8)
     for offset in range(int((end - begin).max(initial=0))):

@@ -98,7 +98,7 @@ def test_where_nothing_fits_nothing_is_drawn_and_no_number_below_one_is_taken():
 
 
 def test_mean_and_ends_are_those_of_the_ratios():
-    layouts = RandomLayouts(n_units=2, apr=np.linspace(0.0, 1.0, 101))
+    layouts = RandomLayouts(n_units=2, apr=np.linspace(0.0, 1.0, 101), mean_by_world=[0.5])
     assert (layouts.mean, layouts.low, layouts.high) == pytest.approx((0.5, 0.05, 0.95))
 
 
@@ -207,6 +207,19 @@ def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
     found = judge_proposals(problem, proposals())
     assert (found.corners, found.expert) == (("c", "a"), (0, 2))  # 3/4; of 1/4 the first
     assert found.random.apr.tolist() == [apr(problem, (0, 1))] == [0.25]
+
+
+def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
+    limits = Limits(site_index=[0, 1, 2, 3], site_capacity=[1] * 4)
+    problem = problem_of(limits, {0: [0, 2], 1: [1]}, frame_axis, rule)
+    problem = replace(problem, sample_index=np.array([0, 0, 1]))  # weights 1/2 and 1/4; 1/4
+    sets = ((0,), (1,), (2,), (0, 1))
+    random = judge_proposals(problem, proposals(random=sets)).random
+    assert random.apr.tolist() == [0.75, 0.25, 0.0, 1.0]
+    # Of four sets two avoid the first run, two the second, two the third.
+    assert random.mean_by_world == pytest.approx([0.5, 0.5])
+    worst = judge_proposals(replace(problem, tail=0.25), proposals(random=sets)).random
+    assert worst.apr.tolist() == [apr(replace(problem, tail=0.25), units) for units in sets]
 
 
 def test_the_expert_has_one_camera_for_each_corner_at_most(frame_axis, rule):
