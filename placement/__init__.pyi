@@ -12,6 +12,7 @@ from .evaluation import Evaluation as Evaluation
 from .evaluation import Verdict as Verdict
 from .evaluation import apr as apr
 from .evaluation import apr_by_case as apr_by_case
+from .evaluation import apr_by_position as apr_by_position
 from .evaluator import evaluate_layout as evaluate_layout
 from .evaluator import evaluate_layouts as evaluate_layouts
 from .layout import Certificate as Certificate

@@ -462,7 +462,7 @@ def _to_arrays(problem: PlacementProblem) -> Arrays:
     for owner in (axis, limits, problem, rule):
         values |= {name: getattr(owner, name) for name in _FIELDS if hasattr(owner, name)}
     if _is_never_lost(rule):
-        values["track_memory_s"] = None
+        del values["track_memory_s"]
     if set(axis.positions) == {AT_ZERO.name}:
         del values["positions"]  # the same file, and hash, as before there were others
     arrays = {

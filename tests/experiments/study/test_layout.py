@@ -22,7 +22,7 @@ GOLDEN_UNITS = {
 @pytest.fixture(scope="module")
 def setting():
     """The cases for which the study publishes numbers."""
-    return build_setting(Question(cases="CPNC-50,CBNA,CBLA"), load_study_scene())
+    return build_setting(Question(cases="CPNC-50,CBNA,CBLA", along_arms="0"), load_study_scene())
 
 
 @pytest.fixture(scope="module")
