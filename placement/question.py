@@ -225,6 +225,25 @@ class Question:
             metavar="NAME",
         ),
     ] = "default"
+    traffic: Annotated[
+        str,
+        Option(
+            section=SOUGHT,
+            help="Vehicles that drive by in the worlds of --samples: sumo, a .toml file of demand "
+            "for it, or FCD of your own model (.xml, .csv, also .gz, .parquet).",
+            metavar="sumo|FILE",
+            is_path=True,
+        ),
+    ] = ""
+    traffic_offset: Annotated[
+        str,
+        Option(
+            section=SOUGHT,
+            help="Metres added to x and y of --traffic FILE; default: what the .net.xml beside it "
+            "says.",
+            metavar="EAST,NORTH",
+        ),
+    ] = ""
     risk: Annotated[
         str,
         Option(

@@ -18,6 +18,7 @@ _EXTRAS = (
     ("scenariogeneration", "openscenario", "scenarios export: OpenSCENARIO files"),
     ("onnxruntime", "perception", "--detector FILE.onnx: detectors on rendered pictures"),
     ("euroncap-rating-2026", "rating", "--weights euroncap-rating-2026: Euro NCAP's points"),
+    ("libsumo", "traffic", "--traffic sumo: vehicles that drive by in sampled worlds"),
 )
 _LIBRARIES = (
     *("numpy", "scipy", "cvxpy", "highspy", "osqp", "trimesh", "embreex", "pandas", "matplotlib"),

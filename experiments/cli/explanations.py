@@ -118,4 +118,8 @@ def uncertainty_text(found: SampledRecord) -> str:
             + (f" {percent(layout.cvar):>10}" if has_tail else "")
             + f" {percent(layout.worst):>8}"
         )
+    if found.moving:
+        from ..report.sampled_worlds import moving_sentence
+
+        lines += sentences(f"{moving_sentence(found)}.", indent=2)
     return "\n".join(lines)

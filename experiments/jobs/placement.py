@@ -23,7 +23,7 @@ from placement.planning import Plan, build_plan
 from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
-from placement.sampling import load_uncertainty, out_of_sample_layouts
+from placement.sampling import load_drawn, out_of_sample_layouts
 from placement.setting import Setting, build_setting
 
 from ..progress import StageProgress
@@ -80,7 +80,7 @@ def run_placement(
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
     study = find_baseline(scene)
-    uncertainty = load_uncertainty(question.uncertainty, where="--uncertainty")
+    uncertainty = load_drawn(question, scene, n_samples=question.samples)
     if question.packet_loss:
         uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
 
@@ -283,12 +283,12 @@ def run_comparison(
     InputError
         A unit hangs underground or inside something, or `out` cannot be written.
     """
-    drawn = load_uncertainty(uncertainty, where="--uncertainty")
+    scene = load_scene(question.scene)
+    drawn = load_drawn(replace(question, uncertainty=uncertainty), scene, n_samples=samples)
     if out is not None:
         check_result_folder(out)
         progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
-    scene = load_scene(question.scene)
     setting = build_setting(question, scene)
     layouts = _with_distinct_names(layouts)
     for layout in layouts:

@@ -10,6 +10,7 @@ from scenarios.aeb import AebRule
 from ..results.numbers import count_runs, joined, percent, several
 from ..results.result import Result
 from .answer import is_weighted
+from .sampled_worlds import moving_sentence
 from .section import Block, Box, Code, Section, Table, Terms
 
 
@@ -68,6 +69,8 @@ def assumptions(
     ]
     if setting.links != Links():
         terms.append(("Radio", _radio(setting.links)))
+    if result.sampled and result.sampled.moving:
+        terms.append(("Traffic", f"{moving_sentence(result.sampled)}. {_MOVING}"))
     terms.append(("Units together", _FUSIONS[result.fusion]))
     if result.budget is not None:
         terms.append(("Budget", several(result.budget, "unit", "units") + "."))
@@ -146,6 +149,13 @@ def _radio(links: Links) -> str:
         "messages), and the car trusts the position that they send."
     )
 
+
+_MOVING = (
+    "In each sampled world, runs of one case, approach and position see the same traffic, with the "
+    "impact at the same moment. Vehicles more than 100 m from the middle of the junction are cut. "
+    "Who would touch what is parked, or come nearer to car or road user than the clearance, is "
+    "left out of that run. Where SUMO drives, its vehicles react to the car, which minds no lights."
+)
 
 _FUSIONS = {
     "any": "A frame counts if any unit detects the road user in it.",

@@ -52,6 +52,8 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         sentences.append(f"In the worst of these worlds it avoids {percent(subject.worst)}")
     for gain in found.gains:
         sentences.append(_gain(subject.name, gain))
+    if found.moving:
+        sentences.append(moving_sentence(found))
     unsure = subject.least_sure_runs
     if unsure:
         listed = ", ".join(f"{run.run} ({percent(run.avoided_share)})" for run in unsure)
@@ -82,7 +84,26 @@ def what_is_uncertain(found: SampledRecord) -> str:
         parts.append(f"{percent(traffic.taken_share)} of the parking places taken")
     if traffic.waiting_share > 0.0:
         parts.append(f"vehicles waiting in {percent(traffic.waiting_share)} of the lanes")
+    if found.moving:
+        parts.append(f"vehicles that drive by ({found.moving.source})")
     return ", ".join(parts) or "nothing is uncertain"
+
+
+def moving_sentence(found: SampledRecord) -> str:
+    """How many vehicles drive by in a run, and how many were left out; empty where none do."""
+    if not found.moving or not found.moving.runs:
+        return ""
+    moving = found.moving
+    share = percent(moving.left_out / moving.vehicles) if moving.vehicles else "none"
+    text = (
+        f"{moving.vehicles / moving.runs:.0f} vehicles drive by in a run ({moving.source}); "
+        f"{moving.left_out} of {moving.vehicles} ({share}) are left out of theirs, for they would "
+        "come into the way of car or road user"
+    )
+    if moving.without_room:
+        wanted = moving.departed + moving.without_room
+        text += f"; SUMO found no room for {moving.without_room} of {wanted} vehicles"
+    return text
 
 
 def _gain(name: str, gain: SampledGainRecord) -> str:

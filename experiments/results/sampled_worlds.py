@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import UNSET, UnsetType
 
 from geometry.errors import InputError, Unquoted
-from placement.sampling import SampledApr, Uncertainty, cvar, estimate_mean
+from placement.sampling import SampledApr, TrafficCount, Uncertainty, cvar, estimate_mean
 
 from .record import Record, RunId, Share, says
 
@@ -92,6 +92,19 @@ class UncertaintyRecord(Record, frozen=True, kw_only=True):
     vehicles: Annotated[tuple[UncertaintyVehicleRecord, ...], says("The mix.")]
 
 
+class UncertaintyMovingRecord(Record, frozen=True, kw_only=True):
+    """What drives by."""
+
+    source: Annotated[str, says("SUMO with its demand, or the name of a file.")]
+    runs: Annotated[int, says("In all worlds together.", ge=0)]
+    vehicles: Annotated[int, says("Near the junction in these runs, all added up.", ge=0)]
+    left_out: Annotated[
+        int, says("Of these: they would have come into the way of vehicle or road user.", ge=0)
+    ]
+    departed: Annotated[int, says("Vehicles that SUMO let in, in all worlds.", ge=0)]
+    without_room: Annotated[int, says("Vehicles that SUMO found no room for.", ge=0)]
+
+
 class LeastSureRunRecord(Record, frozen=True, kw_only=True):
     """A run that is not avoided in all worlds."""
 
@@ -151,6 +164,7 @@ class SampledRecord(Record, frozen=True, kw_only=True):
     uncertainty: Annotated[UncertaintyRecord, says("What was drawn.")]
     samples: Annotated[int, says("Number of worlds.", ge=1)]
     seed: Annotated[int, says("Of the draws.", ge=0)]
+    moving: Annotated[UncertaintyMovingRecord, says("What drives by.")] | UnsetType = UNSET
     tail: Annotated[Share, says("Worst share of the worlds that cvar is about.")]
     layouts: Annotated[tuple[SampledLayoutRecord, ...], says("The first one is the subject.")]
     gains: Annotated[tuple[SampledGainRecord, ...], says("One for each other layout.")]
@@ -202,6 +216,7 @@ def build_sampled_record(
         uncertainty=build_uncertainty_record(uncertainty),
         samples=n_samples.pop(),
         seed=seed,
+        moving=_moving_record(uncertainty, subject.driving),
         tail=tail,
         layouts=tuple(
             SampledLayoutRecord(
@@ -259,6 +274,21 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
             )
             for kind in traffic.vehicles
         ),
+    )
+
+
+def _moving_record(
+    uncertainty: Uncertainty, driving: TrafficCount
+) -> UncertaintyMovingRecord | UnsetType:
+    if uncertainty.moving is None:
+        return UNSET
+    return UncertaintyMovingRecord(
+        source=uncertainty.moving.name,
+        runs=driving.n_runs,
+        vehicles=driving.n_vehicles,
+        left_out=driving.n_left_out,
+        departed=driving.n_departed,
+        without_room=driving.n_waiting,
     )
 
 

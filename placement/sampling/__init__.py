@@ -1,11 +1,13 @@
 """Uncertainty -> sampled worlds -> detection tables of many worlds.
 
 ``uncertainty`` says what is uncertain and how much; ``traffic`` parks vehicles and lets others
-wait, out of the way of VUT and VRU; ``worlds`` draws worlds, each thing with random numbers of its
-own, and ``tables`` their detection tables, with misses and lost messages, end to end for the
-optimiser. ``out_of_sample`` evaluates a layout in worlds that it was not chosen in.
+wait, out of the way of VUT and VRU; ``moving`` lets vehicles drive by; ``worlds`` draws worlds,
+each thing with random numbers of its own, and ``tables`` their detection tables, with misses and
+lost messages, end to end for the optimiser. ``out_of_sample`` evaluates a layout in worlds that it
+was not chosen in.
 """
 
+from .moving import MovingTraffic, TrafficCount, load_traffic
 from .out_of_sample import (
     MeanEstimate,
     SampledApr,
@@ -23,7 +25,9 @@ from .uncertainty import (
     StandingTraffic,
     Uncertainty,
     VehicleKind,
+    load_drawn,
     load_uncertainty,
+    with_moving_traffic,
 )
 from .worlds import Sample, draw_samples
 
@@ -33,17 +37,22 @@ __all__ = [
     "LatencyJitter",
     "MeanEstimate",
     "MountingErrors",
+    "MovingTraffic",
     "Sample",
     "SampledApr",
     "SampledTable",
     "StandingTraffic",
+    "TrafficCount",
     "Uncertainty",
     "VehicleKind",
     "cvar",
     "draw_samples",
     "estimate_mean",
+    "load_drawn",
+    "load_traffic",
     "load_uncertainty",
     "out_of_sample",
     "out_of_sample_layouts",
     "sampled_table",
+    "with_moving_traffic",
 ]

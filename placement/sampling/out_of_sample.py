@@ -18,7 +18,8 @@ from ..compute import DEFAULT_COMPUTE, Compute, silent
 from ..evaluation import earliest_arrival_s
 from ..layout import Layout
 from ..setting import Setting
-from .tables import build_sample_tables
+from .moving import NO_TRAFFIC, TrafficCount
+from .tables import build_sample_tables, tell_traffic
 from .uncertainty import Uncertainty
 from .worlds import draw_samples, pose_key
 
@@ -148,12 +149,15 @@ class SampledApr:
         In each world. 0 .. 1
     avoided_share : (n_runs,) float
         Of all worlds, those in which each run is avoided. 0 .. 1
+    driving : TrafficCount
+        Vehicles that drove by in these worlds.
     """
 
     layout: Layout
     axis: FrameAxis
     apr_by_sample: FloatArray
     avoided_share: FloatArray
+    driving: TrafficCount = NO_TRAFFIC
 
     def __post_init__(self) -> None:
         for name, shape in (("apr_by_sample", (-1,)), ("avoided_share", (self.axis.n_runs,))):
@@ -224,7 +228,9 @@ def out_of_sample_layouts(
     avoided = np.zeros((len(layouts), n_samples, setting.axis.n_runs), dtype=bool)
     quiet = replace(compute, cache_folder=None, progress=silent)
     worlds = build_sample_tables(samples, compute=quiet)
-    for index, (_, table) in enumerate(worlds):
+    driving = TrafficCount()
+    for index, (sample, table) in enumerate(worlds):
+        driving += sample.driving
         detected = table.detected(slice(None))
         for which, layout in enumerate(layouts):
             avoided[which, index] = _avoided(
@@ -234,6 +240,7 @@ def out_of_sample_layouts(
                 fusion,
             )
         compute.progress(STAGE, index + 1, n_samples)
+    tell_traffic(driving, uncertainty)
     weight = setting.axis.weight
     return [
         SampledApr(
@@ -241,6 +248,7 @@ def out_of_sample_layouts(
             axis=setting.axis,
             apr_by_sample=np.array([weight_share(world, weight) for world in by_sample]),
             avoided_share=by_sample.mean(axis=0),
+            driving=driving,
         )
         for layout, by_sample in zip(layouts, avoided, strict=True)
     ]

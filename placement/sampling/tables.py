@@ -1,6 +1,7 @@
 """Detection tables of sampled worlds, end to end in one table for the optimiser."""
 
 import hashlib
+import logging
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from ..visibility import build_detection_table, load_table, save_table, table_fi
 from ..visibility.build import N_POINTS
 from ..visibility.casting import World, build_world, cast_sight
 from ..visibility.sensing import build_sensing, has_lidar, reach_m
+from .moving import TrafficCount
 from .uncertainty import Uncertainty
 from .worlds import Luck, Sample, draw_samples, pose_key
 
@@ -181,6 +183,7 @@ def drawing_key(luck: Luck, detector: ResponseDetector) -> str:
 
 
 STAGE = "sampled detection tables"
+_log = logging.getLogger(__name__)
 _ROWS = 256  # unpacked at a time
 
 
@@ -238,9 +241,12 @@ def sampled_table(
     packed = np.zeros((len(candidates), -(-n_samples * n_frames // 8)), dtype=np.uint8)
     last_brake_s = []
     worlds = build_sample_tables(samples, n_samples=n_samples, compute=compute)
-    for index, (_, table) in enumerate(worlds):
+    driving = TrafficCount()
+    for index, (sample, table) in enumerate(worlds):
+        driving += sample.driving
         _append(packed, table.packed, first_bit=index * n_frames, n_bits=n_frames)
         last_brake_s.append(table.axis.last_brake_time_s)
+    tell_traffic(driving, uncertainty)
     return SampledTable(
         table=DetectionTable(
             pose_ids=tuple(candidate.id for candidate in candidates),
@@ -250,6 +256,13 @@ def sampled_table(
         sample_index=np.repeat(np.arange(n_samples), setting.axis.n_runs),
         n_samples=n_samples,
     )
+
+
+def tell_traffic(driving: TrafficCount, uncertainty: Uncertainty) -> None:
+    """Say in the log what drove by, and as a warning what SUMO found no room for."""
+    if uncertainty.moving is not None:
+        level = logging.WARNING if driving.n_waiting else logging.INFO
+        _log.log(level, "traffic (%s): %s", uncertainty.moving.name, driving)
 
 
 def build_sample_tables(

@@ -1,7 +1,7 @@
 """Uncertainty: mounting errors, traffic, misses, lost messages, latencies; read from TOML."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
@@ -9,12 +9,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from geometry.actors import Actor, Shape, pick_actor
+from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import Table, load_toml, take, take_list, take_number, take_text
+from geometry.scene import Scene
 
 from ..latency import LatencyBudget, load_latency_budget
+from ..question import Question
+from .bodies import read_body
+from .moving import MovingTraffic, load_traffic
 
 # ---------- kinds of uncertainty
 
@@ -182,6 +186,8 @@ class Uncertainty:
         Whether a planning detector that gives probabilities is drawn frame by frame.
     traffic : StandingTraffic
         What stands at random.
+    moving : MovingTraffic, optional
+        What drives by; see :func:`with_moving_traffic`.
     name : str
         What it is called in reports.
     """
@@ -191,6 +197,7 @@ class Uncertainty:
     packet_loss: float = 0.0
     draws_detections: bool = False
     traffic: StandingTraffic = field(default_factory=StandingTraffic)
+    moving: MovingTraffic | None = None
     name: str = "none"
 
     def __post_init__(self) -> None:
@@ -200,6 +207,12 @@ class Uncertainty:
 
     def __repr__(self) -> str:
         return f"Uncertainty({self.name!r})"
+
+
+def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Uncertainty:
+    """The same with vehicles that drive by, and none drawn at the stop lines: these wait, too."""
+    standing = replace(uncertainty.traffic, waiting_share=0.0, following_share=0.0)
+    return replace(uncertainty, moving=moving, traffic=standing)
 
 
 _LENGTHS = (
@@ -251,15 +264,7 @@ _TRAFFIC = (
     "along_arm_m",
     "clearance_m",
 )
-_SIZES = ("length_m", "width_m", "height_m")
 _SHARES = ("parked_share", "waiting_share")
-# Two triangles on each side, outward; corner x + 2 y + 4 z of a box has these bits.
-_BOX_TRIANGLES = np.array(
-    [
-        [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-        [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
-    ]
-)  # fmt: skip
 _T = TypeVar("_T")
 
 
@@ -278,6 +283,23 @@ def load_uncertainty(
         names = ", ".join(UNCERTAINTY_NAMES)
         raise InputError(where, name_or_path, f"{names}, or a .toml file with uncertainties")
     return _read(load_toml(path), path.name, f"{path}: ")
+
+
+def load_drawn(question: Question, scene: Scene, *, n_samples: int) -> Uncertainty:
+    """What a question draws in so many sampled worlds of a scene: --uncertainty and --traffic.
+
+    Raises InputError as :func:`load_uncertainty` and :func:`.load_traffic`, or where traffic is
+    given and no world is sampled; MissingExtraError where SUMO is asked for and not installed.
+    """
+    uncertainty = load_uncertainty(question.uncertainty, where="--uncertainty")
+    if question.traffic_offset and not question.traffic:
+        raise InputError("--traffic-offset", question.traffic_offset, "--traffic FILE beside it")
+    if not question.traffic:
+        return uncertainty
+    if n_samples == 0:
+        raise InputError("--traffic", question.traffic, "--samples N beside it: worlds to drive in")
+    moving = load_traffic(question.traffic, scene, offset=question.traffic_offset)
+    return with_moving_traffic(uncertainty, moving)
 
 
 @cache
@@ -370,36 +392,9 @@ def _read_vehicles(document: Table, prefix: str) -> tuple[VehicleKind, ...]:
         if not isinstance(entry, dict):
             raise InputError(where, entry, "a table [[vehicles]]")
         shares = {key: take_number(entry, key, where) for key in _SHARES}
-        actor = _read_body(entry, where)
+        actor = read_body({key: entry[key] for key in entry if key not in _SHARES}, where)
         kinds.append(_named(f"{where}.", partial(VehicleKind, actor=actor, **shares)))
     return tuple(kinds)
-
-
-def _read_body(entry: Table, where: str) -> Actor:
-    if "actor" in entry:
-        _refuse_unknown(entry, ("actor", *_SHARES), where)
-        actor = pick_actor(take_text(entry, "actor", where), f"{where}.actor")
-        if actor.class_name != "parked vehicle":
-            raise InputError(f"{where}.actor", actor.name, "a parked vehicle")
-        return actor
-    _refuse_unknown(entry, ("name", *_SIZES, *_SHARES), where)
-    sizes = {key: take_number(entry, key, where) for key in _SIZES}
-    name = take_text(entry, "name", where)
-    return _named(f"{where}: ", lambda: _build_box(name, **sizes))
-
-
-def _build_box(name: str, *, length_m: float, width_m: float, height_m: float) -> Actor:
-    """A vehicle as a box that reaches down to the road."""
-    bits = np.array([[index & 1, index >> 1 & 1, index >> 2] for index in range(8)])
-    corners = (bits - [0.5, 0.5, 0.0]) * [length_m, width_m, height_m]
-    return Actor(
-        name=name,
-        class_name="parked vehicle",
-        length_m=length_m,
-        width_m=width_m,
-        height_m=height_m,
-        shapes=(Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),),
-    )
 
 
 def _refuse_unknown(table: Table, known: tuple[str, ...], where: str) -> None:

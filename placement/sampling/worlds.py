@@ -1,8 +1,11 @@
 """Sampled worlds: mounting errors, standing vehicles and latencies, drawn for each world."""
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 
 import numpy as np
 
@@ -16,6 +19,7 @@ from ..candidates import CandidatePose
 from ..compute import check_whole
 from ..detectors import ResponseDetector
 from ..setting import Setting
+from .moving import TrafficCount
 from .traffic import GroupKey, Street, Ways, build_street, build_ways, clear_of_ways, group_key
 from .uncertainty import MountingErrors, Uncertainty
 
@@ -76,6 +80,7 @@ class Sample:
     # the same as they really hang; ids, sites and sensors are as planned
     candidates: tuple[CandidatePose, ...]
     vehicles: tuple[PlacedActor, ...]  # all that stands in the street, in whichever runs
+    driving: TrafficCount  # how many drive by, in all runs together
     extra_latency_s: FloatArray  # (n_runs,): what messages take longer than the rule says. [s]
 
     @property
@@ -90,7 +95,8 @@ class Sample:
     def looks_as_planned(self) -> bool:
         """Whether every pose detects what it would in the plan."""
         is_in_place = self.candidates is self.planned
-        return is_in_place and not self.vehicles and self.drawn_detector is None
+        is_empty = not self.vehicles and not self.driving.n_vehicles
+        return is_in_place and is_empty and self.drawn_detector is None
 
     def __repr__(self) -> str:
         return (
@@ -117,18 +123,32 @@ def draw_samples(
     stay comparable with one another, and share their rays as in the plan; two units on one pole
     are off in the same way. What stands in the street is one and the same in all runs of a world,
     but for what would stand in the way of a case from an approach: it is left out in those runs.
+    What drives by is drawn for each group of runs (see :func:`.traffic.group_key`): they all have
+    their impact at the same moment of the same traffic.
 
-    Raises InputError for a number that cannot be, or vehicles in a scene without a junction.
+    Raises InputError for a number that cannot be, or vehicles in a scene without a junction;
+    MissingExtraError where SUMO shall drive and is not installed.
     """
     check_whole("--samples", n_samples, least=1)
     traffic = uncertainty.traffic
     street = None if traffic.is_empty else build_street(setting.scene, traffic)
     ways = {} if street is None else build_ways(setting.runs, setting.rule)
     first, planned = Luck(seed=seed, purpose=purpose, index=0), tuple(candidates)
-    return (
-        _draw(setting, planned, uncertainty, replace(first, index=index), street, ways)
+    draws = (
+        partial(_draw, setting, planned, uncertainty, replace(first, index=index), street, ways)
         for index in range(n_samples)
     )
+    # SUMO drives in a process of its own: the next world's traffic while this one is looked at.
+    return (draw() for draw in draws) if uncertainty.moving is None else _one_ahead(draws)
+
+
+def _one_ahead(draws: Iterator[Callable[[], Sample]]) -> Iterator[Sample]:
+    with ThreadPoolExecutor(1) as pool:
+        pending = [pool.submit(draw) for draw in islice(draws, 1)]
+        while pending:
+            sample = pending.pop().result()
+            pending += [pool.submit(draw) for draw in islice(draws, 1)]
+            yield sample
 
 
 def _draw(
@@ -140,14 +160,27 @@ def _draw(
     ways: dict[GroupKey, Ways],
 ) -> Sample:
     axis = setting.axis
+    rule = setting.rule
     extra_s = uncertainty.latency.draw_s(
-        luck.rng("latency"), axis.n_runs, rule_latency_s=setting.rule.latency_s
+        luck.rng("latency"), axis.n_runs, rule_latency_s=rule.latency_s
     )
     vehicles = () if street is None else street.draw(luck.rng)
     runs = setting.runs
     if vehicles:
         clearance_m = uncertainty.traffic.clearance_m
         runs = _with_vehicles(runs, clear_of_ways(vehicles, ways, clearance_m=clearance_m))
+    driving = TrafficCount()
+    if uncertainty.moving is not None:
+        groups: dict[GroupKey, list[int]] = {}
+        for row, run in enumerate(runs):
+            groups.setdefault(group_key(run), []).append(row)
+        runs, driving = uncertainty.moving.draw(
+            runs,
+            groups,
+            frame_s=1.0 / rule.frame_rate_hz,
+            clearance_m=uncertainty.traffic.clearance_m,
+            rng=luck.rng("moving traffic"),
+        )
     return Sample(
         luck=luck,
         uncertainty=uncertainty,
@@ -160,6 +193,7 @@ def _draw(
         planned=candidates,
         candidates=_as_mounted(candidates, uncertainty.mounting, luck),
         vehicles=vehicles,
+        driving=driving,
         extra_latency_s=freeze(extra_s),
     )
 

@@ -227,12 +227,15 @@ def table_fingerprint(
         add(run.vru_position_m, run.vru_yaw_deg, run.vru_shape)
         for parked in run.obstruction:
             add(parked.pose.position_m, parked.pose.yaw_deg, parked.pose.pitch_deg)
+        for body in run.traffic:
+            add(body.position_m, body.yaw_deg)
         add("end of run")
     return digest.hexdigest()
 
 
 def _actors_of(run: Run) -> list[Actor]:
-    return [run.encounter.vut, run.encounter.vru, *(parked.actor for parked in run.obstruction)]
+    parked, driving = ([thing.actor for thing in group] for group in (run.obstruction, run.traffic))
+    return [run.encounter.vut, run.encounter.vru, *parked, *driving]
 
 
 def _numbered(things: Iterable[_T]) -> dict[_T, int]:

@@ -1,0 +1,290 @@
+"""A scene's lanes as a SUMO network: plain nodes and edges, put together by netconvert."""
+
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from geometry.arrays import FloatArray
+from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.junction import Arm, Junction, build_junction, lane_length_m
+from geometry.scene import Lane, Scene
+
+JUNCTION = "junction"
+_SAME_LENGTH_M = 5.0  # lanes of an arm whose lengths differ by less go as far as one another
+_SHORTEST_M = 8.0  # pieces of an arm shorter than this are no edges of their own
+_TURN_OF_DIRECTION = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right"}
+_TIMEOUT_S = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RoadNetwork:
+    """A junction as SUMO knows it.
+
+    Attributes
+    ----------
+    xml : str
+        Content of the .net.xml file.
+    origin_m : (2,) float
+        Where its origin lies in the world frame; its axes are those of the world. [m]
+    entry_edges, exit_edges : dict of str to str
+        By arm: edges towards the junction, and away from it, in driving order with blanks between.
+    n_entry_lanes : dict of str to int
+        By arm.
+    ways : dict of str to dict of str to dict of str to str
+        By arm, turn and exit arm: the edges of the way through.
+    """
+
+    xml: str
+    origin_m: FloatArray
+    entry_edges: dict[str, str]
+    exit_edges: dict[str, str]
+    n_entry_lanes: dict[str, int]
+    ways: dict[str, dict[str, dict[str, str]]]
+
+
+def sumo_program(name: str) -> str:
+    """Path of one of SUMO's programs; raises MissingExtraError where SUMO is not installed."""
+    try:
+        import sumo
+    except ImportError:
+        raise missing_sumo() from None
+    found = shutil.which(name, path=str(Path(sumo.SUMO_HOME) / "bin"))
+    if found is None:
+        raise missing_sumo()
+    return found
+
+
+def missing_sumo() -> MissingExtraError:
+    """The error that says how SUMO is installed."""
+    return MissingExtraError(
+        "--traffic sumo needs SUMO: pip install place-rsus[traffic] (in a checkout: uv run --extra "
+        "traffic place-rsus ..); without it, parked and waiting vehicles are drawn as always"
+    )
+
+
+def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) -> RoadNetwork:
+    """Write the lanes of a scene's junction as plain XML, and let netconvert connect them.
+
+    Lanes keep their lines. Arms that the map cuts off sooner than `approach_m` go straight on.
+    Where the map has lanes through the junction, vehicles drive along those and no others; from
+    all other lanes netconvert guesses them. Lights stand where the scene has some, with SUMO's own
+    programme; elsewhere priority is netconvert's.
+
+    Raises
+    ------
+    InputError
+        The scene has no junction, no lane leads in or out, or netconvert cannot read the lanes.
+    MissingExtraError
+        SUMO is not installed.
+    """
+    program = sumo_program("netconvert")
+    junction = build_junction(scene)
+    origin: FloatArray = scene.outline_m.mean(axis=0)
+    plain = _Plain(origin_m=origin, speed_mps=speed_limit_mps, approach_m=approach_m)
+    entry = {n: plain.add_arm(arm, is_in=True) for n, arm in junction.arms.items()}
+    leaving = {n: plain.add_arm(arm, is_in=False) for n, arm in junction.arms.items()}
+    entry, leaving = ({k: v for k, v in edges.items() if v} for edges in (entry, leaving))
+    if not entry or not leaving:
+        raise InputError(
+            f"{scene.name}: lanes",
+            Unquoted("no lane into the junction" if not entry else "no lane out of it"),
+            "lanes that are driven in both directions",
+        )
+    plain.connect(junction)
+    xml = _run_netconvert(program, plain, scene, has_lights=_has_lights(scene))
+    return RoadNetwork(
+        xml=xml,
+        origin_m=origin,
+        entry_edges={name: " ".join(edges) for name, edges in entry.items()},
+        exit_edges={name: " ".join(edges) for name, edges in leaving.items()},
+        n_entry_lanes={name: len(junction.arms[name].entry_lanes) for name in entry},
+        ways=_find_ways(xml, entry, leaving, scene),
+    )
+
+
+def _has_lights(scene: Scene) -> bool:
+    kinds = {site.kind for site in scene.sites} | {thing.class_name for thing in scene.instances}
+    return "traffic light" in kinds
+
+
+class _Plain:
+    """Nodes, edges and connections, as they are written."""
+
+    def __init__(self, *, origin_m: FloatArray, speed_mps: float, approach_m: float) -> None:
+        self.origin_m, self.speed_mps, self.approach_m = origin_m, speed_mps, approach_m
+        self.nodes: list[str] = []
+        self.edges: list[str] = []
+        self.connections: list[str] = []
+        self.at_junction: dict[tuple[bool, str], tuple[str, int]] = {}  # lane -> edge and index
+
+    def shape(self, points_m: FloatArray) -> str:
+        """Points of the world frame, as SUMO writes them."""
+        return " ".join(f"{x:.3f},{y:.3f}" for x, y in (points_m - self.origin_m).tolist())
+
+    def add_arm(self, arm: Arm, *, is_in: bool) -> list[str]:
+        """Edges of an arm in driving order; where a lane begins or ends, a new edge does."""
+        lanes = arm.entry_lanes if is_in else arm.exit_lanes
+        if not lanes:
+            return []
+        # Outwards from the junction: each lane as far as it goes, the longest ones farther.
+        outwards = [lane.centreline_m[::-1] if is_in else lane.centreline_m for lane in lanes]
+        length_m = np.array([lane_length_m(lane) for lane in lanes])
+        cuts = [float(length_m.max())]
+        for one in sorted(length_m.tolist(), reverse=True):
+            if cuts[-1] - one > _SAME_LENGTH_M and one >= _SHORTEST_M:
+                cuts.append(one)
+        cuts = [0.0, *reversed(cuts)]
+        stem = f"{arm.name}-{'in' if is_in else 'out'}"
+        names = []
+        inner = JUNCTION
+        for number, (near_m, far_m) in enumerate(pairwise(cuts)):
+            is_last = number == len(cuts) - 2
+            members = [
+                (lane, _piece(points, near_m, min(far_m, own_m), far_m - near_m))
+                for lane, points, own_m in zip(lanes, outwards, length_m, strict=True)
+                if own_m > far_m - _SAME_LENGTH_M
+            ]
+            if is_last:
+                more_m = max(0.0, self.approach_m - far_m)
+                members = [(lane, _straight_on(points, more_m)) for lane, points in members]
+            outer = f"{stem}-{number}"
+            self._add_node(outer, np.mean([points[-1] for _, points in members], axis=0), is_last)
+            name = f"{stem}-edge-{number}"
+            self._add_edge(name, members, (outer, inner) if is_in else (inner, outer), is_in)
+            if number == 0:
+                for index, (lane, _) in enumerate(members):
+                    self.at_junction[is_in, lane.id] = (name, index)
+            names.append(name)
+            inner = outer
+        return names[::-1] if is_in else names
+
+    def _add_node(self, name: str, position_m: FloatArray, is_end: bool) -> None:
+        east, north = (position_m - self.origin_m).tolist()
+        kind = "dead_end" if is_end else "priority"
+        self.nodes.append(
+            f'<node id={quoteattr(name)} x="{east:.3f}" y="{north:.3f}" type="{kind}"/>'
+        )
+
+    def _add_edge(
+        self,
+        name: str,
+        members: Sequence[tuple[Lane, FloatArray]],
+        ends: tuple[str, str],
+        is_in: bool,
+    ) -> None:
+        lines = [points[::-1] if is_in else points for _, points in members]
+        lanes = "".join(
+            f'<lane index="{i}" width="{lane.width_m:.2f}" shape="{self.shape(line)}"/>'
+            for i, ((lane, _), line) in enumerate(zip(members, lines, strict=True))
+        )
+        middle = 0.5 * (lines[0][[0, -1]] + lines[-1][[0, -1]])
+        self.edges.append(
+            f"<edge id={quoteattr(name)} from={quoteattr(ends[0])} to={quoteattr(ends[1])} "
+            f'numLanes="{len(members)}" speed="{self.speed_mps:.3f}" '
+            f'shape="{self.shape(middle)}">{lanes}</edge>'
+        )
+
+    def connect(self, junction: Junction) -> None:
+        """Write the map's own lanes through the junction, where it has some."""
+        for arm in junction.arms.values():
+            for entry in arm.entry_lanes:
+                for other in junction.arms.values():
+                    for leaving in other.exit_lanes if other is not arm else ():
+                        lane = junction.connection(entry, leaving)
+                        ends = [
+                            self.at_junction.get((True, entry.id)),
+                            self.at_junction.get((False, leaving.id)),
+                        ]
+                        if lane is None or ends[0] is None or ends[1] is None:
+                            continue
+                        (from_edge, from_lane), (to_edge, to_lane) = ends[0], ends[1]
+                        self.connections.append(
+                            f"<connection from={quoteattr(from_edge)} to={quoteattr(to_edge)} "
+                            f'fromLane="{from_lane}" toLane="{to_lane}" '
+                            f'shape="{self.shape(lane.centreline_m)}"/>'
+                        )
+
+
+def _piece(points: FloatArray, near_m: float, far_m: float, wanted_m: float) -> FloatArray:
+    """The part of a line between two distances from its begin, straight on if it ends sooner."""
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    inside = points[(along > near_m + 0.01) & (along < far_m - 0.01)]
+    ends = [
+        np.array([np.interp(at_m, along, points[:, axis]) for axis in (0, 1)])
+        for at_m in (near_m, far_m)
+    ]
+    part: FloatArray = np.concatenate([ends[:1], inside, ends[1:]])
+    return _straight_on(part, max(0.0, wanted_m - (far_m - near_m)))
+
+
+def _straight_on(points: FloatArray, more_m: float) -> FloatArray:
+    if more_m < 0.01:
+        return points
+    ahead = points[-1] - points[-2]
+    return np.concatenate([points, [points[-1] + more_m * ahead / np.hypot(*ahead)]])
+
+
+def _run_netconvert(program: str, plain: _Plain, scene: Scene, *, has_lights: bool) -> str:
+    kind = "traffic_light" if has_lights else "priority"
+    outline = plain.shape(scene.outline_m)
+    node = f'<node id="{JUNCTION}" x="0" y="0" type="{kind}" shape="{outline}"/>'
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for ending, root, lines in (
+            ("nod", "nodes", [node, *plain.nodes]),
+            ("edg", "edges", plain.edges),
+            ("con", "connections", plain.connections),
+        ):
+            text = "\n".join([f"<{root}>", *lines, f"</{root}>"])
+            (folder / f"plain.{ending}.xml").write_text(text, encoding="utf-8")
+        target = folder / "junction.net.xml"
+        command = [
+            program,
+            *("-n", str(folder / "plain.nod.xml"), "-e", str(folder / "plain.edg.xml")),
+            *("-x", str(folder / "plain.con.xml"), "-o", str(target)),
+            *("--offset.disable-normalization", "true", "--no-turnarounds", "true"),
+            *("--xml-validation", "never", "--no-warnings", "true"),
+            *(("--lefthand", "true") if scene.keeps_left else ()),
+        ]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise InputError(scene.name, Unquoted("no network"), "lanes for netconvert") from None
+        if done.returncode != 0 or not target.exists():
+            reason = " ".join(done.stderr.split())
+            raise InputError(
+                f"{scene.name}: lanes", Unquoted(reason), "lanes that netconvert connects"
+            )
+        return target.read_text(encoding="utf-8")
+
+
+def _find_ways(
+    xml: str, entry: dict[str, list[str]], leaving: dict[str, list[str]], scene: Scene
+) -> dict[str, dict[str, dict[str, str]]]:
+    """Ways through the junction by arm, turn and exit arm, from the connections of a network."""
+    arm_in = {edges[-1]: arm for arm, edges in entry.items()}
+    arm_out = {edges[0]: arm for arm, edges in leaving.items()}
+    ways: dict[str, dict[str, dict[str, str]]] = {}
+    for connection in re.findall(r"<connection ([^>]*)/>", xml):
+        found = dict(re.findall(r'(\w+)="([^"]*)"', connection))
+        arm, other = arm_in.get(found["from"]), arm_out.get(found["to"])
+        turn = _TURN_OF_DIRECTION.get(found.get("dir", ""))
+        if arm is None or other is None or turn is None or arm == other:
+            continue
+        edges = " ".join([*entry[arm], *leaving[other]])
+        ways.setdefault(arm, {}).setdefault(turn, {})[other] = edges
+    if not ways:
+        raise InputError(
+            f"{scene.name}: lanes", Unquoted("no way through the junction"), "lanes in and out"
+        )
+    return ways

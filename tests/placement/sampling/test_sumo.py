@@ -1,0 +1,235 @@
+"""SUMO on a scene's own lanes; skipped where it is not installed, but for what is told then."""
+
+import importlib.util
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import shapely
+from junctions import protocol_scene
+
+from geometry.errors import MissingExtraError
+from geometry.scene import Lane
+from geometry.scene_files import load_study_scene
+from placement.sampling.moving.demand import load_demand
+from placement.sampling.moving.network import build_network, missing_sumo
+from placement.sampling.moving.simulate import simulate_windows
+from placement.sampling.moving.source import load_traffic
+
+HAS_SUMO = importlib.util.find_spec("libsumo") is not None
+needs_sumo = pytest.mark.skipif(not HAS_SUMO, reason="SUMO is not installed: extra traffic")
+LANE_REACH_M = 2.0
+
+
+@cache
+def network_of(scene, demand):
+    return build_network(
+        scene, speed_limit_mps=demand.speed_limit_mps, approach_m=demand.approach_m
+    )
+
+
+def lasting(run, seconds):
+    """The run with frames of its last position for so long: a window of that length."""
+    n = round(10 * seconds)
+    frames = {
+        name: np.repeat(getattr(run, name)[-1:], n, axis=0)
+        for name in ("vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg", "vru_shape")
+    }
+    return replace(run, time_s=np.arange(1 - n, 1) / 10.0, **frames)
+
+
+def drive(scene, demand, runs, seed=0):
+    groups = {run.id: (run,) for run in runs}
+    return simulate_windows(
+        network_of(scene, load_demand()),
+        demand,
+        groups,
+        reach_m=100.0,
+        step_s=0.1,
+        rng=np.random.default_rng(seed),
+    )
+
+
+def test_without_sumo_one_line_says_what_is_missing(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError) as raised:
+        load_traffic("sumo", protocol_scene())
+    assert str(raised.value) == str(missing_sumo())
+    assert "pip install place-rsus[traffic]" in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@needs_sumo
+def test_every_arm_of_the_studys_junction_has_its_three_turns():
+    network = network_of(load_study_scene(), load_demand())
+    arms = {"north", "east", "south", "west"}
+    assert network.n_entry_lanes == dict.fromkeys(["east", "north", "west", "south"], 2)
+    for arm in arms:
+        exits = {turn: set(found) for turn, found in network.ways[arm].items()}
+        assert set(exits) == {"left", "straight", "right"}
+        assert set.union(*exits.values()) == arms - {arm}
+    assert 'type="traffic_light"' in network.xml
+
+
+@needs_sumo
+def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(runs):
+    """Front bumpers, which SUMO moves along its lanes, against lanes straight on from the map."""
+    scene, demand = load_study_scene(), load_demand()
+    run = next(run for run in runs if run.id == "CBLA/east/50")
+    away = replace(lasting(run, 60.0), approach="nowhere")  # no VUT in this window
+    found = drive(scene, demand, [away]).trajectories
+    half_m = 0.5 * np.array([body.length_m for body in found.bodies])
+    vehicle = np.repeat(np.arange(len(found.bodies)), np.diff(found.row_start))
+    yaw = np.radians(found.yaw_deg)
+    front = found.position_m + half_m[vehicle, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    lines = []
+    for lane in scene.lanes:
+        if lane.kind == "driving":
+            points = lane.centreline_m
+            for end, before in ((0, 1), (-1, -2)):
+                ahead = points[end] - points[before]
+                tip = points[end] + 150.0 * ahead / np.hypot(*ahead)
+                points = np.concatenate([[tip], points] if end == 0 else [points, [tip]])
+            lines.append(shapely.LineString(points))
+    to_lane_m = shapely.distance(shapely.MultiLineString(lines), shapely.points(front))
+    in_junction = shapely.contains_xy(shapely.Polygon(scene.outline_m), *front.T)
+    assert len(found.bodies) > 20
+    assert in_junction.any()
+    assert to_lane_m[~in_junction].max() <= LANE_REACH_M
+    # They drive the right way: beside the axis on the right, and as fast as they may.
+    steps = np.diff(found.position_m, axis=0)[np.diff(vehicle) == 0]
+    speed = np.hypot(*steps.T) / 0.1
+    assert speed.max() < 1.5 * demand.speed_limit_mps
+    headings = np.column_stack([np.cos(yaw), np.sin(yaw)])[:-1][np.diff(vehicle) == 0]
+    assert ((steps * headings).sum(axis=1) > -0.05).all()
+
+
+@needs_sumo
+def test_the_same_seed_drives_the_same_traffic_and_another_one_another(runs):
+    scene, demand = load_study_scene(), replace(load_demand(), warm_up_s=10.0)
+    ids = ("CBLA/east/50", "CBNA/east/60")
+    chosen = [lasting(run, 2.0) for run in runs if run.id in ids]
+    first, again, other = (drive(scene, demand, chosen, seed) for seed in (1, 1, 2))
+    assert first.impact_s == again.impact_s
+    assert np.array_equal(first.trajectories.position_m, again.trajectories.position_m)
+    assert len(first.trajectories.bodies) > 0
+    assert first.trajectories.position_m.shape != other.trajectories.position_m.shape
+
+
+@needs_sumo
+def test_vehicles_behind_the_vut_react_to_it(runs):
+    """The VUT stands still in the lanes' middle: who comes from behind stops behind it."""
+    scene, demand = load_study_scene(), load_demand()
+    run = next(run for run in runs if run.id == "CBLA/east/50")
+    lane = next(lane for lane in scene.lanes if lane.id == "-1_0").centreline_m
+    ahead = (lane[-1] - lane[-2]) / np.hypot(*(lane[-1] - lane[-2]))
+    place = lane[-1] - 30.0 * ahead
+    yaw_deg = float(np.degrees(np.arctan2(ahead[1], ahead[0])))
+    standing = lasting(run, 90.0)
+    n = len(standing.time_s)
+    standing = replace(
+        standing,
+        vut_speed_kmh=0.001,
+        vut_position_m=np.tile(place, (n, 1)),
+        vut_yaw_deg=np.full(n, yaw_deg),
+    )
+    busy = replace(demand, arms={"east": 1200.0})
+    found = drive(scene, busy, [standing]).trajectories
+    left = np.array([-ahead[1], ahead[0]])
+    offset = found.position_m - place
+    in_lane = np.abs(offset @ left) < 1.0
+    is_late = found.time_s > found.last_s - 60.0
+    along_m = (offset @ ahead)[in_lane & is_late]
+    behind_m = -along_m[(along_m < 0.0) & (along_m > -12.0)]
+    assert len(behind_m)  # somebody stands there
+    vehicle = np.repeat(np.arange(len(found.bodies)), np.diff(found.row_start))
+    closest = np.flatnonzero(in_lane & is_late)[(along_m < 0.0) & (along_m > -12.0)]
+    gap_m = behind_m - 0.5 * np.array(
+        [run.encounter.vut.length_m + found.bodies[v].length_m for v in vehicle[closest]]
+    )
+    assert gap_m.min() > 0.0
+
+
+@needs_sumo
+def test_more_vehicles_than_the_lanes_can_take_are_told(runs):
+    demand = replace(load_demand(), vehicles_per_hour_per_lane=10_000.0, warm_up_s=20.0)
+    run = lasting(next(run for run in runs if run.id == "CBLA/east/50"), 2.0)
+    found = drive(load_study_scene(), demand, [run])
+    assert found.n_departed > 20
+    assert found.n_waiting > found.n_departed
+
+
+@needs_sumo
+def test_a_junction_without_lights_and_with_three_arms_is_driven(actors, rule):
+    scene = protocol_scene()
+    lanes = tuple(lane for lane in scene.lanes if not lane.id.startswith("north"))
+    network = network_of(replace(scene, lanes=lanes), load_demand())
+    assert set(network.ways) == {"east", "south", "west"}
+    assert set(network.ways["east"]) == {"straight", "left"}
+    assert 'type="traffic_light"' not in network.xml
+
+
+@needs_sumo
+def test_a_pocket_for_turning_is_an_edge_of_its_own():
+    """A second lane of 30 m beside one of 80 m: two edges, the near one with two lanes."""
+    scene = protocol_scene()
+    entry = next(lane for lane in scene.lanes if lane.id == "west-in-0")
+    points = entry.centreline_m
+    ahead = (points[-1] - points[0]) / np.hypot(*(points[-1] - points[0]))
+    left = np.array([-ahead[1], ahead[0]])
+    pocket = replace(
+        entry,
+        id="west-pocket",
+        centreline_m=np.array([points[-1] - 30.0 * ahead, points[-1]]) - entry.width_m * left,
+    )
+    network = network_of(replace(scene, lanes=(*scene.lanes, pocket)), load_demand())
+    assert network.entry_edges["west"] == "west-in-edge-1 west-in-edge-0"
+    assert network.n_entry_lanes["west"] == 2
+    assert 'id="west-in-edge-0_1"' in network.xml
+    assert 'id="west-in-edge-1_1"' not in network.xml
+    assert set(network.ways["west"]) == {"straight", "left", "right"}
+
+
+@needs_sumo
+def test_lanes_through_the_junction_are_driven_where_the_map_has_them():
+    """From the west the map has one lane through: SUMO turns nobody there, but elsewhere."""
+    scene = protocol_scene()
+    ends = {lane.id: lane.centreline_m for lane in scene.lanes}
+    through = Lane(
+        id="through",
+        kind="connecting",
+        width_m=3.5,
+        centreline_m=np.array([ends["west-in-0"][-1], [0.0, -1.5], ends["east-out-0"][0]]),
+    )
+    network = network_of(replace(scene, lanes=(*scene.lanes, through)), load_demand())
+    assert {turn: set(exits) for turn, exits in network.ways["west"].items()} == {
+        "straight": {"east"}
+    }
+    assert set(network.ways["east"]) == {"left", "straight", "right"}
+    assert "0.00,-1.50" in network.xml
+
+
+@needs_sumo
+def test_lanes_that_keep_left_are_driven_on_the_left():
+    scene = protocol_scene()
+    mirrored = tuple(
+        replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0]) for lane in scene.lanes
+    )
+    network = network_of(replace(scene, lanes=mirrored, keeps_left=True), load_demand())
+    right = network_of(scene, load_demand())
+    # In the mirror, north and south change places, and so do left and right.
+    assert set(right.ways["west"]["left"]) == {"north"}
+    assert set(network.ways["west"]["left"]) == {"north"}
+    assert 'lefthand="true"' in network.xml
+
+
+@needs_sumo
+def test_a_vut_that_comes_from_beyond_the_network_joins_in_when_it_is_there(runs):
+    """For the first second it is a kilometre away, where no lane is."""
+    run = lasting(next(run for run in runs if run.id == "CBLA/east/50"), 2.0)
+    position = np.array(run.vut_position_m)
+    position[:10] += [1000.0, 0.0]
+    scene, demand = load_study_scene(), replace(load_demand(), warm_up_s=10.0)
+    found = drive(scene, demand, [replace(run, vut_position_m=position)])
+    assert len(found.trajectories.bodies) > 0

@@ -1,0 +1,251 @@
+"""Windows of traffic against hand-made tracks, and who is left out of a run."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from junctions import protocol_scene
+
+from geometry.actors import MovingActor, PlacedActor, load_actors
+from geometry.errors import InputError
+from geometry.footprints import footprint_corners, footprint_separation
+from geometry.poses import Pose
+from placement.sampling import MovingTraffic, Uncertainty, draw_samples, with_moving_traffic
+from placement.sampling.moving.demand import load_demand
+from placement.sampling.moving.trajectories import Trajectories
+from placement.sampling.moving.windows import (
+    cut_window,
+    frames_in_parked,
+    last_frames,
+    meets_road_users,
+)
+
+VAN = load_actors()["parked-van"]
+MIDDLE_M = np.zeros(2)
+
+
+def tracks(*columns, step_s=0.1):
+    """Trajectories of vans, each (first time, positions (n, 2), yaw)."""
+    starts = np.cumsum([0, *(len(points) for _, points, _ in columns)])
+    time = [first + step_s * np.arange(len(points)) for first, points, _ in columns]
+    return Trajectories(
+        bodies=(VAN,) * len(columns),
+        row_start=starts,
+        time_s=np.concatenate(time),
+        position_m=np.concatenate([points for _, points, _ in columns]),
+        yaw_deg=np.concatenate([np.full(len(points), yaw) for _, points, yaw in columns]),
+        step_s=step_s,
+        first_s=min(times[0] for times in time),
+        last_s=max(times[-1] for times in time),
+    )
+
+
+def straight(first_m, last_m, n, *, left_m=0.0):
+    return np.column_stack([np.linspace(first_m, last_m, n), np.full(n, left_m)])
+
+
+def standing(position_m, n_frames, *, yaw_deg=0.0):
+    return MovingActor(
+        actor=VAN,
+        position_m=np.tile(position_m, (n_frames, 1)),
+        yaw_deg=np.full(n_frames, yaw_deg),
+    )
+
+
+def test_a_window_has_the_frames_that_the_tracks_have():
+    found = tracks((0.0, straight(-10.0, 10.0, 201), 0.0), (15.0, straight(5.0, 5.0, 101), 90.0))
+    time_s = 12.0 + 0.1 * np.arange(51)
+    one, other = cut_window(found, time_s, middle_m=MIDDLE_M)
+    assert one.position_m[:, 0] == pytest.approx(-10.0 + time_s)
+    assert one.yaw_deg == pytest.approx(0.0)
+    assert other.is_there.tolist() == (time_s > 14.95).tolist()
+    assert other.position_m[-1].tolist() == [5.0, 0.0]
+
+
+def test_nobody_farther_than_the_reach_is_in_a_window():
+    found = tracks(
+        (0.0, straight(-150.0, 150.0, 301), 0.0), (0.0, straight(130.0, 140.0, 301), 0.0)
+    )
+    (one,) = cut_window(found, 0.1 * np.arange(301), middle_m=MIDDLE_M)
+    assert np.nanmin(one.position_m[:, 0]) == pytest.approx(-100.0)
+    assert np.nanmax(one.position_m[:, 0]) == pytest.approx(100.0)
+    assert int(one.is_there.sum()) == 201
+    near = cut_window(found, 0.1 * np.arange(301), middle_m=MIDDLE_M, reach_m=200.0)
+    assert [int(body.is_there.sum()) for body in near] == [301, 301]
+
+
+def test_a_shorter_run_has_the_last_frames_of_the_window():
+    (body,) = cut_window(
+        tracks((0.0, straight(0.0, 20.0, 21), 0.0)), 0.1 * np.arange(41), middle_m=MIDDLE_M
+    )
+    tail = last_frames(body, 30)
+    assert np.array_equal(tail.position_m, body.position_m[-30:], equal_nan=True)
+    assert last_frames(body, 20) is None  # it has left by then
+    assert last_frames(body, 41) is body
+
+
+def brute_force_meets(run, body, clearance_m):
+    """Footprints of all frames, one by one."""
+    for actor, position_m, yaw_deg in (
+        (run.encounter.vut, run.vut_position_m, run.vut_yaw_deg),
+        (run.encounter.vru, run.vru_position_m, run.vru_yaw_deg),
+    ):
+        for frame in np.flatnonzero(body.is_there).tolist():
+            one, other = (
+                footprint_corners(m, yaw, length_m=a.length_m, width_m=a.width_m)
+                for a, m, yaw in (
+                    (actor, position_m[frame], yaw_deg[frame]),
+                    (body.actor, body.position_m[frame], body.yaw_deg[frame]),
+                )
+            )
+            if footprint_separation(one, other) <= clearance_m:
+                return True
+    return False
+
+
+def test_who_meets_a_road_user_is_found_as_frame_by_frame(junction_runs):
+    run = junction_runs["west"]
+    n = len(run.time_s)
+    rng = np.random.default_rng(0)
+    bodies = []
+    for _ in range(200):
+        frame = rng.integers(n)
+        around = run.vut_position_m[frame] + rng.normal(scale=4.0, size=2)
+        body = standing(around, n, yaw_deg=float(rng.uniform(0.0, 360.0)))
+        position = np.array(body.position_m)
+        position[: rng.integers(n)] = np.nan
+        bodies.append(replace(body, position_m=position))
+    for clearance_m in (0.0, 0.5):
+        found = meets_road_users(run, bodies, clearance_m=clearance_m)
+        expected = [brute_force_meets(run, body, clearance_m) for body in bodies]
+        # Standing bodies meet no one between frames alone but by less than a step.
+        missed = [e for e, f in zip(expected, found, strict=True) if e and not f]
+        more = [f for e, f in zip(expected, found, strict=True) if f and not e]
+        assert not missed
+        assert len(more) <= 0.1 * len(bodies)
+        assert 20 < sum(found) < 180
+
+
+def test_who_passes_between_two_frames_is_found(standing_still):
+    """A van jumps over the VRU from one frame to the next."""
+    run = standing_still([20.0, 0.0])
+    n = len(run.time_s)
+    position = np.full((n, 2), np.nan)
+    position[4], position[5] = [14.0, 0.0], [26.0, 0.0]
+    body = MovingActor(actor=VAN, position_m=position, yaw_deg=np.zeros(n))
+    assert not brute_force_meets(run, body, 0.5)
+    assert meets_road_users(run, [body], clearance_m=0.5) == (True,)
+
+
+def test_a_clearance_keeps_vehicles_away_and_no_farther(standing_still):
+    run = standing_still([20.0, 0.0])
+    n = len(run.time_s)
+    # The VRU looks north: its own half length is 0.3 m along north, half its width 0.25 m east.
+    vru = run.encounter.vru
+    edge_m = 20.0 + 0.5 * vru.width_m + 0.5 * VAN.length_m
+    near, far = (standing([edge_m + gap_m, 0.0], n) for gap_m in (0.49, 0.51))
+    assert meets_road_users(run, [near, far], clearance_m=0.5) == (True, False)
+
+
+def test_who_stands_in_a_parked_car_is_found_and_who_passes_it_is_not():
+    parked = PlacedActor(actor=VAN, pose=Pose(position_m=[0.0, 3.0, 0.0], yaw_deg=0.0))
+    inside, beside = standing([1.0, 2.0], 4), standing([0.0, 3.0 - VAN.width_m - 0.01], 4)
+    position = np.array(inside.position_m)
+    position[[0, 3]] = np.nan
+    gone = replace(inside, position_m=position)
+    found = frames_in_parked([inside, beside, gone], [parked])
+    assert [frames.tolist() for frames in found] == [
+        [True] * 4,
+        [False] * 4,
+        [False, True, True, False],
+    ]
+
+
+# Worlds
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """Ten minutes of vans that drive west, far enough from everybody, and some that do not."""
+    lanes = [
+        (3.0 * k, straight(99.0, -99.0, 200, left_m=8.0 if k % 3 else -1.75), 180.0)
+        for k in range(200)
+    ]
+    return MovingTraffic(
+        name="vans.csv",
+        middle_m=protocol_scene().outline_m.mean(axis=0),
+        demand=load_demand(),
+        trajectories=tracks(*lanes),
+    )
+
+
+def worlds(setting, recorded, **options):
+    uncertainty = with_moving_traffic(Uncertainty(), recorded)
+    return [*draw_samples(setting, (), uncertainty, **{"n_samples": 2, "seed": 1, **options})]
+
+
+@pytest.fixture(scope="module")
+def driven(build_setting, junction_scene, junction_runs):
+    return build_setting(junction_scene, [*junction_runs.values()])
+
+
+def record(sample):
+    return [
+        [(body.actor.name, body.position_m.tobytes()) for body in run.traffic]
+        for run in sample.setting.runs
+    ]
+
+
+def test_the_same_seed_draws_the_same_traffic_and_another_one_another(driven, recorded):
+    first = [record(sample) for sample in worlds(driven, recorded)]
+    assert first == [record(sample) for sample in worlds(driven, recorded)]
+    assert first[:1] == [record(sample) for sample in worlds(driven, recorded, n_samples=1)]
+    assert first[0] != first[1]
+    assert first[0] != record(worlds(driven, recorded, seed=2)[0])
+    assert first[0] != record(worlds(driven, recorded, purpose="judge")[0])
+
+
+def test_who_would_be_in_the_way_is_left_out_and_counted(driven, recorded):
+    (sample,) = worlds(driven, recorded, n_samples=1)
+    runs, count = sample.setting.runs, sample.driving
+    assert not sample.looks_as_planned
+    assert count.n_runs == len(runs)
+    assert count.n_vehicles == sum(len(run.traffic) for run in runs) + count.n_left_out
+    assert 0 < count.n_left_out < count.n_vehicles
+    assert not any(
+        meets for run in runs for meets in meets_road_users(run, run.traffic, clearance_m=0.5)
+    )
+    assert f"{count.n_left_out} of {count.n_vehicles} vehicles" in str(count)
+
+
+def test_runs_of_one_group_see_the_same_moment_of_the_same_traffic(
+    build_setting, junction_scene, junction_runs, recorded
+):
+    whole = junction_runs["west"]
+    names = (
+        "time_s",
+        "vut_position_m",
+        "vut_yaw_deg",
+        "vru_position_m",
+        "vru_yaw_deg",
+        "vru_shape",
+    )
+    short = replace(whole, id="short", **{name: getattr(whole, name)[-15:] for name in names})
+    (sample,) = worlds(build_setting(junction_scene, [whole, short]), recorded, n_samples=1)
+    long_traffic, short_traffic = (run.traffic for run in sample.setting.runs)
+    tails = {body.position_m[-15:].tobytes() for body in long_traffic}
+    assert short_traffic
+    assert tails & {body.position_m.tobytes() for body in short_traffic}
+
+
+def test_waiting_vehicles_are_not_drawn_beside_those_that_drive(default, recorded):
+    changed = with_moving_traffic(default, recorded)
+    assert changed.traffic.waiting_share == 0.0
+    assert changed.traffic.taken_share == default.traffic.taken_share > 0.0
+    assert default.traffic.waiting_share > 0.0
+
+
+def test_traffic_that_is_shorter_than_a_run_is_told(driven, recorded):
+    short = replace(recorded, trajectories=tracks((0.0, straight(0.0, 1.0, 11), 0.0)))
+    with pytest.raises(InputError, match="got 1 s of traffic; expected at least as much"):
+        worlds(driven, short)
