@@ -11,7 +11,7 @@ from geometry.errors import InputError, Unquoted
 from .candidates import CandidatePose
 from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable
-from .explain import find_refusal
+from .explain import NextUnit, find_next_unit, find_refusal
 from .layout import Certificate, Layout
 from .memory import check_memory
 from .optimiser import (
@@ -55,6 +55,8 @@ class Placement:
         The layout alone in the world as planned: `problem` itself unless worlds were sampled.
     nominal_index : tuple of int
         Rows of its table that make `layout`.
+    next_unit : NextUnit, optional
+        What greedy choice would add to `layout`, budgets aside; None: nothing fits, or not known.
     seconds : mapping of str to float
         Time per stage. [s]
     """
@@ -68,6 +70,7 @@ class Placement:
     nominal: PlacementProblem
     nominal_index: tuple[int, ...]
     seconds: Mapping[str, float]
+    next_unit: NextUnit | None = None
 
     def __repr__(self) -> str:
         proof = "proven" if self.certificate.is_proven else "not proven"
@@ -161,6 +164,7 @@ def place(
     optimised = time.perf_counter()
     compute.progress("greedy", 0, 0)
     greedy_index = solve_greedy(problem, reduced)
+    next_unit = find_next_unit(problem, reduced, solution.pose_index)
     nominal, nominal_index = problem, solution.pose_index
     if sample_index is not None:
         nominal = _alone(setting, candidates, solution.pose_index, fusion, compute.within("greedy"))
@@ -174,6 +178,7 @@ def place(
         pose_index=solution.pose_index,
         nominal=nominal,
         nominal_index=nominal_index,
+        next_unit=next_unit,
         seconds={
             "detection_table": table_done - started,
             "optimise": optimised - table_done,

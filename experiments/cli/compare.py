@@ -10,7 +10,14 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
-from .evaluate import TOGETHER, additions, apr_lines, written
+from .evaluate import (
+    TOGETHER,
+    additions,
+    apr_lines,
+    baseline_lines,
+    study_cases_lines,
+    written,
+)
 from .options import (
     JUDGED,
     SectionedCommand,
@@ -22,7 +29,8 @@ from .running import begin, command_line, print_result
 from .terminal import sentences
 
 if TYPE_CHECKING:
-    from ..results.result import Result
+    from ..results.baselines import ScoreRecord
+    from ..results.result import PartyAprRecord, Result
 
 
 @click.command(
@@ -88,7 +96,7 @@ def compare(
 def comparison_text(result: "Result", out: Path | None) -> str:
     """Layouts' results side by side, and the runs in which the first differs from each other."""
     assert result.compared is not UNSET
-    parties = {}
+    parties: dict[str, PartyAprRecord | ScoreRecord] = {}
     for name, evaluation in (
         (result.name, result.evaluation),
         *((other.name, other.evaluation) for other in result.compared),
@@ -96,11 +104,17 @@ def comparison_text(result: "Result", out: Path | None) -> str:
         parties[name] = evaluation.rsu_all
         parties[f"{name} and VUT"] = evaluation.vut_and_rsus
     names = ", ".join(other.name for other in result.compared)
+    expert = result.baselines.expert if result.baselines else None
+    if expert is not None:
+        parties["expert rule"] = expert.score
     lines = [
         *additions(result),
         *sentences(f"{result.name} against {names} on {result.runs} runs:"),
         *apr_lines(parties | {"VUT alone": result.evaluation.vut}),
         *sentences(f"each layout's units are {TOGETHER}.", indent=2),
+        *baseline_lines(result),
+        *study_cases_lines(result.study_cases),
+        "",
     ]
     for other in result.compared:
         over = f" over {other.name}" if len(result.compared) > 1 else ""

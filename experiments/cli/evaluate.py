@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 
 from placement.compute import Compute
 from placement.question import Question
@@ -25,6 +25,7 @@ from .running import begin, command_line, load_one_layout, print_result
 from .terminal import driven_lines, sentences, table, wide_table
 
 if TYPE_CHECKING:
+    from ..results.baselines import ScoreRecord, StudyCasesRecord
     from ..results.record import UnitRecord
     from ..results.result import EvaluationRecord, PartyAprRecord, Result
 
@@ -146,7 +147,7 @@ def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
     return table(["unit", "site", "x m", "y m", "z m", "yaw", "pitch"], rows, n_left=2)
 
 
-def apr_lines(parties: Mapping[str, "PartyAprRecord"]) -> list[str]:
+def apr_lines(parties: "Mapping[str, PartyAprRecord | ScoreRecord]") -> list[str]:
     """APR by case and by position along the arms: a row for each, a column per party.
 
     As many columns as fit stand side by side.
@@ -182,13 +183,43 @@ def written(out: Path | None) -> list[str]:
     return [] if out is None else ["", f"Written to {out}: report.html and more."]
 
 
+def baseline_lines(result: "Result") -> list[str]:
+    """What layouts prevent that need no optimiser; no line where none were compared."""
+    from ..report.comparison import baseline_sentences
+
+    said = sentences(*baseline_sentences(result), indent=2, hanging=2)
+    return ["", "Without an optimiser:", *said] if said else []
+
+
+def study_cases_lines(record: "StudyCasesRecord | UnsetType") -> list[str]:
+    """Layouts on the study's cases; no line where these are what was asked about."""
+    if not record:
+        return []
+    rows = [
+        [party.name, f"{party.runs_avoided} of {record.runs}", percent(party.all)]
+        for party in record.parties
+    ]
+    return [
+        "",
+        "On the study's cases, as the study reads them, by the evaluator:",
+        *table(["", "runs avoided", "APR"], rows),
+    ]
+
+
 def additions(result: "Result") -> list[str]:
-    """What a result has beside layout, proof and evaluation, each part before an empty line."""
+    """What a result has beside layout, proof and evaluation, each part before an empty line.
+
+    First of all how many runs are not avoided, and what one more unit would buy.
+    """
+    from ..report.answer import danger_sentences, next_unit_sentence
     from ..report.private_ground import private_ground_sentences
     from ..report.refinement import refinement_sentences
     from .explanations import explanation_text, uncertainty_text
 
     parts: list[list[str]] = [driven_lines(result.driven)] if result.driven else []
+    further = next_unit_sentence(result)
+    head = sentences(*danger_sentences(result), f"{further}." if further else "")
+    parts += [head] if head else []
     if result.front is not UNSET:
         said = sentences(*result.front.sentences, indent=2, hanging=2)
         parts.append(["What each unit buys:", *said])

@@ -18,7 +18,9 @@ from .evaluate import (
     additions,
     announced,
     apr_lines,
+    baseline_lines,
     cost_line,
+    study_cases_lines,
     unit_lines,
 )
 from .options import (
@@ -36,7 +38,8 @@ from .running import begin, command_line, print_result
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
-    from ..results.result import DisagreementRecord, Result
+    from ..results.baselines import ScoreRecord
+    from ..results.result import DisagreementRecord, PartyAprRecord, Result
 
 _MAX_DISAGREEMENTS = 5
 
@@ -157,7 +160,7 @@ def placement_text(result: "Result", out: Path) -> str:
         ]
         for stage in result.stages
     ]
-    parties = {
+    parties: dict[str, PartyAprRecord | ScoreRecord] = {
         "these, fused": evaluation.rsu_all,
         "with the VUT": evaluation.vut_and_rsus,
         "VUT alone": evaluation.vut,
@@ -165,6 +168,9 @@ def placement_text(result: "Result", out: Path) -> str:
     }
     if baseline is not None:
         parties[f"{result.baseline_name} fused"] = baseline.rsu_all
+    expert = result.baselines.expert if result.baselines else None
+    if expert is not None:
+        parties["expert rule, fused"] = expert.score
     lines = [
         *additions(result),
         f"Best {len(result.layout)} of {result.candidates} poses on {result.runs} runs "
@@ -177,6 +183,8 @@ def placement_text(result: "Result", out: Path) -> str:
         "Evaluated by full perception and emergency braking:",
         *apr_lines(parties | announced(evaluation)),
         *sentences(f"{TOGETHER}; greedy: units chosen one by one.", indent=2),
+        *baseline_lines(result),
+        *study_cases_lines(result.study_cases),
         "",
         f"Table and evaluator disagree on {percent(result.surrogate_disagreement)} of the runs.",
         *_disagreements(result.disagreements),

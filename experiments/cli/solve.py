@@ -70,7 +70,8 @@ Examples:
     "track_memory_s",
     type=float,
     metavar="SECONDS",
-    expected="seconds, at least a frame's, or inf",
+    expected="seconds, at least from one frame to the next, or inf",
+    takes_infinity=True,
     help="Of placement problems: how long a track lives without detections, in place of the file's "
     "own; inf: for ever, as the study reads it.",
 )
@@ -147,11 +148,11 @@ def solve(
     _check_one_question()
     progress.start(quiet=quiet)
     from placement.optimiser.covering.files import instance_kind
-    from placement.verification.certificates import KIND
+    from placement.verification.instances import KINDS
 
     from ..jobs import solve
 
-    if format_name in ("auto", "npz") and instance_kind(file) == KIND:
+    if format_name in ("auto", "npz") and instance_kind(file) in KINDS:
         if out is not None:
             raise click.UsageError(f"--out: got {out}; expected it with covering problems only")
         solution = solve.run_solve_windows(

@@ -122,7 +122,7 @@ def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None
     shares = np.array([[column[row] for column in columns.values()] for row in rows])
     width_in = NARROW_IN if len(columns) <= _MAX_NARROW_COLUMNS else WIDTH_IN
     axes = axes or new_axes(width_in, 1.0 + 0.24 * len(rows))
-    axes.imshow(np.nan_to_num(shares, nan=1.0), cmap=_SHADES, vmin=0.0, vmax=1.0, aspect="auto")
+    axes.imshow(np.nan_to_num(shares, nan=1.0), cmap=SHADES, vmin=0.0, vmax=1.0, aspect="auto")
     for (row, column), share in np.ndenumerate(shares):
         axes.text(
             column,
@@ -132,7 +132,7 @@ def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None
             va="center",
             fontsize=8,
             fontweight="bold" if row == 0 else "normal",
-            color="white" if share < _DARK_BELOW else "black",
+            color="white" if share < DARK_BELOW else "black",
         )
     axes.set_yticks(np.arange(len(rows)), [literal(row) for row in rows], fontsize=8)
     heads = [literal(textwrap.fill(name, _HEAD_WIDTH)) for name in columns]
@@ -148,8 +148,10 @@ def plot_apr_by_case(evaluations: Mapping[str, Evaluation], *, axes: Axes | None
     return axes
 
 
-_SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
-_DARK_BELOW = 0.34  # where white and black stand out from the cell alike
+SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
+"""Of shares that are avoided: the more accidents are left, the darker."""
+DARK_BELOW = 0.34
+"""Where white and black letters stand out from a shade alike."""
 _HEAD_WIDTH = 16
 _MAX_NARROW_COLUMNS = 3
 

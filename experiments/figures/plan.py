@@ -362,7 +362,7 @@ def _label_positions(axes: Axes, runs: Sequence[Run]) -> None:
         axes.annotate(
             position.replace("-", "\N{MINUS SIGN}"),
             xy=(run.vru_position_m[-1][0], run.vru_position_m[-1][1]),
-            xytext=9.0 * left,
+            xytext=(9.0 * left[0], 9.0 * left[1]),
             textcoords="offset points",
             ha="center",
             va="center",

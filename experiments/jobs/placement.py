@@ -1,6 +1,7 @@
 """Placements, evaluations and comparisons: from a question to a folder of results."""
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
@@ -8,9 +9,11 @@ from pathlib import Path
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace as replace_fields
 
+from geometry.errors import InputError
+from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.compute import Compute
-from placement.evaluation import apr
+from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
 from placement.explain.sensitivity import find_sensitivity
 from placement.layout import Layout, check_layout
@@ -21,12 +24,13 @@ from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
 from placement.sampling import load_drawn, out_of_sample_layouts
-from placement.setting import build_setting
+from placement.setting import Setting, build_setting
 
 from ..progress import StageProgress
 from ..report.bill_of_materials import build_bill
-from ..report.page import GREEDY
+from ..report.comparison import EXPERT, GREEDY
 from ..report.sampled_worlds import plot_sampled_apr
+from ..results.baselines import StudyCasesRecord, build_next_unit_record
 from ..results.explanations import (
     PrivateGroundRecord,
     build_explained_record,
@@ -43,8 +47,12 @@ from ..results.result import (
 )
 from ..results.sampled_worlds import build_sampled_record
 from ..study.layout import find_baseline, load_carlancap_layout
+from .baselines import build_baselines_record, compare_layout, compare_placement
 from .pareto import describe_front
+from .study_cases import on_study_cases
 from .writing import write_results
+
+_log = logging.getLogger(__name__)
 
 MIN_FRESH_WORLDS = 60
 """Sampled worlds that a layout is judged in, at least: with fewer, intervals say little."""
@@ -112,15 +120,28 @@ def run_placement(
         compute=compute,
     )
     front = _front_below(placement, plan, progress)
-    layouts = [placement.layout, placement.greedy, *([] if study is None else [study])]
-    found, greedy, *others = evaluate_layouts(layouts, setting, compute=compute)
-    baseline = others[0] if others else None
+    compared = compare_placement(placement, poses, setting, seed=compute.seed)
+    named = {
+        placement.layout.name: placement.layout,
+        GREEDY: placement.greedy,
+        EXPERT: compared.expert,
+        **({} if study is None else {study.name: study}),
+    }
+    layouts = {name: layout for name, layout in named.items() if layout is not None}
+    verdicts = evaluate_layouts([*layouts.values()], setting, compute=compute)
+    evaluations = dict(zip(layouts, verdicts, strict=True))
+    found, greedy = evaluations[placement.layout.name], evaluations[GREEDY]
+    baseline = None if study is None else evaluations[study.name]
+    next_unit = build_next_unit_record(placement, poses)
     result = build_placement_result(
         placement, setting, found=found, greedy=greedy, baseline=baseline
     )
     result = replace_fields(
         result,
         explained=explained,
+        baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
+        next_unit=UNSET if next_unit is None else next_unit,
+        study_cases=_on_study_cases(question, scene, setting, evaluations, compute),
         front=(
             UNSET
             if front is None
@@ -140,7 +161,7 @@ def run_placement(
     if question.samples:
         judged = out_of_sample_layouts(
             setting,
-            layouts,
+            [*layouts.values()],
             uncertainty,
             n_samples=max(question.samples, MIN_FRESH_WORLDS),
             fusion=question.fusion,
@@ -151,15 +172,11 @@ def run_placement(
             uncertainty,
             tail=plan.wishes.tail,
             seed=compute.seed,
-            planned_apr={
-                item.layout.name: apr(item.rsu_all, item.axis) for item in (found, greedy, *others)
-            },
+            planned_apr={item.layout.name: apr(item.rsu_all, item.axis) for item in verdicts},
             chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
         )
         result = replace_fields(result, sampled=sampled)
         sampled_figure = plot_sampled_apr(judged)
-    evaluations = {found.layout.name: found, GREEDY: greedy}
-    evaluations |= {other.layout.name: other for other in others}
     return write_results(
         out,
         result,
@@ -168,6 +185,7 @@ def run_placement(
         command=command,
         progress=progress,
         placement=placement,
+        candidates=poses,
         bill=build_bill(
             placement.layout,
             scene,
@@ -191,6 +209,28 @@ def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> F
         effort=plan.effort,
         on_point=lambda point: progress(f"fewer units: {point.units}", 0, 0),
     )
+
+
+def _on_study_cases(
+    question: Question,
+    scene: Scene,
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    compute: Compute,
+) -> StudyCasesRecord | UnsetType:
+    """The layouts on the study's cases; UNSET where these are asked about, or no arm has them."""
+    try:
+        record = on_study_cases(
+            question,
+            setting,
+            evaluations,
+            build=lambda other: build_setting(other, scene),
+            compute=compute,
+        )
+    except InputError as error:  # the words of the question are known to be right
+        _log.info("the study's cases: %s", error)
+        return UNSET
+    return record or UNSET
 
 
 def run_evaluation(
@@ -254,7 +294,14 @@ def run_comparison(
     for layout in layouts:
         check_layout(layout, setting.scene)
     private = load_private_ground(Path(no_look), setting.scene) if no_look else None
-    verdicts = evaluate_layouts(layouts, setting, compute=compute)
+    is_comparison = len(layouts) > 1
+    compared = compare_layout(layouts[0], setting, compute=compute) if is_comparison else None
+    if compared is not None and compared.expert is not None:
+        beside = _with_distinct_names([*layouts, compared.expert])
+    else:
+        beside = layouts
+    judged_all = evaluate_layouts(beside, setting, compute=compute)
+    verdicts, of_expert = judged_all[: len(layouts)], judged_all[len(layouts) :]
     seen: list[PrivateGroundRecord | UnsetType] = [
         UNSET
         if private is None
@@ -267,17 +314,28 @@ def run_comparison(
         result = build_comparison_result(
             setting, verdicts[0], verdicts[1:], private_ground=seen[1:]
         )
-    result = replace_fields(result, private_ground=seen[0])
+    evaluations = {verdict.layout.name: verdict for verdict in verdicts}
+    evaluations |= dict(zip((EXPERT,), of_expert, strict=False))
+    result = replace_fields(
+        result,
+        private_ground=seen[0],
+        baselines=UNSET
+        if compared is None
+        else build_baselines_record(compared, evaluations.get(EXPERT), setting),
+        study_cases=_on_study_cases(question, scene, setting, evaluations, compute)
+        if is_comparison or out is not None
+        else UNSET,
+    )
     sampled_figure = None
     if samples:
         judged = out_of_sample_layouts(
             setting,
-            layouts,
+            beside,
             drawn,
             n_samples=samples,
             compute=compute,
         )
-        planned = {item.layout.name: apr(item.rsu_all, item.axis) for item in verdicts}
+        planned = {item.layout.name: apr(item.rsu_all, item.axis) for item in judged_all}
         sampled = build_sampled_record(
             judged, drawn, tail=1.0, seed=compute.seed, planned_apr=planned
         )
@@ -291,7 +349,7 @@ def run_comparison(
         out,
         result,
         setting,
-        {verdict.layout.name: verdict for verdict in verdicts},
+        evaluations,
         command=command,
         progress=progress,
         sampled_figure=sampled_figure,
@@ -300,7 +358,7 @@ def run_comparison(
 
 def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
     """Layouts under names of their own: one whose name is taken gets a number."""
-    taken = {GREEDY}
+    taken = {GREEDY, EXPERT}
     named = []
     for layout in layouts:
         names = chain([layout.name], (f"{layout.name} ({number})" for number in count(2)))

@@ -23,7 +23,7 @@ from placement.optimiser.covering.solve import (
     solve_mclp,
 )
 from placement.optimiser.model import SolverName
-from placement.verification.certificates import load_problem
+from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress
 from ..results.record import build_stage_records

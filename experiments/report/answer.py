@@ -1,19 +1,22 @@
 """The answer: what a result says in a few sentences, its proof, and how far two models agree."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from geometry.arrays import BoolArray
 from geometry.catalogue import sensor_kind
-from placement.evaluation import Evaluation, Verdict, apr
+from placement.evaluation import Evaluation
 from placement.layout import Layout
 from placement.optimiser.objectives import Objective
 from placement.setting import Setting
+from scenarios.exposure import weight_share
+from scenarios.positions import AT_ZERO, read_position
 from scenarios.runs import FrameAxis
 
-from ..results.numbers import NOTHING, number, or_nan, percent, several
+from ..results.dangers import DangerGroupRecord, DangersRecord, avoided_runs
+from ..results.numbers import NOTHING, count_runs, joined, number, or_nan, percent, several
 from ..results.record import StageRecord
 from ..results.result import Result
 from .private_ground import private_ground_sentences
@@ -36,10 +39,10 @@ def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation
 def answer(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
     """The headline, in sentences; evaluations by display name, the first one is the subject."""
     (subject_name, subject), *others = shown.items()
-    score = _score(_together(subject, result.fusion), subject)
-    car = f"the car by itself avoids {_score(subject.vut, subject)}"
+    score = _score(avoided_runs(subject, result.fusion), subject)
+    car = f"the car by itself avoids {_score(subject.vut.is_avoided, subject)}"
     scores = [
-        f"{name} ({count_sensors(item.layout)}) avoids {_score(item.rsu_all, item)}"
+        f"{name} ({count_sensors(item.layout)}) avoids {_score(item.rsu_all.is_avoided, item)}"
         for name, item in others
     ]
     left = result.evaluation.apr_without_worst_unit
@@ -48,24 +51,114 @@ def answer(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
         verb = "avoids" if len(subject.units) == 1 else "avoid"
         how = ", each by itself," if result.fusion == "single" else ""
         sentences = [
-            f"{count_sensors(subject.layout)}{how} {verb} {score}; {car}",
-            _proof_in_short(result.stages, result.candidates or 0),
-            "; ".join([*failed, *scores]),
+            f"{count_sensors(subject.layout)}{how} {verb} {score}; "
+            + "; ".join([car, *scores, *_baselines(result)]),
+            ". ".join(
+                part
+                for part in (
+                    next_unit_sentence(result),
+                    _proof_in_short(result.stages, result.candidates or 0),
+                    *failed,
+                )
+                if part
+            ),
         ]
     else:
         sentences = [
             f"{subject_name} ({count_sensors(subject.layout)}) avoids {score}; {car}",
-            "; ".join(scores),
+            "; ".join([*scores, *_baselines(result)]),
             *_differences(subject_name, subject, others),
             *failed,
         ]
     return [
         *result.driven[:1],
+        *danger_sentences(result),
         *(f"{sentence}." for sentence in sentences if sentence),
         *private_ground_sentences(result),
         *(refinement_sentences(result.refinement) if result.refinement else []),
         *(uncertainty_sentences(result.sampled) if result.sampled else []),
     ]
+
+
+_MAX_GROUPS = 3
+
+
+def danger_sentences(result: Result) -> list[str]:
+    """How many runs are not avoided, and which: what an answer begins with."""
+    if not result.dangers:
+        return []
+    dangers = result.dangers
+    if not dangers.not_avoided:
+        return [f"No run is left: all {result.runs} are avoided."]
+    are = "is" if dangers.not_avoided == 1 else "are"
+    return [
+        f"{dangers.not_avoided} of {count_runs(result.runs)} {are} not avoided: "
+        f"{_most_left(dangers.by_case, 'in {}'.format, 'in other cases')}{_at_positions(dangers)}."
+    ]
+
+
+def _at_positions(dangers: DangersRecord) -> str:
+    """Where along the arms most are left; nothing where there is but one place."""
+    if not dangers.by_position:
+        return ""
+    return f". By place: {_most_left(dangers.by_position, position_words, 'elsewhere')}"
+
+
+def position_words(name: str) -> str:
+    """A position along the arms in words: "15 m before the junction" and the like."""
+    position = read_position(name, "position")
+    if position == AT_ZERO:
+        return "at the junction"
+    if position.distance_m == 0.0:
+        return "at the crosswalk ahead"
+    side = "beyond the crosswalk ahead" if position.is_behind else "before the junction"
+    return f"{position.distance_m:g} m {side}"
+
+
+def _most_left(
+    groups: Sequence[DangerGroupRecord], words_of: Callable[[str], str], others: str
+) -> str:
+    """The groups with the largest share that is left, and how many are left in all others."""
+    left = [group for group in groups if group.not_avoided]
+    words = [
+        f"{words_of(group.name)} {group.not_avoided} of {group.runs}"
+        for group in left[:_MAX_GROUPS]
+    ]
+    n_others = sum(group.not_avoided for group in left[_MAX_GROUPS:])
+    return joined([*words, *([f"{others} {n_others}"] if n_others else [])])
+
+
+def next_unit_sentence(result: Result) -> str:
+    """What one more unit would buy; empty where nothing was optimised, or none fits."""
+    if not result.next_unit:
+        return ""
+    unit = result.next_unit
+    how = "on the detection table, by greedy choice"
+    if unit.gain < 0.5e-9:
+        return f"One more unit among the candidates would avoid nothing more ({how})"
+    return (
+        f"One more unit would add {100.0 * unit.gain:.1f} points of APR: {percent(unit.apr)} with "
+        f"{unit.pose} ({how})"
+    )
+
+
+def _baselines(result: Result) -> list[str]:
+    """What an expert's rule and random layouts prevent, in short."""
+    if not result.baselines:
+        return []
+    clauses = []
+    expert, random = result.baselines.expert, result.baselines.random
+    if expert is not None:
+        clauses.append(
+            f"an expert's rule ({several(len(expert.layout), 'unit', 'units')} at corners, "
+            f"looking at the middle) {percent(expert.score.all)}"
+        )
+    if random is not None:
+        clauses.append(
+            f"random layouts {percent(random.mean)} on average (of {random.layouts}, on the "
+            "detection table)"
+        )
+    return clauses
 
 
 def _proof_in_short(stages: Sequence[StageRecord], n_candidates: int) -> str:
@@ -132,27 +225,11 @@ def count_sensors(layout: Layout) -> str:
     )
 
 
-def _score(verdict: Verdict, evaluation: Evaluation) -> str:
-    by_weight = " by weight" if is_weighted(evaluation.axis) else ""
-    return (
-        f"{int(verdict.is_avoided.sum())} of {evaluation.axis.n_runs} runs "
-        f"(APR{by_weight} {percent(apr(verdict, evaluation.axis))})"
-    )
-
-
-def _together(evaluation: Evaluation, fusion: str) -> Verdict:
-    """All units together, as the layout was optimised."""
-    if fusion != "single":
-        return evaluation.rsu_all
-    any_alone: BoolArray = np.any([unit.is_avoided for unit in evaluation.units.values()], axis=0)
-    return Verdict(
-        detected=evaluation.rsu_all.detected,
-        confirmation_time_s=np.min(
-            [unit.confirmation_time_s for unit in evaluation.units.values()], axis=0
-        ),
-        onset_time_s=np.min([unit.onset_time_s for unit in evaluation.units.values()], axis=0),
-        is_avoided=any_alone,
-    )
+def _score(is_avoided: BoolArray, evaluation: Evaluation) -> str:
+    axis = evaluation.axis
+    by_weight = " by weight" if is_weighted(axis) else ""
+    share = percent(weight_share(is_avoided, axis.weight))
+    return f"{int(is_avoided.sum())} of {axis.n_runs} runs (APR{by_weight} {share})"
 
 
 # ---------- how good it is, and whether that is proven

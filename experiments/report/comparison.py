@@ -3,26 +3,32 @@
 from collections.abc import Mapping, Sequence
 
 import msgspec
+from msgspec import UnsetType
 
-from placement.evaluation import Evaluation
+from placement.evaluation import Evaluation, apr
 
-from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
+from ..results.baselines import StudyCasesRecord
+from ..results.numbers import NOTHING, count_runs, number, or_nan, percent, several
 from ..results.result import DifferenceRecord, Result, build_difference_records
 from ..results.sampled_worlds import SampledPairRecord, SampledRecord
 from ..results.tables import margin_s
 from .sampled_worlds import is_open, plot_differences
 from .section import Block, Bullets, Section, Subheading, Table, build_picture
 
+GREEDY, EXPERT = "greedy", "expert rule"
+"""Display names of layouts to compare with: they appear in tables and bars only."""
+
 _MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all
 _MAX_SENTENCES = 6
 
 
 def side_by_side_table(result: Result, evaluations: Mapping[str, Evaluation]) -> Table:
-    """A row per layout; the first evaluation is the result's, then those compared, in order."""
-    costs = [(result.cost_eur, result.evaluation)]
-    costs += [(other.cost_eur, other.evaluation) for other in result.compared or ()]
+    """A row per layout, by display name, and one of what random layouts prevent.
+
+    Those that a result found or was asked about have their APR in it, and so has the expert's.
+    """
     return Table(
-        caption="The layouts side by side, all units of each together",
+        caption="The layouts side by side, all units of each together, by the evaluator",
         columns=[
             "layout",
             "units",
@@ -36,16 +42,77 @@ def side_by_side_table(result: Result, evaluations: Mapping[str, Evaluation]) ->
             [
                 name,
                 str(len(item.layout.units)),
-                f"{cost_eur:,.0f}",
-                percent(shares.rsu_all.all),
+                f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}",
+                percent(apr(item.rsu_all, item.axis)),
                 f"{int(item.rsu_all.is_avoided.sum())} of {item.axis.n_runs}",
-                percent(shares.apr_without_worst_unit),
+                percent(_apr_one_failed(result, name)),
                 number(_smallest_margin_s(item)),
             ]
-            for (name, item), (cost_eur, shares) in zip(evaluations.items(), costs, strict=True)
-        ],
+            for name, item in evaluations.items()
+        ]
+        + _random_rows(result),
         numeric=range(1, 7),
     )
+
+
+def _random_rows(result: Result) -> list[list[str]]:
+    """The row of random layouts, whose APR is known on the detection table alone; or none."""
+    random = result.baselines.random if result.baselines else None
+    if random is None:
+        return []
+    name = f"random: mean of {random.layouts}, on the detection table"
+    return [[name, str(random.units), NOTHING, percent(random.mean), NOTHING, NOTHING, NOTHING]]
+
+
+def _apr_one_failed(result: Result, name: str) -> float | None:
+    """APR of a layout, by its display name, if the unit that is needed most fails."""
+    expert = result.baselines.expert if result.baselines else None
+    if name == EXPERT and expert is not None:
+        return expert.apr_without_worst_unit
+    if name == GREEDY and result.greedy:
+        return result.greedy.apr_without_worst_unit
+    records = {other.name: other.evaluation for other in result.compared or ()}
+    if result.baseline_name and result.baseline is not None:
+        records.setdefault(result.baseline_name, result.baseline)
+    return records.get(name, result.evaluation).apr_without_worst_unit
+
+
+def baseline_sentences(result: Result) -> list[str]:
+    """What layouts prevent that need no optimiser: random ones, and an expert's rule of thumb."""
+    if not result.baselines:
+        return []
+    sentences = []
+    random, expert = result.baselines.random, result.baselines.expert
+    if random is not None:
+        found = f" (the layout found: {percent(result.apr)})" if result.stages else ""
+        sentences.append(
+            f"Random: {random.layouts} layouts of {several(random.units, 'pose', 'poses')} drawn "
+            f"within the same limits have a mean APR of {percent(random.mean)} on the detection "
+            f"table{found}; 5 % of them have no more than {percent(random.low)}, 5 % no less than "
+            f"{percent(random.high)}."
+        )
+    if random is not None and random.in_worlds:
+        worlds = random.in_worlds
+        sentences.append(
+            f"Over the {worlds.worlds} sampled worlds that the layout was chosen in, their mean is "
+            f"{percent(worlds.mean)} (95 % interval {percent(worlds.low)} to "
+            f"{percent(worlds.high)})."
+        )
+    if expert is not None:
+        corners = ", ".join(expert.corners)
+        sentences.append(
+            f"Expert rule: at each corner of the junction the nearest site, there the pose that "
+            f"looks at the middle the most directly; the corner whose camera prevents the most "
+            f"comes first ({corners or 'no corner fits'}). {percent(expert.on_table)} on the "
+            f"detection table, {percent(expert.score.all)} by the evaluator."
+        )
+        n_wanted = len(result.layout)
+        if len(expert.layout) < n_wanted:
+            sentences.append(
+                f"The expert's layout has {several(len(expert.layout), 'unit', 'units')}, not "
+                f"{n_wanted}: the rule knows one for each corner that fits."
+            )
+    return sentences
 
 
 def _smallest_margin_s(evaluation: Evaluation) -> float | None:
@@ -176,16 +243,15 @@ def _points(share: float | None) -> str:
 
 
 def comparison_section(result: Result, evaluations: Mapping[str, Evaluation]) -> Section | None:
-    """Layouts side by side; None where none are compared.
-
-    The first of the evaluations is the result's, the others are those compared, in order.
-    """
-    if not result.compared:
+    """Layouts by display name side by side, the result's first; None where it stands alone."""
+    if len(evaluations) < 2:
         return None
     differences = build_difference_records(evaluations)
     rows = difference_rows(differences)
+    sentences = baseline_sentences(result)
     blocks: list[Block] = [
         side_by_side_table(result, evaluations),
+        *([Bullets(sentences)] if sentences else []),
         Subheading("Which runs differ"),
         difference_matrix(list(evaluations), differences),
     ]
@@ -226,3 +292,43 @@ def _sampled_blocks(sampled: SampledRecord) -> list[Block]:
             )
         )
     return [*blocks, table]
+
+
+# ---------- the study's cases, beside the question that was asked
+
+
+def study_cases_section(record: StudyCasesRecord | UnsetType) -> Section | None:
+    """The layouts on the study's cases; None where these are what was asked about."""
+    if not record:
+        return None
+    return Section(
+        "study-cases", "On the study's cases", [STUDY_CASES_NOTE, study_cases_table(record)]
+    )
+
+
+STUDY_CASES_NOTE = (
+    "What the CarlaNCAP study drives, as it reads it: its cases by day, each at its one place, "
+    "every run alike, and a track that is confirmed once lives for ever. All else is as in the "
+    "question above. By the evaluator; layouts were not chosen for these runs."
+)
+
+
+def study_cases_table(record: StudyCasesRecord) -> Table:
+    """APR of each layout and of the car by itself: a row for all runs, and for each case."""
+    cases = list(record.parties[0].by_case)
+    return Table(
+        caption=f"APR on the study's {count_runs(record.runs)}",
+        columns=["case", *(party.name for party in record.parties)],
+        rows=[
+            ["all runs", *(percent(party.all) for party in record.parties)],
+            [
+                "runs avoided",
+                *(f"{party.runs_avoided} of {record.runs}" for party in record.parties),
+            ],
+            *(
+                [case, *(percent(party.by_case[case]) for party in record.parties)]
+                for case in cases
+            ),
+        ],
+        numeric=range(1, 1 + len(record.parties)),
+    )

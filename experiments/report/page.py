@@ -21,13 +21,14 @@ from .accidents import accidents_section, alone_section, apr_picture
 from .answer import answer, models_section, proof_section, title
 from .assumptions import again_section, assumptions_section
 from .bill_of_materials import BillOfMaterials, bill_section, build_bill
-from .comparison import comparison_section
+from .comparison import EXPERT, GREEDY, comparison_section, study_cases_section
 from .coverage import coverage_section
 from .explanation import explanation_sections
 from .failures import failures_section
 from .front import front_section
 from .interactive.part import interactive_part
 from .margins import margins_section
+from .positions import positions_section
 from .private_ground import private_ground_section
 from .runs import build_heatmaps, cases_section, heatmaps_section, runs_section
 from .sampled_worlds import sampled_picture, sampled_section
@@ -36,7 +37,6 @@ from .sensitivity import sensitivity_section
 from .units import build_plans, units_section
 
 FILE_NAME = "report.html"
-GREEDY = "greedy"
 
 
 def write_report(
@@ -137,7 +137,7 @@ def _build_report(
     if not evaluations:
         raise InputError("evaluations", Unquoted("none"), "at least one")
     subject_name, subject = next(iter(evaluations.items()))
-    shown = {name: item for name, item in evaluations.items() if name != GREEDY}
+    shown = {name: item for name, item in evaluations.items() if name not in (GREEDY, EXPERT)}
     is_comparison = not result.stages and len(evaluations) > 1
     detailed = shown if is_comparison else {subject_name: subject}
     layouts = {name: item.layout for name, item in detailed.items()}
@@ -163,7 +163,9 @@ def _build_report(
         front_section(result.front),
         *explanation_sections(result.explained, labels),
         accidents_section(evaluations, of_apr, is_optimised=bool(result.stages)),
+        positions_section(setting, shown, fusion=result.fusion),
         comparison_section(result, evaluations),
+        study_cases_section(result.study_cases),
         margins_section(shown),
         failures_section(subject, setting.rule, labels),
         None if sampled is None else sampled_section(sampled),
@@ -182,7 +184,7 @@ def _build_report(
         again_section(result, command),
     ]
     page = _template().render(
-        title=title(result, setting, evaluations),
+        title=title(result, setting, shown),
         answer=answer(result, shown),
         sections=_present(sections),
         interactive=interactive_part(setting, shown, first_runs=run_ids),

@@ -25,6 +25,8 @@ from placement.pipeline import Placement
 from placement.setting import Setting
 from scenarios.aeb import AebRule
 
+from .baselines import BaselinesRecord, NextUnitRecord, StudyCasesRecord
+from .dangers import DangersRecord, avoided_runs, build_dangers_record
 from .drives import RefusalRecord, build_drives_record, versions
 from .explanations import (
     ExplainedRecord,
@@ -197,6 +199,7 @@ class Result(Record, frozen=True, kw_only=True):
             "explained": ["stages"],
             "front": ["stages"],
             "refinement": ["stages"],
+            "next_unit": ["stages"],
             "compared": [
                 "baseline_name",
                 "baseline_layout",
@@ -348,6 +351,40 @@ class Result(Record, frozen=True, kw_only=True):
         ]
         | UnsetType
     ) = UNSET
+    dangers: (
+        Annotated[
+            DangersRecord,
+            says("Runs that the layout does not avoid, by the evaluator, and where they are."),
+        ]
+        | UnsetType
+    ) = UNSET
+    next_unit: (
+        Annotated[
+            NextUnitRecord,
+            says(
+                "What one more unit would gain on the detection table, chosen greedily, budgets "
+                "aside; missing where none fits."
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
+    baselines: (
+        Annotated[
+            BaselinesRecord,
+            says("Random layouts and an expert's rule, with as many units; beside layouts found."),
+        ]
+        | UnsetType
+    ) = UNSET
+    study_cases: (
+        Annotated[
+            StudyCasesRecord,
+            says(
+                "The same layouts on the study's cases, by the evaluator; missing where these are "
+                "what was asked about, or no arm carries them."
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
     sensitivity: (
         Annotated[
             SensitivityRecord,
@@ -420,6 +457,7 @@ def build_layout_result(setting: Setting, evaluation: Evaluation) -> Result:
         surrogate_disagreement=None,
         seconds={},
         versions=versions(),
+        dangers=build_dangers_record(evaluation.rsu_all.is_avoided, evaluation.axis),
         **fields_of(build_drives_record(setting)),
     )
 
@@ -444,6 +482,7 @@ def build_placement_result(
         build_layout_result(setting, found),
         budget=problem.limits.budget_units,
         fusion=problem.fusion,
+        dangers=build_dangers_record(avoided_runs(found, problem.fusion), found.axis),
         apr=_without_rounding(value.apr),
         bound=None if apr_stage is None else _without_rounding(apr_stage.bound),
         gap=None if apr_stage is None else apr_stage.gap,
@@ -525,11 +564,7 @@ def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> BoolArray:
     Both under the placement's own fusion.
     """
     on_table = np.isfinite(run_margins_s(placement.nominal, placement.nominal_index))
-    if placement.problem.fusion == "any":
-        evaluated = evaluation.rsu_all.is_avoided
-    else:
-        evaluated = np.any([unit.is_avoided for unit in evaluation.units.values()], axis=0)
-    disagrees: BoolArray = on_table != evaluated
+    disagrees: BoolArray = on_table != avoided_runs(evaluation, placement.problem.fusion)
     return disagrees
 
 

@@ -236,6 +236,8 @@ def fitting(limits: Limits, units: IntArray) -> BoolArray:
             cheapest = limits.unit_cost_eur[of_site].min(initial=np.inf)
             at_missing[site] = cheapest + limits.site_cost_eur[site]
         reserve += float(at_missing.sum())
+        if reserve == np.inf:  # a site that must be used has no pose that may
+            return np.zeros(limits.n_poses, dtype=bool)
         # What a pose itself provides of what is missing need not be kept back for it.
         own = np.where(missing_sites[sites], at_missing[sites], 0.0)
         own = np.where(missing, limits.unit_cost_eur, own)

@@ -347,6 +347,7 @@ class Search:
             pose_index=pose_index,
             nominal=problem,
             nominal_index=pose_index,
+            next_unit=None,  # between the poses of the grid there are ever more
         )
         return refined, self.bench.candidates, moves
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from placement.detection_table import pack_table
-from placement.optimiser import Limits, PlacementProblem
-from placement.verification.certificates import save_problem
+from placement.optimiser import Limits, PlacementProblem, apr
+from placement.verification.instances import save_problem
 from scenarios.aeb import AebRule
 
 
@@ -84,3 +84,27 @@ def test_placement_problems_are_not_written_again(run, problem, tmp_path):
     code, _, err = run("solve", tmp_path / "one.npz", "--out", tmp_path / "two.npz")
     assert code == 2
     assert "expected it with covering problems only" in err
+
+
+def test_tracks_may_be_asked_to_live_for_another_time(run, problem, tmp_path):
+    seen = problem.table.detected(slice(None))
+    seen[0, 5] = False  # west loses sight 0.2 s before the last moment
+    table = pack_table(problem.table.pose_ids, problem.table.axis, seen)
+    problem = replace(problem, table=table)
+    save_problem(tmp_path / "one.npz", problem)
+    lasting, short = (
+        solve(run, tmp_path / "one.npz", "--budget", 2, "--track-memory", memory_s)["objective"]
+        for memory_s in ("inf", "0.1")
+    )
+    both = replace(problem, rule=replace(problem.rule, track_memory_s=0.1))
+    assert short == apr(both, [0, 1])
+    assert short < lasting == apr(problem, [0, 1])
+
+
+def test_a_memory_shorter_than_a_frame_is_refused(run, problem, tmp_path):
+    save_problem(tmp_path / "one.npz", problem)
+    for memory in ("0.05", "-1", "nan"):
+        code, _, err = run("solve", tmp_path / "one.npz", "--track-memory", memory)
+        assert code == 2
+        assert "--track-memory: got " in err
+        assert "expected seconds, at least " in err

@@ -13,7 +13,7 @@ from problems import questions
 from geometry.errors import InputError
 from placement.detection_table import DetectionTable
 from placement.optimiser import Floor, Limits, PlacementProblem
-from placement.verification.certificates import (
+from placement.verification.instances import (
     KIND,
     instance_kind,
     load_problem,
@@ -164,6 +164,7 @@ def variations(problem: PlacementProblem) -> dict[str, PlacementProblem]:
                 "latency_s",
                 "n_confirmations",
                 "frame_rate_hz",
+                "track_memory_s",
             )
         },
     }
@@ -192,6 +193,15 @@ def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(prob
     rewrite(path, there, positions=np.array(["-15", "0"]))
     with pytest.raises(InputError, match=r"a\.npz: positions: got "):
         load_problem(path)
+
+
+def test_tracks_that_live_for_ever_make_the_files_of_programs_without_a_memory(problem, tmp_path):
+    for memory_s, is_there in ((np.inf, False), (1.0, True)):
+        rule = replace(problem.rule, track_memory_s=memory_s)
+        save_problem(tmp_path / "a.npz", replace(problem, rule=rule))
+        with np.load(tmp_path / "a.npz") as archive:
+            assert ("track_memory_s" in archive.files) == is_there
+        assert load_problem(tmp_path / "a.npz").rule.track_memory_s == memory_s
 
 
 def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(problem, tmp_path):
@@ -224,7 +234,7 @@ def rewrite(path: Path, problem: PlacementProblem, **changes: Any) -> None:
     np.savez(path, **{name: array for name, array in arrays.items() if array is not ...})
 
 
-OPTIONAL = ("budget_units", "budget_eur", "sample_index")
+OPTIONAL = ("budget_units", "budget_eur", "sample_index", "track_memory_s")
 
 
 def test_every_field_that_is_missing_is_named(problem, tmp_path):

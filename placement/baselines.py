@@ -1,0 +1,373 @@
+"""Layouts to compare with: random ones within the same limits, and an expert's rule of thumb."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
+from geometry.errors import InputError
+from geometry.junction import Arm, Junction, Line, build_junction, lane_line
+from geometry.scene import Lane, Scene
+
+from .candidates import CandidatePose
+from .optimiser import Limits, PlacementProblem, apr, run_margins_s
+from .optimiser.limits import fitting, is_allowed
+
+N_RANDOM = 100
+"""Random layouts that are drawn to compare with."""
+
+_MAX_TRIES = 20  # for each random layout: limits may leave some draws no way to be completed
+_MOUTH_M = 10.0  # of a lane next to the junction that says where the lane leads
+
+# ---------- random layouts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RandomLayouts:
+    """What layouts of poses drawn at random prevent, on the detection table.
+
+    Attributes
+    ----------
+    n_units : int
+        Of each.
+    apr : (n,) float
+        Accident prevention ratio of each, 0..1.
+    mean_by_world : (n_worlds,) float
+        Mean of all in each sampled world; one number where nothing was sampled.
+    """
+
+    n_units: int
+    apr: FloatArray
+    mean_by_world: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("apr", "mean_by_world"):
+            object.__setattr__(self, name, float_array(getattr(self, name), (-1,), name))
+
+    @property
+    def mean(self) -> float:
+        """Of all."""
+        return float(self.apr.mean())
+
+    @property
+    def low(self) -> float:
+        """5 % of them prevent no more."""
+        return float(np.quantile(self.apr, 0.05))
+
+    @property
+    def high(self) -> float:
+        """5 % of them prevent no less."""
+        return float(np.quantile(self.apr, 0.95))
+
+    def __repr__(self) -> str:
+        return f"RandomLayouts({len(self.apr)} of {self.n_units} units, mean {self.mean:.4f})"
+
+
+def random_sets(
+    limits: Limits, n_units: int, *, n: int = N_RANDOM, rng: np.random.Generator
+) -> tuple[tuple[int, ...], ...]:
+    """Sets of poses drawn at random within the limits.
+
+    Each begins with the poses that are forced. Then one pose after the other is drawn, any of those
+    that the limits still admit as likely as another. What cannot be completed is drawn anew.
+
+    Parameters
+    ----------
+    limits : Limits
+        What may be mounted together; no set exceeds them.
+    n_units : int
+        Poses of each set, those that are forced among them.
+    n : int
+        Sets to draw.
+    rng : Generator
+        Of random numbers: the same one gives the same sets.
+
+    Returns
+    -------
+    sets : tuple of tuple of int
+        Rows, ascending. A set may be drawn twice. There are fewer where the limits leave hardly any
+        set of that size, or none.
+
+    Raises
+    ------
+    InputError
+        A number is below 1.
+    """
+    for where, number in (("n_units", n_units), ("n", n)):
+        if number < 1:
+            raise InputError(where, number, "a whole number, at least 1")
+    sets: list[tuple[int, ...]] = []
+    for _ in range(n * _MAX_TRIES):
+        units = _draw(limits, n_units, rng)
+        if len(units) == n_units and is_allowed(limits, units):
+            sets.append(tuple(sorted(units.tolist())))
+        if len(sets) == n:
+            break
+    return tuple(sets)
+
+
+def _draw(limits: Limits, n_units: int, rng: np.random.Generator) -> IntArray:
+    """The forced poses, and random ones until there are enough or none fits any more."""
+    units = np.flatnonzero(limits.is_forced)
+    while len(units) < n_units:
+        free = np.flatnonzero(fitting(limits, units))
+        if not len(free):
+            break
+        units = np.append(units, rng.choice(free))
+    return units
+
+
+# ---------- an expert's rule of thumb
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Corner:
+    """A corner of a junction: the place between two neighbouring arms.
+
+    Attributes
+    ----------
+    arms : tuple of str
+        Names of the arms, counter-clockwise.
+    position_m : (2,) float
+        Midway between where the kerbs of both arms reach the junction. World frame. [m]
+    """
+
+    arms: tuple[str, str]
+    position_m: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position_m", float_array(self.position_m, (2,), "position_m"))
+
+    @property
+    def name(self) -> str:
+        """The arms with a stroke between."""
+        return "/".join(self.arms)
+
+    def __repr__(self) -> str:
+        return f"Corner({self.name!r})"
+
+
+def find_corners(junction: Junction) -> tuple[Corner, ...]:
+    """Corners between neighbouring arms, clockwise from the first one behind north.
+
+    At a junction of three arms one of them is the straight side; an arm that is alone has none.
+    """
+    arms = [*junction.arms.values()]
+    if len(arms) < 2:
+        return ()
+    corners = [
+        Corner(
+            arms=(arm.name, following.name),
+            position_m=0.5 * (_kerbs_m(arm)[0] + _kerbs_m(following)[1]),
+        )
+        for arm, following in pairwise([*arms, arms[0]])
+    ]
+    middle = np.mean([corner.position_m for corner in corners], axis=0)
+
+    def bearing_deg(corner: Corner) -> float:  # clockwise from north
+        east, north = corner.position_m - middle
+        return float(np.degrees(np.arctan2(east, north))) % 360.0
+
+    return tuple(sorted(corners, key=bearing_deg))
+
+
+def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
+    """Where an arm's kerbs reach the junction: seen from its middle the left and the right one."""
+    edges: list[FloatArray] = []
+    outward: Line | None = None
+    for lanes, is_in in ((arm.lanes_in, True), (arm.lanes_out, False)):
+        for lane in lanes:
+            line = _outward(lane, is_in=is_in)
+            outward = outward or line
+            edges += [line.at(0.0, side * 0.5 * lane.width_m) for side in (1.0, -1.0)]
+    assert outward is not None  # an arm has lanes: that is how it was found
+    to_the_left = outward.coordinates(np.array(edges))[:, 1]
+    return edges[int(to_the_left.argmax())], edges[int(to_the_left.argmin())]
+
+
+def _outward(lane: Lane, *, is_in: bool) -> Line:
+    """The line through a lane's mouth that leads away from the junction."""
+    line, _ = lane_line(lane, is_in=is_in, length_m=_MOUTH_M)
+    return line.turned(180.0) if is_in else line
+
+
+def middle_m(scene: Scene) -> FloatArray:
+    """Middle of a junction: the centroid of its road surface, on the road, (3,)."""
+    from shapely import Polygon
+
+    centroid = Polygon(scene.outline_m).centroid
+    return np.array([centroid.x, centroid.y, 0.0])
+
+
+def off_axis_deg(poses: Sequence[CandidatePose], point_m: FloatArray) -> FloatArray:
+    """Angles between where poses look and the direction to a point (3,), (n_poses,) in degrees."""
+    position = np.array([unit.pose.position_m for unit in poses]).reshape(-1, 3)
+    yaw = np.radians([unit.pose.yaw_deg for unit in poses])
+    pitch = np.radians([unit.pose.pitch_deg for unit in poses])
+    ahead = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], 1)
+    to_point = point_m - position
+    beside = np.linalg.norm(np.cross(ahead, to_point), axis=1)
+    angle_deg: FloatArray = np.degrees(np.arctan2(beside, (ahead * to_point).sum(axis=1)))
+    return angle_deg
+
+
+def corner_poses(
+    limits: Limits,
+    candidates: Sequence[CandidatePose],
+    junction: Junction,
+    looked_at_m: FloatArray,
+) -> dict[str, int]:
+    """The pose at each corner of a junction that looks at a point (3,) the most directly.
+
+    Each corner has a site of its own: the nearest one, and where two corners want the same, those
+    that are the nearest in sum. Corners for which there is no site are left out. Poses and sites
+    that are forbidden do not count; of poses that look equally directly the first one does.
+
+    Returns
+    -------
+    rows : dict of str to int
+        Candidates by the names of the corners, clockwise from north.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    best = _most_direct(limits, candidates, looked_at_m)
+    corners, sites = find_corners(junction), [*best]
+    if not corners or not sites:
+        return {}
+    on_ground = np.array([candidates[row].pose.position_m[:2] for row in best.values()])
+    distance_m = np.array([np.hypot(*(on_ground - corner.position_m).T) for corner in corners])
+    pairs = zip(*linear_sum_assignment(distance_m), strict=True)
+    return {corners[corner].name: best[sites[site]] for corner, site in pairs}
+
+
+def _most_direct(
+    limits: Limits, candidates: Sequence[CandidatePose], looked_at_m: FloatArray
+) -> dict[int, int]:
+    """At each site that may carry something, the row of the pose that looks there most directly."""
+    sites = limits.site_index
+    off_deg = off_axis_deg(candidates, looked_at_m).round(6)
+    order = np.lexsort([off_deg, sites])  # stable: of equally direct ones the first comes first
+    order = order[~limits.is_forbidden[order] & (limits.site_capacity[sites[order]] > 0)]
+    used, first = np.unique(sites[order], return_index=True)
+    return dict(zip(used.tolist(), order[first].tolist(), strict=True))
+
+
+# ---------- both
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Proposals:
+    """What to compare with, before anything is known of what it detects: rows of candidates.
+
+    Attributes
+    ----------
+    n_units : int
+        Of each random layout; the expert's has at most as many.
+    random : tuple of tuple of int
+        See :func:`random_sets`.
+    forced : tuple of int
+        For each site that must carry a unit, the one there that looks at the junction's middle the
+        most directly.
+    corners : dict of str to int
+        See :func:`corner_poses`.
+    """
+
+    n_units: int
+    random: tuple[tuple[int, ...], ...]
+    forced: tuple[int, ...]
+    corners: dict[str, int]
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """All rows that occur, ascending."""
+        return tuple(sorted({*chain(*self.random), *self.forced, *self.corners.values()}))
+
+    def among(self, rows: Sequence[int]) -> "Proposals":
+        """The same where some of the rows, these, are all that there are."""
+        index = {row: number for number, row in enumerate(rows)}
+        return replace(
+            self,
+            random=tuple(tuple(index[row] for row in units) for units in self.random),
+            forced=tuple(index[row] for row in self.forced),
+            corners={name: index[row] for name, row in self.corners.items()},
+        )
+
+
+def propose(
+    limits: Limits,
+    candidates: Sequence[CandidatePose],
+    scene: Scene,
+    *,
+    n_units: int,
+    rng: np.random.Generator,
+) -> Proposals:
+    """Random layouts of so many units, and the poses that an expert's rule of thumb knows.
+
+    Raises InputError where a number is below 1, or the scene has no junction.
+    """
+    middle = middle_m(scene)
+    direct = _most_direct(limits, candidates, middle)
+    forced_sites = np.flatnonzero(limits.is_forced_site).tolist()
+    return Proposals(
+        n_units=n_units,
+        random=random_sets(limits, n_units, rng=rng),
+        forced=tuple(direct[site] for site in forced_sites if site in direct),
+        corners=corner_poses(limits, candidates, build_junction(scene), middle),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Baselines:
+    """What there is to compare a layout with.
+
+    Attributes
+    ----------
+    random : RandomLayouts, optional
+        None where no random layout is within the limits.
+    expert : tuple of int
+        Rows of the detection table, ascending; empty where the rule is not within the limits.
+    corners : tuple of str
+        Corners whose camera is among them, in the order of choice.
+    """
+
+    random: RandomLayouts | None
+    expert: tuple[int, ...]
+    corners: tuple[str, ...]
+
+
+def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baselines:
+    """What proposals are worth on a detection table, whose rows are theirs.
+
+    The expert mounts what is forced, then a camera at each corner of the junction that looks at its
+    middle: the corner whose camera prevents the most by itself comes first, of equal ones the first
+    clockwise from north. Corners whose camera does not fit into the limits are passed over.
+    Targets do not matter, only what may be mounted together.
+    """
+    limits, corners = problem.limits, proposals.corners
+    units = np.flatnonzero(limits.is_forced)
+    first = sorted(corners, key=lambda name: -apr(problem, [corners[name]]))
+    for row in (*proposals.forced, *(corners[name] for name in first)):
+        if len(units) < proposals.n_units and fitting(limits, units)[row]:
+            units = np.append(units, row)
+    is_complete = len(units) > 0 and is_allowed(limits, units)
+    expert = tuple(sorted(units.tolist())) if is_complete else ()
+    return Baselines(
+        random=_judge_random(problem, proposals) if proposals.random else None,
+        expert=expert,
+        corners=tuple(name for name in first if corners[name] in expert),
+    )
+
+
+def _judge_random(problem: PlacementProblem, proposals: Proposals) -> RandomLayouts:
+    margins_s = np.array([run_margins_s(problem, units) for units in proposals.random])
+    is_avoided: BoolArray = margins_s > -np.inf
+    measure = problem.measure()
+    worlds = [measure.sample_index == world for world in range(len(measure.sample_weight))]
+    avoided_share = is_avoided.mean(axis=0)
+    return RandomLayouts(
+        n_units=proposals.n_units,
+        apr=measure.of(is_avoided),
+        mean_by_world=[np.average(avoided_share, weights=measure.weight * mine) for mine in worlds],
+    )

@@ -1,0 +1,161 @@
+"""The study's cases beside another question: the same as if they were asked about."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.jobs import study_cases
+from experiments.jobs.study_cases import (
+    is_same_question,
+    on_study_cases,
+    score_on,
+    study_question,
+    study_rows,
+)
+from experiments.results.baselines import build_study_cases_record
+from experiments.study.layout import load_carlancap_layout
+from placement.compute import Compute
+from placement.evaluator import evaluate_layouts
+from placement.layout import Layout
+from placement.question import Question
+from placement.setting import build_setting
+
+ASKED = Question(
+    cases="CPNC-50,CBNA",
+    along_arms="0,15",
+    speeds="50-60",
+    approaches="east,south",
+    weights="case",
+    track_memory_s=0.3,
+)
+PART = replace(
+    ASKED, cases="CBNA", along_arms="0", speeds="60", weights="run", track_memory_s=math.inf
+)
+COMPUTE = Compute(workers=2)
+
+
+@pytest.fixture(scope="module")
+def asked():
+    return build_setting(ASKED)
+
+
+@pytest.fixture(scope="module")
+def part():
+    return build_setting(PART)
+
+
+@pytest.fixture(scope="module")
+def layouts():
+    units = load_carlancap_layout().units
+    return [Layout(name="two", units=units[2:4]), Layout(name="one", units=units[8:9])]
+
+
+@pytest.fixture(scope="module")
+def evaluations(asked, layouts):
+    return dict(zip("ab", evaluate_layouts(layouts, asked, compute=COMPUTE), strict=True))
+
+
+@pytest.fixture(scope="module")
+def expected(part, layouts):
+    """What an evaluation says that is asked about these cases alone."""
+    return dict(zip("ab", evaluate_layouts(layouts, part, compute=COMPUTE), strict=True))
+
+
+def test_frames_that_were_looked_at_are_judged_again(
+    asked, part, evaluations, expected, monkeypatch
+):
+    monkeypatch.setattr(study_cases, "evaluate_layouts", pytest.fail)
+    rows = np.array([asked.axis.run_ids.index(name) for name in part.axis.run_ids])
+    record = score_on(part, asked, rows, evaluations, compute=COMPUTE)
+    assert record == build_study_cases_record(expected)
+    assert [party.name for party in record.parties] == ["a", "b", "VUT alone"]
+    assert record.runs == part.axis.n_runs == 2
+    # They are judged by another rule: the same frames do not make the same verdicts.
+    for item, again in zip(evaluations.values(), expected.values(), strict=True):
+        frames = [asked.axis.frames_of(row) for row in rows]
+        for (name, verdict), kept in zip(again.units.items(), item.units.values(), strict=True):
+            seen = np.concatenate([kept.detected[where] for where in frames])
+            assert np.array_equal(seen, verdict.detected), name
+
+
+def test_runs_that_were_not_driven_are_looked_at(asked, layouts, evaluations):
+    more = build_setting(replace(PART, speeds="55,60", approaches="north"))
+    record = score_on(more, asked, None, evaluations, compute=COMPUTE)
+    fresh = dict(zip("ab", evaluate_layouts(layouts, more, compute=COMPUTE), strict=True))
+    assert record == build_study_cases_record(fresh)
+
+
+def test_what_is_left_to_chance_is_drawn_as_if_it_were_asked_about(layouts):
+    given = {"detector": "response"}
+    asked, part = (build_setting(replace(one, **given)) for one in (ASKED, PART))
+    known = dict(zip("ab", evaluate_layouts(layouts, asked, compute=COMPUTE), strict=True))
+    fresh = dict(zip("ab", evaluate_layouts(layouts, part, compute=COMPUTE), strict=True))
+    rows = np.array([asked.axis.run_ids.index(name) for name in part.axis.run_ids])
+    record = score_on(part, asked, rows, known, compute=COMPUTE)
+    assert record == build_study_cases_record(fresh)
+
+
+def test_nothing_is_said_twice(asked, part, expected):
+    same = on_study_cases(PART, part, expected, build=lambda question: part, compute=COMPUTE)
+    assert same is None
+    assert not is_same_question(asked, part)
+    assert not is_same_question(part, replace(part, rule=replace(part.rule, latency_s=0.2)))
+    heavy = replace(part.axis, weight=np.array([0.9, 0.1]))
+    assert not is_same_question(part, replace(part, axis=heavy))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"cases": "CPNC-50,CBNA"},
+        {"speeds": "20-60"},
+        {"approaches": "east,north,west"},
+        {"weather": "night"},
+        {"along_arms": "15"},
+    ],
+)
+def test_where_runs_of_the_study_are_left_out_they_are_laid_anew(asked, changes):
+    assert study_rows(Question(**changes), asked) is None
+
+
+def test_the_study_is_asked_about_as_it_drives_and_reads():
+    question = Question(
+        cases="CPNC-50",
+        along_arms="0,30",
+        speeds="20",
+        approaches="east",
+        weather="night,fog",
+        weights="case",
+        force=True,
+        strict=True,
+        track_memory_s=1.0,
+        detector="response",
+        latency_s=0.2,
+        scene="scene",
+        budget=3,
+    )
+    assert study_question(question) == Question(
+        cases="study",
+        track_memory_s=math.inf,
+        detector="response",
+        latency_s=0.2,
+        scene="scene",
+        budget=3,
+    )
+
+
+def test_a_question_along_the_arms_has_all_runs_of_the_study():
+    """So that nobody has to look again."""
+    question = Question(weather="fog, day", along_arms="45,0")
+    default, study = build_setting(question), build_setting(study_question(question))
+    rows = study_rows(question, default)
+    assert study.axis.n_runs == 240
+    part = study_cases._part(default, rows)
+    assert is_same_question(part, study)
+    assert not is_same_question(default, study)
+    for one, other in zip(part.runs, study.runs, strict=True):
+        assert np.array_equal(one.vut_position_m, other.vut_position_m)
+        assert np.array_equal(one.vru_position_m, other.vru_position_m)
+    assert np.array_equal(part.axis.last_brake_time_s, study.axis.last_brake_time_s)

@@ -1,0 +1,25 @@
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from problems import problems
+
+from placement.explain import find_next_unit
+from placement.optimiser import apr, presolve, solve_placement
+from placement.optimiser.limits import is_allowed
+
+
+@given(problem=problems())
+def test_no_other_further_unit_gains_more(problem):
+    reduced = presolve(problem)
+    found = list(solve_placement(problem, reduced).pose_index)
+    limits = replace(problem.limits, budget_units=None)
+    others = [pose for pose in range(limits.n_poses) if is_allowed(limits, [*found, pose])]
+    best = find_next_unit(problem, reduced, found)
+    ratios = [apr(problem, [*found, pose]) for pose in others if pose not in found]
+    if best is None:
+        assert all(ratio == pytest.approx(apr(problem, found)) for ratio in ratios)
+        return
+    assert best.pose_index in others
+    assert best.apr == apr(problem, [*found, best.pose_index])
+    assert best.apr == pytest.approx(max(ratios))
