@@ -447,7 +447,7 @@ def _to_arrays(problem: PlacementProblem) -> Arrays:
         np.ones(axis.n_runs, dtype=bool) if floor.is_counted is None else floor.is_counted
         for floor in floors
     ]
-    values = {
+    values: dict[str, Any] = {
         "kind": KIND,
         "pose_ids": table.pose_ids,
         "packed": _without_padding(table),
