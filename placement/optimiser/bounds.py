@@ -563,6 +563,7 @@ def _lost_windows(words: WordArray, behind: IntArray, tail_frames: IntArray) -> 
     for offset in range(int(tail_frames.max(initial=0))):
         counts = _by_word(np.packbits(tail_frames > offset, axis=1, bitorder="little"))[0]
         seen |= _words_from(words, np.minimum(behind + offset, last)) & counts[:, None]
+    lost: WordArray
     lost = _by_word(np.packbits(tail_frames >= 0, axis=1, bitorder="little"))[0][:, None] & ~seen
     for shift in (1, 2, 4, 8, 16, 32):  # the highest bit that is set, and all below
         lost |= lost >> np.uint64(shift)

@@ -129,7 +129,7 @@ def first_window(layout: Layout, pose: int, union: WordArray, chain: int, none: 
         for phase in range(n_phases):
             seen &= bits[phase, pose, word] | union[phase, word]
         if seen != 0:
-            return 64 * (word - begin) + lowest_bit(seen)
+            return int(64 * (word - begin) + lowest_bit(seen))
         mask = ~np.uint64(0)
     return none
 
@@ -222,7 +222,7 @@ def set_links(layout: Layout, sets: IntArray, left_out: int, none: int, first: I
 @kernel
 def has_frame(union: WordArray, frame: int) -> bool:
     """Whether a union has a merged frame."""
-    return (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) != 0
+    return bool((union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) != 0)
 
 
 @kernel
@@ -241,7 +241,7 @@ def first_live_link(union: WordArray, chains: Chains, chain: int) -> int:
         if is_seen:
             break
         place += 1
-    return place - begin
+    return int(place - begin)
 
 
 @kernel
@@ -548,7 +548,8 @@ def look_at_node(forest: Forest, walk: Walk, n_failures: int) -> bool:
         if bound < walk.needs[kind]:
             return False
         if check == 0:
-            is_saturated = 2.0 * bound > forest.weight.sum() + walk.needs[0]
+            # What is left after failures has prices that tell.
+            is_saturated = n_failures == 0 and 2.0 * bound > forest.weight.sum() + walk.needs[0]
         others, _ = pick_best(gain, n, candidate, forest.site, walk.room[depth], left - 1, picked)
         if check < 2:
             walk.fixed[depth, check] = fixed
@@ -597,7 +598,7 @@ def hardest_row_first(forest: Forest, walk: Walk, depth: int) -> int:
             if 0 < n_covering < fewest:
                 hardest, fewest = row, n_covering
     if hardest < 0:
-        return n
+        return int(n)
     group = 0
     for place in range(n):
         if has_bit(forest.covers[candidate[place]], hardest) != 0:
