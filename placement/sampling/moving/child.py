@@ -7,6 +7,7 @@ caller: this file imports nothing of the toolkit. What it reads and writes stand
 
 import json
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
     for index, window in enumerate(job["windows"]):
         while now < window["first_step"]:
             libsumo.simulationStep()
-            n_departed += libsumo.simulation.getDepartedNumber()
+            n_departed += _others(libsumo.simulation.getDepartedIDList())
             now += 1
         wanted = [constants.VAR_POSITION, constants.VAR_ANGLE]
         libsumo.junction.subscribeContext(
@@ -59,7 +60,7 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
         while now < window["last_step"]:
             vut.move(now + 1)
             libsumo.simulationStep()
-            n_departed += libsumo.simulation.getDepartedNumber()
+            n_departed += _others(libsumo.simulation.getDepartedIDList())
             now += 1
             near = libsumo.junction.getContextSubscriptionResults(job["junction"])
             for vehicle, values in near.items():
@@ -74,14 +75,19 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
         libsumo.junction.unsubscribeContext(
             job["junction"], constants.CMD_GET_VEHICLE_VARIABLE, job["reach_m"]
         )
-    n_waiting = len(libsumo.simulation.getPendingVehicles())
+    n_waiting = _others(libsumo.simulation.getPendingVehicles())
     libsumo.close()
     return {
         "samples": np.array(rows, dtype=np.float64).reshape(-1, 5),
         "types": np.array(types, dtype=np.str_),
-        "n_departed": n_departed - sum(window["vut"] is not None for window in job["windows"]),
+        "n_departed": n_departed,
         "n_waiting": n_waiting,
     }
+
+
+def _others(vehicles: Iterable[str]) -> int:
+    """How many vehicles are not the one under test."""
+    return sum(not name.startswith(f"{VUT}.") for name in vehicles)
 
 
 class _Vut:
