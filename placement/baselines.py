@@ -369,5 +369,7 @@ def _judge_random(problem: PlacementProblem, proposals: Proposals) -> RandomLayo
     return RandomLayouts(
         n_units=proposals.n_units,
         apr=measure.of(is_avoided),
-        mean_by_world=[np.average(avoided_share, weights=measure.weight * mine) for mine in worlds],
+        mean_by_world=np.array(
+            [np.average(avoided_share, weights=measure.weight * mine) for mine in worlds]
+        ),
     )

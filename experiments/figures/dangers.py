@@ -52,9 +52,10 @@ def find_places(setting: Setting) -> tuple[Place, ...]:
     from scipy.cluster.hierarchy import fcluster, linkage
 
     points = np.array([run.vru_position_m[-1] for run in setting.runs])
-    labels = np.ones(len(points), dtype=np.int64)
+    labels: IntArray = np.ones(len(points), dtype=np.int64)
     if len(points) > 1:
-        labels = fcluster(linkage(points, "complete"), _SAME_PLACE_M, criterion="distance")
+        tree = linkage(points, "complete")
+        labels = fcluster(tree, _SAME_PLACE_M, criterion="distance").astype(np.int64)
     return tuple(
         Place(position_m=points[labels == label].mean(axis=0), runs=np.flatnonzero(labels == label))
         for label in dict.fromkeys(labels.tolist())
@@ -119,8 +120,10 @@ def plot_dangers(
         )
         if is_safe:
             continue
+        east_m, north_m = place.position_m
         axes.text(
-            *place.position_m,
+            east_m,
+            north_m,
             f"{_whole_percent(share)}",
             fontsize=0.5 * size,
             ha="center",

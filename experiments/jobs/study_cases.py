@@ -165,7 +165,8 @@ def judge_again(evaluation: Evaluation, rows: IntArray, part: Setting, judge: Ju
     )
 
     def detected(verdict: Verdict) -> BoolArray:
-        return verdict.detected[frames]
+        of_part: BoolArray = verdict.detected[frames]
+        return of_part
 
     units = {
         unit.id: (detected(evaluation.units[unit.id]), unit.latency(part.rule))

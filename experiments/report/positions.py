@@ -13,7 +13,7 @@ from ..figures.dangers import find_places, plot_dangers
 from ..results.dangers import avoided_runs
 from ..results.numbers import percent
 from ..results.tables import groups_by_direction, groups_by_position
-from .answer import position_words
+from .answer import is_weighted, position_words
 from .section import Block, Box, Picture, Section, Table, build_picture
 
 
@@ -29,9 +29,10 @@ def positions_section(setting: Setting, shown: Mapping[str, Evaluation], *, fusi
         for order, name in enumerate(names)
     }
     pictures = danger_pictures(setting, {name: shown[name] for name in names}, avoided)
+    by_weight = ", by weight," if is_weighted(setting.axis) else ""
     note = (
         "Every mark is a place where runs end in an impact if nobody brakes: impacts at most 6 m "
-        "apart are one place. The number is the share of its runs, by weight, that the units "
+        f"apart are one place. The number is the share of its runs{by_weight} that the units "
         "avoid, in per cent; the darker, the more is left. At small white squares all are avoided. "
         "Triangles are units, rings are sites that could carry some."
     )

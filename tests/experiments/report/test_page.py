@@ -63,7 +63,9 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def setting():
-    return build_setting(Question(cases="CPNC-50,CBNA,CBLA", along_arms="0"), load_study_scene())
+    return build_setting(
+        Question(cases="CPNC-50,CBNA,CBLA", along_arms="0", weights="run"), load_study_scene()
+    )
 
 
 def build_evaluation(setting, layout, *, seed, share=0.9):
