@@ -136,6 +136,39 @@ class Arm:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LeadingRoad:
+    """A road of the map that leads to a junction, counted without looking at its lanes' lines.
+
+    Attributes
+    ----------
+    name : str
+        Of the street, or else the id that the map gives it.
+    point_m : (2,) float
+        Where it meets the junction's outline, or a little farther out. [m]
+    direction : (2,) float
+        Unit vector away from the junction.
+    lanes_in, lanes_out : int
+        Driving lanes into the junction and out of it, by the map's own words.
+    """
+
+    name: str
+    point_m: FloatArray
+    direction: FloatArray
+    lanes_in: int
+    lanes_out: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point_m", float_array(self.point_m, (2,), "point_m"))
+        object.__setattr__(self, "direction", float_array(self.direction, (2,), "direction"))
+
+    @property
+    def bearing(self) -> str:
+        """The nearest of eight points of the compass."""
+        angle = float(np.degrees(np.arctan2(self.direction[1], self.direction[0])))
+        return COMPASS[round(angle / 45.0) % 8]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Junction:
     """Arms of a scene's junction.
 

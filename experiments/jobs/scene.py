@@ -19,6 +19,7 @@ from geometry.scene import Scene
 from geometry.scene_checks import check_scene
 from geometry.scene_files import (
     SCENE_FILE,
+    ImportNotes,
     load_notes,
     load_scene_folder,
     load_study_scene,
@@ -95,6 +96,7 @@ def run_import(
             sources=imported.sources if imported else (),
             skipped=imported.skipped if imported else (),
             assumed_heights=sorted(imported.assumed_heights) if imported else (),
+            roads=imported.roads if imported else (),
         )
         if is_zip:
             try:
@@ -157,8 +159,8 @@ def run_show(
             skipped=tuple(skip for source in maps for skip in source.skipped),
             crs=roads.source_crs or roads.crs or None,
         )
-    scene, skipped, _ = load_any_scene(paths[0] if paths else "")
-    result = build_scene_result(scene, skipped=_skipped(skipped))
+    scene, notes = load_any_scene(paths[0] if paths else "")
+    result = build_scene_result(scene, skipped=_skipped(notes.skipped))
     if out is None:
         return result
     progress(WRITING, 0, 0)
@@ -182,8 +184,8 @@ def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
         There is no such scene.
     """
     progress("check", 0, 0)
-    scene, _, assumed = load_any_scene(path)
-    findings = check_scene(scene, assumed_heights=frozenset(assumed))
+    scene, notes = load_any_scene(path)
+    findings = check_scene(scene, assumed_heights=notes.assumed_heights, roads=notes.roads)
     return SceneCheckResult(
         name=scene.name,
         is_sound=all(finding.level != "error" for finding in findings),
@@ -191,12 +193,12 @@ def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
     )
 
 
-def load_any_scene(path: str) -> tuple[Scene, list[tuple[str, str]], set[str]]:
-    """A scene with what its import left out and assumed; no path: the study's junction."""
+def load_any_scene(path: str) -> tuple[Scene, ImportNotes]:
+    """A scene with what its import told of it; no path: the study's junction."""
     if not path:
-        return load_study_scene(), [], set()
-    skipped, assumed = load_notes(Path(path))
-    return load_scene_folder(Path(path)), skipped, assumed
+        return load_study_scene(), ImportNotes()
+    notes = load_notes(Path(path))
+    return load_scene_folder(Path(path)), notes
 
 
 def _import_result(imported: ImportedScene) -> SceneResult:

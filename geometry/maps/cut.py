@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
-from ..junction import distance_to_outline_m
+from ..junction import LeadingRoad, distance_to_outline_m
 from ..scene import Instance, Lane, Scene, Site
 from .georeferences import LocalFrame, frame_at
 from .solids import join
@@ -35,6 +35,7 @@ class Surroundings:
     poles: tuple[Pole, ...]  # feet on the road plane, z = 0; ids are unique
     keeps_left: bool
     skipped: tuple[Skipped, ...]
+    roads: tuple[LeadingRoad, ...] = ()  # that lead to the junction
 
 
 def cut_out(
@@ -81,11 +82,12 @@ def cut_out(
             Skipped(what=f"{count} x {name} in {source.name}", why="not above the road")
             for name, count in low.items()
         ]
-        for pole in source.poles:
-            foot = frame.take(pole.position_m, source)
-            if np.hypot(*foot[:2]) <= radius_m:
-                pole_id = _unique(pole.id, source, taken)
-                poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
+        if source.poles:
+            feet = frame.take(np.stack([pole.position_m for pole in source.poles]), source)
+            for pole, foot in zip(source.poles, feet, strict=True):
+                if np.hypot(*foot[:2]) <= radius_m:
+                    pole_id = _unique(pole.id, source, taken)
+                    poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
     return Surroundings(
         frame=frame,
         lanes=tuple(_lanes(roads, junction, frame, outline, radius_m + _LANES_BEYOND_M)),
@@ -95,7 +97,13 @@ def cut_out(
         poles=tuple(poles),
         keeps_left=roads.keeps_left,
         skipped=tuple(skipped),
+        roads=tuple(_taken(road, frame, roads) for road in junction.roads),
     )
+
+
+def _taken(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRoad:
+    begin, ahead = frame.take(np.stack([road.point_m, road.point_m + road.direction]), source)
+    return replace(road, point_m=begin, direction=(ahead - begin) / np.hypot(*(ahead - begin)))
 
 
 def build_scene(

@@ -11,6 +11,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..files import check_file
+from ..junction import LeadingRoad
 from ..scene import Scene
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import build_scene, cut_out
@@ -250,6 +251,8 @@ class ImportedScene:
         What was left out or assumed, and why.
     assumed_heights : frozenset of str
         Ids of the things whose heights the sources do not give.
+    roads : tuple of LeadingRoad
+        Roads of the map that lead to the junction, in the scene's frame.
     """
 
     scene: Scene
@@ -258,6 +261,7 @@ class ImportedScene:
     sources: tuple[str, ...]
     skipped: tuple[tuple[str, str], ...]
     assumed_heights: frozenset[str]
+    roads: tuple[LeadingRoad, ...] = ()
 
 
 def read_maps(
@@ -352,6 +356,7 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
         sources=tuple(source.name for source in maps),
         skipped=tuple(skipped),
         assumed_heights=frozenset(t.id for t in surroundings.things if t.is_height_assumed),
+        roads=surroundings.roads,
     )
 
 

@@ -5,6 +5,7 @@ simulator or version, while this needs lanes, outlines and objects of all versio
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -14,7 +15,7 @@ from ...errors import InputError, Unquoted
 from ...untrusted_files import local_name, read_xml
 from ..source_map import Omissions, SourceMap
 from .attributes import Offset, numbered, read_crs, read_offset
-from .junctions import build_junctions, find_road_ends, read_junction_records
+from .junctions import build_junctions, find_road_ends, leading_roads, read_junction_records
 from .lanes import MAX_POINTS, SampledSection, build_lanes, join_stubs, sample_road
 from .objects import build_rows, cross_paths, read_objects
 from .roads import NO_JUNCTION, Road, read_road
@@ -57,6 +58,8 @@ def read_opendrive(path: Path) -> SourceMap:
         ]
     )
     junctions, lanes = build_junctions(records, roads, sampled, lanes, omissions, where)
+    leading = leading_roads(roads, ends, sampled)
+    junctions = [replace(one, roads=leading.get(one.id, ())) for one in junctions]
     found = read_objects(roads, omissions)
     lanes += [
         lane for road, spaces in found.spaces.items() for lane in build_rows(roads[road], spaces)

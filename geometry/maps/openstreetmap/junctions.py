@@ -13,6 +13,7 @@ from shapely.geometry.base import BaseGeometry
 from ...arrays import FloatArray
 from ..source_map import MapJunction, Omissions
 from .elements import DEFAULTS, Elements, Tags
+from .leading_roads import find_leading_roads
 from .network import End, Network, Street, axis_points, surface, trace_streets
 
 _STEP_M = 0.5
@@ -318,7 +319,10 @@ def find_junctions(
         points = network.positions_m[clusters.members[number]]
         outline = _outline(final, inside.get(number, []), points)
         name = _name(final, inside.get(number, []))
-        junctions.append(MapJunction(id=ids[number], name=name, outline_m=outline))
+        roads = find_leading_roads(network, clusters.members[number], outline)
+        junctions.append(
+            MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads)
+        )
     order = sorted(range(len(junctions)), key=lambda index: int(junctions[index].id[1:]))
     return list(reaches.values()), [junctions[index] for index in order]
 

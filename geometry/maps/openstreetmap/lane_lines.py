@@ -86,14 +86,20 @@ def _without_stubs(
     """Parts of a street that have lanes of their own, and their stations.
 
     A way that is cut in two just outside a junction, as at a crosswalk, leaves a stub there: the
-    lanes of the part beyond it run on to the junction.
+    lanes of the part beyond it run on to the junction, unless that is driven in other directions.
     """
     least_m = DEFAULTS["cross_section"]["stub_m"]
     kept, whole = list(parts), list(spans)
-    while reach.from_junction and len(kept) > 1 and np.ptp(whole[kept[0]]) < least_m:
+    sections = reach.street.sections
+
+    def is_stub(near: int, beyond: int) -> bool:
+        is_short = np.ptp(whole[near]) < least_m
+        return bool(is_short) and sections[near].directions == sections[beyond].directions
+
+    while reach.from_junction and len(kept) > 1 and is_stub(kept[0], kept[1]):
         stub = kept.pop(0)
         whole[kept[0]] = (whole[stub][0], whole[kept[0]][1])
-    while reach.to_junction and len(kept) > 1 and np.ptp(whole[kept[-1]]) < least_m:
+    while reach.to_junction and len(kept) > 1 and is_stub(kept[-1], kept[-2]):
         stub = kept.pop()
         whole[kept[-1]] = (whole[kept[-1]][0], whole[stub][1])
     return kept, whole
