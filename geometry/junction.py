@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arrays import FloatArray, float_array, freeze
+from .arrays import FloatArray, Point2, float_array, freeze
 from .errors import InputError
 from .scene import Lane, Scene
 
@@ -152,8 +152,8 @@ class LeadingRoad:
     """
 
     name: str
-    point_m: FloatArray
-    direction: FloatArray
+    point_m: Point2
+    direction: Point2
     lanes_in: int
     lanes_out: int
 

@@ -14,6 +14,7 @@ from geometry.maps.importing import (
     import_scene,
     read_maps,
 )
+from geometry.maps.junctions import sort_junctions
 from geometry.maps.source_map import Skipped
 from geometry.scene import Scene
 from geometry.scene_checks import check_scene
@@ -120,6 +121,7 @@ def run_show(
     *,
     out: Path | None,
     progress: StageProgress,
+    sort: str = "arms",
 ) -> SceneResult:
     """Tell what a scene or a map has.
 
@@ -133,6 +135,8 @@ def run_show(
         Folder for pictures of a scene.
     progress : StageProgress
         Is told the stages.
+    sort : str
+        Order of the junctions of a map, see :func:`geometry.maps.junctions.sort_junctions`.
 
     Raises
     ------
@@ -150,7 +154,7 @@ def run_show(
         things = [thing for source in maps for thing in source.things]
         return SceneResult(
             name=roads.name,
-            junctions=tuple(build_junction_record(one) for one in junctions),
+            junctions=tuple(build_junction_record(one) for one in sort_junctions(junctions, sort)),
             buildings=sum(thing.class_name == "building" for thing in things),
             things=len(things),
             sites=sum(len(source.poles) for source in maps),
