@@ -8,7 +8,14 @@ import numpy as np
 
 from .errors import InputError
 from .junction import Junction, LeadingRoad, build_junction
-from .scene import Scene, containing_instance, road_area, thing_footprint
+from .scene import (
+    HANGING_KINDS,
+    Scene,
+    Site,
+    containing_instance,
+    road_area,
+    thing_footprint,
+)
 
 _FLOATING_M = 0.5
 _SUNK_M = 3.0
@@ -17,6 +24,7 @@ _OVERLAP_M2 = 1.0
 _ON_ROAD_M2 = 2.0
 _STANDING = ("building", "wall", "vegetation")
 _MAX_NAMES = 6
+_AT_KERB_M = 0.05  # digits of a file
 _SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
 _SAME_WAY = 0.5  # cosine of the angle between them
 
@@ -148,6 +156,31 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
                 why = f"its mount at {height_m:g} m is inside {around.class_name} {around.id}"
                 yield Finding(level="error", what=f"site {site.id}", why=why)
                 break
+    standing = [site for site in scene.sites if site.kind not in HANGING_KINDS]
+    if standing:
+        yield from _check_feet(scene, standing)
+
+
+def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
+    """Sites that stand where cars drive."""
+    import shapely
+
+    feet = np.array([site.position_m[:2] for site in sites])
+    junction = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_AT_KERB_M)
+    lanes = [
+        shapely.LineString(lane.centreline_m).buffer(
+            max(0.5 * lane.width_m - _AT_KERB_M, 0.0), cap_style="flat"
+        )
+        for lane in scene.lanes
+    ]
+    hit, which = shapely.STRtree(lanes).query(shapely.points(feet), predicate="within")
+    in_lane = {int(index): scene.lanes[int(lane)].id for index, lane in zip(hit, which, strict=True)}
+    in_middle = shapely.intersects_xy(junction, *feet.T)
+    for index, site in enumerate(sites):
+        if in_middle[index] or index in in_lane:
+            where = "in the junction" if in_middle[index] else f"on lane {in_lane[index]}"
+            why = f"it stands {where}: no pole can (kinds that hang: {', '.join(HANGING_KINDS)})"
+            yield Finding(level="error", what=f"site {site.id}", why=why)
 
 
 def _check_meshes(scene: Scene) -> Iterator[Finding]:

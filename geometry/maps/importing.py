@@ -16,6 +16,7 @@ from ..scene import Scene
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import build_scene, cut_out
 from .junctions import Surveyed, choose_junction, survey_junctions
+from .site_places import settle_poles
 from .sites import choose_sites
 from .source_map import SourceMap
 
@@ -333,6 +334,7 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
     surroundings = cut_out(
         maps, chosen.junction, radius_m=options.radius_m, ground_m=options.ground_m
     )
+    surroundings, settled = settle_poles(surroundings)
     sites, told = choose_sites(options.sites, surroundings, roads, radius_m=options.radius_m)
     scene = build_scene(
         surroundings,
@@ -341,7 +343,7 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
         sites=sites,
         radius_m=options.radius_m,
     )
-    skipped = [(skip.what, skip.why) for skip in (*surroundings.skipped, *told)]
+    skipped = [(skip.what, skip.why) for skip in (*surroundings.skipped, *settled, *told)]
     if len(junctions) > 1 and not options.junction and options.at is None:
         skipped.append(
             (

@@ -58,16 +58,22 @@ def object_kind(element: Element) -> str | None:
 
 
 def signal_kind(element: Element) -> str | None:
-    """Kind of a signal: "traffic light", "crosswalk" (painted), "sign"; None: other paint."""
+    """Kind of a signal: "traffic light", "crosswalk" (painted), "sign"; None: other paint.
+
+    What the file calls static is no traffic light, whatever its name.
+    """
     facts = load_facts()["signals"]
     texts = (element.get("name", ""), element.get("type", ""), element.get("subtype", ""))
     number = element.get("type", "").strip()
-    is_dynamic = element.get("dynamic", "no").strip().lower() in ("yes", "true", "1")
+    dynamic = element.get("dynamic", "").strip().lower()
+    is_dynamic, is_static = dynamic in ("yes", "true", "1"), dynamic in ("no", "false", "0")
     if number in facts["crosswalk_types"] and not is_dynamic:
         return "crosswalk"
     if has_word(texts, facts["painted_words"]):
         return None
-    if (is_dynamic and number in facts["light_types"]) or has_word(texts, facts["light_words"]):
+    if is_dynamic and number in facts["light_types"]:
+        return "traffic light"
+    if not is_static and has_word(texts, facts["light_words"]):
         return "traffic light"
     return "sign"
 
