@@ -31,7 +31,8 @@ class MapLane:
     kind : str
         One of ``LANE_KINDS``.
     width_m : float
-        Mean full width. [m]
+        Mean full width; where it varies and the lane leads to a junction, that of the 30 m next to
+        it. [m]
     centreline_m : (n, 3) float
         At least two points in driving direction; lanes without one (walking, parking) have that of
         the driving lane beside them. [m]

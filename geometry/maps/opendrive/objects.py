@@ -40,6 +40,9 @@ def object_kind(element: Element) -> str | None:
     ``POLE_KINDS``, or "obstacle" if the standard's type says no more than that.
     """
     object_type, name = element.get("type", ""), element.get("name", "")
+    subtype = element.get("subtype", "")
+    if has_word((object_type, name, subtype), load_facts()["object_words"]["crosswalk"]):
+        return "crosswalk"  # some write them as road marks
     if has_word((object_type, name), load_facts()["flat"]["words"]):
         return None
     if element.find("parkingSpace") is not None:
@@ -49,7 +52,7 @@ def object_kind(element: Element) -> str | None:
         if plain in types and element.get("dynamic", "no") != "yes":
             return str(kind)
     for text in (
-        (object_type,) if plain not in _SAYS_NOTHING else (name, element.get("subtype", ""))
+        (object_type,) if plain not in _SAYS_NOTHING else (name, subtype)
     ):
         for kind, listed in load_facts()["object_words"].items():
             if has_word((text,), listed):
