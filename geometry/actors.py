@@ -14,6 +14,7 @@ from msgspec import Struct, structs
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import (
+    BoolArray,
     FloatArray,
     IntArray,
     float_array,
@@ -118,6 +119,43 @@ class PlacedActor:
     def key(self) -> tuple[object, ...]:
         """Equal for the same body at the same pose, whoever placed it."""
         return (self.actor, *self.pose.position_m.tolist(), self.pose.yaw_deg, self.pose.pitch_deg)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MovingActor:
+    """A body that moves on the road, frame by frame.
+
+    Attributes
+    ----------
+    actor : Actor
+        The body.
+    position_m : (n_frames, 2) float
+        Middle of the footprint; not a number in frames in which it is not there. World frame. [m]
+    yaw_deg : (n_frames,) float
+        Heading. [deg]
+    """
+
+    actor: Actor
+    position_m: FloatArray
+    yaw_deg: FloatArray
+
+    def __post_init__(self) -> None:
+        position = np.array(self.position_m, dtype=np.float64)
+        yaw = np.array(self.yaw_deg, dtype=np.float64)
+        where = f"moving {self.actor.name}"
+        if position.ndim != 2 or position.shape != (len(yaw), 2):
+            raise InputError(where, Unquoted(f"shape {position.shape}"), f"({len(yaw)}, 2)")
+        is_there = ~np.isnan(position).any(axis=1)
+        if not (np.isfinite(position[is_there]).all() and np.isfinite(yaw[is_there]).all()):
+            raise InputError(where, Unquoted("infinite"), "positions and headings, or no number")
+        object.__setattr__(self, "position_m", freeze(position))
+        object.__setattr__(self, "yaw_deg", freeze(yaw))
+
+    @property
+    def is_there(self) -> BoolArray:
+        """Frames in which it is there, (n_frames,)."""
+        there: BoolArray = ~np.isnan(self.position_m).any(axis=1)
+        return there
 
 
 @cache

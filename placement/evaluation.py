@@ -2,14 +2,15 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, freeze
-from scenarios.aeb import AebRule, is_in_time
+from scenarios.aeb import AebRule
 from scenarios.exposure import weight_share
-from scenarios.runs import FrameAxis, onset_times_s
+from scenarios.positions import sort_positions
+from scenarios.runs import FrameAxis, find_onsets
 
 from .layout import Layout
 
@@ -26,9 +27,11 @@ class Verdict:
     detected : (n_frames,) bool
         Frames in which the VRU is detected, and the VUT gets to know it.
     confirmation_time_s : (n_runs,) float
-        First confirmation, relative to the impact; infinite if there is none. [s]
+        When the track was confirmed for which the VUT brakes, or would have to, relative to the
+        impact; infinite if none is. See :class:`scenarios.runs.Onsets`. [s]
     onset_time_s : (n_runs,) float
-        When braking sets in after it; infinite if it never does. [s]
+        When braking sets in after it; infinite if it never does: also where every track was lost
+        again before the last moment. [s]
     is_avoided : (n_runs,) bool
         Whether braking after it avoids the impact.
     """
@@ -136,6 +139,15 @@ def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
     return {case: apr(verdict, axis, cases == case) for case in dict.fromkeys(axis.cases)}
 
 
+def apr_by_position(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
+    """Accident prevention ratio per position along the arms, as the VUT passes them."""
+    positions = np.array(axis.positions)
+    return {
+        position: apr(verdict, axis, positions == position)
+        for position in sort_positions(axis.positions)
+    }
+
+
 def earliest_arrival_s(parties: Sequence[tuple[BoolArray, float]], axis: FrameAxis) -> FloatArray:
     """When the VUT first knows of a detection made in each frame, (n_frames,) in s.
 
@@ -175,10 +187,30 @@ def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
     ]
     smallest = 1.0
     for arrival in leave_each_out(np.stack(arrivals))[1]:
-        _, onset = onset_times_s(arrival, axis, n_confirmations=rule.n_confirmations)
-        in_time = is_in_time(onset, axis.last_brake_time_s, latency_s=0.0)
+        in_time = find_onsets(arrival, axis, rule=rule).is_in_time
         smallest = min(smallest, weight_share(in_time, axis.weight))
     return smallest
+
+
+Outcome = Literal["avoided", "never seen", "never confirmed", "lost again", "too late"]
+"""How a run ends. "lost again": a track was confirmed, but not alive at the last moment, and none
+was confirmed after it; "too late": braking set in, but the bodies touch all the same."""
+
+
+def run_outcomes(verdict: Verdict, axis: FrameAxis) -> list[Outcome]:
+    """How each run ends, in words."""
+    return [run_outcome(verdict, axis, run) for run in range(axis.n_runs)]
+
+
+def run_outcome(verdict: Verdict, axis: FrameAxis, run_index: int) -> Outcome:
+    """How one run ends, in words."""
+    if verdict.is_avoided[run_index]:
+        return "avoided"
+    if not verdict.detected[axis.frames_of(run_index)].any():
+        return "never seen"
+    if not np.isfinite(verdict.confirmation_time_s[run_index]):
+        return "never confirmed"
+    return "too late" if np.isfinite(verdict.onset_time_s[run_index]) else "lost again"
 
 
 def detected_share(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) -> float:

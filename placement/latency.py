@@ -7,19 +7,26 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.arrays import BoolArray, FloatArray, freeze
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
 from geometry.files import Table, load_toml, take_list, take_number, take_text
-from scenarios.aeb import AebRule, is_in_time
+from scenarios.aeb import (
+    TIME_TOLERANCE_S,
+    AebRule,
+    confirmation_mask,
+    held_frames,
+    is_in_time,
+)
 from scenarios.exposure import weight_share
-from scenarios.runs import FrameAxis, onset_times_s
+from scenarios.runs import FrameAxis
 
-from .evaluation import Evaluation, earliest_arrival_s
+from .evaluation import Evaluation
 
 # ---------- budgets: what passes between a frame and the onset of braking, part by part
 
@@ -254,58 +261,101 @@ _DECIMALS = 9  # of a second: as fine as the tolerance of is_in_time
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LatencyCurve:
-    """The effect of latency on one sensing party."""
+    """The effect of latency on one sensing party.
 
-    # (n_runs,): longest latency with which each run is still avoided. Negative: with none; minus
-    # infinity: never confirmed, or no braking avoids; infinite: with any. [s]
+    A run is avoided with latencies of some intervals. The shorter the latency, the more messages
+    arrive; but the later is also the last moment at which a track must be alive. So a run may be
+    avoided with a longer latency and not with a shorter one, if tracks do not live for ever.
+
+    Attributes
+    ----------
+    first_latency_s, last_latency_s : (n_intervals,) float
+        Between these, both included, a run is avoided; those of a run do not overlap. First: at
+        most 0, or minus infinity, where every shorter latency will do, too. Last: negative where
+        even no latency is too much, infinite where any will do. [s]
+    run_index : (n_intervals,) int
+        Whose interval. A run that no latency avoids has none.
+    weight : (n_runs,) float
+        Of the runs.
+    """
+
+    first_latency_s: FloatArray
     last_latency_s: FloatArray
-    weight: FloatArray  # (n_runs,): of the runs
+    run_index: IntArray
+    weight: FloatArray
 
     def __post_init__(self) -> None:
-        for name in ("last_latency_s", "weight"):
+        for name in ("first_latency_s", "last_latency_s", "run_index", "weight"):
             object.__setattr__(self, name, freeze(getattr(self, name)))
 
     def apr(self, latency_s: ArrayLike) -> FloatArray:
         """Accident prevention ratio (...,) if every message takes `latency_s` (...,)."""
         latencies = np.asarray(latency_s, dtype=np.float64)
-        ratios = [
-            weight_share(is_in_time(0.0, self.last_latency_s, latency_s=latency), self.weight)
-            for latency in latencies.ravel().tolist()
-        ]
+        ratios = []
+        for latency in latencies.ravel().tolist():
+            holds = is_in_time(self.first_latency_s, latency, latency_s=0.0)
+            holds &= is_in_time(0.0, self.last_latency_s, latency_s=latency)
+            is_avoided = np.zeros(len(self.weight), dtype=bool)
+            is_avoided[self.run_index[holds]] = True
+            ratios.append(weight_share(is_avoided, self.weight))
         return np.array(ratios).reshape(latencies.shape)
 
     def steps(self) -> tuple[FloatArray, FloatArray]:
-        """The whole curve: limits (n_steps,) in seconds, ascending, and APR (n_steps,), descending.
+        """The whole curve: limits (n_steps,) in seconds, ascending, and APR (n_steps,).
 
-        Value i holds for latencies above limit i - 1 - from 0 on for the first one - up to and
-        including limit i; the last limit is infinite.
+        Value i holds for the latencies between limit i - 1 - 0 for the first one - and limit i; the
+        last limit is infinite. At a limit itself the higher of the two values holds: that of the
+        left where the curve falls, that of the right where it rises, and if runs are lost and won
+        at once, more than either.
         """
-        last = self.last_latency_s[(self.weight > 0.0) & np.isfinite(self.last_latency_s)]
         # What is just in time with no latency counts, and its step is at 0.
-        last = np.maximum(last[is_in_time(0.0, last, latency_s=0.0)], 0.0)
-        until = np.append(np.unique(last.round(_DECIMALS)), np.inf)
-        return until, self.apr(until)
+        counts = (self.weight[self.run_index] > 0.0) & is_in_time(
+            0.0, self.last_latency_s, latency_s=0.0
+        )
+        runs = self.run_index[counts]
+        first, last = (
+            np.maximum(ends[counts], 0.0).round(_DECIMALS)
+            for ends in (self.first_latency_s, self.last_latency_s)
+        )
+        limits = np.unique(np.concatenate([first[first > 0.0], last, [np.inf]]))
+        apr = np.empty(len(limits))
+        for step, (above_s, until_s) in enumerate(pairwise([0.0, *limits.tolist()])):
+            is_avoided = np.zeros(len(self.weight), dtype=bool)
+            is_avoided[runs[(first <= above_s) & (last >= until_s)]] = True
+            apr[step] = weight_share(is_avoided, self.weight)
+        changes = np.append(np.abs(np.diff(apr)) > _SAME_SHARE, True)
+        return limits[changes], apr[changes]
 
     def longest_latency_s(self, apr: float) -> float:
-        """Longest latency with which the APR is at least `apr`, in seconds.
+        """Longest latency up to which, from none on, the APR is at least `apr`, in seconds.
 
         Infinite: the APR never falls below; minus infinity: it is lower even without latency.
         """
         until, ratios = self.steps()
-        holds = ratios >= apr - 1.0e-12  # ratios of rounded sums
-        return float(until[holds][-1]) if holds.any() else -math.inf
+        falls = ratios < apr - _SAME_SHARE
+        if not falls.any():
+            return math.inf
+        step = int(np.argmax(falls))
+        return float(until[step - 1]) if step else -math.inf
 
     def expected_apr(self, budget: LatencyBudget) -> float:
         """Expected accident prevention ratio if the latency follows a budget; exact, not drawn.
 
-        sum of w_r P(latency <= last latency of r) / sum of w_r; NaN if there is no weight. All
-        messages of a run take equally long, whoever sends them: frames and CPM generation are
-        periodic, so that their phase does not change.
+        sum over the intervals of w_r P(first <= latency <= last) / sum of w_r; NaN if there is no
+        weight. All messages of a run take equally long, whoever sends them: frames and CPM
+        generation are periodic, so that their phase does not change.
         """
         total = math.fsum(self.weight)
         if total <= 0.0:
             return math.nan
-        return math.fsum(self.weight * budget.share_within(self.last_latency_s)) / total
+        # What is shorter than the first by more than the tolerance is too short.
+        is_fixed = budget.best_s == budget.worst_s
+        too_short_s = self.first_latency_s - 2.0 * TIME_TOLERANCE_S * is_fixed
+        shares = budget.share_within(self.last_latency_s) - budget.share_within(too_short_s)
+        return math.fsum(self.weight[self.run_index] * np.maximum(shares, 0.0)) / total
+
+
+_SAME_SHARE = 1.0e-12  # ratios of rounded sums
 
 
 def apr_by_latency(
@@ -319,8 +369,8 @@ def apr_by_latency(
 
     Keys are "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. At latency L a curve says
     what an evaluation with ``replace(rule, latency_s=L)`` does by the last brake time: a unit with
-    a latency of its own keeps it at every L, so that its curve is flat. Fused parties mix both
-    kinds frame by frame. Raises InputError if `vut_latency_s` is negative or not finite.
+    a latency of its own keeps it at every L. Fused parties mix both kinds frame by frame. Raises
+    InputError if `vut_latency_s` is negative or not finite.
     """
     if vut_latency_s is not None and not 0.0 <= vut_latency_s < math.inf:
         raise InputError("vut_latency_s", vut_latency_s, "seconds, at least 0")
@@ -338,30 +388,70 @@ def apr_by_latency(
     if "vam" in evaluation.others:
         vam = (evaluation.others["vam"].detected, None)
         parties |= {"vam": [vam], "all_sources": [*units.values(), vut, vam]}
-    return {
-        name: LatencyCurve(
-            last_latency_s=_last_latency_s(fused, evaluation.axis, rule),
-            weight=evaluation.axis.weight,
-        )
-        for name, fused in parties.items()
-    }
+    return {name: _build_curve(fused, evaluation.axis, rule) for name, fused in parties.items()}
 
 
-def _last_latency_s(
+def _build_curve(
     parties: Sequence[tuple[BoolArray, float | None]], axis: FrameAxis, rule: AebRule
-) -> FloatArray:
-    """Longest latency of parties without their own, with which each run is still avoided.
-
-    A frame that a party with its own latency reports in time costs the others nothing: it counts as
-    known at all times. The window that is known first is then the one that leaves most time.
-    """
+) -> LatencyCurve:
+    """The curve of parties that are fused, each with a latency of its own or none."""
     last_brake_s = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
-    frame_s = earliest_arrival_s(
-        [(detected, 0.0) for detected, own_s in parties if own_s is None], axis
-    )
+    varies, is_known = np.zeros((2, axis.n_frames), dtype=bool)
     for detected, own_s in parties:
-        if own_s is not None:
-            frame_s[detected & is_in_time(axis.time_s, last_brake_s, latency_s=own_s)] = -np.inf
-    _, confirmed_s = onset_times_s(frame_s, axis, n_confirmations=rule.n_confirmations)
-    last: FloatArray = axis.last_brake_time_s - confirmed_s
-    return last
+        if own_s is None:
+            varies |= detected
+        else:
+            is_known |= detected & is_in_time(axis.time_s, last_brake_s, latency_s=own_s)
+    varies &= ~is_known
+    intervals = [
+        (first_s, last_s, run)
+        for run, last_brake in enumerate(axis.last_brake_time_s.tolist())
+        if last_brake > -math.inf
+        for frames in [axis.frames_of(run)]
+        for first_s, last_s in _intervals_s(
+            varies[frames], is_known[frames], last_brake - axis.time_s[frames], rule
+        )
+    ]
+    first, last, index = zip(*intervals, strict=True) if intervals else ((), (), ())
+    return LatencyCurve(
+        first_latency_s=np.array(first, dtype=np.float64),
+        last_latency_s=np.array(last, dtype=np.float64),
+        run_index=np.array(index, dtype=np.int64),
+        weight=axis.weight,
+    )
+
+
+def _intervals_s(
+    varies: BoolArray, is_known: BoolArray, left_s: FloatArray, rule: AebRule
+) -> list[tuple[float, float]]:
+    """Latencies with which a run is avoided, the longest first.
+
+    All (n_frames,): detected frames whose message takes as long as the latency, those that are
+    known in time whatever it is, and the time left from each frame to the last brake time [s].
+
+    With latencies between the times that are left from two of the first kind the known frames are
+    the same. Then whether some confirmation is followed by no gap between frames is settled; and
+    the track is alive at the last moment if the latency is at least what takes this back to within
+    the memory after the last frame. Where the latency falls to the lower of the two times, one more
+    frame is known and no track dies: neighbouring intervals join.
+    """
+    limits = [math.inf, *left_s[varies].tolist(), -math.inf]  # descending
+    knows = is_known | (varies & (left_s >= np.array(limits[:-1])[:, None]))
+    confirmed = confirmation_mask(knows, n_confirmations=rule.n_confirmations)
+    memory_s = rule.track_memory_s
+    lives = (confirmed & held_frames(knows, -left_s, until_s=-math.inf, memory_s=memory_s)).any(
+        axis=1
+    )
+    latest_left_s = np.where(knows, left_s, np.inf).min(axis=1)
+    intervals: list[tuple[float, float]] = []
+    for step in np.flatnonzero(lives).tolist():
+        last, below = limits[step], limits[step + 1]
+        first = float(latest_left_s[step]) - memory_s
+        if first <= below + TIME_TOLERANCE_S:
+            first = below
+        if first > last:
+            continue
+        if intervals and intervals[-1][0] == last:
+            last = intervals.pop()[1]
+        intervals.append((first, last))
+    return intervals

@@ -4,6 +4,7 @@ A field carries all that the command line and the question file need to know abo
 its section, its type with the values that it may have, and its default. Imports nothing heavy.
 """
 
+import math
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from msgspec import Meta
 
-DEFAULT_CASES = "study"
+DEFAULT_CASES = "default"
 BASELINE_NAME = "carlancap-12"
 """What a user calls the study's own layout."""
 
@@ -36,6 +37,7 @@ class Option:
     name: str = ""
     is_common: bool = False  # whether most people need it: the short help shows it
     is_path: bool = False  # whether a shell completes the value as a path
+    takes_infinity: bool = False  # whether a number may be infinite
 
 
 def _share(of: str) -> Meta:
@@ -256,12 +258,24 @@ class Question:
         str,
         Option(
             section=DRIVEN,
-            help="A set - study, protocol-4.5.1, all - or names with commas between; CPNA stands "
-            "for CPNA-25 and CPNA-75. `place-rsus scenarios list` shows them.",
+            help="A set - default (the study's cases, along the arms), study (those at the "
+            "junction alone), protocol-4.5.1, all - or names with commas between; CPNA stands for "
+            "CPNA-25 and CPNA-75. `place-rsus scenarios list` shows them.",
             metavar="CASES",
             is_common=True,
         ),
     ] = DEFAULT_CASES
+    along_arms: Annotated[
+        str,
+        Option(
+            section=DRIVEN,
+            help="Where along the arms cases are laid that are not bound to the junction: so far "
+            "before and behind it; 0: at the junction alone; default: 0,15,30,45, and 0 for "
+            "--cases study. Away from 0 each drives a third of the speeds, in turn.",
+            metavar="METRES",
+            is_common=True,
+        ),
+    ] = ""
     speeds: Annotated[
         str,
         Option(
@@ -302,11 +316,13 @@ class Question:
         str,
         Option(
             section=DRIVEN,
-            help="run: every run counts the same; case: every case; euroncap-rating-2026: by its "
-            "points; or a CSV file with case, approach, weight.",
+            help="run: every run counts the same; case: every case, and within it every approach, "
+            "then every position, then every run; euroncap-rating-2026: by its points; or a CSV "
+            "file with case, approach, weight, and if wanted position and weather; default: case, "
+            "and run for --cases study.",
             metavar="HOW",
         ),
-    ] = "run"
+    ] = ""
 
     fusion: Annotated[
         Literal["any", "single"],
@@ -352,6 +368,17 @@ class Question:
             section=SEEN,
             help="Detected frames in a row that confirm; default: the study's 3.",
             name="confirmations",
+        ),
+    ] = None
+    track_memory_s: Annotated[
+        Annotated[float, Meta(gt=0.0, description="seconds, more than 0, or inf")] | None,
+        Option(
+            section=SEEN,
+            help="A confirmed track lives so long without detections, and must live at the last "
+            "moment; inf: for ever once confirmed, as the study reads it, and as is the default.",
+            metavar="SECONDS",
+            name="track-memory",
+            takes_infinity=True,
         ),
     ] = None
     latency_s: Annotated[
@@ -449,7 +476,10 @@ def load_question_values(path: Path) -> dict[str, Any]:
         field = known[key]
         if field.kind is str and isinstance(value, int | float) and not isinstance(value, bool):
             value = str(value)
-        values[field.name] = read_table(value, field.kind, f"{path}: {key}")
+        is_endless = field.option.takes_infinity and value == math.inf
+        values[field.name] = (
+            value if is_endless else read_table(value, field.kind, f"{path}: {key}")
+        )
     return values
 
 

@@ -13,8 +13,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError
 from geometry.files import load_toml, pick, read_table
-from scenarios.aeb import is_in_time
-from scenarios.runs import confirmation_times_s
+from scenarios.runs import live_confirmation_times_s
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
 from .layout import Certificate, Layout
@@ -440,12 +439,9 @@ def margins_joined_s(problem: PlacementProblem, kept: Sequence[int], each: IntAr
         detected = problem.table.detected(each[block])
         if problem.fusion == "any":
             detected |= together
-        confirmed[block] = confirmation_times_s(
-            detected, axis, n_confirmations=rule.n_confirmations
-        )
+        confirmed[block] = live_confirmation_times_s(detected, axis, rule=rule)
     if problem.fusion == "single" and len(kept):
-        alone = confirmation_times_s(beside, axis, n_confirmations=rule.n_confirmations)
+        alone = live_confirmation_times_s(beside, axis, rule=rule)
         confirmed = np.minimum(confirmed, alone.min(axis=0))
-    last_brake = axis.last_brake_time_s
-    in_time = np.isfinite(confirmed) & is_in_time(confirmed, last_brake, latency_s=rule.latency_s)
-    return np.where(in_time, last_brake - (confirmed + rule.latency_s), -np.inf)
+    onset_s = confirmed + rule.latency_s
+    return np.where(np.isfinite(onset_s), axis.last_brake_time_s - onset_s, -np.inf)

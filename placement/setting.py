@@ -1,6 +1,7 @@
 """The setting in which layouts are placed and judged: scene, runs, braking, detectors, links."""
 
 import logging
+import math
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -10,9 +11,10 @@ from geometry.junction import build_junction
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
-from scenarios.aeb import AebRule, load_aeb_rule
+from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import select_cases
-from scenarios.exposure import weigh
+from scenarios.exposure import default_weights, weigh
+from scenarios.positions import AT_ZERO, Position, is_bound, pick_positions, read_position
 from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, build_runs
 
 from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
@@ -107,19 +109,41 @@ _log = logging.getLogger(__name__)
 def build_rule(question: Question) -> AebRule:
     """The study's braking rule, with what the question changes.
 
-    Raises InputError if the latency budget is unknown, or a latency is given beside it.
+    Raises InputError if the latency budget is unknown, a latency is given beside it, or tracks live
+    for less than a frame.
     """
     changes = {
         name: getattr(question, name)
         for name in ("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations")
         if getattr(question, name) is not None
     }
+    changes["track_memory_s"] = _track_memory_s(question)
     if question.latency_budget:
         if question.latency_s is not None:
             raise InputError("--latency", Unquoted("it beside --latency-budget"), "one of them")
         budget = load_latency_budget(question.latency_budget, where="--latency-budget")
         changes["latency_s"] = budget.mean_s
-    return replace(load_aeb_rule(), **changes)
+    try:
+        return replace(load_aeb_rule(), **changes)
+    except InputError as error:
+        if error.where != "aeb.track_memory_s":
+            raise
+        raise InputError("--track-memory", error.got, error.expected) from None
+
+
+def _track_memory_s(question: Question) -> float:
+    """How long tracks live: as the question says, else for ever where the study's cases are asked.
+
+    In seconds.
+    """
+    if question.track_memory_s is not None:
+        return question.track_memory_s
+    if question.cases == "study" or not _TRACKS_LIVE_BY_DEFAULT:
+        return math.inf
+    return load_track_memory_s()
+
+
+_TRACKS_LIVE_BY_DEFAULT = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,8 +155,10 @@ class Drives:
     left_out: tuple[Refusal, ...]  # cases none of whose speeds were asked for
 
 
-def drive(question: Question, scene: Scene) -> Drives:
+def drive(question: Question, scene: Scene, *, position: Position | None = None) -> Drives:
     """Lay the cases of a question on a scene's junction; there may be no runs.
+
+    With a `position`, every speed is driven at this one alone.
 
     Raises InputError where a word of the question is unknown, or the protocol does not drive a
     speed.
@@ -140,6 +166,7 @@ def drive(question: Question, scene: Scene) -> Drives:
     selection = select_cases(question.cases, speeds=question.speeds or None, force=question.force)
     for beyond in selection.beyond:
         _log.warning("--force: %s km/h are not speeds of the protocol", beyond)
+    positions = (position,) if position else pick_positions(question.along_arms, question.cases)
     known = tuple(build_junction(scene).arms)
     approaches = _words(question.approaches, "--approaches", known) or known
     weathers = _words(question.weather, "--weather", WEATHERS)
@@ -152,6 +179,8 @@ def drive(question: Question, scene: Scene) -> Drives:
         rule=build_rule(question),
         approaches=approaches,
         weathers=weathers,
+        positions=positions,
+        is_spread=position is None,
     )
     left_out = tuple(
         Refusal(
@@ -167,9 +196,17 @@ def drive(question: Question, scene: Scene) -> Drives:
     return Drives(runs=runs, refused=refused, left_out=left_out)
 
 
-def drive_one(question: Question, scene: Scene) -> Run:
-    """The only run of a question; raises InputError if it names no run, or several."""
-    drives = drive(question, scene)
+def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
+    """The only run of a question at a position.
+
+    Raises InputError if it names no run, or several; or if there is no such position.
+    """
+    where = "--position"
+    place = read_position(position, where)
+    for case in select_cases(question.cases, force=True).cases:
+        if is_bound(case) and place != AT_ZERO:
+            raise InputError(where, position, f"0: {case.name} is bound to the junction")
+    drives = drive(question, scene, position=place)
     if not drives.runs and (*drives.refused, *drives.left_out):
         refusal = (*drives.refused, *drives.left_out)[0]
         raise InputError(
@@ -189,7 +226,8 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
     Parameters
     ----------
     question : Question, optional
-        What is driven and how much it counts; by default the study's cases, each run alike.
+        What is driven and how much it counts; by default the study's cases along the arms, each
+        case alike.
     scene : Scene, optional
         The junction, in place of the one that the question names.
 
@@ -214,7 +252,9 @@ def build_setting(question: Question | None = None, scene: Scene | None = None) 
     return Setting(
         scene=scene,
         runs=runs,
-        axis=build_frame_axis(runs, weigh(runs, question.weights)),
+        axis=build_frame_axis(
+            runs, weigh(runs, question.weights or default_weights(question.cases))
+        ),
         rule=build_rule(question),
         detector=detector,
         planner=_planner(detector),

@@ -1,5 +1,6 @@
-"""Autonomous emergency braking: from detections to standstill, last moment to brake, contact."""
+"""Emergency braking: how the VUT brakes, its last moment for it, and the tracks it brakes for."""
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -7,9 +8,9 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.arrays import BoolArray, FloatArray
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError
-from geometry.files import load_toml, read_table
+from geometry.files import Table, load_toml, read_table
 
 from .encounters import (
     GRAZING_M,
@@ -19,6 +20,9 @@ from .encounters import (
 )
 from .encounters import Encounter as Encounter
 from .encounters import first_contact_s as first_contact_s
+
+TIME_TOLERANCE_S = 1.0e-9
+"""Frames lie on multiples of 0.1 s, which binary numbers only approach."""
 
 # ---------- how the VUT brakes
 
@@ -39,6 +43,9 @@ class AebRule:
         Consecutive detected frames that confirm a VRU.
     frame_rate_hz : float
         Frames per second. [Hz]
+    track_memory_s : float
+        A confirmed VRU stays known for so long without being detected; infinite: for ever, as the
+        study reads it. [s]
     """
 
     deceleration_mps2: float
@@ -46,6 +53,7 @@ class AebRule:
     n_confirmations: int
     frame_rate_hz: float
     build_up_s: float = 0.0
+    track_memory_s: float = math.inf
 
     def __post_init__(self) -> None:
         for field in ("deceleration_mps2", "frame_rate_hz"):
@@ -57,12 +65,29 @@ class AebRule:
         n_frames = self.n_confirmations
         if not isinstance(n_frames, int) or isinstance(n_frames, bool) or n_frames < 1:
             raise InputError("aeb.n_confirmations", n_frames, "a whole number, >= 1")
+        frame_s = 1.0 / self.frame_rate_hz
+        if not self.track_memory_s >= frame_s - TIME_TOLERANCE_S:  # nor is it NaN
+            raise InputError(
+                "aeb.track_memory_s",
+                self.track_memory_s,
+                f"seconds, at least {frame_s:g} (from one frame to the next), or inf",
+            )
 
 
 @cache
 def load_aeb_rule() -> AebRule:
-    """The study's rule, from ``data/aeb.toml``."""
-    return read_table(load_toml(files(__package__) / "data" / "aeb.toml"), AebRule, "aeb.toml")
+    """The study's rule, from ``data/aeb.toml``: a confirmed track is never lost."""
+    return read_table(_load_tables()["study"], AebRule, "aeb.toml: study")
+
+
+@cache
+def load_track_memory_s() -> float:
+    """How long tracks live without detections where they are not the study's, in seconds."""
+    return float(_load_tables()["live_tracks"]["track_memory_s"])
+
+
+def _load_tables() -> Table:
+    return load_toml(files(__package__) / "data" / "aeb.toml")
 
 
 def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:
@@ -126,7 +151,6 @@ _ONSET_TOLERANCE_S = 1.0e-5
 _FINE_STEP_S = 0.001  # a footprint moves 1.7 cm in it at 60 km/h
 _CLOSER_LOOKS = 3  # each 32 times as fine: to a thirtieth of a microsecond
 _CLOSER = np.linspace(-1.0, 1.0, 65)
-_TIME_TOLERANCE_S = 1.0e-9  # frames lie on multiples of 0.1 s, which binary numbers only approach
 
 
 def smallest_separation_m(
@@ -193,7 +217,7 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         # A later onset has let the VUT keep the speed that an earlier one has taken since.
         onset_moves = encounter.vut_reach * (vut.speed_mps - slowest) * half_onset
         may_touch = (lowest <= onset_moves) & (since_onset[0] - half_onset <= standstill)
-        counts = (since_onset >= 0.0) & (since_onset <= standstill + _TIME_TOLERANCE_S)
+        counts = (since_onset >= 0.0) & (since_onset <= standstill + TIME_TOLERANCE_S)
         touches = ((separation <= 0.0) & counts).any(axis=0)
         touches |= may_touch & (onset_moves + speed * half_time <= GRAZING_M)
         return Measures(
@@ -245,6 +269,27 @@ def has_contact(encounter: Encounter, onset_s: float, rule: AebRule) -> bool:
     return False
 
 
+def _looks_s(encounter: Encounter, rule: AebRule, step_s: float) -> FloatArray:
+    """Times since the onset at which to look, until the VUT stands, (n,)."""
+    standstill = float(standstill_time_s(encounter.vut_motion.speed_mps, rule=rule))
+    return np.linspace(0.0, standstill, int(standstill / step_s) + 2)
+
+
+def _separation_m(
+    encounter: Encounter, onset_s: ArrayLike, since_onset_s: FloatArray, rule: AebRule
+) -> FloatArray:
+    """Separation after times since onsets of braking; both broadcast."""
+    vut, onset = encounter.vut_motion, np.asarray(onset_s, dtype=np.float64)
+    speed = np.where(onset >= vut.start_time_s, vut.speed_mps, 0.0)
+    return encounter.separation_m(
+        vut.distance_m(onset) + braking_distance_m(since_onset_s, speed_mps=speed, rule=rule),
+        encounter.vru_motion.distance_m(onset + since_onset_s),
+    )
+
+
+# ---------- what the VUT brakes for
+
+
 def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray:
     """Frames of one run, (..., n_frames), at which the last `n_confirmations` are all detected.
 
@@ -264,17 +309,87 @@ def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray
     return confirmed
 
 
-def confirmation_time_s(
-    detected: ArrayLike, time_s: ArrayLike, *, n_confirmations: int
-) -> FloatArray:
-    """When the VRU of one run is first confirmed: (..., n_frames) detections -> (...,) seconds.
+def held_frames(
+    detected: ArrayLike,
+    time_s: ArrayLike,
+    *,
+    until_s: ArrayLike,
+    memory_s: float,
+    last_frame: ArrayLike | None = None,
+) -> BoolArray:
+    """Detected frames since which the VRU has not been out of sight for longer than the memory.
 
-    It is the time of the last frame of the first complete window; infinite if there is none.
+    A track that is confirmed in such a frame is alive at `until_s`: neither between two detections
+    from then on, nor from the last one until then, more than `memory_s` have passed.
+
+    Parameters
+    ----------
+    detected : (..., n_frames) bool
+        Frames in which the VRU is detected, of those that the VUT knows of when it matters.
+    time_s : (n_frames,) float
+        Ascending within a run. [s]
+    until_s : float or (n_frames,) float
+        When the track must be alive; the same in all frames of a run. [s]
+    memory_s : float
+        How long a track lives without detections; may be infinite. [s]
+    last_frame : (n_frames,) int, optional
+        The last frame of each frame's run; by default all belong to one run.
+
+    Returns
+    -------
+    held : (..., n_frames) bool
+        More detections never make fewer frames held.
+
+    Examples
+    --------
+    >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=2.0).astype(int)
+    array([1, 1, 0, 1, 0, 1])
+    >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=1.0).astype(int)
+    array([0, 0, 0, 0, 0, 1])
     """
-    confirmed = confirmation_mask(detected, n_confirmations=n_confirmations)
-    first = np.argmax(confirmed, axis=-1)
+    seen, times = np.asarray(detected, dtype=bool), np.asarray(time_s, dtype=np.float64)
+    n_frames = len(times)
+    if memory_s == math.inf or n_frames == 0:
+        return seen.copy()
+    last = np.broadcast_to(n_frames - 1 if last_frame is None else last_frame, times.shape)
+    following = _first_from(seen, offset=1)
+    next_s = np.where(following <= last, times[np.minimum(following, n_frames - 1)], until_s)
+    is_lost = seen & (next_s - times > memory_s + TIME_TOLERANCE_S)
+    held: BoolArray = seen & (_first_from(is_lost, offset=0) > last)
+    return held
+
+
+def _first_from(mask: BoolArray, *, offset: int) -> IntArray:
+    """First set frame `offset` frames after each one, or later; the number of frames if none is."""
+    n_frames = mask.shape[-1]
+    index = np.full((*mask.shape[:-1], n_frames + offset), n_frames, dtype=np.int64)
+    index[..., :n_frames] = np.where(mask, np.arange(n_frames), n_frames)
+    backwards = np.minimum.accumulate(index[..., ::-1], axis=-1)
+    first: IntArray = backwards[..., ::-1][..., offset:]
+    return first
+
+
+def live_confirmation_time_s(
+    detected: ArrayLike, time_s: ArrayLike, *, until_s: float, rule: AebRule
+) -> FloatArray:
+    """When the track of one run that is alive at `until_s` was confirmed, in seconds.
+
+    (..., n_frames) detections -> (...,); infinite if no confirmed track is alive then. With an
+    infinite ``rule.track_memory_s`` it is the first confirmation up to `until_s`: the study's
+    reading. `until_s` is the last brake time less the latency, or infinite to ask for the first
+    confirmation of all.
+
+    Notes
+    -----
+    Monotone in the detections: further ones never make it later. Of a run it decides the avoidance
+    (finite or not) and the margin, `until_s` less it.
+    """
     times = np.asarray(time_s, dtype=np.float64)
-    result: FloatArray = np.where(confirmed.any(axis=-1), times[first], np.inf)
+    frames = np.asarray(detected, dtype=bool) & (times <= until_s + TIME_TOLERANCE_S)
+    memory_s = math.inf if until_s == math.inf else rule.track_memory_s
+    confirmed = confirmation_mask(frames, n_confirmations=rule.n_confirmations)
+    confirmed &= held_frames(frames, times, until_s=until_s, memory_s=memory_s)
+    result: FloatArray = np.where(confirmed, times, np.inf).min(axis=-1, initial=np.inf)
     return result
 
 
@@ -283,23 +398,5 @@ def is_in_time(
 ) -> BoolArray:
     """Whether braking after a confirmation avoids: confirmation + latency <= last brake time."""
     onset = np.asarray(confirmation_s, dtype=np.float64) + latency_s
-    in_time: BoolArray = onset <= np.asarray(last_brake_s, dtype=np.float64) + _TIME_TOLERANCE_S
+    in_time: BoolArray = onset <= np.asarray(last_brake_s, dtype=np.float64) + TIME_TOLERANCE_S
     return in_time
-
-
-def _looks_s(encounter: Encounter, rule: AebRule, step_s: float) -> FloatArray:
-    """Times since the onset at which to look, until the VUT stands, (n,)."""
-    standstill = float(standstill_time_s(encounter.vut_motion.speed_mps, rule=rule))
-    return np.linspace(0.0, standstill, int(standstill / step_s) + 2)
-
-
-def _separation_m(
-    encounter: Encounter, onset_s: ArrayLike, since_onset_s: FloatArray, rule: AebRule
-) -> FloatArray:
-    """Separation after times since onsets of braking; both broadcast."""
-    vut, onset = encounter.vut_motion, np.asarray(onset_s, dtype=np.float64)
-    speed = np.where(onset >= vut.start_time_s, vut.speed_mps, 0.0)
-    return encounter.separation_m(
-        vut.distance_m(onset) + braking_distance_m(since_onset_s, speed_mps=speed, rule=rule),
-        encounter.vru_motion.distance_m(onset + since_onset_s),
-    )

@@ -12,7 +12,7 @@ from msgspec import Meta, Struct, structs
 
 from geometry.actors import Actor, pick_actor
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, Text, load_toml, read_table
+from geometry.files import Table, Text, load_toml, pick, read_table
 
 ALL_CASES = "all"
 
@@ -247,7 +247,10 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
     table = load_toml(files(__package__) / "data" / "case_sets.toml")
     cases = load_cases()
     sets: dict[str, tuple[Case, ...]] = {}
+    alike = {name: entries for name, entries in table.items() if isinstance(entries, str)}
     for set_name, entries in table.items():
+        if set_name in alike:
+            continue
         driven = []
         for name, entry in entries.items():
             speeds = (
@@ -257,6 +260,8 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
                 replace(cases[name], vut_speeds_kmh=_speeds_kmh(speeds)) if speeds else cases[name]
             )
         sets[set_name] = tuple(driven)
+    for set_name, other in alike.items():
+        sets[set_name] = pick(sets, other, f"case_sets.toml: {set_name}")
     return {**sets, ALL_CASES: tuple(cases.values())}
 
 
@@ -352,8 +357,8 @@ def pick_cases(text: str, where: str) -> tuple[Case, ...]:
     Parameters
     ----------
     text : str
-        A set ("study", "protocol-4.5.1", "all"), or names with commas between. The part of a name
-        before its "-" stands for all cases that share it: "CPNA" for CPNA-25 and CPNA-75.
+        A set ("default", "study", "protocol-4.5.1", "all"), or names with commas between. The part
+        of a name before its "-" stands for all cases that share it: "CPNA" for CPNA-25 and CPNA-75.
     where : str
         For the error message about an unknown name.
 

@@ -1,7 +1,12 @@
-"""How much each run counts: equally, per case, by Euro NCAP's points, or by a user's CSV file."""
+"""How much each run counts: equally, per case, by Euro NCAP's points, or by a user's CSV file.
+
+There is no model of how often such accidents happen in a town: a table of one's own, by case,
+approach, position and weather, takes its place.
+"""
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
@@ -15,13 +20,14 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
 from geometry.files import MAX_TEXT_BYTES, check_file, load_toml, read_table
 
+from .positions import is_study_set
 from .runs import Run
 
 # ---------- weights from a CSV file
 
 
 _COLUMNS = ("case", "approach", "weight")
-_OPTIONAL = "weather"
+_OPTIONAL = ("position", "weather")
 _ANY = ("", "*")
 
 
@@ -29,9 +35,9 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
     """Weights by a user's own exposure table.
 
     The file is UTF-8, separated by commas or semicolons, with columns case, approach, weight, and
-    if wanted weather; "*" or nothing in approach or weather stands for all. The weight of a row is
-    shared equally by the runs that it names; what no row names weighs nothing. The weights sum to
-    1.
+    if wanted position and weather; "*" or nothing in approach, position or weather stands for all.
+    The weight of a row is shared equally by the runs that it names; what no row names weighs
+    nothing. The weights sum to 1.
 
     Raises
     ------
@@ -76,11 +82,11 @@ def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     except csv.Error as error:
         raise InputError(str(path), Unquoted(error), "a CSV file") from None
     rows = [(line, row) for line, row in rows if any(row)]
-    expected = ", ".join(_COLUMNS) + f", and {_OPTIONAL} if wanted"
+    expected = ", ".join(_COLUMNS) + f", and {' and '.join(_OPTIONAL)} if wanted"
     if not rows:
         raise InputError(str(path), Unquoted("an empty file"), f"columns {expected}")
     header = [name.lower() for name in rows[0][1]]
-    unknown = [name for name in header if name not in (*_COLUMNS, _OPTIONAL)]
+    unknown = [name for name in header if name not in (*_COLUMNS, *_OPTIONAL)]
     if unknown or len(set(header)) < len(header) or not set(_COLUMNS) <= set(header):
         raise InputError(f"{path}: line {rows[0][0]}", Unquoted(", ".join(header)), expected)
     for line, row in rows[1:]:
@@ -91,7 +97,8 @@ def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     if len(rows) == 1:
         raise InputError(str(path), Unquoted("no rows"), "one row per case and approach")
     return [
-        (line, {_OPTIONAL: "", **dict(zip(header, row, strict=True))}) for line, row in rows[1:]
+        (line, {**dict.fromkeys(_OPTIONAL, ""), **dict(zip(header, row, strict=True))})
+        for line, row in rows[1:]
     ]
 
 
@@ -109,20 +116,23 @@ def _is_named(run: Run, row: Mapping[str, str]) -> bool:
     return (
         run.case.name == row["case"]
         and row["approach"] in (*_ANY, run.approach)
-        and row[_OPTIONAL] in (*_ANY, run.weather)
+        and row["position"] in (*_ANY, run.position)
+        and row["weather"] in (*_ANY, run.weather)
     )
 
 
 def _words(row: Mapping[str, str]) -> str:
-    return ", ".join(repr(row[key]) for key in ("case", "approach", _OPTIONAL) if row[key])
+    return ", ".join(repr(row[key]) for key in ("case", "approach", *_OPTIONAL) if row[key])
 
 
 def _what_is_driven(runs: Sequence[Run], row: Mapping[str, str]) -> str:
     of_case = [run for run in runs if run.case.name == row["case"]]
     if not of_case:
         return "a case that is driven: " + ", ".join(dict.fromkeys(run.case.name for run in runs))
-    ways = ", ".join(dict.fromkeys(f"{run.approach} by {run.weather}" for run in of_case))
-    return f"an approach and weather in which {row['case']} is driven: {ways}"
+    ways = ", ".join(
+        dict.fromkeys(f"{run.approach} at {run.position} by {run.weather}" for run in of_case)
+    )
+    return f"an approach, position and weather in which {row['case']} is driven: {ways}"
 
 
 # ---------- weights by Euro NCAP's points of 2026; needs the extra `rating`
@@ -218,6 +228,14 @@ def _family(case_name: str) -> str:
 _BY_WORD = ("run", "case", RATING)
 
 
+def default_weights(cases: str) -> str:
+    """The word for :func:`weigh` where the user gives none, by the words for the cases.
+
+    The runs of the study's set count the same, as in the study; else all cases do.
+    """
+    return "run" if is_study_set(cases) else "case"
+
+
 def weigh(runs: Sequence[Run], how: str) -> FloatArray:
     """Weights by the word of a user.
 
@@ -226,9 +244,9 @@ def weigh(runs: Sequence[Run], how: str) -> FloatArray:
     runs : sequence of Run
         At least one.
     how : str
-        "run": every run the same, as in the study; "case": every case the same;
-        "euroncap-rating-2026": by Euro NCAP's points, see
-        :func:`scenarios.exposure.weight_by_rating`; else a CSV file, see
+        "run": every run the same, as in the study; "case": every case the same, see
+        :func:`scenarios.exposure.weight_per_case`; "euroncap-rating-2026": by Euro NCAP's points,
+        see :func:`scenarios.exposure.weight_by_rating`; else a CSV file, see
         :func:`scenarios.exposure.weight_from_csv`.
 
     Returns
@@ -261,9 +279,24 @@ def weight_per_run(runs: Sequence[Run]) -> FloatArray:
 
 
 def weight_per_case(runs: Sequence[Run]) -> FloatArray:
-    """Equal weight for every case, and within a case for every run."""
-    names = [run.case.name for run in runs]
-    return np.array([1.0 / names.count(name) for name in names]) / len(set(names))
+    """Equal weight for every case; within it for every approach; within that for every position.
+
+    The runs of a case at one position of one approach - speeds and weathers - share its weight
+    equally: position 0, where every speed is driven, weighs no more than another one.
+
+    Returns
+    -------
+    weight : (n_runs,) float
+        Sums to 1.
+    """
+    keys = [(run.case.name, run.approach, run.position) for run in runs]
+    weight = np.full(len(runs), 1.0 / len({case for case, _, _ in keys}))
+    n_approaches = Counter(case for case, _ in {key[:2] for key in keys})
+    n_positions = Counter(key[:2] for key in set(keys))
+    n_runs = Counter(keys)
+    for index, key in enumerate(keys):
+        weight[index] /= n_approaches[key[0]] * n_positions[key[:2]] * n_runs[key]
+    return weight
 
 
 def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:

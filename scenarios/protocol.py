@@ -17,6 +17,7 @@ from .courses import Course, follow_lane, follow_lanes, join_by_turn
 from .laying import load_way_rules
 from .obstructions import hide
 from .paths import Path, TowedPath, TurnPath, travel_time_s
+from .positions import AT_ZERO, Position, is_bound, load_position_rules
 from .staging import (
     CannotCarryError,
     NoRoadError,
@@ -35,11 +36,18 @@ from .ways import (
     off_line_m,
     reversed_way,
     straight_line,
+    way_across,
 )
 
 
 def stage_by_protocol(
-    case: Case, junction: Junction, approach: str, *, vut_speed_kmh: float, vut: Actor
+    case: Case,
+    junction: Junction,
+    approach: str,
+    *,
+    vut_speed_kmh: float,
+    vut: Actor,
+    position: Position = AT_ZERO,
 ) -> Staging:
     """Lay a case on an approach of a junction, or raise why its lanes do not allow it.
 
@@ -49,6 +57,11 @@ def stage_by_protocol(
     junction's connecting lane where there is one, else on the protocol's curve. Pedestrians cross
     at right angles to the VUT's lane where it meets the arm's crosswalk; a VRU that moves ahead of
     the VUT is reached there. Cyclists ride on the arm's cycleway where it has one.
+
+    At other positions all of this lies so far along the VUT's way, before or behind: on the lane by
+    which it comes, or on the one straight ahead by which it leaves. Behind the junction it drives
+    along the connecting lane, or straight where the lanes are in line, else on a smooth line from
+    one into the other.
 
     Raises
     ------
@@ -64,18 +77,99 @@ def stage_by_protocol(
     arm = junction.arms[approach]
     if not arm.entry_lanes:
         raise NoRoadError(f"no lane leads into the junction from the {approach}")
+    if position != AT_ZERO and is_bound(case):
+        raise CannotCarryError("the case is bound to the junction: it has no other positions")
     if case.kind == "turning":
         return _lay_turning(case, junction, arm, vut_speed_kmh, vut)
     lane = arm.entry_lanes[0]
     lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
+    if position.is_behind:
+        place = _place_behind(junction, arm, position, vut_speed_kmh)
+        return lay(case, junction, place, vut_speed_kmh, vut)
 
     def along(way: Way) -> Staging:
-        return lay(case, junction, arm, way, vut_speed_kmh, vut)
+        place = _Place(
+            way=way,
+            crosswalk=arm.crosswalk,
+            entry_lane=lane,
+            begin_m=-lane_length_m(lane),
+            end_m=np.inf,
+            ahead_m=position.ahead_m,
+            is_checked=False,
+        )
+        return lay(case, junction, place, vut_speed_kmh, vut)
 
     return _straight_or_curved(
         lambda: along(StraightWay(line=straight_line(lane, is_in=True))),
         lambda: along(CurvedWay(course=follow_lane(lane.centreline_m, is_in=True))),
         is_bent=_is_bent(lane, is_in=True),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Place:
+    """Where along the VUT's way a case is laid."""
+
+    way: Way
+    crosswalk: Line
+    entry_lane: Lane
+    begin_m: float  # station at which the mapped lanes begin
+    end_m: float  # and end
+    ahead_m: float  # so far ahead of the crosswalk the VUT meets the VRU
+    is_checked: bool  # the way is known to follow its lanes
+
+    def meeting_point(self) -> tuple[float, FloatArray]:
+        """Station and point (2,) at which the VUT's way and a crossing VRU's meet.
+
+        Raises CannotCarryError where no lane of the map lies.
+        """
+        station_m, point_m = self.way.crossing(self.crosswalk)
+        if self.ahead_m == 0.0:
+            return station_m, point_m
+        station_m += self.ahead_m
+        if not self.begin_m <= station_m <= self.end_m:
+            raise CannotCarryError("the mapped lane does not reach so far")
+        return station_m, self.way.tangent(station_m).point_m
+
+    def check_straight(self, driven_m: float) -> None:
+        """Raise if a straight way leaves the lane within some metres before the meeting point."""
+        if not self.is_checked:
+            _check_straight(self.way, self.entry_lane, driven_m - self.ahead_m)
+
+
+def _place_behind(junction: Junction, arm: Arm, position: Position, vut_speed_kmh: float) -> _Place:
+    """A place on the arm straight ahead."""
+    entry_lane = arm.entry_lanes[0]
+    entry = straight_line(entry_lane, is_in=True)
+    ahead = _arm_ahead(junction, arm, entry)
+    if ahead is None or not ahead.exit_lanes:
+        raise NoRoadError("no lane leads straight on out of the junction")
+    connections = [(lane, junction.connection(entry_lane, lane)) for lane in ahead.exit_lanes]
+    exit_lane, connection = next(
+        (pair for pair in connections if pair[1] is not None),
+        min(
+            connections,
+            key=lambda pair: abs(float(entry.coordinates(pair[0].centreline_m[0])[1])),
+        ),
+    )
+    across = way_across(
+        entry_lane, exit_lane, connection, max_bend_m=load_way_rules().max_lane_bend_m
+    )
+    if across.swerve_per_m * (vut_speed_kmh * kmh) ** 2 > (
+        load_position_rules().across.max_lateral_mps2
+    ):
+        raise CannotCarryError(
+            f"too fast for the change from lane {entry_lane.id} into {exit_lane.id}, "
+            f"a curve of {1.0 / across.swerve_per_m:.0f} m"
+        )
+    return _Place(
+        way=across.way,
+        crosswalk=ahead.crosswalk,
+        entry_lane=entry_lane,
+        begin_m=across.begin_m,
+        end_m=lane_length_m(exit_lane),
+        ahead_m=position.ahead_m,
+        is_checked=True,
     )
 
 
@@ -107,9 +201,10 @@ def _check_straight(way: Way, lane: Lane, driven_m: float, *, is_in: bool = True
 
 
 def _lay_crossing(
-    case: Case, junction: Junction, arm: Arm, vut_way: Way, vut_speed_kmh: float, vut: Actor
+    case: Case, junction: Junction, place: _Place, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
-    vut_m, vru_way, vru_m = _crossing(case, junction, arm, vut_way)
+    vut_way = place.way
+    vut_m, vru_way, vru_m = _crossing(case, junction, place)
     vru_line = vru_way.tangent(vru_m)
     # Far enough back for any gap between the lines; the impact lies near their crossing.
     behind_m = 2.0 * (vut.length_m + case.vru.length_m)
@@ -123,7 +218,7 @@ def _lay_crossing(
     travel_m = _travel_m(case, meeting.vru_distance_m)
     begin_s = -_travel_s(case, travel_m)
     driven_m = -begin_s * vut_speed_kmh * kmh
-    _check_straight(vut_way, arm.entry_lanes[0], driven_m)
+    place.check_straight(driven_m)
     encounter = set_off(
         case,
         vut=vut,
@@ -140,12 +235,13 @@ def _lay_crossing(
     )
 
 
-def _crossing(case: Case, junction: Junction, arm: Arm, vut_way: Way) -> tuple[float, Way, float]:
+def _crossing(case: Case, junction: Junction, place: _Place) -> tuple[float, Way, float]:
     """The VRU's way, and the stations of the VUT's and of it at which they cross."""
+    vut_way = place.way
     assert case.vru_line is not None
     is_near = case.vru_side == "near"
     if case.vru_line.along == "crosswalk":
-        vut_m, point = vut_way.crossing(arm.crosswalk)
+        vut_m, point = place.meeting_point()
         left = vut_way.direction(vut_m).left
         line = Line(point_m=point, direction=left if is_near else -left)
         return vut_m, StraightWay(line=line), 0.0
@@ -188,19 +284,21 @@ def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
 
 
 def _lay_longitudinal(
-    case: Case, junction: Junction, arm: Arm, vut_way: Way, vut_speed_kmh: float, vut: Actor
+    case: Case, junction: Junction, place: _Place, vut_speed_kmh: float, vut: Actor
 ) -> Staging:
-    lane = arm.entry_lanes[0]
-    impact_m, _ = vut_way.crossing(arm.crosswalk)
+    vut_way = place.way
+    impact_m, _ = place.meeting_point()
     travel_m = _travel_m(case, 0.0)
-    before_lane_m = travel_m + 0.5 * case.vru.length_m - impact_m - lane_length_m(lane)
+    before_lane_m = travel_m + 0.5 * case.vru.length_m - impact_m + place.begin_m
     if before_lane_m > 0.0:
+        if place.ahead_m != 0.0:  # one reason for many positions
+            raise CannotCarryError("the VRU would set off before the mapped lane begins")
         raise CannotCarryError(
             f"the VRU would set off {before_lane_m:.1f} m before the mapped lane begins"
         )
     begin_s = -_travel_s(case, travel_m)
     driven_m = -begin_s * vut_speed_kmh * kmh
-    _check_straight(vut_way, lane, max(travel_m, driven_m))
+    place.check_straight(max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
     vru_way, vru_m = vut_way.beside(impact_offset_m(case, vut), impact_m, back_m=travel_m)
     encounter = set_off(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.actors import Actor, PlacedActor
+from geometry.actors import Actor, MovingActor, PlacedActor
 from geometry.arrays import (
     BoolArray,
     FloatArray,
@@ -18,16 +18,18 @@ from geometry.junction import Junction, build_junction, mirrored
 from geometry.scene import Scene
 from geometry.weather import load_weathers
 
-from .aeb import AebRule, confirmation_time_s, last_brake_time_s
+from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake_time_s
 from .cases import Case
 from .clearance import make_room
 from .encounters import Encounter
+from .positions import AT_ZERO, Position, positions_of, read_position, spread_speeds
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
 from .staging import CannotCarryError, NoRoadError, Staging, mirror_staging
 
 WEATHERS = tuple(load_weathers())
 _GRID_TOLERANCE = 1.0e-6  # of a frame
+_ROWS_TOGETHER = 64  # detections of so many sets of poses are looked at in one go
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,11 +39,14 @@ class Run:
     Attributes
     ----------
     id : str
-        "case/approach/speed", by day; else "case/approach/speed/weather".
+        "case/approach/speed", by day; else "case/approach/speed/weather". At other positions than 0
+        the position stands behind the approach: "case/approach-15/speed".
     case : Case
         What is driven.
     approach : str
         The arm from which the VUT comes.
+    position : str
+        Where along its way, see :class:`scenarios.positions.Position`: "0", "-15", "+0", "+15".
     weather : str
         One of ``WEATHERS``.
     vut_speed_kmh : float
@@ -61,11 +66,14 @@ class Run:
         Parked bodies of this run.
     last_brake_time_s : float
         Latest onset of braking that avoids. [s]
+    traffic : tuple of MovingActor
+        Vehicles that drive by, frame by frame; nobody touches VUT or VRU before the impact.
     """
 
     id: str
     case: Case
     approach: str
+    position: str
     weather: str
     vut_speed_kmh: float
     encounter: Encounter
@@ -77,6 +85,16 @@ class Run:
     vru_shape: IntArray
     obstruction: tuple[PlacedActor, ...]
     last_brake_time_s: float
+    traffic: tuple[MovingActor, ...] = ()
+
+    def __post_init__(self) -> None:
+        for body in self.traffic:
+            if len(body.yaw_deg) != len(self.time_s):
+                raise InputError(
+                    f"run {self.id}: traffic",
+                    Unquoted(f"{len(body.yaw_deg)} frames"),
+                    f"{len(self.time_s)}, as many as the run has",
+                )
 
     def __repr__(self) -> str:
         return f"Run({self.id!r}, {len(self.time_s)} frames)"
@@ -90,6 +108,8 @@ class FrameAxis:
     ----------
     run_ids, cases, approaches, weathers : tuple of str
         Per run.
+    positions : tuple of str
+        Per run, see :attr:`Run.position`; nothing given stands for "0" in every run.
     vut_speed_kmh, weight, last_brake_time_s : (n_runs,) float
         Per run; weights sum to 1. [km/h], share, [s]
     run_start : (n_runs + 1,) int
@@ -107,9 +127,17 @@ class FrameAxis:
     last_brake_time_s: FloatArray
     run_start: IntArray
     time_s: FloatArray
+    positions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n_runs = len(self.run_ids)
+        object.__setattr__(self, "positions", self.positions or (AT_ZERO.name,) * n_runs)
+        if len(self.positions) != n_runs:
+            got = Unquoted(f"{len(self.positions)} positions")
+            raise InputError("positions", got, f"one per run, {n_runs}")
+        for name in set(self.positions):
+            if read_position(name, "positions").name != name:
+                raise InputError("positions", name, "a position by its name, such as 0, -15, +15")
         for field in ("vut_speed_kmh", "weight"):
             object.__setattr__(self, field, float_array(getattr(self, field), (n_runs,), field))
         if (self.weight < 0.0).any() or not np.isclose(self.weight.sum(), 1.0):
@@ -164,6 +192,7 @@ def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
         run_ids=tuple(run.id for run in runs),
         cases=tuple(run.case.name for run in runs),
         approaches=tuple(run.approach for run in runs),
+        positions=tuple(run.position for run in runs),
         weathers=tuple(run.weather for run in runs),
         vut_speed_kmh=np.array([run.vut_speed_kmh for run in runs]),
         weight=weight,
@@ -173,29 +202,49 @@ def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
     )
 
 
-def confirmation_times_s(
-    detected: BoolArray, axis: FrameAxis, *, n_confirmations: int
-) -> FloatArray:
-    """When the VRU of each run is first confirmed: (..., n_frames) detections -> (..., n_runs).
+def live_confirmation_times_s(detected: BoolArray, axis: FrameAxis, *, rule: AebRule) -> FloatArray:
+    """When the track of each run that is alive at its last moment was confirmed, in seconds.
 
-    No window reaches from one run into the next; see :func:`scenarios.aeb.confirmation_time_s`.
+    (..., n_frames) detections -> (..., n_runs); infinite where none is: the run is not avoided. The
+    last moment is the last brake time less the rule's latency. No track reaches from one run into
+    the next; see :func:`scenarios.aeb.live_confirmation_time_s`.
     """
-    return np.stack(
-        [
-            confirmation_time_s(
-                detected[..., axis.frames_of(run)],
-                axis.time_s[axis.frames_of(run)],
-                n_confirmations=n_confirmations,
-            )
-            for run in range(axis.n_runs)
-        ],
-        axis=-1,
-    )
+    last_brake_s = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
+    counts = np.asarray(is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s))
+    is_whole = _is_within_run(axis, rule.n_confirmations)
+    rows = detected.reshape(-1, axis.n_frames)
+    found = np.empty((len(rows), axis.n_runs))
+    for start in range(0, len(rows), _ROWS_TOGETHER):
+        block = rows[start : start + _ROWS_TOGETHER] & counts
+        live = confirmation_mask(block, n_confirmations=rule.n_confirmations) & is_whole
+        live &= _held(block, axis, rule)
+        found[start : start + _ROWS_TOGETHER] = _earliest(np.where(live, axis.time_s, np.inf), axis)
+    return found.reshape(*detected.shape[:-1], axis.n_runs)
 
 
-def onset_times_s(
-    arrival_s: FloatArray, axis: FrameAxis, *, n_confirmations: int
-) -> tuple[FloatArray, FloatArray]:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Onsets:
+    """From messages to braking, (n_runs,) each.
+
+    Attributes
+    ----------
+    confirmation_s : (n_runs,) float
+        When the track for which the VUT brakes was confirmed. Where no track is alive at the last
+        moment: when one is confirmed too late, or else the first that was lost again; infinite if
+        none is ever confirmed. [s]
+    onset_s : (n_runs,) float
+        When the VUT knows of that confirmation, so that braking may set in; infinite if no track is
+        confirmed, or the only ones were lost before the last moment. [s]
+    is_in_time : (n_runs,) bool
+        A confirmed track is alive at the last moment, and its messages have arrived.
+    """
+
+    confirmation_s: FloatArray
+    onset_s: FloatArray
+    is_in_time: BoolArray
+
+
+def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Onsets:
     """When the VRU of each run is confirmed, and when the VUT knows, if messages take their time.
 
     Parameters
@@ -204,25 +253,67 @@ def onset_times_s(
         When the VUT knows of a detection made in each frame; infinite where there is none. [s]
     axis : FrameAxis
         Runs and frames.
-    n_confirmations : int
-        Consecutive frames needed: the VUT knows when the last of their messages has arrived.
-
-    Returns
-    -------
-    confirmation_s, onset_s : (n_runs,) float
-        Time of the last frame of the window that is known first, and when it is known, so that
-        braking sets in; infinite if there is none. [s]
+    rule : AebRule
+        Confirmation, and for how long a track lives. A message that arrives after the last brake
+        time does not count; the age of a track is taken at the last brake time less the rule's
+        latency, also where messages take another time.
     """
+    n_frames = np.diff(axis.run_start)
+    last_brake_s = axis.last_brake_time_s.repeat(n_frames)
+    known_s = _known_s(arrival_s, axis, rule)
+    is_known = np.asarray(is_in_time(known_s, last_brake_s, latency_s=0.0))
+    arrives = np.asarray(is_in_time(arrival_s, last_brake_s, latency_s=0.0))
+    is_live = is_known & _held(arrives, axis, rule)
+    live_s = _earliest(np.where(is_live, known_s, np.inf), axis)
+    late_s = _earliest(np.where(is_known, np.inf, known_s), axis)
+    has_live = np.isfinite(live_s)
+    onset_s = np.where(has_live, live_s, late_s)
+    # The window that is known first; a track that was lost sets nothing in motion.
+    is_first = np.where(
+        np.isfinite(onset_s).repeat(n_frames),
+        (known_s == onset_s.repeat(n_frames)) & (is_live | ~has_live.repeat(n_frames)),
+        np.isfinite(known_s),
+    )
+    return Onsets(
+        confirmation_s=_earliest(np.where(is_first, axis.time_s, np.inf), axis),
+        onset_s=onset_s,
+        is_in_time=has_live,
+    )
+
+
+def _known_s(arrival_s: FloatArray, axis: FrameAxis, rule: AebRule) -> FloatArray:
+    """When the VUT knows of the window of frames that ends in each one, (n_frames,)."""
     known = np.full(axis.n_frames, np.inf)
-    if axis.n_frames >= n_confirmations:
-        windows = np.lib.stride_tricks.sliding_window_view(arrival_s, n_confirmations)
-        known[n_confirmations - 1 :] = windows.max(axis=1)
+    if axis.n_frames >= rule.n_confirmations:
+        windows = np.lib.stride_tricks.sliding_window_view(arrival_s, rule.n_confirmations)
+        known[rule.n_confirmations - 1 :] = windows.max(axis=1)
+    known[~_is_within_run(axis, rule.n_confirmations)] = np.inf
+    return known
+
+
+def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:
+    """Whether a frame and those before it, `n_frames` in all, are of one run, (n_frames,)."""
     start = axis.run_start[:-1].repeat(np.diff(axis.run_start))
-    known[np.arange(axis.n_frames) - start < n_confirmations - 1] = np.inf
-    onset = np.minimum.reduceat(known, axis.run_start[:-1])
-    first = [int(np.argmin(known[axis.frames_of(run)])) for run in range(axis.n_runs)]
-    confirmation = np.where(np.isfinite(onset), axis.time_s[axis.run_start[:-1] + first], np.inf)
-    return confirmation, onset
+    within: BoolArray = np.arange(axis.n_frames) - start >= n_frames - 1
+    return within
+
+
+def _held(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> BoolArray:
+    """Detected frames since which a track lives until the last moment of the frame's run."""
+    n_frames = np.diff(axis.run_start)
+    return held_frames(
+        detected,
+        axis.time_s,
+        until_s=(axis.last_brake_time_s - rule.latency_s).repeat(n_frames),
+        memory_s=rule.track_memory_s,
+        last_frame=(axis.run_start[1:] - 1).repeat(n_frames),
+    )
+
+
+def _earliest(times_s: FloatArray, axis: FrameAxis) -> FloatArray:
+    """Smallest time of each run: (..., n_frames) -> (..., n_runs)."""
+    earliest: FloatArray = np.minimum.reduceat(times_s, axis.run_start[:-1], axis=-1)
+    return earliest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -235,6 +326,8 @@ class Refusal:
         What is not driven.
     approach : str
         The arm from which the VUT would come.
+    position : str
+        Where along its way.
     speeds_kmh : tuple of float
         At which speeds. [km/h]
     reason : str
@@ -249,6 +342,7 @@ class Refusal:
     speeds_kmh: tuple[float, ...]
     reason: str
     is_possible: bool = True
+    position: str = AT_ZERO.name
 
 
 def build_runs(
@@ -259,6 +353,8 @@ def build_runs(
     rule: AebRule,
     approaches: Sequence[str] | None = None,
     weathers: Sequence[str] = ("day",),
+    positions: Sequence[Position] = (AT_ZERO,),
+    is_spread: bool = True,
 ) -> tuple[tuple[Run, ...], tuple[Refusal, ...]]:
     """Lay cases on every approach of a scene's junction.
 
@@ -277,11 +373,16 @@ def build_runs(
         Arms from which the VUT comes; by default all.
     weathers : sequence of str
         Every run is driven once in each. See ``WEATHERS``.
+    positions : sequence of Position
+        Where along the arms; cases that are bound to the junction have one place.
+    is_spread : bool
+        Other positions than 0 take turns with the speeds, see
+        :func:`scenarios.positions.spread_speeds`; else each drives all.
 
     Returns
     -------
     runs : tuple of Run
-        In the order of cases, approaches, speeds, weathers.
+        In the order of cases, approaches, positions, speeds, weathers.
     refusals : tuple of Refusal
         What could not be laid, with the reason.
 
@@ -303,42 +404,66 @@ def build_runs(
     refusals: list[Refusal] = []
     for case in cases:
         for approach in dict.fromkeys(approaches or junction.arms):
-            reasons: dict[tuple[str, bool], list[float]] = {}
-            for speed_kmh in case.vut_speeds_kmh:
-                try:
-                    staging = _stage(case, scene, right_hand, approach, speed_kmh, vut)
-                except CannotCarryError as error:
-                    is_possible = not isinstance(error, NoRoadError)
-                    reasons.setdefault((str(error), is_possible), []).append(speed_kmh)
-                    continue
-                run = _build_run(case, approach, speed_kmh, staging, rule=rule)
-                runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
-            refusals += [
-                Refusal(
-                    case=case,
-                    approach=approach,
-                    speeds_kmh=tuple(speeds),
-                    reason=reason,
-                    is_possible=is_possible,
+            for number, position in enumerate(positions_of(case, positions)):
+                turn = tuple(junction.arms).index(approach) + number
+                speeds_kmh = (
+                    spread_speeds(case.vut_speeds_kmh, position, turn=turn)
+                    if is_spread
+                    else case.vut_speeds_kmh
                 )
-                for (reason, is_possible), speeds in reasons.items()
-            ]
+                reasons: dict[tuple[str, bool], list[float]] = {}
+                for speed_kmh in speeds_kmh:
+                    try:
+                        staging = _stage(
+                            case, scene, right_hand, approach, position, speed_kmh, vut
+                        )
+                    except CannotCarryError as error:
+                        is_possible = not isinstance(error, NoRoadError)
+                        reasons.setdefault((str(error), is_possible), []).append(speed_kmh)
+                        continue
+                    run = _build_run(case, approach, position, speed_kmh, staging, rule=rule)
+                    runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
+                refusals += [
+                    Refusal(
+                        case=case,
+                        approach=approach,
+                        position=position.name,
+                        speeds_kmh=tuple(speeds),
+                        reason=reason,
+                        is_possible=is_possible,
+                    )
+                    for (reason, is_possible), speeds in reasons.items()
+                ]
     return tuple(runs), tuple(refusals)
 
 
 def _stage(
-    case: Case, scene: Scene, right_hand: Junction, approach: str, speed_kmh: float, vut: Actor
+    case: Case,
+    scene: Scene,
+    right_hand: Junction,
+    approach: str,
+    position: Position,
+    speed_kmh: float,
+    vut: Actor,
 ) -> Staging:
-    placement = find_placement(scene.name, case, approach)
+    placement = find_placement(scene.name, case, approach) if position == AT_ZERO else None
     if placement is not None:
         return stage_published(placement, vut_speed_kmh=speed_kmh, vut=vut)
     # The protocol's rules are those of traffic that keeps right.
-    staging = stage_by_protocol(case, right_hand, approach, vut_speed_kmh=speed_kmh, vut=vut)
+    staging = stage_by_protocol(
+        case, right_hand, approach, vut_speed_kmh=speed_kmh, vut=vut, position=position
+    )
     return make_room(mirror_staging(staging) if scene.keeps_left else staging, scene)
 
 
 def _build_run(
-    case: Case, approach: str, speed_kmh: float, staging: Staging, *, rule: AebRule
+    case: Case,
+    approach: str,
+    position: Position,
+    speed_kmh: float,
+    staging: Staging,
+    *,
+    rule: AebRule,
 ) -> Run:
     encounter = staging.encounter
     vut, vru = encounter.vut_motion, encounter.vru_motion
@@ -348,10 +473,12 @@ def _build_run(
     vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))
     vru_distance = vru.distance_m(time_s)
     vru_position, vru_yaw = vru.path.at(vru_distance)
+    place = approach if position == AT_ZERO else f"{approach}{position.name}"
     return Run(
-        id=f"{case.name}/{approach}/{speed_kmh:g}",
+        id=f"{case.name}/{place}/{speed_kmh:g}",
         case=case,
         approach=approach,
+        position=position.name,
         weather="day",
         vut_speed_kmh=speed_kmh,
         encounter=encounter,

@@ -8,10 +8,10 @@ import numpy as np
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.junction import Line, lane_line
+from geometry.junction import Line, lane_length_m, lane_line
 from geometry.scene import Lane
 
-from .courses import Course, follow_lane
+from .courses import Course, follow_lane, follow_lanes
 from .paths import CoursePath, Path, StraightPath, TowedPath
 from .staging import CannotCarryError
 
@@ -180,6 +180,76 @@ def lane_way(lane: Lane, *, is_in: bool, length_m: float, max_bend_m: float) -> 
     if off_line_m(lane, is_in=is_in, length_m=length_m) <= max_bend_m:
         return StraightWay(line=straight_line(lane, is_in=is_in))
     return CurvedWay(course=follow_lane(lane.centreline_m, is_in=is_in))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WayAcross:
+    """The way along a lane, through the junction, and along a lane by which it is left.
+
+    Attributes
+    ----------
+    way : Way
+        Its stations count from the mouth of the lane that leads out.
+    begin_m : float
+        Station at which the first lane begins. [m]
+    swerve_per_m : float
+        Largest curvature where it changes from lane to lane; 0 on a lane of the map. [1/m]
+    """
+
+    way: Way
+    begin_m: float
+    swerve_per_m: float = 0.0
+
+
+def way_across(
+    entry: Lane, leaving: Lane, connection: Lane | None, *, max_bend_m: float
+) -> WayAcross:
+    """The way from a lane into the junction straight on into a lane out of it.
+
+    Straight, where all its lanes stay within `max_bend_m` of the first one's line; else along the
+    lanes' bends, and between them on the junction's own lane `connection`, or, where the map has
+    none, on a cubic curve with the lanes' directions at its ends.
+
+    Raises
+    ------
+    CannotCarryError
+        The lane out of the junction does not lie ahead.
+    """
+    chains = [entry.centreline_m, leaving.centreline_m]
+    if connection is not None:
+        chains.insert(1, connection.centreline_m)
+    line = straight_line(entry, is_in=True)
+    if np.abs(line.coordinates(np.concatenate(chains))[:, 1]).max() <= max_bend_m:
+        mouth_m = float(line.coordinates(leaving.centreline_m[0])[0])
+        way = StraightWay(line=Line(point_m=line.at(mouth_m), direction=line.direction))
+        return WayAcross(way=way, begin_m=-mouth_m - lane_length_m(entry))
+    between = _curve_between(entry, leaving) if connection is None else connection.centreline_m
+    course = follow_lanes([np.concatenate([entry.centreline_m, between]), leaving.centreline_m])
+    across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
+    return WayAcross(
+        way=CurvedWay(course=course),
+        begin_m=-across_m - lane_length_m(entry),
+        swerve_per_m=course.between(-across_m, 0.0).max_bend_per_m if connection is None else 0.0,
+    )
+
+
+def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
+    """Points (n, 2) from the end of a lane to the begin of another one: a cubic Hermite curve."""
+    before = follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
+    after = follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
+    begin, end = entry.centreline_m[-1], leaving.centreline_m[0]
+    chord = end - begin
+    length_m = float(np.hypot(*chord))
+    if min(chord @ before.direction, chord @ after.direction) <= 0.5 * length_m:
+        raise CannotCarryError(f"lane {leaving.id} does not lie ahead of lane {entry.id}")
+    share = np.linspace(0.0, 1.0, max(8, int(length_m)))[:, None]
+    curve: FloatArray = (
+        (2.0 * share**3 - 3.0 * share**2 + 1.0) * begin
+        + (share**3 - 2.0 * share**2 + share) * length_m * before.direction
+        + (3.0 * share**2 - 2.0 * share**3) * end
+        + (share**3 - share**2) * length_m * after.direction
+    )
+    return curve
 
 
 def reversed_way(way: Way) -> Way:

@@ -11,8 +11,7 @@ from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict
 from placement.layout import Layout
-from scenarios.aeb import is_in_time
-from scenarios.runs import onset_times_s
+from scenarios.runs import find_onsets
 
 EVIL = "</script><script>alert(1)</script>\u2028\"'<!--&{{ 7 }}"
 
@@ -46,12 +45,12 @@ def build_evaluation(setting, layout, *, share=0.6, seed=0, with_vam=False):
 
     def verdict(detected):
         arrival = np.where(detected, axis.time_s + rule.latency_s, np.inf)
-        confirmed, onset = onset_times_s(arrival, axis, n_confirmations=rule.n_confirmations)
+        onsets = find_onsets(arrival, axis, rule=rule)
         return Verdict(
             detected=detected,
-            confirmation_time_s=confirmed,
-            onset_time_s=onset,
-            is_avoided=is_in_time(onset, axis.last_brake_time_s, latency_s=0.0),
+            confirmation_time_s=onsets.confirmation_s,
+            onset_time_s=onsets.onset_s,
+            is_avoided=onsets.is_in_time,
         )
 
     def draw():

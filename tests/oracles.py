@@ -131,6 +131,23 @@ def slab_hits(origins, vectors, low, high):
     return np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
 
 
+def simulated_track_s(detected, time_s, *, until_s, memory_s, n):
+    """Frame by frame: when the track was confirmed that is alive at a time; infinite if none is."""
+    confirmed_s, last_s, n_in_a_row = math.inf, -math.inf, 0
+    for is_seen, now_s in zip(detected, time_s, strict=True):
+        if now_s > until_s + 1e-9:
+            break
+        if now_s - last_s > memory_s + 1e-9:
+            confirmed_s = math.inf  # the track is lost
+        n_in_a_row = n_in_a_row + 1 if is_seen else 0
+        if is_seen:
+            last_s = now_s
+            if n_in_a_row >= n and confirmed_s == math.inf:
+                confirmed_s = now_s
+        # A frame in which nothing is seen changes nothing: the age is asked for when it matters.
+    return math.inf if until_s - last_s > memory_s + 1e-9 else confirmed_s
+
+
 def naive_confirmed(detected, n):
     """Confirmation frame by frame, with a counter."""
     counter, confirmed = 0, []

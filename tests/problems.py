@@ -55,6 +55,7 @@ def problems(draw: st.DrawFn) -> PlacementProblem:
             latency_s=0.025,
             n_confirmations=draw(st.sampled_from([2, 3, 1])),
             frame_rate_hz=10.0,
+            track_memory_s=draw(st.sampled_from([0.1, np.inf, 0.2, 0.3, 0.5])),
         ),
     )
 

@@ -4,6 +4,7 @@ It shares nothing with the evaluator's pixels but the scene, the poses and the m
 by Embree, in single precision, every body in its own frame.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +38,8 @@ class Lens:
 class View:
     """A part of a camera's image: instances and depths."""
 
-    # (h, w): the nearest thing: ``STATIC`` (also where nothing is hit), ``VRU`` or ``VUT``
+    # (h, w): the nearest thing: ``STATIC`` (also where nothing is hit), ``VRU``, or ``VUT``, as
+    # also for other vehicles
     instance: NDArray[np.uint8]
     depth_m: FloatRays  # (h, w): along the optical axis; infinite where nothing is hit. [m]
     amodal_mask: BoolArray  # (h, w): pixels of the whole VRU, hidden parts too
@@ -75,13 +77,14 @@ def render_view(
     static: tuple[Solid, FloatArray],
     vru: tuple[Solid, FloatArray],
     vut: tuple[Solid, FloatArray] | None = None,
+    traffic: Sequence[tuple[Solid, FloatArray]] = (),
     crop_px: tuple[int, int, int, int] | None = None,
 ) -> View:
     """Render the image of a camera, or a part of it.
 
-    `static`, `vru` and `vut` come with their road poses (3,) in the lens's frame; without `vut`
-    there is no VUT, as for the VUT's own camera. `crop_px` is x_min, y_min, x_max, y_max: columns
-    x_min .. x_max - 1 and rows y_min .. y_max - 1; by default the whole image.
+    `static`, `vru`, `vut` and `traffic` come with their road poses (3,) in the lens's frame;
+    without `vut` there is no VUT, as for the VUT's own camera. `crop_px` is x_min, y_min, x_max,
+    y_max: columns x_min .. x_max - 1 and rows y_min .. y_max - 1; by default the whole image.
     """
     whole = (0, 0, lens.camera.width_px, lens.camera.height_px)
     crop = np.array([crop_px or whole], dtype=np.int64)
@@ -90,7 +93,7 @@ def render_view(
     instance = np.full(shape, STATIC, dtype=np.uint8)
     depth = cast_crops(lens, static[0], static[1][None], crop)[0].reshape(shape)
     amodal_mask = np.zeros(shape, dtype=bool)
-    for code, body in ((VRU, vru), (VUT, vut)):
+    for code, body in ((VRU, vru), (VUT, vut), *((VUT, vehicle) for vehicle in traffic)):
         if body is None:
             continue
         body_depth = cast_crops(lens, body[0], body[1][None], crop)[0].reshape(shape)
@@ -114,7 +117,8 @@ def render_frame(
     crop_px: tuple[int, int, int, int] | None = None,
 ) -> View:
     """Render one frame of some surroundings; `crop_px` as for :func:`render_view`."""
-    vut = (surroundings.vut, surroundings.vut_poses[frame_index])
+    vut = (surroundings.vehicles[0], surroundings.vut_poses[frame_index])
+    driving = surroundings.traffic_index[frame_index]
     return render_view(
         build_lens(pose, camera),
         static=(
@@ -126,6 +130,11 @@ def render_frame(
             surroundings.vru_poses[frame_index],
         ),
         vut=vut if with_vut else None,
+        traffic=[
+            (surroundings.vehicles[index], pose)
+            for index, pose in zip(driving, surroundings.traffic_poses[frame_index], strict=True)
+            if index >= 0
+        ],
         crop_px=crop_px,
     )
 

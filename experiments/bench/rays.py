@@ -24,7 +24,7 @@ from placement.setting import Setting
 from placement.visibility.build import N_POINTS, build_detection_table
 from placement.visibility.casting import (
     World,
-    build_static_mesh,
+    bodies_mesh,
     build_world,
     cast_sight,
     find_obstructions,
@@ -100,15 +100,27 @@ def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> 
                 for_lidar=False,
             )
 
-    statics = [Recorder(static) for static in world.static]
+    scene = Recorder(world.scene)
+    parked = [Recorder(obstruction.caster) for obstruction in world.obstructions]
     bodies = [Recorder(body) for body in world.bodies]
-    vut = Recorder(world.vut_body)
-    cast(replace(world, static=tuple(statics), bodies=tuple(bodies), vut_body=vut))
+    vut = Recorder(world.vehicles.casters[0])
+    vehicles = replace(world.vehicles, casters=(vut,))
+    vut_shape = world.vehicles.actors[0].shapes[0]
+    obstructions = tuple(
+        replace(obstruction, caster=caster)
+        for obstruction, caster in zip(world.obstructions, parked, strict=True)
+    )
+    cast(
+        replace(
+            world, scene=scene, obstructions=obstructions, bodies=tuple(bodies), vehicles=vehicles
+        )
+    )
     meshes = [
+        (setting.scene.vertices_m - world.origin_m, setting.scene.triangles, scene),
         *(
-            (*build_static_mesh(setting.scene, obstruction, world.origin_m), static)
-            for obstruction, static in zip(
-                find_obstructions(setting.runs).values(), statics, strict=True
+            (*bodies_mesh(obstruction, world.origin_m), caster)
+            for obstruction, caster in zip(
+                find_obstructions(setting.runs).values(), parked, strict=True
             )
         ),
         *(
@@ -116,7 +128,7 @@ def measure_casting(setting: Setting, candidates: tuple[CandidatePose, ...]) -> 
             for surface, body in zip(world.surfaces, bodies, strict=True)
             for shape in (surface.actor.shapes[surface.shape_index],)
         ),
-        (world.vut.shapes[0].vertices_m, world.vut.shapes[0].triangles, vut),
+        (vut_shape.vertices_m, vut_shape.triangles, vut),
     ]
     cast_to = [mesh for mesh in meshes if mesh[2].rays]
     with threadpool_limits(1):

@@ -147,13 +147,23 @@ def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
 
 
 def apr_lines(parties: Mapping[str, "PartyAprRecord"]) -> list[str]:
-    """APR by case: a row per case, a column per party, as many columns as fit side by side."""
-    cases = list(next(iter(parties.values())).by_case)
+    """APR by case and by position along the arms: a row for each, a column per party.
+
+    As many columns as fit stand side by side.
+    """
+    first = next(iter(parties.values()))
+    cases = list(first.by_case)
+    positions = list(first.by_position) if len(first.by_position) > 1 else []
     columns = {
-        name: [percent(party.all), *(percent(party.by_case[case]) for case in cases)]
+        name: [
+            percent(party.all),
+            *(percent(party.by_case[case]) for case in cases),
+            *(percent(party.by_position[position]) for position in positions),
+        ]
         for name, party in parties.items()
     }
-    return wide_table("APR", ["all runs", *cases], columns)
+    at = [f"at {position} m" for position in positions]
+    return wide_table("APR", ["all runs", *cases, *at], columns)
 
 
 def announced(evaluation: "EvaluationRecord") -> "dict[str, PartyAprRecord]":

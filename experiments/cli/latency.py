@@ -105,7 +105,8 @@ _COLUMNS = {"rsu_all": "RSUs, fused", "vut_and_rsus": "VUT and RSUs", "vut": "VU
 _OTHERS = {"vam": "VAM alone", "all_sources": "all and VAM"}
 _NOTE = (
     "expected: over all latencies of the budget, not at the mean one; fused: in each frame, any of "
-    "the units may detect. A run counts as avoided if its last moment to brake is not over."
+    "the units may detect. A run counts as avoided if its last moment to brake is not over, and a "
+    "confirmed track is alive then."
 )
 
 

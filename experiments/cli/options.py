@@ -45,6 +45,8 @@ class WordedOption(click.Option):
         Whether the short help shows it, too.
     expected : str
         What a value must be; for the message about another one.
+    takes_infinity : bool
+        Whether a number may be "inf".
     """
 
     def __init__(
@@ -54,11 +56,13 @@ class WordedOption(click.Option):
         is_common: bool = True,
         expected: str = "",
         is_path: bool = False,
+        takes_infinity: bool = False,
         **kwargs: Any,
     ) -> None:
         if is_path:
             kwargs["shell_complete"] = complete_paths
         super().__init__(*args, **kwargs)
+        self.takes_infinity = takes_infinity
         self.section, self.is_common, self.expected = section, is_common, expected
         if isinstance(self.type, click.Choice):
             self.expected = "one of " + ", ".join(map(str, self.type.choices))
@@ -73,7 +77,7 @@ class WordedOption(click.Option):
             raise input_error(option_name(self), value, self.expected) from None
         # Python also reads 1_0, other scripts' digits and spaces as numbers, and NaN as a float.
         is_odd = isinstance(value, str) and (
-            not math.isfinite(typed)
+            not (math.isfinite(typed) or (self.takes_infinity and value == "inf"))
             if isinstance(typed, float)
             else isinstance(typed, int) and not _WHOLE_NUMBER.fullmatch(value)
         )
@@ -168,6 +172,7 @@ def field_option(field: QuestionField, default: Any = None) -> Decorator:
         "section": field.option.section,
         "is_common": field.option.is_common,
         "is_path": field.option.is_path,
+        "takes_infinity": field.option.takes_infinity,
         "metavar": field.option.metavar or None,
         "expected": limit.description or "",
     }
@@ -231,7 +236,10 @@ def question_options(
 
 
 def one_run_options() -> Decorator:
-    """The argument and the options that name a single run, and how it brakes, as one `question`."""
+    """The argument and the options that name a single run, and how it brakes.
+
+    The command gets them as one `question`, and the `position` of the run.
+    """
     naming = (
         click.argument("cases", metavar="CASE"),
         option("--approach", "approaches", required=True, metavar="ARM", help="Such as east."),
@@ -245,10 +253,19 @@ def one_run_options() -> Decorator:
             expected="km/h, more than 0",
             help="Of the VUT.",
         ),
+        option(
+            "--position",
+            default="0",
+            show_default=True,
+            metavar="METRES",
+            help="Where along the arms: -15 is so far before the junction, +15 behind it.",
+        ),
     )
     apart = ("cases", "approaches", "speeds")
     others = question_options(
-        *(name for name in ONLY_DRIVEN if name not in apart), named_apart=apart, has_file=False
+        *(name for name in ONLY_DRIVEN if name not in (*apart, "along_arms")),
+        named_apart=apart,
+        has_file=False,
     )
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -20,6 +20,7 @@ _WITH_RECORDING = frozenset(
     ("recording", "min_confidence", "out", "as_json", "quiet", "question", "save_question_to")
     + ("budget", "fusion", "solver", "time_limit_s", "gap")
     + ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget", "n_confirmations")
+    + ("track_memory_s",)
 )
 _NOTE = (
     "Unit folder 3 is RSU3, car is the VUT's camera. In Eval, cam_index is a unit's folder; "

@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from placement.compute import Compute
+from scenarios.positions import AT_ZERO
 
 from ..progress import StageProgress
 from .options import (
@@ -39,7 +40,8 @@ Examples:
     "run_id",
     required=True,
     metavar="RUN",
-    help="case/approach/speed or case/approach/speed/weather.",
+    help="case/approach/speed or case/approach/speed/weather; away from the junction the position "
+    "stands behind the approach: CPLA-50/east-15/40.",
 )
 @option(
     "--frame",
@@ -112,6 +114,7 @@ def render(
 
 
 def _default_path(run: Any, unit_id: str, frame_index: int, suffix: str) -> Path:
-    parts = [*run.case.name.split("/"), run.approach, f"{run.vut_speed_kmh:g}", run.weather]
+    place = run.approach if run.position == AT_ZERO.name else f"{run.approach}{run.position}"
+    parts = [*run.case.name.split("/"), place, f"{run.vut_speed_kmh:g}", run.weather]
     name = "_".join([*parts, f"frame-{frame_index}", unit_id])
     return Path("results", "renders", name.replace(os.sep, "_") + suffix)

@@ -1,6 +1,7 @@
 """``place-rsus scenarios``: look at what is driven, without placing anything."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +13,7 @@ import msgspec
 from placement.question import Question
 
 from ..progress import StageProgress
+from ..results.drives import describe_places
 from ..results.numbers import several
 from .options import (
     ONLY_DRIVEN,
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
-    """A case from an approach: what ``--json`` prints a list of.
+    """A case from an approach at a position along the arms: what ``--json`` prints a list of.
 
     One last brake time per speed, relative to the impact, None where braking cannot help; the
     reason says what is not driven and why, None where every speed is driven.
@@ -39,38 +41,59 @@ class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
 
     case: str
     approach: str
+    position: str
     speeds_kmh: tuple[float, ...]
     n_runs: int
     last_brake_time_s: tuple[float | None, ...]
     reason: str | None
 
 
+_Key = tuple[str, str, str]
+
+
 def list_rows(drives: "Drives") -> list[DrivenRow]:
-    """One row per case and approach; what is refused stands beside what is driven."""
-    driven: dict[tuple[str, str], list[Run]] = {}
-    reasons: dict[tuple[str, str], list[str]] = {}
+    """One row per case, approach and position; what is refused stands beside what is driven."""
+    driven: dict[_Key, list[Run]] = {}
+    reasons: dict[_Key, list[str]] = {}
     for run in drives.runs:
-        driven.setdefault((run.case.name, run.approach), []).append(run)
-    for refusal in (*drives.refused, *drives.left_out):
-        is_partly = set(refusal.speeds_kmh) != set(refusal.case.vut_speeds_kmh)
+        driven.setdefault((run.case.name, run.approach, run.position), []).append(run)
+    refusals = (*drives.refused, *drives.left_out)
+    refused: Counter[_Key] = Counter()
+    for refusal in refusals:
+        key = (refusal.case.name, refusal.approach, refusal.position)
+        refused[key] += len(refusal.speeds_kmh)
+    for refusal in refusals:
+        key = (refusal.case.name, refusal.approach, refusal.position)
+        is_partly = key in driven or refused[key] > len(refusal.speeds_kmh)
         speeds = ", ".join(f"{speed:g}" for speed in refusal.speeds_kmh)
         reason = f"at {speeds} km/h: {refusal.reason}" if is_partly else refusal.reason
-        reasons.setdefault((refusal.case.name, refusal.approach), []).append(reason)
+        reasons.setdefault(key, []).append(reason)
+    from scenarios.positions import sort_positions
+
     keys = list(dict.fromkeys((*driven, *reasons)))
-    # By case in the order asked for.
-    cases = list(dict.fromkeys(case for case, _ in keys))
-    keys.sort(key=lambda key: cases.index(key[0]))
-    return [_row(*key, driven.get(key, []), reasons.get(key, [])) for key in keys]
+    # By case in the order asked for, within it by approach, and as the VUT passes them.
+    cases, approaches = (list(dict.fromkeys(key[part] for key in keys)) for part in (0, 1))
+    positions = sort_positions(key[2] for key in keys)
+    keys.sort(
+        key=lambda key: (
+            cases.index(key[0]),
+            approaches.index(key[1]),
+            positions.index(key[2]),
+        )
+    )
+    return [_row(key, driven.get(key, []), reasons.get(key, [])) for key in keys]
 
 
-def _row(case: str, approach: str, runs: "Sequence[Run]", reasons: Sequence[str]) -> DrivenRow:
+def _row(key: _Key, runs: "Sequence[Run]", reasons: Sequence[str]) -> DrivenRow:
     # Several runs have the same speed and differ elsewhere: the first one's time is shown.
     first = {run.vut_speed_kmh: run for run in reversed(runs)}
     speeds_kmh = tuple(dict.fromkeys(run.vut_speed_kmh for run in runs))
     times_s = [first[speed].last_brake_time_s for speed in speeds_kmh]
+    case, approach, position = key
     return DrivenRow(
         case=case,
         approach=approach,
+        position=position,
         speeds_kmh=speeds_kmh,
         n_runs=len(runs),
         last_brake_time_s=tuple(time_s if math.isfinite(time_s) else None for time_s in times_s),
@@ -79,36 +102,64 @@ def _row(case: str, approach: str, runs: "Sequence[Run]", reasons: Sequence[str]
 
 
 def scenario_table(rows: Sequence[DrivenRow]) -> str:
-    """The rows as a table; below it what is not driven, and why."""
-    cells = [
-        [
-            entry.case,
-            entry.approach,
-            _span(entry.speeds_kmh, "g"),
-            str(entry.n_runs),
-            _last_moments(entry),
-        ]
-        for entry in rows
-    ]
-    for row, (before, after) in enumerate(pairwise(rows), start=1):
-        if before.case == after.case:  # each is named once
+    """The rows as a table, a line per case and approach; below it where, and what is not driven."""
+    groups: dict[tuple[str, str], list[DrivenRow]] = {}
+    for entry in rows:
+        groups.setdefault((entry.case, entry.approach), []).append(entry)
+    has_positions = len({entry.position for entry in rows}) > 1
+    cells = []
+    for (case, approach), entries in groups.items():
+        n_places = sum(entry.n_runs > 0 for entry in entries)
+        cells.append(
+            [
+                case,
+                approach,
+                _span(sorted({speed for entry in entries for speed in entry.speeds_kmh}), "g"),
+                *([f"{n_places} of {len(entries)}"] if has_positions else []),
+                str(sum(entry.n_runs for entry in entries)),
+                _last_moments([time for entry in entries for time in entry.last_brake_time_s]),
+            ]
+        )
+    for row, (before, after) in enumerate(pairwise(groups), start=1):
+        if before[0] == after[0]:  # each is named once
             cells[row][0] = ""
-    heads = ["case", "from", "km/h", "runs", "last moment to brake (s)"]
+    places = ["places"] if has_positions else []
+    heads = ["case", "from", "km/h", *places, "runs", "last moment to brake (s)"]
     lines = table(heads, cells, n_left=3, indent=0)
+    if has_positions:
+        lines += ["", *_position_table(rows), ""]
+    refused: dict[tuple[str, str], dict[str, list[str]]] = {}
     for entry in rows:
         if entry.reason is not None:
-            lines += sentences(
-                f"{entry.case} from {entry.approach} not driven: {entry.reason}",
-                hanging=2,
-            )
+            of_reason = refused.setdefault((entry.case, entry.reason), {})
+            of_reason.setdefault(entry.approach, []).append(entry.position)
+    for (case, reason), where in refused.items():
+        lines += sentences(f"{case} from {describe_places(where)} not driven: {reason}", hanging=2)
     n_runs = sum(entry.n_runs for entry in rows)
     n_cases = len({entry.case for entry in rows})
     lines.append(f"{n_runs} runs of {several(n_cases, 'case', 'cases')}")
     return "\n".join(lines)
 
 
-def _last_moments(entry: DrivenRow) -> str:
-    times = entry.last_brake_time_s
+def _position_table(rows: Sequence[DrivenRow]) -> list[str]:
+    """How many runs there are at each place along the arms."""
+    from scenarios.positions import sort_positions
+
+    cells = []
+    for position in sort_positions(entry.position for entry in rows):
+        there = [entry for entry in rows if entry.position == position and entry.n_runs]
+        cells.append(
+            [
+                position,
+                str(sum(entry.n_runs for entry in there)),
+                str(len({entry.case for entry in there})),
+                str(len({entry.approach for entry in there})),
+            ]
+        )
+    return table(["metres along the arms", "runs", "cases", "approaches"], cells, indent=0)
+
+
+def _last_moments(times: Sequence[float | None]) -> str:
     known = sorted(time for time in times if time is not None)
     text = _span(known[::-1], ".2f")
     if len(known) < len(times):
@@ -141,7 +192,8 @@ def scenarios() -> None:
     cls=SectionedCommand,
     epilog="""\b
 Examples:
-  place-rsus scenarios list --cases protocol-4.5.1 --approaches east,west""",
+  place-rsus scenarios list --cases protocol-4.5.1 --approaches east,west
+  place-rsus scenarios list --cases CPNA --along-arms 0,20,40""",
 )
 @question_options(*ONLY_DRIVEN, defaults={"cases": "all"})
 @json_option
@@ -150,11 +202,13 @@ Examples:
 def list_scenarios(
     progress: StageProgress, *, question: Question, as_json: bool, quiet: bool
 ) -> None:
-    """Cases by approach: speeds, runs, the last moment to brake, and why not.
+    """Cases by approach and place: speeds, runs, the last moment to brake, and why not.
 
     The last moment is the time at which braking must have begun, relative to the impact: -1.2 is
-    1.2 seconds before it. With --json a list, one entry per case and approach, with one last
-    moment per speed; null where braking cannot help.
+    1.2 seconds before it. Places lie along the arms, in metres: -15 is so far before the
+    junction, +0 the crosswalk of the arm straight ahead, +15 so far beyond it. With --json a list,
+    one entry per case, approach and position, with one last moment per speed; null where braking
+    cannot help.
     """
     from geometry.scene_files import load_scene
     from placement.setting import drive
@@ -179,7 +233,9 @@ Examples:
 )
 @quiet_option
 @click.pass_obj
-def show(progress: StageProgress, *, question: Question, out: Path | None, quiet: bool) -> None:
+def show(
+    progress: StageProgress, *, question: Question, position: str, out: Path | None, quiet: bool
+) -> None:
     """Draw a run from above: bodies, paths, obstruction, what the VUT has in sight."""
     from geometry.scene_files import load_scene
     from placement.setting import drive_one
@@ -187,7 +243,7 @@ def show(progress: StageProgress, *, question: Question, out: Path | None, quiet
     from ..figures.film import save_film
 
     scene = load_scene(question.scene)
-    run = drive_one(question, scene)
+    run = drive_one(question, scene, position=position)
     path = out or Path("results", "scenarios", run.id.replace("/", "_") + ".png")
     progress.start(quiet=quiet)
     progress("draw", 0, 0)
@@ -207,7 +263,7 @@ Examples:
 )
 @one_run_options()
 @option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
-def export(*, question: Question, out: Path | None) -> None:
+def export(*, question: Question, position: str, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""
     from geometry.files import write_atomically
     from geometry.scene_files import load_scene
@@ -216,7 +272,8 @@ def export(*, question: Question, out: Path | None) -> None:
     from ..export.openscenario import to_openscenario
 
     scene = load_scene(question.scene)
-    text = to_openscenario(drive_one(question, scene), road_network=scene.road_network)
+    run = drive_one(question, scene, position=position)
+    text = to_openscenario(run, road_network=scene.road_network)
     if out is None:
         click.echo(text, nl=False)
     else:

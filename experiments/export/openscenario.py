@@ -279,6 +279,7 @@ def _build_properties(run: Run) -> Any:
         "case": run.case.name,
         "source": run.case.source,
         "approach": run.approach,
+        "position": run.position,
         "weather": run.weather,
         "vut_speed_kmh": f"{run.vut_speed_kmh:g}",
         "vru_speed_kmh": f"{run.case.vru_speed_kmh:g}",

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from geometry.arrays import FloatArray
 from placement.layout import Layout
+from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008): told apart with any colour vision.
@@ -111,9 +112,9 @@ def unit_labels(layout: Layout) -> dict[str, str]:
 
 
 def describe_run(axis: FrameAxis, run_index: int) -> str:
-    """A run in words: case, approach, speed, and the weather unless it is day."""
-    weather = axis.weathers[run_index]
-    return (
-        f"{axis.cases[run_index]} from the {axis.approaches[run_index]} at "
-        f"{axis.vut_speed_kmh[run_index]:g} km/h" + (f", {weather}" if weather != "day" else "")
+    """A run in words: case, approach, position unless 0, speed, and the weather unless day."""
+    weather, position = axis.weathers[run_index], axis.positions[run_index]
+    where = f"{axis.approaches[run_index]}{f' ({position} m)' if position != AT_ZERO.name else ''}"
+    return f"{axis.cases[run_index]} from the {where} at {axis.vut_speed_kmh[run_index]:g} km/h" + (
+        f", {weather}" if weather != "day" else ""
     )

@@ -18,6 +18,7 @@ from placement.evaluation import (
     Verdict,
     apr,
     apr_by_case,
+    run_outcome,
 )
 from placement.setting import Setting
 
@@ -284,7 +285,9 @@ def _draw_heatmap(
     axes.plot(confirmations, range(len(rows)), zorder=5, clip_on=False, **_CONFIRMATION_STYLE)
     outcomes = axes.secondary_yaxis("right")
     outcomes.set_yticks(
-        range(len(rows)), [_outcome(verdict, run_index) for verdict in rows.values()], fontsize=8
+        range(len(rows)),
+        [run_outcome(verdict, axis, run_index) for verdict in rows.values()],
+        fontsize=8,
     )
     outcomes.tick_params(axis="y", length=0)
     outcomes.spines[:].set_visible(False)
@@ -299,12 +302,6 @@ def _draw_heatmap(
         loc="left",
         pad=18.0,
     )
-
-
-def _outcome(verdict: Verdict, run_index: int) -> str:
-    if verdict.is_avoided[run_index]:
-        return "avoided"
-    return "too late" if np.isfinite(verdict.confirmation_time_s[run_index]) else "never confirmed"
 
 
 def _draw_last_moment(axes: Axes, last_brake_s: float, n_rows: int) -> None:

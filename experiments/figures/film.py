@@ -24,6 +24,7 @@ from geometry.scene import Scene
 from placement.compute import Progress, silent
 from placement.evaluator import load_vut_camera
 from placement.visibility.casting import build_static_mesh
+from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
 from .axes import BLUE, SKY, VERMILION, Style, literal, new_figure, root_figure, show_square
@@ -134,9 +135,10 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
 
 
 def _title(run: Run) -> str:
+    where = run.approach if run.position == AT_ZERO.name else f"{run.approach} ({run.position} m)"
     return (
         f"{literal(run.case.name)}: {run.case.title}\n"
-        f"from the {run.approach} at {run.vut_speed_kmh:g} km/h, {run.weather}; nobody brakes"
+        f"from the {where} at {run.vut_speed_kmh:g} km/h, {run.weather}; nobody brakes"
     )
 
 

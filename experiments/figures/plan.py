@@ -330,7 +330,7 @@ _PATH_STYLES: dict[str, tuple[str, Style]] = {
 
 
 def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
-    firsts = {(run.case.name, run.approach): run for run in reversed(runs)}
+    firsts = {(run.case.name, run.approach, run.position): run for run in reversed(runs)}
     for run in firsts.values():
         for body, positions in (
             ("vut", run.vut_position_m),

@@ -1,6 +1,8 @@
 """What the commands do with a recording: judge its units, or choose the best of them."""
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace as replace_field
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -69,7 +71,7 @@ def run_recording(
     InputError
         The recording is not what it should be, or `out` cannot be written.
     """
-    rule = build_rule(question)
+    rule = _build_rule(question)
     recording, evaluation = _evaluate(folder, rule, min_confidence, out, progress)
     return _finish(build_recorded_result(recording, evaluation, rule), out, progress)
 
@@ -96,7 +98,7 @@ def run_recorded_placement(
     InputError
         As :func:`run_recording`, or the budget is more than the units recorded.
     """
-    rule = build_rule(question)
+    rule = _build_rule(question)
     recording, everything = _evaluate(folder, rule, min_confidence, out, progress)
     n_units = len(recording.units)
     budget_units, fusion = question.budget, question.fusion
@@ -142,6 +144,12 @@ def run_recorded_placement(
         versions=result.versions,
     )
     return _finish(result, out, progress, lambda new: save_certificate(new, document, problem))
+
+
+def _build_rule(question: Question) -> AebRule:
+    """The rule of a question; a recording of the study is read as the study does: no track dies."""
+    endless = math.inf if question.track_memory_s is None else question.track_memory_s
+    return build_rule(replace_field(question, track_memory_s=endless))
 
 
 def _evaluate(

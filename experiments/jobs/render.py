@@ -1,6 +1,6 @@
 """A picture or point cloud of one frame: which run, frame and unit, and the files that show it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -12,6 +12,7 @@ from geometry.catalogue import Sensor
 from geometry.errors import InputError
 from geometry.files import write_atomically
 from geometry.image_boxes import mask_box
+from geometry.junction import build_junction
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.scene import Scene
@@ -28,12 +29,16 @@ from placement.imaging import (
 from placement.layout import Layout
 from placement.question import Question
 from placement.setting import drive_one
+from scenarios.positions import AT_ZERO
 from scenarios.runs import WEATHERS, Run
 
 VUT_UNIT, VUT_LIDAR_UNIT = "VUT", "VUT-LIDAR"
 COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
 CLOUD_SUFFIXES = (".ply", ".bin")
-_RUN_ID = "case/approach/speed or case/approach/speed/weather, such as CPNC-50/east/40/night"
+_RUN_ID = (
+    "case/approach/speed or case/approach/speed/weather, such as CPNC-50/east/40/night or, away "
+    "from the junction, CPNC-50/east-15/40"
+)
 _JPEG_QUALITY = 85
 _MAX_CM = 65535  # what 16 bits hold
 
@@ -63,7 +68,8 @@ def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
     Parameters
     ----------
     run_id : str
-        "case/approach/speed", by day, or "case/approach/speed/weather".
+        "case/approach/speed", by day, or "case/approach/speed/weather"; see
+        :attr:`scenarios.runs.Run.id`.
     scene : Scene
         The junction.
     weather : str, optional
@@ -82,16 +88,25 @@ def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
     parts = run_id.split("/")
     if len(parts) not in (3, 4) or not all(parts):
         raise InputError("--run", run_id, _RUN_ID)
-    case, approach, speed = parts[:3]
+    case, place, speed = parts[:3]
+    approach, position = _split_place(place, tuple(build_junction(scene).arms))
     if weather is not None:
         pick_weather(weather, "--weather")
     light = weather or (parts[3] if len(parts) == 4 else WEATHERS[0])
     question = Question(cases=case, approaches=approach, speeds=speed, weather=light)
     try:
-        return drive_one(question, scene)
+        return drive_one(question, scene, position=position)
     except InputError as error:
         where = f"--run {run_id}: {error.where.removeprefix('--')}"
         raise InputError(where, error.got, error.expected) from None
+
+
+def _split_place(place: str, arms: Sequence[str]) -> tuple[str, str]:
+    """Approach and position of "east-15": the arm with the longest name that it begins with."""
+    for arm in sorted(arms, key=len, reverse=True):
+        if place.startswith(arm):
+            return arm, place.removeprefix(arm) or AT_ZERO.name
+    return place, AT_ZERO.name
 
 
 def find_frame(run: Run, frame: int) -> int:

@@ -10,7 +10,7 @@ from scenarios.runs import FrameAxis
 from ..figures.axes import unit_labels
 from ..figures.evaluation import plot_apr_by_case
 from ..results.numbers import percent
-from ..results.tables import groups_by_direction, groups_by_speed
+from ..results.tables import groups_by_direction, groups_by_position, groups_by_speed
 from .answer import count_sensors, is_weighted
 from .section import Block, Picture, Section, Table, build_picture
 
@@ -77,15 +77,17 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
 
 
 def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
-    """APR of the parties of :func:`apr_table` by the car's speed, and by where it comes from.
+    """APR of the parties of :func:`apr_table` by speed, by where the car comes from, by position.
 
-    None where all runs have the same speed or direction.
+    None where all runs have the same one.
     """
     verdicts = _parties(evaluations)
     axis = verdicts[0][1].axis
+    along = groups_by_position(axis)
     groupings = [
         ("speed of the car", "speed (km/h)", groups_by_speed(axis)),
         ("direction from which the car comes", "from", groups_by_direction(axis)),
+        ("place along the arms, in metres before (-) or behind (+) the junction", "at", along),
     ]
     return [
         Table(

@@ -1,5 +1,6 @@
 """How a result was computed, and how to make it again: the last words of the report."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 from placement.layout import Layout
@@ -55,6 +56,7 @@ def assumptions(
             "Confirmation",
             f"{rule.n_confirmations} detected frames in a row, {frame_s:g} s apart.",
         ),
+        ("Tracks", _tracks(rule)),
         ("Latency", _latency(rule, layouts)),
         (
             "Braking",
@@ -70,6 +72,20 @@ def assumptions(
     if result.budget is not None:
         terms.append(("Budget", several(result.budget, "unit", "units") + "."))
     return terms
+
+
+def _tracks(rule: AebRule) -> str:
+    """How long a confirmed road user stays known, and what the car brakes for."""
+    if math.isinf(rule.track_memory_s):
+        return (
+            "A road user who is confirmed once stays known for ever, however long nobody detects "
+            "them: the CarlaNCAP study's reading."
+        )
+    return (
+        f"A confirmed road user stays known for {rule.track_memory_s:g} s after each detection, "
+        "then must be confirmed anew. The car brakes only for one who is known at the last moment "
+        "to brake, less the latency. Time to spare counts from the confirmation of that track on."
+    )
 
 
 def _latency(rule: AebRule, layouts: Mapping[str, Layout]) -> str:

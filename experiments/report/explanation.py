@@ -24,6 +24,7 @@ OUTCOMES = {
     "hopeless": "too short for any unit",
     "never seen": "never seen",
     "never confirmed": "seen, but never long enough",
+    "lost again": "confirmed, but lost again before the last moment",
     "too late": "confirmed too late",
 }
 """What became of a run that is not avoided, in words."""

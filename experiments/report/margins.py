@@ -211,7 +211,7 @@ _COLUMNS = (
     "median (ms)",
     "median (m)",
     "not avoided",
-    "of these never confirmed",
+    "of these never confirmed, or lost again",
     "worst too late by (ms)",
     "worst too late by (m)",
 )
@@ -245,10 +245,11 @@ class MarginSummary:
     smallest_s, smallest_m, median_s, median_m : float
         Of the avoided runs; the smallest in seconds and the smallest in metres may be of
         different runs. [s], [m]
-    n_never : int
-        Runs not avoided in which braking never sets in.
+    n_never, n_lost : int
+        Runs not avoided in which braking never sets in: the road user is never confirmed, or is
+        lost again before the last moment.
     n_hopeless : int
-        Runs not avoided that no braking avoids; they are not among `n_never`.
+        Runs not avoided that no braking avoids; they are not among `n_never` and `n_lost`.
     worst_late_s, worst_late_m : float
         Of the runs not avoided in which braking sets in, by how much it comes too late at
         the most. [s], [m]
@@ -261,6 +262,7 @@ class MarginSummary:
     median_s: float
     median_m: float
     n_never: int
+    n_lost: int
     n_hopeless: int
     worst_late_s: float
     worst_late_m: float
@@ -283,9 +285,11 @@ def summarise_margins(
         mask = mask & run_mask
     avoided, missed = verdict.is_avoided & mask, ~verdict.is_avoided & mask
     is_hopeless = ~np.isfinite(axis.last_brake_time_s)
-    is_never = ~np.isfinite(verdict.onset_time_s)
+    sets_in = np.isfinite(verdict.onset_time_s)
+    is_lost = ~sets_in & np.isfinite(verdict.confirmation_time_s)
     seconds, metres = margin_s(verdict, axis), margin_m(verdict, axis)
-    late = missed & ~is_hopeless & ~is_never
+    missed_with_hope = missed & ~is_hopeless
+    late = missed_with_hope & sets_in
     return MarginSummary(
         n_runs=int(mask.sum()),
         n_avoided=int(avoided.sum()),
@@ -293,7 +297,8 @@ def summarise_margins(
         smallest_m=_of(np.min, metres[avoided]),
         median_s=_of(np.median, seconds[avoided]),
         median_m=_of(np.median, metres[avoided]),
-        n_never=int((missed & is_never & ~is_hopeless).sum()),
+        n_never=int((missed_with_hope & ~sets_in & ~is_lost).sum()),
+        n_lost=int((missed_with_hope & is_lost).sum()),
         n_hopeless=int((missed & is_hopeless).sum()),
         worst_late_s=_of(np.max, -seconds[late]),
         worst_late_m=_of(np.max, -metres[late]),
@@ -363,7 +368,7 @@ def _cells(summary: MarginSummary) -> list[str]:
         number(summary.median_s * _MS, 0),
         number(summary.median_m, 1),
         str(summary.n_not_avoided),
-        str(summary.n_never) if summary.n_not_avoided else NOTHING,
+        str(summary.n_never + summary.n_lost) if summary.n_not_avoided else NOTHING,
         number(summary.worst_late_s * _MS, 0),
         number(summary.worst_late_m, 1),
     ]
@@ -404,9 +409,10 @@ def _sentence(subject: str, verdict: Verdict, axis: FrameAxis) -> str:
 
 def _missed_words(summary: MarginSummary) -> str:
     """What the runs that are not avoided lack."""
-    n_late = summary.n_not_avoided - summary.n_never - summary.n_hopeless
+    n_late = summary.n_not_avoided - summary.n_never - summary.n_lost - summary.n_hopeless
     kinds = [
         (summary.n_never, "never confirmed"),
+        (summary.n_lost, "confirmed, but lost again"),
         (n_late, "confirmed too late"),
         (summary.n_hopeless, "such that no braking avoids the impact"),
     ]

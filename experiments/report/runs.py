@@ -5,14 +5,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from placement.evaluation import Evaluation
+from placement.evaluation import Evaluation, Outcome, run_outcome
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.aeb import AebRule
+from scenarios.positions import AT_ZERO
 
 from ..figures.axes import NARROW_IN, describe_run, unit_labels
 from ..figures.evaluation import plot_heatmap, units_in_heatmap
-from ..results.numbers import count_runs, joined, number, percent
+from ..results.drives import describe_places
+from ..results.numbers import count_runs, number, percent
 from ..results.tables import margin_s
 from .accidents import several_weathers
 from .answer import is_weighted
@@ -39,13 +41,22 @@ def heatmaps_section(
         f"{rule.n_confirmations} consecutive frames (white diamond). Braking begins "
         f"{latency_in_short(rule, layouts)} later, and must begin at the last moment (dashed red "
         "line) at the latest: the diamond must therefore lie at least so much to the left of the "
-        "line."
+        "line." + _lost_words(rule)
     ]
     for name, pictures in heatmaps.items():
         if len(heatmaps) > 1:
             blocks.append(Subheading(name))
         blocks.append(Box("beside figures", pictures))
     return Section("who-when", "Who sees the road user when", blocks)
+
+
+def _lost_words(rule: AebRule) -> str:
+    if math.isinf(rule.track_memory_s):
+        return ""
+    return (
+        f" Who is not detected for more than {rule.track_memory_s:g} s is lost and must be "
+        "confirmed anew: the diamond is of the track that is alive at the last moment, if one is."
+    )
 
 
 def _heatmap(evaluation: Evaluation, run_index: int) -> Picture:
@@ -113,7 +124,8 @@ def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
     """How every run ends."""
     note = (
         "Avoided, with the time to spare between the onset of braking and the last moment; or hit, "
-        "with the time by which braking comes too late."
+        "with the time by which braking comes too late. Lost again: confirmed early enough, but "
+        "not known any more at the last moment."
     )
     return Section("runs", "Every run", [note, run_table(evaluations)])
 
@@ -187,15 +199,20 @@ def describe_hopeless(setting: Setting) -> list[str]:
 
 
 def describe_refusals(setting: Setting) -> list[str]:
-    """What was asked for and cannot be driven, in sentences; approaches share one with a reason."""
-    approaches: dict[tuple[str, tuple[float, ...], str], list[str]] = {}
+    """What was asked for and cannot be driven, in sentences; approaches share one with a reason.
+
+    Away from the junction, where each position has other speeds, these are not told.
+    """
+    places: dict[tuple[str, tuple[float, ...], str], dict[str, list[str]]] = {}
     for refusal in setting.refusals:
-        key = (refusal.case.name, refusal.speeds_kmh, refusal.reason)
-        approaches.setdefault(key, []).append(refusal.approach)
+        speeds = refusal.speeds_kmh if refusal.position == AT_ZERO.name else ()
+        of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})
+        of_reason.setdefault(refusal.approach, []).append(refusal.position)
     return [
-        f"{case} from the {joined(arms)} at {', '.join(f'{speed:g}' for speed in speeds)} km/h: "
-        f"{reason.removesuffix('.')}."
-        for (case, speeds, reason), arms in approaches.items()
+        f"{case} from the {describe_places(positions)}"
+        + (f" at {', '.join(f'{speed:g}' for speed in speeds)} km/h" if speeds else "")
+        + f": {reason.removesuffix('.')}."
+        for (case, speeds, reason), positions in places.items()
     ]
 
 
@@ -225,7 +242,7 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
             *([percent(float(axis.weight[index]))] if has_weights else []),
             number(axis.last_brake_time_s[index]),
             *(
-                outcome(bool(verdict.is_avoided[index]), float(margin[index]))
+                outcome(run_outcome(verdict, axis, int(index)), float(margin[index]))
                 for verdict, margin in zip(verdicts, margins, strict=True)
             ),
         ]
@@ -250,8 +267,10 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
     )
 
 
-def outcome(is_avoided: bool, margin_s: float) -> str:
+def outcome(words: Outcome, margin_s: float) -> str:
     """How a run ends, with the time to spare or the time by which braking comes too late."""
-    if is_avoided:
+    if words == "avoided":
         return f"avoided, {number(margin_s)} s"
+    if words == "lost again":
+        return "HIT, lost again"
     return f"HIT, {number(-margin_s)} s late" if math.isfinite(margin_s) else "HIT, not confirmed"

@@ -23,6 +23,7 @@ from .section import Block, Section, Table, build_picture
 TITLES = {
     "latency_s": "end-to-end latency",
     "n_confirmations": "frames that confirm",
+    "track_memory_s": "memory of tracks",
     "deceleration_mps2": "deceleration",
     "packet_loss": "messages lost",
     "min_box_height_share": "detector's smallest box",
@@ -35,6 +36,7 @@ TITLES = {
 _PHRASES = {
     "latency_s": "an end-to-end latency of {}",
     "n_confirmations": "{} frames that confirm",
+    "track_memory_s": "tracks kept {} without detections",
     "deceleration_mps2": "a deceleration of {}",
     "packet_loss": "{} of the messages lost",
     "min_box_height_share": "a detector whose smallest box is {} of the plan's",
@@ -47,16 +49,20 @@ _PHRASES = {
 _MINUS = "\N{MINUS SIGN}"
 
 
-def value_text(name: str, value: float) -> str:
-    """A value of an assumption, with its unit.
+def value_text(name: str, value: float | None) -> str:
+    """A value of an assumption, with its unit; None: infinite.
 
     Examples
     --------
     >>> value_text("latency_s", 0.3), value_text("packet_loss", 0.05), value_text("height_m", 0.25)
     ('300 ms', '5 %', '+25 cm')
     """
+    if value is None:
+        return "for ever"
     if name == "latency_s":
         return f"{1000.0 * value:g} ms"
+    if name == "track_memory_s":
+        return f"{value:g} s"
     if name == "n_confirmations":
         return f"{value:g}"
     if name == "deceleration_mps2":
@@ -71,7 +77,7 @@ def value_text(name: str, value: float) -> str:
     return f"{sign}{abs(value):g}\N{DEGREE SIGN}"
 
 
-def phrase(name: str, value: float) -> str:
+def phrase(name: str, value: float | None) -> str:
     """An assumption with a value, as part of a sentence.
 
     Examples
@@ -273,8 +279,8 @@ def sensitivity_table(found: SensitivityRecord) -> Table:
     """A row for the plan, and one for every value of every assumption."""
     rows = [["all as planned", NOTHING, NOTHING, *_worth(found.planned, False), NOTHING]]
     for one in found.assumptions:
-        planned = one.planned_value
-        before = NOTHING if planned is None else value_text(one.name, planned)
+        has_none = one.planned_value is None and one.name != "track_memory_s"
+        before = NOTHING if has_none else value_text(one.name, one.planned_value)
         if not one.varied:
             rows.append([_title(one), before, one.left_out, *[NOTHING] * 4])
         for value in one.varied:

@@ -1,15 +1,16 @@
 """What a result was found on: cases, weathers, perception, refusals, and versions of programs."""
 
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from typing import Annotated
 
 from geometry.raycast import caster_name
 from placement.setting import Setting
+from scenarios.positions import AT_ZERO
 from scenarios.runs import Refusal
 
-from .numbers import count_runs, joined
+from .numbers import count_runs, finite_or_none, joined
 from .record import Record, Share, says
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
@@ -21,6 +22,7 @@ class RefusalRecord(Record, frozen=True, kw_only=True):
 
     case: Annotated[str, says("Name of the case.")]
     approach: Annotated[str, says("Arm from which the vehicle would come.")]
+    position: Annotated[str, says("Where along the arms: 0, -15, +15 and so on.")] = "0"
     speeds_kmh: Annotated[tuple[float, ...], says("Speeds of the vehicle, in km/h.")]
     reason: Annotated[str, says("Why, in words.")]
     is_possible: Annotated[
@@ -41,6 +43,7 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
     vut_sensors: tuple[str, ...]
     packet_loss: Share
     vam_rate: Share
+    track_memory_s: float | None
     not_driven: tuple[RefusalRecord, ...]
     possible_runs: int
     driven: tuple[str, ...]
@@ -55,10 +58,12 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
         vut_sensors=tuple(setting.vut_sensors),
         packet_loss=setting.links.packet_loss,
         vam_rate=setting.links.vam_rate,
+        track_memory_s=finite_or_none(setting.rule.track_memory_s),
         not_driven=tuple(
             RefusalRecord(
                 case=refusal.case.name,
                 approach=refusal.approach,
+                position=refusal.position,
                 speeds_kmh=tuple(refusal.speeds_kmh),
                 reason=refusal.reason,
                 is_possible=refusal.is_possible,
@@ -148,15 +153,34 @@ def _reasons(setting: Setting) -> Iterator[str]:
 
     ranked = sorted(groups.items(), key=lambda item: (not item[1][0].is_possible, -count(item[1])))
     for reason, group in ranked:
-        arms: dict[str, list[str]] = {}
+        places: dict[str, dict[str, list[str]]] = {}
         for one in group:
-            arms.setdefault(one.case.name, []).append(one.approach)
+            of_case = places.setdefault(one.case.name, {})
+            of_case.setdefault(one.approach, []).append(one.position)
         cases: dict[str, list[str]] = {}
-        for name, found in arms.items():
-            cases.setdefault(joined(list(dict.fromkeys(found))), []).append(name)
+        for name, of_case in places.items():
+            cases.setdefault(describe_places(of_case), []).append(name)
         where = "; ".join(f"{joined(names)} from the {found}" for found, names in cases.items())
         what = count_runs(count(group)) if group[0].is_possible else "Not possible"
         yield f"{what}: {reason.removesuffix('.')} ({where})."
+
+
+def describe_places(positions: Mapping[str, Sequence[str]]) -> str:
+    """Positions by arm, in words; position 0 goes without saying.
+
+    Examples
+    --------
+    >>> describe_places({"east": ["0"], "north": ["0", "0"]})
+    'east and north'
+    >>> describe_places({"east": ["-30", "-45"], "north": ["-30", "-45"], "west": ["+45"]})
+    'east and north (at -30, -45) and west (at +45)'
+    """
+    arms: dict[str, list[str]] = {}
+    for arm, found in positions.items():
+        names = list(dict.fromkeys(found))
+        where = "" if names == [AT_ZERO.name] else f" (at {', '.join(names)})"
+        arms.setdefault(where, []).append(arm)
+    return joined([f"{joined(found)}{where}" for where, found in arms.items()])
 
 
 def versions() -> dict[str, str]:

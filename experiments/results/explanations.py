@@ -25,6 +25,7 @@ from placement.pipeline import Placement
 from placement.private_ground import PrivateGround, private_shares
 from placement.setting import Setting
 
+from .numbers import finite_or_none
 from .record import LayoutValueRecord, Record, RunId, Share, StageName, says
 
 
@@ -55,8 +56,11 @@ class MissedRunRecord(Record, frozen=True, kw_only=True):
 
     run: Annotated[RunId, says("Which run.")]
     outcome: Annotated[
-        Literal["hopeless", "never seen", "never confirmed", "too late"],
-        says("hopeless: no frame comes early enough, whoever looks; else what the units achieve."),
+        Literal["hopeless", "never seen", "never confirmed", "lost again", "too late"],
+        says(
+            "hopeless: no frame comes early enough, whoever looks; else what the units achieve. "
+            "lost again: confirmed, but the track was not alive at the last moment."
+        ),
     ]
     late_s: Annotated[
         float | None, says("By how much braking sets in too late, in seconds; null: never.")
@@ -183,7 +187,9 @@ class PlannedOutcomeRecord(Record, frozen=True, kw_only=True):
 class VariedAssumptionRecord(Record, frozen=True, kw_only=True):
     """A value that it may have instead."""
 
-    value: Annotated[float, says("In the unit of the assumption's name.")]
+    value: Annotated[
+        float | None, says("In the unit of the assumption's name; null: infinite, for ever.")
+    ]
     apr: Annotated[Share | None, says("APR by the evaluator's rule.")]
     apr_one_failed: Annotated[Share | None, says("APR if the unit that is needed most fails.")]
     smallest_margin_s: Annotated[
@@ -207,7 +213,7 @@ class AssumptionRecord(Record, frozen=True, kw_only=True):
         float | None,
         says(
             "What the plan assumes, in the unit of the name; null where the question does not "
-            "arise."
+            "arise, and where it is infinite: tracks that live for ever."
         ),
     ]
     reason: Annotated[str, says("Why it is varied so far.")]
@@ -377,7 +383,7 @@ def build_sensitivity_record(found: Sequence[Sensitivity]) -> SensitivityRecord:
                 left_out=one.left_out,
                 varied=tuple(
                     VariedAssumptionRecord(
-                        value=varied.value,
+                        value=finite_or_none(varied.value),
                         **_outcome(varied.outcome),
                         lost_runs=tuple(varied.lost_runs),
                         unmoved=tuple(varied.unmoved),

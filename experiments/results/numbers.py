@@ -34,6 +34,11 @@ def number(value: float | None, digits: int = 2) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")
 
 
+def finite_or_none(value: float) -> float | None:
+    """A number as records have it: None in place of an infinity."""
+    return value if math.isfinite(value) else None
+
+
 def or_nan(value: float | None) -> float:
     """A number as records have it: NaN where there is none."""
     return math.nan if value is None else value

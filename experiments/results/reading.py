@@ -15,10 +15,12 @@ from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_string_dtype
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_table
 from placement.layout import RESULT_SCHEMA, Layout, load_layout
+from scenarios.positions import AT_ZERO
 
 from .csv_text import plain_cell
 from .folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE
 from .result import Result
+from .tables import ALL
 
 _KINDS = {"text": is_string_dtype, "numbers": is_numeric_dtype, "true or false": is_bool_dtype}
 _RUNS_COLUMNS = {
@@ -27,6 +29,7 @@ _RUNS_COLUMNS = {
     "run": "text",
     "case": "text",
     "approach": "text",
+    "position": "text",
     "weather": "text",
     "vut_speed_kmh": "numbers",
     "weight": "numbers",
@@ -41,6 +44,7 @@ _APR_COLUMNS = {
     "party": "text",
     "case": "text",
     "approach": "text",
+    "position": "text",
     "weather": "text",
     "vut_speed_kmh": "text",  # a speed, or "all"
     "apr": "numbers",
@@ -150,6 +154,7 @@ def _load_runs(path: Path, summary: Result) -> pd.DataFrame:
         runs: pd.DataFrame = parquet.read_table(io.BytesIO(data)).to_pandas(ignore_metadata=True)
     except (OSError, ValueError, pa.ArrowException) as error:
         raise InputError(str(path), Unquoted(_first_line(error)), _A_WHOLE) from None
+    _add_positions(runs, AT_ZERO.name)
     _check_columns(runs, _RUNS_COLUMNS, path)
     if summary.name not in set(runs["layout"]):
         raise InputError(
@@ -181,6 +186,7 @@ def _load_apr(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
         )
     except ValueError as error:  # no table, no UTF-8
         raise InputError(str(path), Unquoted(_first_line(error)), _A_WHOLE) from None
+    _add_positions(apr, ALL)
     _check_columns(apr, _APR_COLUMNS, path)
     apr[text] = apr[text].map(plain_cell)
     # Groups of runs are the same for every party: a file that is cut off has fewer for the last.
@@ -192,6 +198,12 @@ def _load_apr(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
             f"those of {RUNS_FILE}, with the same rows for each",
         )
     return apr
+
+
+def _add_positions(table: pd.DataFrame, position: str) -> None:
+    """Give a table of older results, for which nothing was driven elsewhere, its column."""
+    if "position" not in table.columns and "approach" in table.columns:
+        table.insert(list(table.columns).index("approach") + 1, "position", position)
 
 
 def _check_columns(table: pd.DataFrame, columns: Mapping[str, str], path: Path) -> None:

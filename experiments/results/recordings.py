@@ -18,6 +18,7 @@ from placement.recordings import (
 from scenarios.aeb import AebRule
 
 from .drives import RefusalRecord, versions
+from .numbers import finite_or_none
 from .record import Record, StageRecord
 from .result import PartyAprRecord
 
@@ -101,6 +102,7 @@ class RecordedResult(Record, frozen=True, kw_only=True):
     runs: int
     cases: tuple[str, ...]
     weathers: tuple[str, ...]
+    track_memory_s: float | None
     not_driven: tuple[RefusalRecord, ...] = ()
     apr: float
     bound: float | None
@@ -137,6 +139,7 @@ def build_recorded_result(
         runs=axis.n_runs,
         cases=tuple(dict.fromkeys(axis.cases)),
         weathers=tuple(dict.fromkeys(axis.weathers)),
+        track_memory_s=finite_or_none(rule.track_memory_s),
         apr=evaluated.rsu_all.all,  # type: ignore[arg-type]
         bound=None,
         gap=None,

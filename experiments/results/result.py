@@ -6,12 +6,19 @@ from itertools import combinations
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from msgspec import UNSET, Meta, UnsetType
+from msgspec import UNSET, Meta, UnsetType, field
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace
 
 from geometry.arrays import BoolArray
-from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, apr_one_failed
+from placement.evaluation import (
+    Evaluation,
+    Verdict,
+    apr,
+    apr_by_case,
+    apr_by_position,
+    apr_one_failed,
+)
 from placement.explain.agreement import find_disagreements
 from placement.optimiser import placement_value, run_margins_s
 from placement.pipeline import Placement
@@ -46,6 +53,13 @@ class PartyAprRecord(Record, frozen=True, kw_only=True):
         dict[str, Share | None],
         says("APR of each case, by its name; null where no run of it has weight."),
     ]
+    by_position: Annotated[
+        dict[str, Share | None],
+        says(
+            "APR of each position along the arms, by its name, such as 0, -15 or +15; null where "
+            "no run there has weight. Nothing in older results, and in those of recordings."
+        ),
+    ] = field(default_factory=dict)
 
 
 class EvaluationRecord(Record, frozen=True, kw_only=True):
@@ -310,6 +324,13 @@ class Result(Record, frozen=True, kw_only=True):
     vut_sensors: Annotated[tuple[str, ...], says("Sensors of the vehicle under test.")]
     packet_loss: Annotated[Share, says("Share of the units' messages that get lost.")]
     vam_rate: Annotated[Share, says("Share of the road users that announce themselves.")]
+    track_memory_s: Annotated[
+        float | None,
+        says(
+            "How long a confirmed track lives without detections, in seconds; null: for ever, as "
+            "in results that do not say it."
+        ),
+    ] = None
     not_driven: Annotated[
         tuple[RefusalRecord, ...], says("What was asked for and has no room in the scene.")
     ]
@@ -360,7 +381,11 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
     axis = evaluation.axis
 
     def ratios(verdict: Verdict) -> PartyAprRecord:
-        return PartyAprRecord(all=apr(verdict, axis), by_case={**apr_by_case(verdict, axis)})
+        return PartyAprRecord(
+            all=apr(verdict, axis),
+            by_case={**apr_by_case(verdict, axis)},
+            by_position={**apr_by_position(verdict, axis)},
+        )
 
     return EvaluationRecord(
         vut=ratios(evaluation.vut),

@@ -7,6 +7,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray
 from placement.evaluation import Evaluation, Verdict, apr
+from scenarios.positions import sort_positions
 from scenarios.runs import FrameAxis
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
 
 
 def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
-    """Accident prevention ratios of every party, by case, approach, weather and speed.
+    """Accident prevention ratios of every party, by case, approach, position, weather and speed.
 
     Parameters
     ----------
@@ -60,10 +61,11 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
     Returns
     -------
     table : DataFrame
-        Columns layout, party, case, approach, weather, vut_speed_kmh, apr, n_runs, n_avoided.
-        "all" stands for every case, approach, weather or speed; a single weather or speed has no
-        rows of its own, and speeds are told of all approaches and weathers together. The ratio is
-        missing where none of the runs has weight.
+        Columns layout, party, case, approach, position, weather, vut_speed_kmh, apr, n_runs,
+        n_avoided. "all" stands for every case, approach, position, weather or speed; a single
+        position, weather or speed has no rows of its own. Speeds are told of all approaches,
+        positions and weathers together, positions of all weathers and speeds, either of all
+        approaches or of all cases together. The ratio is missing where none of the runs has weight.
     """
     import pandas as pd
 
@@ -113,6 +115,7 @@ def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
                         "run": axis.run_ids,
                         "case": axis.cases,
                         "approach": axis.approaches,
+                        "position": axis.positions,
                         "weather": axis.weathers,
                         "vut_speed_kmh": axis.vut_speed_kmh,
                         "weight": axis.weight,
@@ -139,18 +142,23 @@ def _run_groups(axis: FrameAxis) -> list[tuple[dict[str, str], BoolArray]]:
     of_run = {
         "case": np.array(axis.cases),
         "approach": np.array(axis.approaches),
+        "position": np.array(axis.positions),
         "weather": np.array(axis.weathers),
         "vut_speed_kmh": np.array([f"{speed:g}" for speed in axis.vut_speed_kmh]),
     }
     cases = (ALL, *dict.fromkeys(axis.cases))
     wanted = [
-        (case, approach, weather, ALL)
+        (case, approach, ALL, weather, ALL)
         for case in cases
         for approach in (ALL, *dict.fromkeys(axis.approaches))
         for weather in (ALL, *_several(axis.weathers))
     ]
     speeds = _several([f"{speed:g}" for speed in np.sort(axis.vut_speed_kmh)])
-    wanted += [(case, ALL, ALL, speed) for case in cases for speed in speeds]
+    wanted += [(case, ALL, ALL, ALL, speed) for case in cases for speed in speeds]
+    positions = _several(sort_positions(axis.positions))
+    wanted += [(case, ALL, position, ALL, ALL) for case in cases for position in positions]
+    arms = dict.fromkeys(axis.approaches)
+    wanted += [(ALL, arm, position, ALL, ALL) for arm in arms for position in positions]
     groups = []
     for words in wanted:
         group = dict(zip(of_run, words, strict=True))
@@ -184,12 +192,17 @@ def groups_by_direction(axis: FrameAxis) -> list[RunGroup]:
     return _equal(axis.approaches)
 
 
+def groups_by_position(axis: FrameAxis) -> list[RunGroup]:
+    """A group per position along the arms, in the order in which the car passes them."""
+    return _equal(axis.positions, sort_positions(axis.positions))
+
+
 def groups_by_speed(axis: FrameAxis) -> list[RunGroup]:
     """A group per speed of the car, the slowest first."""
     speeds = axis.vut_speed_kmh
     return [(f"{speed:g}", speeds == speed) for speed in np.unique(speeds)]
 
 
-def _equal(words: Sequence[str]) -> list[RunGroup]:
+def _equal(words: Sequence[str], order: Sequence[str] | None = None) -> list[RunGroup]:
     of_run = np.array(words)
-    return [(word, of_run == word) for word in dict.fromkeys(words)]
+    return [(word, of_run == word) for word in order or dict.fromkeys(words)]

@@ -13,7 +13,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import load_toml, take_number
 from geometry.poses import wrap_deg
 from scenarios.aeb import AebRule, has_contact
-from scenarios.runs import FrameAxis, Run, onset_times_s
+from scenarios.runs import FrameAxis, Run, find_onsets
 
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..evaluation import Evaluation, Verdict, earliest_arrival_s
@@ -36,18 +36,20 @@ class Judge:
         """Verdict on parties that are fused: in each frame any of them may be the detector.
 
         Each party has the (n_frames,) detected frames that reach the VUT, and how long that takes
-        [s]. Braking begins when the last message that confirms has arrived.
+        [s]. Braking begins when the last message has arrived that confirms the track which is
+        alive at the last moment; whether it avoids is asked of the bodies, not of the last moment.
         """
         arrival = earliest_arrival_s(parties, self.axis)
-        confirmation, onset = onset_times_s(
-            arrival, self.axis, n_confirmations=self._rule.n_confirmations
-        )
+        onsets = find_onsets(arrival, self.axis, rule=self._rule)
         return Verdict(
             detected=np.isfinite(arrival),
-            confirmation_time_s=confirmation,
-            onset_time_s=onset,
+            confirmation_time_s=onsets.confirmation_s,
+            onset_time_s=onsets.onset_s,
             is_avoided=np.array(
-                [not self._touches(index, onset_s) for index, onset_s in enumerate(onset.tolist())]
+                [
+                    not self._touches(index, onset_s)
+                    for index, onset_s in enumerate(onsets.onset_s.tolist())
+                ]
             ),
         )
 

@@ -1,7 +1,8 @@
 """Boxes of the VRU in every frame, derived from pixels.
 
 Each unit is a camera that is fixed to something: an RSU to the world, the VUT's camera to the
-VUT. Seen from there many instants look the same but for the VUT: such a sight is drawn once.
+VUT. Seen from there many instants look the same but for the VUT and other vehicles that drive: such
+a sight is drawn once.
 """
 
 import itertools
@@ -30,7 +31,8 @@ def perceive_from_roadside(
         camera,
         static_poses=surroundings.static_poses,
         vru_poses=surroundings.vru_poses,
-        vut_poses=surroundings.vut_poses,
+        vehicle_index=np.insert(surroundings.traffic_index, 0, 0, axis=1),
+        vehicle_poses=np.insert(surroundings.traffic_poses, 0, surroundings.vut_poses, axis=1),
         sight_of_frame=surroundings.sight_index,
         min_height_px=min_height_px,
     )
@@ -49,7 +51,8 @@ def perceive_from_vut(
         vut_camera.camera,
         static_poses=static_poses,
         vru_poses=vru_poses,
-        vut_poses=None,
+        vehicle_index=surroundings.traffic_index,
+        vehicle_poses=relative_road_poses(surroundings.traffic_poses, vut_poses),
         sight_of_frame=find_sights(
             surroundings.static_index, surroundings.vru_index, static_poses, vru_poses
         ),
@@ -64,22 +67,27 @@ def _perceive(
     *,
     static_poses: FloatArray,
     vru_poses: FloatArray,
-    vut_poses: FloatArray | None,
+    vehicle_index: IntArray,
+    vehicle_poses: FloatArray,
     sight_of_frame: IntArray,
     min_height_px: float,
 ) -> Evidence:
     """Evidence from poses relative to the frame in which the camera stands."""
     from .pixels import Image, see  # loads the compiler
+    from .trees import join_trees
 
     n_frames = len(vru_poses)
     order = np.argsort(sight_of_frame, kind="stable")
     start = np.flatnonzero(np.diff(sight_of_frame[order], prepend=-1))
     first = order[start]  # a frame of each sight
     start = np.append(start, n_frames)
-    shown = order if vut_poses is not None else order[:0]
     vru, static = _place(pose, vru_poses[first]), _place(pose, static_poses[first])
-    vut = _place(pose, np.empty((0, 3)) if vut_poses is None else vut_poses[shown])
-    seen = _blank(len(first), len(shown))
+    is_there = vehicle_index[order] >= 0
+    vehicles = _place(pose, vehicle_poses[order][is_there])
+    vehicle_kind = vehicle_index[order][is_there]
+    vehicle_start = np.concatenate([[0], np.cumsum(is_there.sum(axis=1))])
+    trees, roots = join_trees([vehicle.meshes[0].tree for vehicle in surroundings.vehicles])
+    seen = _blank(len(first), n_frames)
     image = Image(
         focal_px=camera.focal_length_px,
         width_px=camera.width_px,
@@ -95,6 +103,7 @@ def _perceive(
         body = surroundings.vrus[vru_index]
         standing, parked = surroundings.statics[static_index].meshes
         sights, frames = slice(begin, end), slice(start[begin], start[end])
+        driving = slice(vehicle_start[frames.start], vehicle_start[frames.stop])
         see(
             image,
             min_height_px,
@@ -103,12 +112,15 @@ def _perceive(
             body.hull_m,
             standing.tree,
             parked.tree,
-            surroundings.vut.meshes[0].tree,
+            trees,
+            roots,
             Sights(
                 vru=vru.take(sights),
                 static=static.take(sights),
-                vut=vut.take(frames),
                 frame_start=start[begin : end + 1] - start[begin],
+                vehicles=vehicles.take(driving),
+                vehicle_kind=vehicle_kind[driving],
+                vehicle_start=vehicle_start[frames.start : frames.stop + 1] - driving.start,
             ),
             seen.take(sights, frames),
         )
@@ -116,11 +128,8 @@ def _perceive(
         distance_m[of_kind] = distances_m(pose, vru_poses[of_kind], body.hull_m)
     sight = np.empty(n_frames, dtype=np.int64)  # of each frame
     sight[order] = np.repeat(np.arange(len(first)), np.diff(start))
-    if vut_poses is None:
-        visible, shares = seen.visible_px[sight], seen.visible_share[sight]
-    else:
-        visible, shares = np.empty((n_frames, 4)), np.empty(n_frames)
-        visible[order], shares[order] = seen.frame_visible_px, seen.frame_visible_share
+    visible, shares = np.empty((n_frames, 4)), np.empty(n_frames)
+    visible[order], shares[order] = seen.frame_visible_px, seen.frame_visible_share
     return Evidence(
         visible_px=freeze(visible),
         amodal_px=freeze(seen.amodal_px[sight]),

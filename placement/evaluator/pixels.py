@@ -394,6 +394,7 @@ def _is_outside(
 def hide(
     image: Image,
     tree: Tree,
+    root: int,
     turn: FloatArray,
     shift: FloatArray,
     box: Window,
@@ -406,7 +407,8 @@ def hide(
 
     With depths in the pixels of a box, those of pixels that the body hides become infinite. Without
     (an empty array), it gives whether the body covers a pixel of the box at less than `farthest_m`.
-    Nothing farther than that, nor outside of two heights, is looked at. [m], the body's frame.
+    Nothing farther than that, nor outside of two heights, is looked at. [m], the body's frame. Of a
+    tree of several bodies, `root` is where that of the body begins.
     """
     if len(tree.second) == 0:
         return False
@@ -419,7 +421,7 @@ def hide(
     width = box[2] - box[0]
     waiting = np.empty(MAX_OPEN, dtype=np.int64)
     corners = np.empty((3, 3))
-    waiting[0] = 0
+    waiting[0] = root
     n_waiting = 1
     while n_waiting:
         n_waiting -= 1
@@ -469,15 +471,16 @@ def see(
     hull_m: FloatArray,
     standing: Tree,
     parked: Tree,
-    vut: Tree,
+    vehicles: Tree,
+    roots: IntArray,
     sights: Sights,
     seen: Seen,
 ) -> None:
     """Fill `seen`, which is blank: boxes and shares of one VRU's body in one static world.
 
     The VRU's `vertices_m`, `triangles` and `hull_m` are in its body frame; what may hide it are the
-    `standing` scene, what is `parked` in it, and the `vut`. Where the VRU's part of the image is
-    not `min_height_px` high, boxes are zeros.
+    `standing` scene, what is `parked` in it, and `vehicles`, the trees of all kinds of which begin
+    at `roots`. Where the VRU's part of the image is not `min_height_px` high, boxes are zeros.
     """
     hull, points = np.empty((len(hull_m), 3)), np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
@@ -486,7 +489,6 @@ def see(
     for row in range(len(hull_m)):
         low_m, high_m = min(low_m, hull_m[row, 2]), max(high_m, hull_m[row, 2])
     low_m += _TOUCH_M
-    has_vut = len(sights.vut.shift) > 0
     for sight in range(len(sights.vru.shift)):
         turn, shift = sights.vru.turn[sight], sights.vru.shift[sight]
         _to_camera(turn, shift, hull_m, hull)
@@ -510,28 +512,36 @@ def see(
         n_pixels, n_left = 0, -1  # not counted: the VRU's, and those that nothing static hides
         at, there = sights.static.turn[sight], sights.static.shift[sight]
         for tree in (standing, parked):
-            if not hide(image, tree, at, there, box, farthest_m, low_m, high_m, nothing):
+            if not hide(image, tree, 0, at, there, box, farthest_m, low_m, high_m, nothing):
                 continue
             if n_pixels == 0:
                 n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
-            hide(image, tree, at, there, box, farthest_m, low_m, high_m, depth_m[:area])
+            hide(image, tree, 0, at, there, box, farthest_m, low_m, high_m, depth_m[:area])
             n_left = _measure(depth_m, box, seen.visible_px, sight)
             seen.visible_share[sight] = n_left / n_pixels
-        if not has_vut:
-            continue
         for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
             for side in range(4):
                 seen.frame_visible_px[frame, side] = seen.visible_px[sight, side]
             seen.frame_visible_share[frame] = seen.visible_share[sight]
-            at, there = sights.vut.turn[frame], sights.vut.shift[frame]
             if n_left == 0:
                 continue
-            if not hide(image, vut, at, there, box, farthest_m, low_m, high_m, nothing):
-                continue
-            if n_pixels == 0:
-                n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
-            for pixel in range(area):
-                left_m[pixel] = depth_m[pixel]
-            hide(image, vut, at, there, box, farthest_m, low_m, high_m, left_m[:area])
-            n_seen = _measure(left_m, box, seen.frame_visible_px, frame)
-            seen.frame_visible_share[frame] = n_seen / n_pixels
+            is_hidden = False
+            for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
+                root = roots[sights.vehicle_kind[row]]
+                at, there = sights.vehicles.turn[row], sights.vehicles.shift[row]
+                if not hide(
+                    image, vehicles, root, at, there, box, farthest_m, low_m, high_m, nothing
+                ):
+                    continue
+                if n_pixels == 0:
+                    n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
+                for pixel in range(0 if is_hidden else area):
+                    left_m[pixel] = depth_m[pixel]
+                is_hidden = True
+                hide(
+                    *(image, vehicles, root, at, there),
+                    *(box, farthest_m, low_m, high_m, left_m[:area]),
+                )
+            if is_hidden:
+                n_seen = _measure(left_m, box, seen.frame_visible_px, frame)
+                seen.frame_visible_share[frame] = n_seen / n_pixels

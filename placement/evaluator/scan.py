@@ -39,7 +39,8 @@ def scan_from_roadside(
         lidar,
         static_poses=surroundings.static_poses,
         vru_poses=surroundings.vru_poses,
-        vut_poses=surroundings.vut_poses,
+        vehicle_index=np.insert(surroundings.traffic_index, 0, 0, axis=1),
+        vehicle_poses=np.insert(surroundings.traffic_poses, 0, surroundings.vut_poses, axis=1),
         rng=rng,
     )
 
@@ -55,7 +56,8 @@ def scan_from_vut(
         lidar,
         static_poses=relative_road_poses(surroundings.static_poses, vut_poses),
         vru_poses=relative_road_poses(surroundings.vru_poses, vut_poses),
-        vut_poses=None,
+        vehicle_index=surroundings.traffic_index,
+        vehicle_poses=relative_road_poses(surroundings.traffic_poses, vut_poses),
         rng=rng,
     )
 
@@ -83,7 +85,8 @@ def _scan(
     *,
     static_poses: FloatArray,
     vru_poses: FloatArray,
-    vut_poses: FloatArray | None,
+    vehicle_index: IntArray,
+    vehicle_poses: FloatArray,
     rng: np.random.Generator,
 ) -> BoolArray:
     detected = np.zeros(len(vru_poses), dtype=bool)
@@ -106,8 +109,10 @@ def _scan(
         for frame, sight in zip(frames.tolist(), sight_of_frame.tolist(), strict=True):
             draw = int(surroundings.draw_index[frame])
             echoes = sights[sight]
-            if vut_poses is not None and len(echoes.distance_m):
-                echoes = _before_vut(echoes, pose, lidar, surroundings.vut, vut_poses[frame])
+            for place in np.flatnonzero(vehicle_index[frame] >= 0).tolist():
+                if len(echoes.distance_m):
+                    vehicle = surroundings.vehicles[vehicle_index[frame, place]]
+                    echoes = _before(echoes, pose, lidar, vehicle, vehicle_poses[frame, place])
             weather = surroundings.weathers[surroundings.weather_index[frame]]
             vru_class = VRU_CLASSES[surroundings.vru_class[frame]]
             if draw not in luck:
@@ -201,18 +206,18 @@ def _cast(
     return share.astype(np.float64) + lidar.near_m, triangle
 
 
-def _before_vut(
-    echoes: _Echoes, pose: Pose, lidar: LidarModel, vut: Solid, vut_pose: FloatArray
+def _before(
+    echoes: _Echoes, pose: Pose, lidar: LidarModel, vehicle: Solid, road_pose: FloatArray
 ) -> _Echoes:
-    """Beams that the VUT does not stop on their way."""
-    middle = np.array([*vut_pose[:2], 0.5 * vut.hull_m[:, 2].max()]) - pose.position_m
-    radius_m = float(np.linalg.norm(vut.hull_m, axis=1).max())
+    """Beams that a vehicle does not stop on their way."""
+    middle = np.array([*road_pose[:2], 0.5 * vehicle.hull_m[:, 2].max()]) - pose.position_m
+    radius_m = float(np.linalg.norm(vehicle.hull_m, axis=1).max())
     along = echoes.directions @ middle
     aside_m = np.sqrt(np.maximum(middle @ middle - along**2, 0.0))
     if not ((aside_m <= radius_m) & (along - radius_m <= echoes.distance_m)).any():
         return echoes
-    poses = np.repeat(vut_pose[None], len(echoes.distance_m), axis=0)
-    depth, _ = _cast(pose, lidar, vut, poses, echoes.directions)
+    poses = np.repeat(road_pose[None], len(echoes.distance_m), axis=0)
+    depth, _ = _cast(pose, lidar, vehicle, poses, echoes.directions)
     return echoes.take(echoes.distance_m < depth)
 
 

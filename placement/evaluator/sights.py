@@ -40,12 +40,14 @@ class Placed(NamedTuple):
 
 
 class Sights(NamedTuple):
-    """Where everything is in frames that differ in more than the VUT."""
+    """Where everything is in frames that differ in more than the vehicles that move."""
 
     vru: Placed
     static: Placed
-    vut: Placed  # of every frame, sight by sight; none where the VUT is not to be seen
-    frame_start: IntArray  # (n + 1,): into them
+    frame_start: IntArray  # (n + 1,): frames of each sight, one after the other
+    vehicles: Placed  # of every frame, one frame after the other
+    vehicle_kind: IntArray  # (n_vehicles,): which body each of them is
+    vehicle_start: IntArray  # (n_frames + 1,): into them
 
 
 class Seen(NamedTuple):
@@ -53,9 +55,9 @@ class Seen(NamedTuple):
 
     amodal_px: FloatArray  # (n, 4): of each sight
     inside_share: FloatArray  # (n,): of the VRU's box, what the image's edges do not cut off
-    visible_px: FloatArray  # (n, 4): of each sight, were the VUT not there
+    visible_px: FloatArray  # (n, 4): of each sight, were no vehicles there
     visible_share: FloatArray  # (n,): by pixels; 1 where the VRU covers none
-    frame_visible_px: FloatArray  # (n_frames, 4): with the VUT
+    frame_visible_px: FloatArray  # (n_frames, 4): with vehicles
     frame_visible_share: FloatArray  # (n_frames,)
 
     def take(self, sights: slice, frames: slice) -> "Seen":

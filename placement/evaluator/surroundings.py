@@ -34,7 +34,7 @@ class Surroundings:
     # statics, vrus: distinct static worlds (one per obstruction) and shapes of VRUs
     statics: tuple[Solid, ...]
     vrus: tuple[Solid, ...]
-    vut: Solid  # body of the VUT
+    vehicles: tuple[Solid, ...]  # distinct bodies that move: the VUT first
     vut_actor: Actor
     # static_index, vru_index: (n_frames,): which of them is there
     static_index: IntArray
@@ -45,6 +45,10 @@ class Surroundings:
     static_poses: FloatArray
     vru_poses: FloatArray
     vut_poses: FloatArray
+    # traffic_index, traffic_poses: (n_frames, n), (n_frames, n, 3): which of the vehicles drive by,
+    # -1 for none, and their road poses
+    traffic_index: IntArray
+    traffic_poses: FloatArray
     draw_index: IntArray  # (n_frames,): see :class:`placement.detectors.Evidence`
     vru_class: IntArray  # (n_frames,): into ``VRU_CLASSES``
     weathers: tuple[Weather, ...]  # distinct weathers
@@ -70,6 +74,8 @@ _PER_FRAME = (
     "static_poses",
     "vru_poses",
     "vut_poses",
+    "traffic_index",
+    "traffic_poses",
     "draw_index",
     "vru_class",
     "weather_index",
@@ -98,13 +104,15 @@ def build_surroundings(
     )
     vru_index = np.array([vrus[key] for key in vru_of_frame])
     static_poses = np.tile([*middle_m, 0.0], (sum(n_frames), 1))
+    vehicles = list(dict.fromkeys([vut_actor, *(b.actor for run in runs for b in run.traffic)]))
+    traffic_index, traffic_poses = _lay_traffic(runs, vehicles)
     return Surroundings(
         statics=tuple(
             build_static(standing, obstruction, middle_m=middle_m, library=library)
             for obstruction in obstructions.values()
         ),
         vrus=tuple(build_body(vru.shapes[index], library=library) for vru, index in vrus),
-        vut=build_body(vut_actor.shapes[0], library=library),
+        vehicles=tuple(build_body(actor.shapes[0], library=library) for actor in vehicles),
         vut_actor=vut_actor,
         static_index=static_index,
         vru_index=vru_index,
@@ -114,11 +122,29 @@ def build_surroundings(
         vut_poses=np.concatenate(
             [_road_poses(run.vut_position_m, run.vut_yaw_deg) for run in runs]
         ),
+        traffic_index=traffic_index,
+        traffic_poses=traffic_poses,
         draw_index=draw_index(runs),
         vru_class=np.repeat(classes, n_frames),
         weathers=tuple(pick_weather(name, "runs: weather") for name in weathers),
         weather_index=np.repeat([weathers.index(run.weather) for run in runs], n_frames),
     )
+
+
+def _lay_traffic(runs: Sequence[Run], vehicles: list[Actor]) -> tuple[IntArray, FloatArray]:
+    """What drives by in each frame, (n_frames, n), and its road poses, (n_frames, n, 3)."""
+    n_most = max(len(run.traffic) for run in runs)
+    indices, poses = [], []
+    for run in runs:
+        index = np.full((len(run.time_s), n_most), -1)
+        pose = np.zeros((len(run.time_s), n_most, 3))
+        for place, body in enumerate(run.traffic):
+            there = body.is_there
+            index[there, place] = vehicles.index(body.actor)
+            pose[there, place] = _road_poses(body.position_m, body.yaw_deg)[there]
+        indices.append(index)
+        poses.append(pose)
+    return np.concatenate(indices), np.concatenate(poses)
 
 
 def find_sights(
@@ -138,7 +164,9 @@ def find_sights(
 
 
 def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> FloatArray:
-    """Road poses (n, 3) - east, north, yaw - as ahead, left, yaw of a carrier, in m and deg.
+    """Road poses (n, ..., 3) - east, north, yaw - as ahead, left, yaw of carriers (n, 3).
+
+    In metres and degrees.
 
     Examples
     --------
@@ -146,11 +174,11 @@ def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> Fl
     array([[3., 0., 0.]])
     """
     rotations = body_rotation(carrier_poses[:, 2])[:, :2, :2]
-    relative = np.empty_like(road_poses)
-    offsets = road_poses[:, None, :2] - carrier_poses[:, None, :2]
-    relative[:, :2] = (offsets @ rotations)[:, 0]
-    relative[:, 2] = wrap_deg(road_poses[:, 2] - carrier_poses[:, 2])
-    return relative
+    bodies = road_poses if road_poses.ndim == 3 else road_poses[:, None]
+    relative = np.empty_like(bodies)
+    relative[..., :2] = (bodies[..., :2] - carrier_poses[:, None, :2]) @ rotations
+    relative[..., 2] = wrap_deg(bodies[..., 2] - carrier_poses[:, None, 2])
+    return relative.reshape(road_poses.shape)
 
 
 def draw_index(runs: Sequence[Run]) -> IntArray:

@@ -1,5 +1,7 @@
 """Trees of boxes around triangles, built by compiled code."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
@@ -34,6 +36,26 @@ def build_tree(corners_m: FloatArray) -> Tree:
         start=tree.start[:n_used].copy(),
         end=tree.end[:n_used].copy(),
     )
+
+
+def join_trees(trees: Sequence[Tree]) -> tuple[Tree, IntArray]:
+    """Trees one after the other, and the node at which each begins, (n_trees,)."""
+    roots = np.cumsum([0, *(len(tree.second) for tree in trees)])
+    firsts = np.cumsum([0, *(len(tree.corners_m) for tree in trees)])
+    joined = Tree(
+        corners_m=np.concatenate([tree.corners_m for tree in trees]),
+        low_m=np.concatenate([tree.low_m for tree in trees]),
+        high_m=np.concatenate([tree.high_m for tree in trees]),
+        second=np.concatenate(
+            [
+                np.where(tree.second < 0, -1, tree.second + root)
+                for tree, root in zip(trees, roots, strict=False)
+            ]
+        ),
+        start=np.concatenate([t.start + first for t, first in zip(trees, firsts, strict=False)]),
+        end=np.concatenate([t.end + first for t, first in zip(trees, firsts, strict=False)]),
+    )
+    return joined, roots[:-1]
 
 
 @kernel

@@ -8,8 +8,7 @@ import numpy as np
 from geometry.arrays import BoolArray, IntArray
 from geometry.image_boxes import box_height_px, iou
 from geometry.lidar import LidarModel
-from scenarios.aeb import is_in_time
-from scenarios.runs import onset_times_s
+from scenarios.runs import find_onsets
 
 from ..candidates import CandidatePose
 from ..detection_table import DetectionTable
@@ -73,8 +72,7 @@ def _avoided_on_table(
     arrival = earliest_arrival_s(
         [(on_table[unit.id], unit.latency(rule)) for unit in parties], axis
     )
-    _, onset = onset_times_s(arrival, axis, n_confirmations=rule.n_confirmations)
-    return is_in_time(onset, axis.last_brake_time_s, latency_s=0.0)
+    return find_onsets(arrival, axis, rule=rule).is_in_time
 
 
 def _differing_frames(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from scenarios.aeb import confirmation_mask
+from scenarios.aeb import AebRule, live_confirmation_time_s
 
 from ..optimiser import PlacementProblem, PlacementValue, placement_value, run_margins_s
 
@@ -31,8 +31,9 @@ class Contribution:
     max_delay_s : float
         The most of it in any of these runs. [s]
     first_share : float
-        Its part in the first confirmations of the runs that the set avoids, by weight. The parts
-        of all units sum to 1, or are 0 where nothing is avoided.
+        Its part in the confirmations for which the runs that the set avoids are braked for, by
+        weight: of the tracks that are alive at the last moment. The parts of all units sum to 1,
+        or are 0 where nothing is avoided.
     """
 
     pose_index: int
@@ -80,11 +81,12 @@ def find_contributions(
 
 
 def first_shares(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatArray:
-    """Parts of units in the first confirmations of the runs that they avoid together, (n_units,).
+    """Parts of units in the confirmations of the runs that they avoid together, (n_units,).
 
-    With fusion "any", each frame of the window that confirms a run first is shared equally by the
-    units that detect in it; a unit's part is the mean over the window's frames. With "single", the
-    units that confirm first share the run equally. Runs count by weight.
+    With fusion "any", each frame of the window that confirms the track which is alive at the last
+    moment is shared equally by the units that detect in it; a unit's part is the mean over the
+    window's frames. With "single", the units whose live track is confirmed first share the run
+    equally. Runs count by weight.
     """
     axis, rule = problem.table.axis, problem.rule
     shares = np.zeros(len(pose_index))
@@ -94,29 +96,33 @@ def first_shares(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatA
         return shares
     detected = problem.table.detected(list(pose_index))
     for run in counted:
-        of_run = detected[:, axis.frames_of(int(run))]
-        if problem.fusion == "any":
-            parts = _parts_of_window(of_run, n_confirmations=rule.n_confirmations)
-        else:
-            parts = _parts_of_firsts(of_run, n_confirmations=rule.n_confirmations)
+        frames = axis.frames_of(int(run))
+        until_s = float(axis.last_brake_time_s[run]) - rule.latency_s
+        parts_of = _parts_of_window if problem.fusion == "any" else _parts_of_firsts
+        parts = parts_of(detected[:, frames], axis.time_s[frames], until_s, rule)
         shares += axis.weight[run] * parts
     total: FloatArray = shares / axis.weight[counted].sum()
     return total
 
 
-def _parts_of_window(detected: BoolArray, *, n_confirmations: int) -> FloatArray:
-    """Of one run that some units confirm together, (n_units, n_frames) -> (n_units,)."""
-    confirmed = confirmation_mask(detected.any(axis=0), n_confirmations=n_confirmations)
-    last = int(np.argmax(confirmed))
-    window = detected[:, last + 1 - n_confirmations : last + 1]
+def _parts_of_window(
+    detected: BoolArray, time_s: FloatArray, until_s: float, rule: AebRule
+) -> FloatArray:
+    """Of one run that some units avoid together, (n_units, n_frames) -> (n_units,)."""
+    together = detected.any(axis=0)
+    confirmed_s = float(live_confirmation_time_s(together, time_s, until_s=until_s, rule=rule))
+    last = int(np.searchsorted(time_s, confirmed_s))
+    window = detected[:, last + 1 - rule.n_confirmations : last + 1]
     parts: FloatArray = (window / window.sum(axis=0)).mean(axis=1)
     return parts
 
 
-def _parts_of_firsts(detected: BoolArray, *, n_confirmations: int) -> FloatArray:
-    """Of one run that some unit confirms by itself, (n_units, n_frames) -> (n_units,)."""
-    confirmed = confirmation_mask(detected, n_confirmations=n_confirmations)
-    is_first = confirmed[:, int(np.argmax(confirmed.any(axis=0)))]
+def _parts_of_firsts(
+    detected: BoolArray, time_s: FloatArray, until_s: float, rule: AebRule
+) -> FloatArray:
+    """Of one run that some unit avoids by itself, (n_units, n_frames) -> (n_units,)."""
+    confirmed_s = live_confirmation_time_s(detected, time_s, until_s=until_s, rule=rule)
+    is_first = confirmed_s == confirmed_s.min()
     parts: FloatArray = is_first / is_first.sum()
     return parts
 

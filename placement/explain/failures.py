@@ -7,10 +7,10 @@ from itertools import combinations
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray
-from scenarios.aeb import AebRule, is_in_time
+from geometry.arrays import FloatArray
+from scenarios.aeb import AebRule
 from scenarios.exposure import weight_share
-from scenarios.runs import onset_times_s
+from scenarios.runs import find_onsets
 
 from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out
 
@@ -81,16 +81,12 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     pairs = combinations(range(len(units)), 2) if len(units) <= MAX_PAIR_UNITS else ()
     counts = axis.weight > 0.0
 
-    def find_onset(arrival_s: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Onset of braking in each run, and whether it avoids."""
-        _, onset_s = onset_times_s(arrival_s, axis, n_confirmations=rule.n_confirmations)
-        return onset_s, is_in_time(onset_s, axis.last_brake_time_s, latency_s=0.0)
-
-    _, avoided_by_all = find_onset(earliest_s)
+    avoided_by_all = find_onsets(earliest_s, axis, rule=rule).is_in_time
 
     def failure(failed: tuple[int, ...], arrival_s: FloatArray) -> Failure:
-        onset_s, avoided = find_onset(arrival_s)
-        margin = (axis.last_brake_time_s - onset_s)[avoided & counts]
+        onsets = find_onsets(arrival_s, axis, rule=rule)
+        avoided = onsets.is_in_time
+        margin = (axis.last_brake_time_s - onsets.onset_s)[avoided & counts]
         lost = np.flatnonzero(avoided_by_all & ~avoided & counts)
         fastest_first = lost[np.argsort(-axis.vut_speed_kmh[lost], kind="stable")]
         return Failure(

@@ -17,9 +17,9 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import Table, load_toml, take_list, take_number, take_text
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, containing_instance
-from scenarios.aeb import AebRule, is_in_time, last_brake_time_s
+from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time, last_brake_time_s
 from scenarios.exposure import weight_share
-from scenarios.runs import FrameAxis, onset_times_s
+from scenarios.runs import FrameAxis, find_onsets
 
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
@@ -44,6 +44,7 @@ _REASONS = ("source", "assumption")
 RANGES: Mapping[str, tuple[float, float]] = {
     "latency_s": (0.0, 10.0),
     "n_confirmations": (1.0, 100.0),
+    "track_memory_s": (0.1, math.inf),
     "deceleration_mps2": (0.1, 20.0),
     "packet_loss": (0.0, 1.0),
     "min_box_height_share": (0.01, 100.0),
@@ -92,7 +93,8 @@ def _read(name: str, table: Any, where: str) -> Assumption:
     values = []
     for index, _ in enumerate(entries := take_list(table, "values", where)):
         here = f"{where}.values[{index}]"
-        value = take_number({"value": entries[index]}, "value", here)
+        is_endless = high == entries[index] == math.inf
+        value = high if is_endless else take_number({"value": entries[index]}, "value", here)
         if not low <= value <= high:
             raise InputError(here, value, f"{low:g} to {high:g}")
         if name == "n_confirmations" and not value.is_integer():
@@ -158,7 +160,7 @@ def find_outcome(watched: Watched) -> Outcome:
     left: Iterator[FloatArray]  # with each unit failed in turn
 
     def onset_s(arrival: FloatArray) -> FloatArray:
-        return onset_times_s(arrival, axis, n_confirmations=rule.n_confirmations)[1]
+        return find_onsets(arrival, axis, rule=rule).onset_s
 
     if watched.fusion == "any":
         earliest_s, without = leave_each_out(arrival_s)
@@ -188,20 +190,20 @@ def find_expected_outcome(watched: Watched, *, packet_loss: float) -> Outcome:
     `packet_loss` is the probability that the message of a unit on a frame does not arrive, each
     independently. The APR with one unit failed is the smallest expectation.
 
-    A run is avoided if messages of n consecutive frames arrive by its last brake time. A frame is
-    known with probability 1 - loss^k where k units report it in time; the number of known frames in
-    a row is then a Markov chain along the run, in which n absorbs.
+    A frame is known with probability 1 - loss^k where k units report it by the last brake time.
+    What the VUT knows is then a Markov chain along the run: either so many known frames in a row
+    that are not yet n, or a track and the frame that it was last seen in. The run is avoided if
+    there is a track at the end that is not older than its memory at the last moment.
     """
-    axis = watched.axis
+    axis, rule = watched.axis, watched.rule
     last_s = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
     reported = watched.detected & is_in_time(
         axis.time_s + _latencies_s(watched)[:, None], last_s, latency_s=0.0
     )
-    n_confirmations = watched.rule.n_confirmations
 
     def confirmed(n_units: IntArray) -> FloatArray:
         known: FloatArray = 1.0 - packet_loss ** n_units.astype(np.float64)
-        return _probability_of_row(known, axis, n_confirmations)
+        return _probability_of_track(known, axis, rule)
 
     if watched.fusion == "any":
         total = reported.sum(axis=0)
@@ -228,21 +230,33 @@ def _latencies_s(watched: Watched) -> FloatArray:
     return np.array([unit.latency(watched.rule) for unit in watched.units])
 
 
-def _probability_of_row(known: FloatArray, axis: FrameAxis, n_row: int) -> FloatArray:
-    """Probability that `n_row` consecutive frames of each run are known, (n_runs,)."""
-    lengths = np.diff(axis.run_start)
+def _probability_of_track(known: FloatArray, axis: FrameAxis, rule: AebRule) -> FloatArray:
+    """Probability that a track of each run is alive at its last moment, (n_runs,)."""
+    lengths, n_row = np.diff(axis.run_start), rule.n_confirmations
     is_frame = np.arange(lengths.max()) < lengths[:, None]
-    by_run = np.zeros(is_frame.shape)
-    by_run[is_frame] = known
-    # Columns: number of known frames in a row up to here; the last one: there were enough.
-    state = np.zeros((len(lengths), n_row + 1))
-    state[:, 0] = 1.0
-    for p in by_run.T:
-        done = state[:, n_row] + state[:, n_row - 1] * p
-        state[:, 1:n_row] = state[:, : n_row - 1] * p[:, None]
-        state[:, n_row] = done
-        state[:, 0] = 1.0 - state[:, 1:].sum(axis=1)
-    return state[:, n_row]
+    known_by_run, time_s = np.zeros(is_frame.shape), np.zeros(is_frame.shape)
+    known_by_run[is_frame], time_s[is_frame] = known, axis.time_s
+    memory_s = rule.track_memory_s + TIME_TOLERANCE_S
+    # No track: columns are the number of known frames in a row up to here.
+    row = np.zeros((len(lengths), n_row))
+    row[:, 0] = 1.0
+    # A track: columns are the frame in which it was last seen. It may be too old by now.
+    track = np.zeros(is_frame.shape)
+    for frame in range(1 + int(np.flatnonzero(known_by_run.any(axis=0)).max(initial=-1))):
+        p = known_by_run[:, frame]
+        is_held = time_s[:, [frame]] - time_s[:, :frame] <= memory_s
+        held = (track[:, :frame] * is_held).sum(axis=1)
+        lost = (track[:, :frame] * ~is_held).sum(axis=1)
+        longer = row.copy()
+        longer[:, 0] += lost
+        track[:, :frame] *= (1.0 - p)[:, None]
+        track[:, frame] = (held + longer[:, -1]) * p
+        row[:, 0] = row.sum(axis=1) * (1.0 - p)
+        row[:, 1:] = longer[:, :-1] * p[:, None]
+    until_s = axis.last_brake_time_s - rule.latency_s
+    lives = until_s[:, None] - time_s <= memory_s
+    probability: FloatArray = np.minimum((track * lives).sum(axis=1), 1.0)
+    return probability
 
 
 def runs_lost(planned: Outcome, outcome: Outcome) -> list[int]:
@@ -394,7 +408,7 @@ def find_sensitivity(
 def _planned_value(name: str, setting: Setting) -> float | None:
     """The value that the plan assumes; None where the assumption does not apply."""
     rule, planner = setting.rule, setting.planner
-    if name in ("latency_s", "n_confirmations", "deceleration_mps2"):
+    if name in ("latency_s", "n_confirmations", "track_memory_s", "deceleration_mps2"):
         return float(getattr(rule, name))
     if name == "min_iou":
         return planner.min_iou if isinstance(planner, GeometricDetector) else None

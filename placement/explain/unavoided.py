@@ -1,7 +1,7 @@
 """Runs that a layout does not avoid: what is in the way, how late it brakes, what would help."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,7 +13,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.poses import body_rotation
 from geometry.raycast import FloatRays, build_caster, ray_lengths_m
 from geometry.scene import Scene
-from scenarios.aeb import confirmation_time_s, is_in_time
+from scenarios.aeb import confirmation_mask, is_in_time, live_confirmation_time_s
 from scenarios.runs import Run
 
 from ..candidates import CandidatePose, is_in_view
@@ -101,7 +101,9 @@ def _causes(
 ) -> list[tuple[Cause, str]]:
     """Cause, and the thing in the way, of each frame of a world."""
     nothing = build_caster(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
-    empty = replace(world, static=(nothing,) * len(world.static), vut_body=nothing)
+    clear = tuple(replace(obstruction, caster=nothing) for obstruction in world.obstructions)
+    vehicles = replace(world.vehicles, casters=(nothing,) * len(world.vehicles.casters))
+    empty = replace(world, scene=nothing, obstructions=clear, vehicles=vehicles)
     position_m, near_m = unit.pose.position_m, unit.sensor.near_m
     open_sight = cast_sight(empty, position_m, near_m=near_m, max_distance_m=np.inf)
     sensing = build_sensing(empty, open_sight, position_m, setting.planner)
@@ -147,10 +149,15 @@ def _things_between(
         view = int(views.view_of_frame[frame])
         faces_eye = open_sight.is_visible[open_sight.entry_of_frame[frame]]
         rays = _rays(eye, views.points_m[view][faces_eye], unit.sensor.near_m)
-        static = int(views.static_index[view])
-        share, triangle = world.static[static].first_triangle(*rays)
-        thing = names[static][np.where(share < 1.0, triangle, -1)]
-        thing[_vut_shares(world, frame, rays) < np.minimum(share, 1.0)] = THE_VUT
+        index = int(views.obstruction_index[view])
+        share, triangle = world.scene.first_triangle(*rays)
+        nearer, parked = world.obstructions[index].caster.first_triangle(*rays)
+        of_bodies = len(world.scene_m) + parked
+        share, triangle = np.minimum(share, nearer), np.where(nearer < share, of_bodies, triangle)
+        thing = names[index][np.where(share < 1.0, triangle, -1)]
+        for name, nearer in _vehicle_shares(world, frame, rays):
+            is_nearer = nearer < np.minimum(share, 1.0)
+            thing[is_nearer], share = name, np.minimum(share, nearer)
         blockers = Counter(thing[thing != ""].tolist()).most_common(1)
         things.append(blockers[0][0] if blockers else "")
     return things
@@ -168,18 +175,28 @@ def _rays(eye_m: FloatArray, points_m: FloatRays, near_m: float) -> tuple[FloatR
     return starts, ways.astype(np.float32)
 
 
-def _vut_shares(world: World, frame: int, rays: tuple[FloatRays, FloatRays]) -> FloatRays:
-    """How far along each ray the VUT is first hit, in the VUT's own frame."""
-    rotation = body_rotation(world.vut_yaw_deg[frame])
-    position = np.append(world.vut_position_m[frame], 0.0)
+def _vehicle_shares(
+    world: World, frame: int, rays: tuple[FloatRays, FloatRays]
+) -> Iterator[tuple[str, FloatRays]]:
+    """How far along each ray each vehicle is first hit, in its own frame, and its name."""
+    vehicles = world.vehicles
     starts, ways = rays
-    return world.vut_body.first_hit(
-        ((starts - position) @ rotation).astype(np.float32), (ways @ rotation).astype(np.float32)
-    )
+    for row in np.flatnonzero(vehicles.frame == frame).tolist():
+        index = int(vehicles.actor_index[row])
+        rotation = body_rotation(vehicles.yaw_deg[row])
+        position = np.append(vehicles.position_m[row], 0.0)
+        name = THE_VUT if index == 0 else f"{vehicles.actors[index].name}, driving"
+        yield (
+            name,
+            vehicles.casters[index].first_hit(
+                ((starts - position) @ rotation).astype(np.float32),
+                (ways @ rotation).astype(np.float32),
+            ),
+        )
 
 
 def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.object_]]:
-    """Name of the thing to which each triangle of each static world belongs."""
+    """Name of the thing to which each triangle belongs: those of the scene, then of the bodies."""
     instances = [scene.instances[index].id for index in scene.triangle_instance]
     names = []
     for parked in find_obstructions(runs).values():
@@ -201,7 +218,7 @@ def _triangle_names(scene: Scene, runs: Sequence[Run]) -> list[NDArray[np.object
 # ---------- runs
 
 
-Outcome = Literal["hopeless", "never seen", "never confirmed", "too late"]
+Outcome = Literal["hopeless", "never seen", "never confirmed", "lost again", "too late"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,10 +254,13 @@ class Unavoided:
         Which run.
     run_id : str
         Its name.
-    outcome : {"hopeless", "never seen", "never confirmed", "too late"}
-        "hopeless": no frame comes early enough for any unit. Otherwise what the chosen units do.
+    outcome : {"hopeless", "never seen", "never confirmed", "lost again", "too late"}
+        "hopeless": no frame comes early enough for any unit. Otherwise what the chosen units do;
+        "lost again": they confirm early enough, but the track is not alive at the last moment, and
+        none is confirmed after it.
     late_s : float
-        By how much braking sets in too late; infinite if it never does. [s]
+        By how much braking sets in too late; infinite if it never does, also where the track was
+        lost again. [s]
     n_frames : int
         Frames from which braking in time could follow.
     n_seen : int
@@ -345,8 +365,8 @@ def _find_miss(
     detected = _detected_in(problem.table, run)[chosen]
     seen = np.logical_or.reduce(detected, axis=0)
     together = seen if problem.fusion == "any" else detected
-    confirmed_s = confirmation_time_s(together, time_s, n_confirmations=rule.n_confirmations)
-    onset_s = float(np.min(confirmed_s)) + rule.latency_s
+    confirmed = confirmation_mask(together, n_confirmations=rule.n_confirmations)
+    late_s = np.where(confirmed & ~counts, time_s, np.inf).min(initial=np.inf) + rule.latency_s
     outcome: Outcome = "too late"
     look = None
     if int(counts.sum()) < rule.n_confirmations:
@@ -354,8 +374,10 @@ def _find_miss(
     else:
         if not seen.any():
             outcome = "never seen"
-        elif not np.isfinite(onset_s):
+        elif not confirmed.any():
             outcome = "never confirmed"
+        elif not np.isfinite(late_s):
+            outcome = "lost again"
         units = [candidates[pose] for pose in chosen]
         nearest = _who_should_see(setting.runs[run], units, np.flatnonzero(counts))
         look = Look(
@@ -366,7 +388,7 @@ def _find_miss(
     return _Miss(
         run=run,
         outcome=outcome,
-        late_s=onset_s - float(last_brake_s) if np.isfinite(last_brake_s) else np.inf,
+        late_s=float(late_s - last_brake_s) if np.isfinite(last_brake_s) else np.inf,
         counts=counts,
         seen=seen,
         look=look,
@@ -418,13 +440,14 @@ def _nearest_rescue(
     seen = detected[poses]
     if problem.fusion == "any":
         seen = seen | detected[chosen].any(axis=0)
-    confirmed_s = confirmation_time_s(
-        seen, axis.time_s[axis.frames_of(run)], n_confirmations=rule.n_confirmations
+    last_brake_s = float(axis.last_brake_time_s[run])
+    confirmed_s = live_confirmation_time_s(
+        seen,
+        axis.time_s[axis.frames_of(run)],
+        until_s=last_brake_s - rule.latency_s,
+        rule=rule,
     )
-    last_brake_s = axis.last_brake_time_s[run]
-    saves = np.isfinite(confirmed_s) & is_in_time(
-        confirmed_s, last_brake_s, latency_s=rule.latency_s
-    )
+    saves = np.isfinite(confirmed_s)
     if not saves.any():
         return None
     helping = np.flatnonzero(saves)

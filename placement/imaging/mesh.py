@@ -93,14 +93,25 @@ def build_frame_mesh(
 ) -> FrameMesh:
     """Triangles of one frame, in a frame of coordinates with its origin at `origin_m` (3,).
 
-    The last things are "vut", if it is to be seen, and "vru".
+    What drives by is "driving-1" and so on; the last things are "vut", if it is to be seen, and
+    "vru".
     """
-    vru = run.encounter.vru
-    shape = vru.shapes[int(run.vru_shape[frame_index])]
-    bodies = [_body_mesh("vru", vru, shape, vru_pose(run, frame_index))]
+    bodies = [
+        _body_mesh(
+            f"driving-{number}",
+            body.actor,
+            body.actor.shapes[0],
+            _road_pose(body.position_m[frame_index], body.yaw_deg[frame_index]),
+        )
+        for number, body in enumerate(run.traffic, start=1)
+        if body.is_there[frame_index]
+    ]
     if with_vut:
         vut = run.encounter.vut
-        bodies.insert(0, _body_mesh("vut", vut, vut.shapes[0], vut_pose(run, frame_index)))
+        bodies.append(_body_mesh("vut", vut, vut.shapes[0], vut_pose(run, frame_index)))
+    vru = run.encounter.vru
+    shape = vru.shapes[int(run.vru_shape[frame_index])]
+    bodies.append(_body_mesh("vru", vru, shape, vru_pose(run, frame_index)))
     joined = _join([static, *bodies])
     vertices = (joined.vertices_m - origin_m).astype(np.float32)
     return FrameMesh(

@@ -111,16 +111,10 @@ def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
 
     Minus infinity where a run is not avoided.
     """
-    from .tree_kernels import first_whole_windows
+    from .tree_kernels import first_live_windows
 
     first = np.empty((len(unions), reduced.n_chains), dtype=np.int64)
-    first_whole_windows(
-        np.ascontiguousarray(unions),
-        reduced.window_frames,
-        reduced.chain_window,
-        reduced.chain_start,
-        first,
-    )
+    first_live_windows(np.ascontiguousarray(unions), reduced.chains, first)
     margin: FloatArray = reduced.margin_s[
         np.arange(len(reduced.weight)), first[:, reduced.run_chain]
     ]
@@ -191,7 +185,7 @@ def _lose_little(
     *,
     with_failures: bool,
 ) -> BoolArray:
-    """Which sets lose no more than so much; `lost` is by run and first window seen."""
+    """Which sets lose no more than so much; `lost` is by run and first live window."""
     from .tree_kernels import lose_little
 
     of_chain = np.zeros((reduced.n_chains, lost.shape[1]))
@@ -201,9 +195,7 @@ def _lose_little(
         reduced.words,
         np.ascontiguousarray(sets),
         with_failures,
-        reduced.window_frames,
-        reduced.chain_window,
-        reduced.chain_start,
+        reduced.chains,
         of_chain,
         most,
         kept,
@@ -361,7 +353,9 @@ def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
 
 
 def _windows_with_each(reduced: ReducedProblem, units: IntArray) -> WordArray:
-    """Windows of all chains that a set and each pose see as a whole, bits along the poses."""
+    """Live windows of all chains for a set together with each pose, bits along the poses."""
+    from .tree_kernels import drop_lost_windows
+
     union = unpack_words(unions_of(reduced, units[None, :])[0], reduced.n_frames)
     frames = _columns(reduced).copy()
     frames[union] = ~np.uint64(0)
@@ -369,6 +363,7 @@ def _windows_with_each(reduced: ReducedProblem, units: IntArray) -> WordArray:
     for column in reduced.window_frames.T[1:]:
         windows &= frames[column]
     links: WordArray = windows[reduced.chain_window]
+    drop_lost_windows(links, frames, reduced.chains)
     return links
 
 

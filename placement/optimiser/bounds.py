@@ -23,7 +23,7 @@ from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
 from .limits import Limits
-from .presolve import WordArray, timely_windows_end
+from .presolve import WordArray, tails_behind, timely_windows_end
 
 # ---------- supply
 
@@ -392,6 +392,9 @@ class TimelyWindows:
     # n_windows on: none [s].
     margin_s: FloatArray
     n_confirmations: int  # frames of a window
+    # (n_rows, largest n_windows): of how many frames behind a window one must be seen, lest the
+    # track is lost; -1: of none, since it lives until the last moment.
+    tail_frames: IntArray
 
 
 def timely_windows(axis: FrameAxis, rule: AebRule) -> TimelyWindows:
@@ -400,13 +403,19 @@ def timely_windows(axis: FrameAxis, rule: AebRule) -> TimelyWindows:
     run_index, first, n_windows = np.unique(run, return_index=True, return_counts=True)
     margin_s = np.zeros((len(run_index), n_windows.max(initial=0) + 1))
     row = np.repeat(np.arange(len(run_index)), n_windows)
-    margin_s[row, np.arange(len(ends)) - first[row]] = margin
+    window = np.arange(len(ends)) - first[row]
+    margin_s[row, window] = margin
+    tail_frames = np.full((len(run_index), margin_s.shape[1] - 1), -1)
+    behind, last = tails_behind(axis, rule, ends, run)
+    of_tails = np.searchsorted(ends, behind)
+    tail_frames[row[of_tails], window[of_tails]] = last - behind
     return TimelyWindows(
         run_index=run_index,
         first_frame=ends[first] - (rule.n_confirmations - 1),
         n_windows=n_windows,
         margin_s=margin_s,
         n_confirmations=rule.n_confirmations,
+        tail_frames=tail_frames,
     )
 
 
@@ -417,8 +426,10 @@ def first_seen_index(
 
     It is the window's number within the run, n_windows if there is none. `packed` has V[c, f], the
     lowest bit first. `frames` says which frames of a window must be seen: a slice stands for the
-    same ones of every window, an array has one for each, see :func:`hardest_frames`. Raises
-    ValueError if no frame counts, or one that no window has.
+    same ones of every window, an array has one for each, see :func:`hardest_frames`. With all of
+    them, ``slice(None)``, the track must live until the last moment, too: of the tails behind this
+    window and all later ones a frame must be seen. Raises ValueError if no frame counts, or one
+    that no window has.
     """
     index = np.empty((len(packed), len(windows.run_index)), dtype=np.uint16)
 
@@ -512,6 +523,9 @@ def _first_seen(words: WordArray, windows: TimelyWindows, frames: slice | IntArr
     """Index of the first window of each run, (n_rows, n_poses)."""
     index = np.repeat(windows.n_windows[:, None], words.shape[1], axis=1)
     n_rounds = -(-int(windows.n_windows.max(initial=0)) // 64)
+    asks_for_tails = frames == slice(None) if isinstance(frames, slice) else False
+    asks_for_tails &= bool((windows.tail_frames >= 0).any())
+    is_held = np.full(index.shape if asks_for_tails else (0, 0), ~np.uint64(0))
     for first_window in range(64 * (n_rounds - 1), -1, -64):
         longer = np.flatnonzero(windows.n_windows > first_window)
         begin = windows.first_frame[longer] + first_window
@@ -526,11 +540,33 @@ def _first_seen(words: WordArray, windows: TimelyWindows, frames: slice | IntArr
             for offset in range(windows.n_confirmations):
                 of_window = _by_word(np.packbits(asked == offset, axis=1, bitorder="little"))[0]
                 seen |= _words_from(words, begin + offset) & of_window[:, None]
+        if asks_for_tails:
+            part = windows.tail_frames[longer, first_window : first_window + 64]
+            lost = _lost_windows(words, begin + windows.n_confirmations, part)
+            seen &= ~lost & is_held[longer]
+            is_held[longer] &= np.where(lost != 0, np.uint64(0), ~np.uint64(0))
         n_left = np.minimum(windows.n_windows[longer] - first_window, 64).astype(np.uint64)
         seen &= (~np.uint64(0) >> (np.uint64(64) - n_left))[:, None]
         lowest = np.bitwise_count(~seen & (seen - np.uint64(1)))  # 64 if no bit is set
         index[longer] = np.where(lowest < 64, first_window + lowest.astype(np.int64), index[longer])
     return index
+
+
+def _lost_windows(words: WordArray, behind: IntArray, tail_frames: IntArray) -> WordArray:
+    """Which of some 64 windows of each run are no later than one whose tail is not seen.
+
+    `behind` is the frame behind the first of them, (n,), `tail_frames`, (n, up to 64), is as in
+    :class:`TimelyWindows`: (n, n_poses) uint64.
+    """
+    seen = np.zeros((len(behind), words.shape[1]), dtype=np.uint64)
+    last = 64 * (len(words) - 1) - 1  # nothing behind it counts
+    for offset in range(int(tail_frames.max(initial=0))):
+        counts = _by_word(np.packbits(tail_frames > offset, axis=1, bitorder="little"))[0]
+        seen |= _words_from(words, np.minimum(behind + offset, last)) & counts[:, None]
+    lost = _by_word(np.packbits(tail_frames >= 0, axis=1, bitorder="little"))[0][:, None] & ~seen
+    for shift in (1, 2, 4, 8, 16, 32):  # the highest bit that is set, and all below
+        lost |= lost >> np.uint64(shift)
+    return lost
 
 
 def _words_from(words: WordArray, first_frame: IntArray) -> WordArray:

@@ -1,8 +1,8 @@
 """The placement model, one function per family of constraints, and its solution by HiGHS.
 
-x_c = 1: pose c is chosen. y_f: frame f is seen. z_w: window w is seen as a whole. a_k: one of the
-windows of a chain up to its k-th link is seen; run r is avoided if a of its last link in time is
-1. Only x has to be whole: given x, every y, z and a is bounded from above by zeros and ones
+x_c = 1: pose c is chosen. y_f: frame f is seen; so is a tail, which is a frame here. z_w: window w
+is seen as a whole. a_k: one of the windows of a chain up to its k-th link is live; run r is avoided
+if a of its last link in time is 1. Only x has to be whole: given x, every y, z and a is bounded from above by zeros and ones
 alone, and nothing bounds them from below but what we ask to be avoided, so that at the largest
 values they can take they are zeros and ones themselves.
 """
@@ -184,6 +184,25 @@ def chain_constraint(z: cp.Variable, a: cp.Variable, reduced: ReducedProblem) ->
     return difference(reduced) @ a <= z[reduced.chain_window]
 
 
+def tail_constraints(
+    y: cp.Variable, a: cp.Variable, reduced: ReducedProblem
+) -> list[cp.Constraint]:
+    """Tails: a_{n-1} <= y_t where the first n windows need tail t, and a_k <= a_{k+1}.
+
+    If t is not seen, a is 0 at all links of these windows, and none of them makes it 1 later.
+    Otherwise a is not less where it is allowed to grow: it says "up to link k" already.
+    """
+    chains = reduced.chains
+    if not len(chains.tail_frame):
+        return []
+    n_tails = np.diff(chains.tail_start)
+    last = np.repeat(chains.start[:-1], n_tails) + chains.tail_links - 1
+    links = np.arange(len(chains.window))
+    has_tails = np.repeat(n_tails > 0, np.diff(chains.start))
+    earlier = np.setdiff1d(links[has_tails], chains.start[1:] - 1)
+    return [a[last] <= y[chains.tail_frame], a[earlier] <= a[earlier + 1]]
+
+
 def stabbing_constraints(
     x: cp.Variable, a: cp.Variable, reduced: ReducedProblem
 ) -> list[cp.Constraint]:
@@ -285,7 +304,7 @@ def avoided_weights(reduced: ReducedProblem) -> FloatArray:
 def margin_weights(reduced: ReducedProblem, weight: FloatArray) -> FloatArray:
     """Objective of the mean margin: weight x margin, summed over avoided runs, as weights of a.
 
-    A run whose first window seen is its k-th has all a from link k on: the margins' decrease from
+    A run whose first live window is its k-th has all a from link k on: the margins' decrease from
     link to link, down to 0 after the last one in time, sums up to its margin.
     """
     weights = np.zeros(len(reduced.chain_window))
@@ -332,6 +351,7 @@ def solve_window_model(
             seen_constraint(x, y, reduced),
             *window_constraints(y, z, reduced),
             chain_constraint(z, a, reduced),
+            *tail_constraints(y, a, reduced),
             *stabbing_constraints(x, a, reduced),
         ]
         for requirement in requirements:

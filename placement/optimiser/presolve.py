@@ -3,10 +3,17 @@
 Both kinds of fusion become one problem here. With "any", a frame is seen if a chosen pose
 detects in it, and a window needs all its frames. With "single", the frames of the reduced problem
 are the statements "this pose alone has confirmed by then", and each window needs one of them.
+
+A track that lives for a limited time needs more than a window: from every frame behind it on, the
+next detection must come in time, unless the last moment comes first. "A chosen pose detects in one
+of the frames that are in time" is a statement about one pose at a time, too, so that it is one more
+frame of the reduced problem here: a *tail*. A window whose tails are all seen is *live*. As a later
+window has fewer tails, one that is not seen ends all windows of the run up to some number.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +27,8 @@ from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
 from .problem import Measure, PlacementProblem, Requirement
 
 WordArray = NDArray[np.uint64]
+
+_TIME_TOLERANCE_S = 1.0e-9  # as that of the rule
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,13 +54,26 @@ class PresolveStatistics:
         )
 
 
+class Chains(NamedTuple):
+    """Windows of runs in the order of time, and what keeps them alive: plain arrays for kernels.
+
+    Runs that go through the same windows, to different ends, share a chain.
+    """
+
+    # (n_windows, n_confirmations or 1): merged frames that each window needs; one may stand there
+    # twice.
+    window_frames: IntArray
+    window: IntArray  # (n_links,): the windows of all chains, chain after chain
+    start: IntArray  # (n_chains + 1,): links of chain g are start[g] .. start[g + 1] - 1
+    # (n_tails,): merged frames without which the first windows of a chain are not live.
+    tail_frame: IntArray
+    tail_links: IntArray  # (n_tails,): how many windows those are; falling within each chain
+    tail_start: IntArray  # (n_chains + 1,): tails of each chain
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReducedProblem:
-    """A placement problem without what does not matter.
-
-    A chain is a sequence of windows in the order of time. Runs that go through the same windows,
-    to different ends, share one.
-    """
+    """A placement problem without what does not matter."""
 
     pose_index: IntArray  # (n_poses,): rows of the detection table: the way back
     limits: Limits  # on these poses
@@ -62,14 +84,9 @@ class ReducedProblem:
     survive: int  # failed units that ``Objective.APR_SURVIVED`` is about
     n_frames: int  # merged frames
     words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
-    # (n_windows, n_confirmations or 1): merged frames that each window needs; one may stand there
-    # twice.
-    window_frames: IntArray
-    chain_window: IntArray  # (n_links,): the windows of all chains, chain after chain
-    # (n_chains + 1,): links of chain g are chain_start[g] .. chain_start[g + 1] - 1.
-    chain_start: IntArray
+    chains: Chains  # of windows, and of what keeps them alive
     run_chain: IntArray  # (n_runs,): chain of every run
-    # (n_runs, longest chain + 1): margin if the first window seen is the k-th of the chain; minus
+    # (n_runs, longest chain + 1): margin if the first live window is the k-th of the chain; minus
     # infinity from the first one that is too late for this run [s].
     margin_s: FloatArray
     statistics: PresolveStatistics  # sizes before and after
@@ -91,11 +108,32 @@ class ReducedProblem:
     @property
     def n_chains(self) -> int:
         """Number of chains."""
-        return len(self.chain_start) - 1
+        return len(self.chains.start) - 1
+
+    @property
+    def window_frames(self) -> IntArray:
+        """Merged frames that each window needs, (n_windows, n_confirmations or 1)."""
+        return self.chains.window_frames
+
+    @property
+    def chain_window(self) -> IntArray:
+        """The windows of all chains, chain after chain, (n_links,)."""
+        return self.chains.window
+
+    @property
+    def chain_start(self) -> IntArray:
+        """First link of each chain, and their number, (n_chains + 1,)."""
+        return self.chains.start
 
     def chain(self, chain_index: int) -> IntArray:
         """Windows of a chain."""
         return self.chain_window[self.chain_start[chain_index] : self.chain_start[chain_index + 1]]
+
+    def tails(self, chain_index: int) -> tuple[IntArray, IntArray]:
+        """Frames of a chain's tails, and how many of its first windows each keeps alive."""
+        chains = self.chains
+        mine = slice(chains.tail_start[chain_index], chains.tail_start[chain_index + 1])
+        return chains.tail_frame[mine], chains.tail_links[mine]
 
     def detected(self) -> BoolArray:
         """V[c, f] on the merged frames, (n_poses, n_frames)."""
@@ -124,10 +162,12 @@ def presolve(problem: PlacementProblem) -> ReducedProblem:
 
     At least one best set of poses of the full problem is left. Repeated until no pose drops out:
 
-    * Runs without weight, windows that end too late, windows with a frame that nobody sees and
-      frames of no window cannot change any value.
-    * Frames that the same poses see are one frame.
-    * A window is dominated if an earlier window of its run needs no other frames.
+    * Runs without weight, windows that end too late, windows with a frame or a tail that nobody
+      sees, and frames of no window and no tail cannot change any value.
+    * Frames that the same poses see are one frame, and so are tails.
+    * A tail is needless where the next one of its run is seen by no other poses.
+    * A window is dominated if an earlier window of its run needs no other frames and no tail that
+      it does not need, too, or ensures.
     * Poses that the money does not suffice for, and dominated ones, see :func:`is_dominated`.
     """
     windows = _Windows(problem)
@@ -234,20 +274,22 @@ def is_dominated(
 
 def _settled_frames(reduced: ReducedProblem, poses: IntArray) -> Callable[[int], WordArray]:
     """What finds the frames that only runs need which a pose avoids alone, (n_words,)."""
-    n_links = np.diff(reduced.chain_start)
+    from .tree_kernels import first_live_windows
+
+    chains = reduced.chains
     shortest = np.full(reduced.n_chains, np.iinfo(np.int64).max)
-    in_time = (reduced.margin_s > -np.inf).sum(axis=1)
-    np.minimum.at(shortest, reduced.run_chain, in_time)
-    number = np.arange(len(reduced.chain_window)) - np.repeat(reduced.chain_start[:-1], n_links)
-    is_for_all = number < np.repeat(shortest, n_links)
-    frames = reduced.window_frames[reduced.chain_window]
+    np.minimum.at(shortest, reduced.run_chain, (reduced.margin_s > -np.inf).sum(axis=1))
+    frames = chains.window_frames[chains.window]
+    n_links, n_tails = np.diff(chains.start), np.diff(chains.tail_start)
+    first = np.empty((1, reduced.n_chains), dtype=np.int64)
 
     def find(pose: int) -> WordArray:
-        detected = unpack_words(reduced.words[poses[pose]], reduced.n_frames)
-        is_whole = np.logical_and.reduce(detected[frames], axis=1) & is_for_all
-        is_open = ~np.logical_or.reduceat(is_whole, reduced.chain_start[:-1])
+        row = poses[pose]
+        first_live_windows(reduced.words[row : row + 1], chains, first)
+        is_open = first[0] >= shortest
         is_settled = np.ones(reduced.n_frames, dtype=bool)
         is_settled[frames[np.repeat(is_open, n_links)]] = False
+        is_settled[chains.tail_frame[np.repeat(is_open, n_tails)]] = False
         return pack_words(is_settled)
 
     return find
@@ -258,7 +300,7 @@ def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArr
 
     Returns the last frame of each, its run, and the margin that it leaves [s].
     """
-    run = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
+    run = _run_of_frames(axis)
     last_brake_s = axis.last_brake_time_s[run]
     counts = (
         (np.arange(axis.n_frames) - axis.run_start[run] >= rule.n_confirmations - 1)
@@ -269,49 +311,117 @@ def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArr
     return end, run[end], last_brake_s[end] - (axis.time_s[end] + rule.latency_s)
 
 
+def tails_behind(
+    axis: FrameAxis, rule: AebRule, end: IntArray, run: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Frames behind which a track is lost unless one of the next ones is detected, (n_tails,) each.
+
+    `end` and `run` are those of :func:`timely_windows_end`. Returns the frames, ascending, and the
+    last frame behind each that still comes in time: the frame itself if none does. A window is live
+    if and only if, from its last frame on, a detection follows each of these frames in time. That
+    asks for it behind frames that are not detected, too, which changes nothing: the detection that
+    comes in time for the one before them does so for them. Frames from which the memory reaches the
+    last moment have no tail.
+    """
+    if rule.track_memory_s == np.inf:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    memory_s = rule.track_memory_s + _TIME_TOLERANCE_S
+    behind, last = [end[:0]], [end[:0]]
+    of_runs, begin = np.unique(run, return_index=True)
+    for of_run, ends in zip(of_runs, np.split(end, begin)[1:], strict=True):
+        time_s = axis.time_s[ends]
+        until_s = axis.last_brake_time_s[of_run] - rule.latency_s
+        ends_too_early = until_s - time_s > memory_s
+        behind.append(ends[ends_too_early])
+        last.append(
+            ends[np.searchsorted(time_s, time_s[ends_too_early] + memory_s, side="right") - 1]
+        )
+    return np.concatenate(behind), np.concatenate(last)
+
+
+def _run_of_frames(axis: FrameAxis) -> IntArray:
+    """Run of each frame, (n_frames,)."""
+    return np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
+
+
 class _Windows:
-    """Windows of a problem that end in time, as columns over the poses."""
+    """Windows of a problem that end in time, and their tails, as columns over the poses."""
 
     def __init__(self, problem: PlacementProblem) -> None:
         self.problem = problem
         self.measure = problem.measure()
         self.floor_measures = [problem.floor_measure(floor) for floor in problem.floors]
-        end, self.run, self.margin_s = timely_windows_end(problem.table.axis, problem.rule)
-        frames = end[:, None] + np.arange(1 - problem.rule.n_confirmations, 1)
+        axis, rule = problem.table.axis, problem.rule
+        self.end, self.run, self.margin_s = timely_windows_end(axis, rule)
+        frames = self.end[:, None] + np.arange(1 - rule.n_confirmations, 1)
         used, self.frames = np.unique(frames, return_inverse=True)
         detected = problem.table.detected(slice(None))
         self.columns = np.packbits(detected[:, used].T, axis=1, bitorder="little")
+        self.tail_end, last = tails_behind(axis, rule, self.end, self.run)
+        self.tail_run = _run_of_frames(axis)[self.tail_end]
+        # Behind the first window of a run, all frames that count are the last ones of windows.
+        self.tail_columns = _any_of_rows(
+            self.columns, np.searchsorted(used, self.tail_end) + 1, np.searchsorted(used, last) + 1
+        )
         if problem.fusion == "single":
-            self.columns = np.bitwise_and.reduce(self.columns[self.frames], axis=1)
-            for run in np.unique(self.run):
-                of_run = slice(*np.searchsorted(self.run, [run, run + 1]))
-                np.bitwise_or.accumulate(self.columns[of_run], axis=0, out=self.columns[of_run])
-            self.frames = np.arange(len(end))[:, None]
+            self._let_each_confirm_alone()
+
+    def _let_each_confirm_alone(self) -> None:
+        """Make a window the statement that a pose alone has a live one up to its end."""
+        self.columns = np.bitwise_and.reduce(self.columns[self.frames], axis=1)
+        self.frames = np.arange(len(self.end))[:, None]
+        for run in np.unique(self.run):
+            windows = self.columns[slice(*np.searchsorted(self.run, [run, run + 1]))]
+            tails = self.tail_columns[slice(*np.searchsorted(self.tail_run, [run, run + 1]))]
+            # The first windows of a run have tails, one behind the last frame of each.
+            windows[: len(tails)] &= np.bitwise_and.accumulate(tails[::-1], axis=0)[::-1]
+            np.bitwise_or.accumulate(windows, axis=0, out=windows)
+        self.tail_end, self.tail_run = self.tail_end[:0], self.tail_run[:0]
+        self.tail_columns = self.tail_columns[:0]
 
     def reduce(self, poses: IntArray) -> ReducedProblem:
         """The problem on some poses, all of them kept."""
-        problem = self.problem
+        problem, axis = self.problem, self.problem.table.axis
         is_pose = np.zeros(problem.table.n_poses, dtype=bool)
         is_pose[poses] = True
-        columns = self.columns & np.packbits(is_pose, bitorder="little")
-        merged, frame = _unique_rows(columns)
+        columns = np.concatenate([self.columns, self.tail_columns])
+        merged, frame = _unique_rows(columns & np.packbits(is_pose, bitorder="little"))
+        frames, tail_frame = frame[: len(self.columns)][self.frames], frame[len(self.columns) :]
         is_seen: BoolArray = np.logical_or.reduce(merged != 0, axis=1)
 
-        frames = frame[self.frames]
-        alive = np.flatnonzero(is_seen[frames].all(axis=1))
-        alive = alive[~_is_late_window(_as_sets(frames[alive]), self.run[alive])]
-        sets, window = np.unique(_as_sets(frames[alive]), axis=0, return_inverse=True)
-        kept, window_frames = np.unique(sets, return_inverse=True)
-        window_frames = window_frames.reshape(sets.shape)
+        last_lost = np.full(axis.n_runs, -1)
+        is_lost = ~is_seen[tail_frame]
+        np.maximum.at(last_lost, self.tail_run[is_lost], self.tail_end[is_lost])
+        alive = is_seen[frames].all(axis=1) & (self.end > last_lost[self.run])
+        needed = (self.tail_end > last_lost[self.tail_run]) & ~self._is_needless(merged, tail_frame)
+        every_window, every_tail = np.flatnonzero(alive), np.flatnonzero(needed)
+        run_index, begin = np.unique(self.run[alive], return_index=True)
+        tail_places = np.searchsorted(self.tail_run[needed], [run_index, run_index + 1]).T
+        sequences, tails, margins = [], [], []
+        for windows, place in zip(np.split(every_window, begin)[1:], tail_places, strict=True):
+            of_tails = every_tail[slice(*place)]
+            sets = _as_sets(frames[windows])
+            n_links = np.searchsorted(self.end[windows], self.tail_end[of_tails], side="right")
+            kept, tail = _thin_out(sets, tail_frame[of_tails], n_links)
+            sequences.append(sets[kept])
+            tails.append(tail)
+            margins.append(self.margin_s[windows[kept]])
+        size = problem.rule.n_confirmations if problem.fusion == "any" else 1
+        every = np.concatenate([np.empty((0, size), dtype=np.int64), *sequences])
+        sets, window = np.unique(every, axis=0, return_inverse=True)
+        of_tails = np.concatenate([np.empty(0, dtype=np.int64), *(tail[0] for tail in tails)])
+        kept = np.unique(np.concatenate([sets.ravel(), of_tails]))
         bits = np.unpackbits(merged[kept], axis=1, count=len(is_pose), bitorder="little")
         words = pack_words(np.ascontiguousarray(bits[:, poses].T).view(np.bool_))
-
-        run_index, start = np.unique(self.run[alive], return_index=True)
-        chain_window, chain_start, run_chain = _share_chains(np.split(window, start)[1:])
-        margin_s = np.full((len(run_index), np.diff(chain_start).max(initial=0) + 1), -np.inf)
-        for run, margin in enumerate(np.split(self.margin_s[alive], start)[1:]):
-            margin_s[run, : len(margin)] = margin
-        axis = problem.table.axis
+        n_windows = np.array([len(sequence) for sequence in sequences], dtype=np.int64)
+        chains, run_chain = _share_chains(
+            np.searchsorted(kept, sets),
+            np.split(window.ravel(), np.cumsum(n_windows)[:-1]) if len(n_windows) else [],
+            [(np.searchsorted(kept, tail[0]), tail[1]) for tail in tails],
+        )
+        margin_s = np.full((len(run_index), n_windows.max(initial=0) + 1), -np.inf)
+        for row, margin in enumerate(margins):
+            margin_s[row, : len(margin)] = margin
         return ReducedProblem(
             pose_index=poses,
             limits=problem.limits.of_poses(poses),
@@ -329,9 +439,7 @@ class _Windows:
             survive=problem.survive,
             n_frames=len(kept),
             words=words,
-            window_frames=window_frames,
-            chain_window=chain_window,
-            chain_start=chain_start,
+            chains=chains,
             run_chain=run_chain,
             margin_s=margin_s,
             statistics=PresolveStatistics(
@@ -349,6 +457,25 @@ class _Windows:
             ),
         )
 
+    def _is_needless(self, merged: NDArray[np.uint8], tail_frame: IntArray) -> BoolArray:
+        """Tails that are seen whenever the next one of their run is, which ends more windows."""
+        is_needless = np.zeros(len(tail_frame), dtype=bool)
+        beyond = merged[tail_frame[1:]] & ~merged[tail_frame[:-1]]
+        is_needless[:-1] = ~np.logical_or.reduce(beyond != 0, axis=1)
+        is_needless[:-1] &= self.tail_run[1:] == self.tail_run[:-1]
+        return is_needless
+
+
+def _any_of_rows(
+    rows: NDArray[np.uint8], begin: IntArray, end: IntArray
+) -> NDArray[np.uint8]:
+    """Bits that are set in one of the rows begin .. end - 1: (n_rows, n) -> (n_ranges, n)."""
+    result = np.zeros((len(begin), rows.shape[1]), dtype=np.uint8)
+    for offset in range(int((end - begin).max(initial=0))):
+        longer = np.flatnonzero(begin + offset < end)
+        result[longer] |= rows[begin[longer] + offset]
+    return result
+
 
 def _unique_rows(rows: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], IntArray]:
     """Distinct rows, and which of them each row is."""
@@ -365,29 +492,54 @@ def _as_sets(frames: IntArray) -> IntArray:
     return np.sort(np.where(repeated, frames[:, -1:], frames), axis=1)
 
 
-def _is_late_window(frames: IntArray, run: IntArray) -> BoolArray:
-    """Whether an earlier window of the same run needs no frame that this one does not need."""
-    is_late = np.zeros(len(frames), dtype=bool)
-    starts = np.flatnonzero(np.diff(run, prepend=-1))
-    for of_run in np.split(np.arange(len(frames)), starts)[1:]:
-        mine = frames[of_run]
-        is_subset = (mine[:, None, :, None] == mine[None, :, None, :]).any(axis=3).all(axis=2)
-        is_late[of_run] = np.triu(is_subset, k=1).any(axis=0)
-    return is_late
+def _thin_out(
+    sets: IntArray, tail_frame: IntArray, n_links: IntArray
+) -> tuple[IntArray, tuple[IntArray, IntArray]]:
+    """Windows of a run that are not dominated, and the tails that are left for them.
+
+    `sets` are the frames of the windows, `n_links` says how many of the windows need each tail.
+    Returns indices of windows; and the frames of tails and how many of these windows need each.
+    """
+    number = np.arange(len(sets))
+    # A window that needs the very frame that a tail is, too, is never without the tail.
+    is_without: BoolArray = (sets[None, :, :] != tail_frame[:, None, None]).all(axis=2)
+    n_links = ((number < n_links[:, None]) * is_without * (number + 1)).max(axis=1, initial=0)
+    # Windows before this one need a tail that the later window neither needs nor ensures.
+    is_beyond = is_without & (n_links[:, None] <= number)
+    first = np.where(is_beyond, n_links[:, None], 0).max(axis=0, initial=0)
+    is_subset = (sets[:, None, :, None] == sets[None, :, None, :]).any(axis=3).all(axis=2)
+    is_subset &= number[:, None] >= first
+    kept = np.flatnonzero(~np.triu(is_subset, k=1).any(axis=0))
+    n_links = np.searchsorted(kept, n_links)
+    order = np.lexsort((tail_frame, -n_links))
+    _, first_of_frame = np.unique(tail_frame[order], return_index=True)
+    order = order[np.sort(first_of_frame)]
+    order = order[n_links[order] > 0]
+    return kept, (tail_frame[order], n_links[order])
 
 
-def _share_chains(sequences: list[IntArray]) -> tuple[IntArray, IntArray, IntArray]:
-    """Chains such that every sequence is the beginning of one: windows, starts, chain of each."""
-    chains: list[IntArray] = []
-    beginnings: dict[bytes, int] = {}
+def _share_chains(
+    window_frames: IntArray, sequences: list[IntArray], tails: list[tuple[IntArray, IntArray]]
+) -> tuple[Chains, IntArray]:
+    """Chains such that every sequence is the beginning of one with its tails; chain of each."""
+    chains: list[int] = []
+    beginnings: dict[tuple[bytes, bytes, bytes], int] = {}
     sequence_chain = np.zeros(len(sequences), dtype=np.int64)
     for index in sorted(range(len(sequences)), key=lambda index: -len(sequences[index])):
         sequence = sequences[index]
-        key = sequence.tobytes()
+        tail_key = tails[index][0].tobytes(), tails[index][1].tobytes()
+        key = sequence.tobytes(), *tail_key
         if key not in beginnings:
             for length in range(1, len(sequence) + 1):
-                beginnings[sequence[:length].tobytes()] = len(chains)
-            chains.append(sequence)
+                beginnings[sequence[:length].tobytes(), *tail_key] = len(chains)
+            chains.append(index)
         sequence_chain[index] = beginnings[key]
-    start = np.cumsum([0, *map(len, chains)])
-    return np.concatenate([*chains, np.empty(0, dtype=np.int64)]), start, sequence_chain
+    none = np.empty(0, dtype=np.int64)
+    return Chains(
+        window_frames=window_frames,
+        window=np.concatenate([none, *(sequences[index] for index in chains)]),
+        start=np.cumsum([0, *(len(sequences[index]) for index in chains)]),
+        tail_frame=np.concatenate([none, *(tails[index][0] for index in chains)]),
+        tail_links=np.concatenate([none, *(tails[index][1] for index in chains)]),
+        tail_start=np.cumsum([0, *(len(tails[index][0]) for index in chains)]),
+    ), sequence_chain

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
-from scenarios.aeb import AebRule, is_in_time
-from scenarios.runs import confirmation_times_s
+from scenarios.aeb import AebRule
+from scenarios.runs import live_confirmation_times_s
 
 from ..detection_table import DetectionTable
 from .limits import Limits, cost_eur, is_allowed
@@ -287,8 +287,9 @@ def floor_value(problem: PlacementProblem, floor: Floor, pose_index: Sequence[in
 def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatArray:
     """Time left, in every run, between the onset of braking and the last moment for it, (n_runs,).
 
-    It is last brake time - (confirmation + latency), in seconds; minus infinity if that is too
-    late. The problem's budget and capacities do not matter here.
+    It is last brake time - (confirmation + latency), in seconds, for the track that is alive at the
+    last moment; minus infinity if there is none. The problem's budget and capacities do not matter
+    here.
     """
     axis, rule = problem.table.axis, problem.rule
     if len(pose_index) == 0:
@@ -296,12 +297,10 @@ def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> Float
     detected = problem.table.detected(list(pose_index))
     if problem.fusion == "any":
         detected = np.logical_or.reduce(detected, axis=0, keepdims=True)
-    confirmed = confirmation_times_s(detected, axis, n_confirmations=rule.n_confirmations)
-    confirmed = confirmed.min(axis=0)
-    last_brake = axis.last_brake_time_s
-    in_time = np.isfinite(confirmed) & is_in_time(confirmed, last_brake, latency_s=rule.latency_s)
+    confirmed = live_confirmation_times_s(detected, axis, rule=rule).min(axis=0)
+    in_time = np.isfinite(confirmed)
     margin = np.full(axis.n_runs, -np.inf)
-    margin[in_time] = last_brake[in_time] - (confirmed[in_time] + rule.latency_s)
+    margin[in_time] = axis.last_brake_time_s[in_time] - (confirmed[in_time] + rule.latency_s)
     return margin
 
 

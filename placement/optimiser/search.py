@@ -25,19 +25,25 @@ Fails = Callable[[WordArray], BoolArray]
 
 
 def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
-    """Cuts that hold from the start: enough units must see stabbing frames of every run.
+    """Cuts that hold from the start: enough units must see stabbing frames and tails of every run.
 
-    Only where no run may be lost with any unit.
+    Only where no run may be lost with any unit. Tails count that all windows of a run need.
     """
     if not (requirement.needs_all and requirement.n_failures):
         return []
     counted = np.flatnonzero(requirement.measure.weight > 0.0)
     links = last_links(reduced, min_margin_s=requirement.min_margin_s)[counted]
     cuts = []
+    last = np.unique(links[links >= 0])
+    chains = np.searchsorted(reduced.chain_start, last, "right") - 1
+    for chain, link in zip(chains, last - reduced.chain_start[chains], strict=True):
+        frames, n_links = reduced.tails(int(chain))
+        for frame in frames[n_links > link]:
+            sees = (reduced.words[:, frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1)
+            cuts.append(Cut(is_counted=sees != 0, n_units=requirement.n_failures + 1))
     for phase in range(reduced.window_frames.shape[1]):
         enters = entering_poses(reduced, phase).toarray() > 0.0
-        for link in np.unique(links[links >= 0]):
-            start = reduced.chain_start[np.searchsorted(reduced.chain_start, link, "right") - 1]
+        for start, link in zip(reduced.chain_start[chains], last, strict=True):
             cuts.append(
                 Cut(
                     is_counted=np.logical_or.reduce(enters[start : link + 1], axis=0),

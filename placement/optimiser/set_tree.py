@@ -1,8 +1,8 @@
 """All sets of so many poses that reach a share of the runs: branch and bound, prices on runs.
 
-A set avoids a run only if one of its poses sees a certain frame of one of the run's windows; any
-frame of each window may be asked for, so that every choice makes the problem a maximal covering
-problem that promises no less (see :mod:`placement.optimiser.window_cover`). There a pose *covers*
+A set avoids a run only if one of its poses sees a certain frame of one of the run's windows, or a
+certain tail of it; any frame or tail of each window may be asked for, so that every choice makes
+the problem a maximal covering problem that promises no less (see :mod:`placement.optimiser.window_cover`). There a pose *covers*
 a run, and prices on runs bound all sets that contain certain poses:
 
     sum over runs of max over m of (weight G(n + m) - m price) + the best poses' sums of prices,
@@ -20,6 +20,7 @@ Sets that remain are valued on the windows themselves. A walk that ends has met 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import comb
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,7 +28,10 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
 from .limits import Limits
-from .presolve import ReducedProblem, WordArray, pack_words, unpack_words
+from .presolve import Chains, ReducedProblem, WordArray, pack_words, unpack_words
+
+if TYPE_CHECKING:
+    from .tree_kernels import Layout
 
 _ROUNDS = 8
 _ROOT_STEPS = 250
@@ -48,9 +52,7 @@ _PRICES_OF_APR = (0.0, 0.3, 1.0, 3.0)
 class Links:
     """Detections of a reduced problem, laid out by chains."""
 
-    # (n_phases, n_poses, n_words): whether a pose sees the i-th frame of each window of each chain
-    phases: WordArray
-    start: IntArray  # (n_chains + 1,): first word of each chain
+    layout: "Layout"  # for kernels
     last: IntArray  # (n_runs,): windows of its chain that end in time for each run
     run_chain: IntArray  # (n_runs,): chain of each run
     n_links: IntArray  # (n_chains,): windows of each chain
@@ -60,13 +62,18 @@ class Links:
         """Windows of the longest chain: what stands for none seen."""
         return int(self.n_links.max(initial=0))
 
+    @property
+    def n_poses(self) -> int:
+        """Number of poses."""
+        return int(self.layout.bits.shape[1])
+
     def union(self, units: IntArray) -> WordArray:
         """What a set of poses sees, (n_phases, n_words)."""
-        union: WordArray = np.bitwise_or.reduce(self.phases[:, units], axis=1)
+        union: WordArray = np.bitwise_or.reduce(self.layout.bits[:, units], axis=1)
         return union
 
     def chain_worth(self, weight: FloatArray) -> FloatArray:
-        """Weight of avoided runs by chain and first window seen, (n_chains, longest + 1)."""
+        """Weight of avoided runs by chain and first live window, (n_chains, longest + 1)."""
         worth = np.zeros((len(self.n_links), self.longest + 1))
         for chain, last, amount in zip(self.run_chain, self.last, weight, strict=True):
             worth[chain, :last] += amount
@@ -75,40 +82,64 @@ class Links:
 
 def build_links(reduced: ReducedProblem) -> Links:
     """Lay out the detections of a reduced problem by chains."""
-    from .tree_kernels import lay_out
+    from .tree_kernels import Layout, lay_out
 
-    n_links = np.diff(reduced.chain_start)
-    n_words = -(-n_links // 64)
-    start = np.cumsum([0, *n_words])
-    bit = np.arange(len(reduced.chain_window)) - np.repeat(reduced.chain_start[:-1], n_links)
-    place = 64 * np.repeat(start[:-1], n_links) + bit
-    frames = reduced.window_frames[reduced.chain_window]
-    phases = np.zeros((frames.shape[1], reduced.n_poses, start[-1]), dtype=np.uint64)
-    lay_out(reduced.words, np.ascontiguousarray(frames.T), place, phases)
+    chains = reduced.chains
+    start = _word_starts(chains)
+    frames = chains.window_frames[chains.window]
+    has_tails = len(chains.tail_frame) > 0
+    n_phases = frames.shape[1]
+    bits = np.zeros((n_phases + has_tails, reduced.n_poses, start[-1]), dtype=np.uint64)
+    place = _places(start, chains.start)
+    for phase in range(n_phases):
+        lay_out(reduced.words, np.ascontiguousarray(frames[:, phase]), place, bits[phase])
+    if has_tails:
+        place = _places(start, chains.tail_start)
+        is_tail = np.zeros(64 * start[-1], dtype=bool)
+        is_tail[place] = True
+        bits[n_phases] = ~pack_words(is_tail)
+        lay_out(reduced.words, chains.tail_frame, place, bits[n_phases])
     return Links(
-        phases=phases,
-        start=start,
+        layout=Layout(
+            bits=bits,
+            n_phases=n_phases,
+            start=start,
+            tail_links=chains.tail_links,
+            tail_start=chains.tail_start,
+        ),
         last=(reduced.margin_s > -np.inf).sum(axis=1),
         run_chain=reduced.run_chain,
-        n_links=n_links,
+        n_links=np.diff(chains.start),
     )
+
+
+def _word_starts(chains: Chains) -> IntArray:
+    """First word of each chain, and their number: there is room for windows and for tails."""
+    n_bits = np.maximum(np.diff(chains.start), np.diff(chains.tail_start))
+    return np.cumsum([0, *(-(-n_bits // 64))])
+
+
+def _places(word_start: IntArray, start: IntArray) -> IntArray:
+    """Bits of what chains have, one after the other, when each chain begins a word."""
+    count = np.diff(start)
+    return np.arange(start[-1]) + np.repeat(64 * word_start[:-1] - start[:-1], count)
 
 
 def link_bytes(reduced: ReducedProblem) -> int:
     """Memory that the detections by chains take."""
-    n_words = int((-(-np.diff(reduced.chain_start) // 64)).sum())
-    return 8 * int(reduced.window_frames.shape[1]) * reduced.n_poses * n_words
+    n_rows = int(reduced.window_frames.shape[1]) + (len(reduced.chains.tail_frame) > 0)
+    return 8 * n_rows * reduced.n_poses * int(_word_starts(reduced.chains)[-1])
 
 
 def first_seen(links: Links, sets: IntArray, *, left_out: int = -1) -> IntArray:
-    """First window of each chain that sets see, (n_sets, n_chains); without one of their units.
+    """First live window of each chain for sets, (n_sets, n_chains); without one of their units.
 
     `left_out` is the place of that unit in each set; negative: none.
     """
     from .tree_kernels import set_links
 
     first = np.empty((len(sets), len(links.n_links)), dtype=np.int64)
-    set_links(links.phases, links.start, sets, left_out, links.longest, first)
+    set_links(links.layout, sets, left_out, links.longest, first)
     return first
 
 
@@ -137,23 +168,25 @@ def find_root(
 ) -> Root:
     """Ask for the frames, window by window, that bound sets of so many units best.
 
-    `weight`, (n_runs,), is what runs are worth. Windows are asked for the frame that the poses
-    picked so far see least, again and again, and the best round is kept.
+    `weight`, (n_runs,), is what runs are worth. Windows are asked for the frame, or the tail, that
+    the poses picked so far see least, again and again, and the best round is kept.
     """
     from .tree_kernels import first_windows
 
-    n_phases, n_poses, n_words = links.phases.shape
+    layout = links.layout
+    n_poses, n_words = layout.bits.shape[1:]
+    n_phases = layout.n_phases
     bits = np.zeros(64 * n_words, dtype=bool)
-    for word, count in zip(links.start[:-1], links.n_links, strict=True):
-        bits[64 * word : 64 * word + count] = True
-    asked = np.zeros((n_phases, n_words), dtype=np.uint64)
+    bits[_places(layout.start, np.cumsum([0, *links.n_links]))] = True
+    asked = np.zeros((n_phases + 1, n_words), dtype=np.uint64)
     asked[0] = pack_words(bits)
     first = np.empty((n_poses, len(links.n_links)), dtype=np.int64)
     seen_sum = np.zeros((n_phases, 64 * n_words))
+    tails = _Tails(links)
     price = 0.3 * weight
     best: Root | None = None
     for number in range(_ROUNDS):
-        first_windows(links.phases, links.start, asked, links.longest, first)
+        first_windows(layout, tails.asked_bits, asked, links.longest, first)
         columns = np.packbits(avoided_runs(links, first), axis=0).T
         _, index, row = np.unique(columns, axis=0, return_index=True, return_inverse=True)
         covers = pack_words(avoided_runs(links, first)[:, index])
@@ -179,14 +212,43 @@ def find_root(
         price = root.price[row] * part
         used = np.flatnonzero(root.share > _SMALL_SHARE)
         for phase in range(n_phases):
-            seen = root.share[used] @ unpack_words(links.phases[phase, used], 64 * n_words)
+            seen = root.share[used] @ unpack_words(layout.bits[phase, used], 64 * n_words)
             seen_sum[phase] += np.minimum(seen, 1.0)
-        rounded = np.round(seen_sum / max(float(seen_sum.max()), 1.0e-300), _SHARE_DIGITS)
+        tails.look(root.share, used)
+        sums = np.concatenate([seen_sum, tails.seen_sum[None, :]])
+        rounded = np.round(sums / max(float(seen_sum.max()), 1.0e-300), _SHARE_DIGITS)
         least = rounded.argmin(axis=0)
-        for phase in range(n_phases):
+        for phase in range(n_phases + 1):
             asked[phase] = pack_words((least == phase) & bits)
     assert best is not None
     return best
+
+
+class _Tails:
+    """Which tail each window is asked for: the one that is seen least."""
+
+    def __init__(self, links: Links) -> None:
+        self.layout = links.layout
+        _, n_poses, n_words = self.layout.bits.shape
+        self.has_any = len(self.layout.tail_links) > 0
+        self.place = _places(self.layout.start, self.layout.tail_start)
+        # (64 n_words,): of the tail that each window is asked for; infinite: it needs none.
+        self.seen_sum = np.full(64 * n_words, np.inf)
+        self._of_tail = np.zeros(len(self.place))
+        # (n_poses, n_words): whether a pose sees the tail that each window is asked for
+        self.asked_bits = np.zeros((n_poses, n_words), dtype=np.uint64)
+
+    def look(self, share: FloatArray, used: IntArray) -> None:
+        """Add up how much poses see of the tails, and ask for the others then."""
+        from .tree_kernels import ask_for_tails
+
+        if not self.has_any:
+            return
+        layout = self.layout
+        n_bits = 64 * layout.bits.shape[2]
+        seen = share[used] @ unpack_words(layout.bits[layout.n_phases, used], n_bits)
+        self._of_tail += np.minimum(seen[self.place], 1.0)
+        ask_for_tails(layout, self._of_tail, self.seen_sum, self.asked_bits)
 
 
 def _tighten(
@@ -276,7 +338,7 @@ class SetWalk:
         from .tree_kernels import Forest, Walk
 
         n_poses, n_rows = len(root.covers), len(root.weight)
-        n_phases, _, n_words = links.phases.shape
+        n_rows_of_bits, _, n_words = links.layout.bits.shape
         self.n_failures, self.n_units = n_failures, n_units
         self.total = float(weight.sum())
         rewards = _rewards(n_units, n_failures)
@@ -297,8 +359,7 @@ class SetWalk:
         worth = links.chain_worth(weight)
         steps = [*_STEPS, *[_STEPS[-1]] * n_units][:n_units]
         self.forest = Forest(
-            phases=links.phases,
-            start=links.start,
+            layout=links.layout,
             worth=worth,
             chains=_hardest_first(links, worth, root),
             covers=root.covers,
@@ -311,7 +372,7 @@ class SetWalk:
             needs=np.zeros(4),
             where=np.array([0, 1, 0, 0]),
             chosen=np.zeros(n_units, dtype=np.int64),
-            union=np.zeros((n_units + 1, n_phases, n_words), dtype=np.uint64),
+            union=np.zeros((n_units + 1, n_rows_of_bits, n_words), dtype=np.uint64),
             n_covering=np.zeros((n_units + 1, n_rows), dtype=np.uint8),
             price=np.zeros((n_units + 1, n_units + 2, n_rows)),
             room=np.zeros((n_units + 1, limits.n_sites), dtype=np.int64),

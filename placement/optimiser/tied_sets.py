@@ -86,7 +86,7 @@ class SetSearch:
 
         total = np.empty((self.reduced.n_poses, len(self._tables)))
         union = self.links.union(np.asarray(units, dtype=np.int64))
-        totals_with_each(self.links.phases, self.links.start, self._tables, union, total)
+        totals_with_each(self.links.layout, self._tables, union, total)
         return self.reduced.measure.of_worlds(total)
 
     def left_with_each(self, units: IntArray, n_failures: int) -> FloatArray:
@@ -268,9 +268,7 @@ class SetSearch:
             fits = fitting(self.reduced.limits, units)
             if not fits.any():
                 break
-            totals_with_each(
-                self.links.phases, self.links.start, table, self.links.union(units), total
-            )
+            totals_with_each(self.links.layout, table, self.links.union(units), total)
             units = np.append(units, np.where(fits, total[:, 0], -np.inf).argmax())
         return units
 

@@ -2,7 +2,9 @@
 
 Detections are laid out by chains: bit k of the words of chain g in phase i says whether a pose sees
 the i-th frame of the chain's k-th window. A set sees a window if every phase has its bit in the
-union. A chain is then worth ``worth[g, k]`` with k its first window seen.
+union. Behind the phases there is a row for tails, if there are any: bit t says whether a pose sees
+the chain's t-th tail. The first one that the union lacks ends most windows; the first of the others
+that is seen is the first live one. A chain is then worth ``worth[g, k]`` with k that window.
 
 Everything here works on plain arrays; :mod:`placement.optimiser.set_tree` says what they hold.
 """
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .presolve import WordArray
+from .presolve import Chains, WordArray
 
 ByteArray = NDArray[np.uint8]
 Float32Array = NDArray[np.float32]
@@ -27,11 +29,22 @@ _MEMORY = 0.97  # of the shares
 _PATIENCE = 6
 
 
+class Layout(NamedTuple):
+    """Detections by chains."""
+
+    # (n_phases, n_poses, n_words), and a row more if there are tails; padding behind the tails is
+    # set.
+    bits: WordArray
+    n_phases: int
+    start: IntArray  # (n_chains + 1,): first word of each chain
+    tail_links: IntArray  # (n_tails,): windows that need each tail, falling in each chain
+    tail_start: IntArray  # (n_chains + 1,): tails of each chain
+
+
 class Forest(NamedTuple):
     """What stays the same during a walk."""
 
-    phases: WordArray  # (n_phases, n_poses, n_words)
-    start: IntArray  # (n_chains + 1,): first word of each chain
+    layout: Layout
     worth: FloatArray  # (n_chains, longest + 1): by the first window seen
     chains: IntArray  # (n_chains,): the chains that most sets lose come first
     covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
@@ -49,7 +62,7 @@ class Walk(NamedTuple):
     needs: FloatArray  # (4,): of each reward; and what must be left, exactly, without any one unit
     where: IntArray  # (4,): depth, whether its node is new, sets found, candidates looked at
     chosen: IntArray  # (n_units,)
-    union: WordArray  # (n_units + 1, n_phases, n_words)
+    union: WordArray  # (n_units + 1, n_phases or one more, n_words)
     n_covering: ByteArray  # (n_units + 1, n_rows): units that cover each row
     price: FloatArray  # (n_units + 1, n_units + 2, n_rows)
     room: IntArray  # (n_units + 1, n_sites)
@@ -89,105 +102,170 @@ def has_bit(words: WordArray, number: int) -> int:
 
 
 @kernel
-def join(phases: WordArray, pose: int, union: WordArray, joined: WordArray) -> None:
+def join(bits: WordArray, pose: int, union: WordArray, joined: WordArray) -> None:
     """What a union and a pose see together."""
-    for phase in range(phases.shape[0]):
-        for word in range(phases.shape[2]):
-            joined[phase, word] = union[phase, word] | phases[phase, pose, word]
+    for row in range(bits.shape[0]):
+        for word in range(bits.shape[2]):
+            joined[row, word] = union[row, word] | bits[row, pose, word]
 
 
 @kernel
-def first_window(
-    phases: WordArray, pose: int, union: WordArray, begin: int, end: int, none: int
-) -> int:
-    """First window of a chain, in words begin .. end - 1, that a union and a pose see together."""
-    for word in range(begin, end):
-        seen = ~np.uint64(0)
-        for phase in range(phases.shape[0]):
-            seen &= phases[phase, pose, word] | union[phase, word]
+def first_window(layout: Layout, pose: int, union: WordArray, chain: int, none: int) -> int:
+    """First live window of a chain that a union and a pose see together."""
+    bits, n_phases = layout.bits, layout.n_phases
+    begin, end = layout.start[chain], layout.start[chain + 1]
+    lowest = 0
+    tail, n_tails = layout.tail_start[chain], layout.tail_start[chain + 1]
+    if tail < n_tails:
+        for word in range(begin, end):
+            unseen = ~(bits[n_phases, pose, word] | union[n_phases, word])
+            if unseen != 0:
+                lowest = layout.tail_links[tail + 64 * (word - begin) + lowest_bit(unseen)]
+                break
+    mask = ~np.uint64(0) << np.uint64(lowest & 63)
+    for word in range(begin + (lowest >> 6), end):
+        seen = mask
+        for phase in range(n_phases):
+            seen &= bits[phase, pose, word] | union[phase, word]
         if seen != 0:
             return 64 * (word - begin) + lowest_bit(seen)
+        mask = ~np.uint64(0)
     return none
 
 
 @kernel
-def lay_out(words: WordArray, frames: IntArray, place: IntArray, phases: WordArray) -> None:
-    """Bits of the frames of all windows, (n_phases, n_links), to the places of these windows."""
-    for phase in range(len(frames)):
-        for pose in range(len(words)):
-            for link in range(len(place)):
-                frame, bit = frames[phase, link], place[link]
-                seen = (words[pose, frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1)
-                phases[phase, pose, bit >> 6] |= seen << np.uint64(bit & 63)
+def lay_out(words: WordArray, frames: IntArray, place: IntArray, bits: WordArray) -> None:
+    """Detections in some frames to the places of these in words, (n_poses, n_words)."""
+    for pose in range(len(words)):
+        for number in range(len(place)):
+            frame, bit = frames[number], place[number]
+            seen = (words[pose, frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1)
+            bits[pose, bit >> 6] |= seen << np.uint64(bit & 63)
 
 
 @kernel
 def first_windows(
-    phases: WordArray, start: IntArray, asked: WordArray, none: int, first: IntArray
+    layout: Layout, tails: WordArray, asked: WordArray, none: int, first: IntArray
 ) -> None:
-    """First window of each chain of which each pose sees the frame asked for, (n_poses, n_chains).
+    """First window of each chain of which each pose sees what is asked for, (n_poses, n_chains).
 
-    `asked` has a bit for every phase of a window: seen is the window if one of those is.
+    `asked` has a bit for every phase of a window, and one for its tail in `tails`: seen is the
+    window if one of those is.
     """
-    for pose in range(phases.shape[1]):
-        for chain in range(len(start) - 1):
+    for pose in range(layout.bits.shape[1]):
+        for chain in range(len(layout.start) - 1):
             first[pose, chain] = none
-            for word in range(start[chain], start[chain + 1]):
-                seen = np.uint64(0)
-                for phase in range(phases.shape[0]):
-                    seen |= phases[phase, pose, word] & asked[phase, word]
+            for word in range(layout.start[chain], layout.start[chain + 1]):
+                seen = tails[pose, word] & asked[layout.n_phases, word]
+                for phase in range(layout.n_phases):
+                    seen |= layout.bits[phase, pose, word] & asked[phase, word]
                 if seen != 0:
-                    first[pose, chain] = 64 * (word - start[chain]) + lowest_bit(seen)
+                    first[pose, chain] = 64 * (word - layout.start[chain]) + lowest_bit(seen)
                     break
 
 
 @kernel
-def set_links(
-    phases: WordArray, start: IntArray, sets: IntArray, left_out: int, none: int, first: IntArray
+def ask_for_tails(
+    layout: Layout, seen_of_tail: FloatArray, seen: FloatArray, asked_bits: WordArray
 ) -> None:
-    """First window of each chain that each set sees, one of its units left out, (n_sets, n_chains).
+    """Ask every window for the tail that is seen least of those that it needs.
+
+    `seen_of_tail`, (n_tails,), is how much of each is seen; `seen`, (64 n_words,), becomes that of
+    the tail that a window is asked for, and `asked_bits`, (n_poses, n_words), who sees that.
+    """
+    asked_bits[:] = 0
+    for chain in range(len(layout.start) - 1):
+        first, last = layout.tail_start[chain], layout.tail_start[chain + 1]
+        begin = layout.start[chain]
+        least, tail = first, first
+        while tail < last:
+            if seen_of_tail[tail] < seen_of_tail[least]:
+                least = tail
+            n_links = layout.tail_links[tail]
+            tail += 1
+            fewer = layout.tail_links[tail] if tail < last else 0
+            if fewer == n_links:
+                continue
+            word, bit = begin + ((least - first) >> 6), np.uint64((least - first) & 63)
+            for link in range(fewer, n_links):
+                place = begin + (link >> 6)
+                seen[64 * begin + link] = seen_of_tail[least]
+                for pose in range(layout.bits.shape[1]):
+                    has = (layout.bits[layout.n_phases, pose, word] >> bit) & np.uint64(1)
+                    asked_bits[pose, place] |= has << np.uint64(link & 63)
+
+
+@kernel
+def set_links(layout: Layout, sets: IntArray, left_out: int, none: int, first: IntArray) -> None:
+    """First live window of each chain for each set, one unit left out, (n_sets, n_chains).
 
     A negative number leaves none out.
     """
-    n_phases = phases.shape[0]
+    nothing = np.zeros((layout.bits.shape[0], layout.bits.shape[2]), dtype=np.uint64)
+    union = nothing.copy()
     for row in range(len(sets)):
-        for chain in range(len(start) - 1):
-            first[row, chain] = none
-            for word in range(start[chain], start[chain + 1]):
-                seen = ~np.uint64(0)
-                for phase in range(n_phases):
-                    union = np.uint64(0)
-                    for unit in range(sets.shape[1]):
-                        if unit != left_out:
-                            union |= phases[phase, sets[row, unit], word]
-                    seen &= union
-                if seen != 0:
-                    first[row, chain] = 64 * (word - start[chain]) + lowest_bit(seen)
-                    break
+        union[:] = nothing
+        last = -1
+        for unit in range(sets.shape[1]):
+            if unit != left_out:
+                if last >= 0:
+                    join(layout.bits, sets[row, last], union, union)
+                last = unit
+        for chain in range(len(layout.start) - 1):
+            if last < 0:
+                first[row, chain] = none
+            else:
+                first[row, chain] = first_window(layout, sets[row, last], union, chain, none)
 
 
 @kernel
-def first_whole_windows(
-    unions: WordArray, window_frames: IntArray, links: IntArray, start: IntArray, first: IntArray
-) -> None:
-    """First window of each chain that each union sees as a whole, (n_unions, n_chains).
+def has_frame(union: WordArray, frame: int) -> bool:
+    """Whether a union has a merged frame."""
+    return (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) != 0
 
-    The links of chain g are windows ``links[start[g] : start[g + 1]]``; their number where none is
-    seen.
+
+@kernel
+def first_live_link(union: WordArray, chains: Chains, chain: int) -> int:
+    """First live window of a chain that a union of merged frames sees; their number if none."""
+    begin, end = chains.start[chain], chains.start[chain + 1]
+    place = begin
+    for tail in range(chains.tail_start[chain], chains.tail_start[chain + 1]):
+        if not has_frame(union, chains.tail_frame[tail]):
+            place += chains.tail_links[tail]
+            break
+    while place < end:
+        is_seen = True
+        for frame in chains.window_frames[chains.window[place]]:
+            is_seen &= has_frame(union, frame)
+        if is_seen:
+            break
+        place += 1
+    return place - begin
+
+
+@kernel
+def first_live_windows(unions: WordArray, chains: Chains, first: IntArray) -> None:
+    """First live window of each chain for each union of merged frames, (n_unions, n_chains).
+
+    The number of the chain's windows where none is live.
     """
     for row in range(len(unions)):
-        union = unions[row]
-        for chain in range(len(start) - 1):
-            place = start[chain]
-            while place < start[chain + 1]:
-                frames = window_frames[links[place]]
-                seen = np.uint64(1)
-                for frame in frames:
-                    seen &= union[frame >> 6] >> np.uint64(frame & 63)
-                if seen != 0:
-                    break
-                place += 1
-            first[row, chain] = place - start[chain]
+        for chain in range(len(chains.start) - 1):
+            first[row, chain] = first_live_link(unions[row], chains, chain)
+
+
+@kernel
+def drop_lost_windows(seen: WordArray, frames: WordArray, chains: Chains) -> None:
+    """Clear windows that are not live; bits along sets: (n_links, n_words), (n_frames, n_words)."""
+    held = np.empty(seen.shape[1], dtype=np.uint64)
+    for chain in range(len(chains.start) - 1):
+        held[:] = ~np.uint64(0)
+        tail, last = chains.tail_start[chain], chains.tail_start[chain + 1]
+        for number in range(chains.start[chain + 1] - chains.start[chain] - 1, -1, -1):
+            while tail < last and chains.tail_links[tail] > number:
+                held &= frames[chains.tail_frame[tail]]
+                tail += 1
+            seen[chains.start[chain] + number] &= held
 
 
 @kernel
@@ -195,19 +273,17 @@ def lose_little(
     words: WordArray,
     sets: IntArray,
     with_failures: bool,
-    window_frames: IntArray,
-    links: IntArray,
-    start: IntArray,
+    chains: Chains,
     lost: FloatArray,
     most_lost: float,
     kept: BoolArray,
 ) -> None:
     """Whether sets lose no more than so much: all their units, or whichever one of them fails.
 
-    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first that is seen.
-    Few sets are looked at as a whole: the chains at which others before failed come first.
+    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one. Few
+    sets are looked at as a whole: the chains at which others before failed come first.
     """
-    n_chains = len(start) - 1
+    n_chains = len(chains.start) - 1
     order = np.arange(n_chains)
     union = np.empty(words.shape[1], dtype=np.uint64)
     for row in range(len(sets)):
@@ -221,15 +297,7 @@ def lose_little(
             total = 0.0
             for rank in range(n_chains):
                 chain = order[rank]
-                place = start[chain]
-                while place < start[chain + 1]:
-                    seen = np.uint64(1)
-                    for frame in window_frames[links[place]]:
-                        seen &= union[frame >> 6] >> np.uint64(frame & 63)
-                    if seen != 0:
-                        break
-                    place += 1
-                total += lost[chain, place - start[chain]]
+                total += lost[chain, first_live_link(union, chains, chain)]
                 if total > most_lost:
                     kept[row] = False
                     before = rank // 2  # nearer to the front, not all the way: some fail by chance
@@ -241,11 +309,7 @@ def lose_little(
 
 @kernel
 def totals_with_each(
-    phases: WordArray,
-    start: IntArray,
-    worth: FloatArray,
-    union: WordArray,
-    total: FloatArray,
+    layout: Layout, worth: FloatArray, union: WordArray, total: FloatArray
 ) -> None:
     """What a union is worth together with each pose, by several sums, (n_poses, n_sums).
 
@@ -253,11 +317,11 @@ def totals_with_each(
     """
     none = worth.shape[2] - 1
     n_sums = worth.shape[0]
-    for pose in range(phases.shape[1]):
+    for pose in range(layout.bits.shape[1]):
         for number in range(n_sums):
             total[pose, number] = 0.0
-        for chain in range(len(start) - 1):
-            first = first_window(phases, pose, union, start[chain], start[chain + 1], none)
+        for chain in range(len(layout.start) - 1):
+            first = first_window(layout, pose, union, chain, none)
             for number in range(n_sums):
                 total[pose, number] += worth[number, chain, first]
 
@@ -268,9 +332,7 @@ def reaches(forest: Forest, largest: float, pose: int, union: WordArray, need: f
     none = forest.worth.shape[1] - 1
     left = largest - need
     for chain in forest.chains:
-        first = first_window(
-            forest.phases, pose, union, forest.start[chain], forest.start[chain + 1], none
-        )
+        first = first_window(forest.layout, pose, union, chain, none)
         left -= forest.worth[chain, 0] - forest.worth[chain, first]
         if left < 0.0:
             return False
@@ -511,12 +573,10 @@ def keeps_without(forest: Forest, largest: float, walk: Walk, last: int, need: f
         return False  # without the last one
     union = np.empty(walk.union[0].shape, dtype=np.uint64)
     for failed in range(n_units - 1):
-        for phase in range(union.shape[0]):
-            for word in range(union.shape[1]):
-                union[phase, word] = 0
+        union[:] = 0
         for unit in range(n_units - 1):
             if unit != failed:
-                join(forest.phases, walk.chosen[unit], union, union)
+                join(forest.layout.bits, walk.chosen[unit], union, union)
         if not reaches(forest, largest, last, union, need):
             return False
     return True
@@ -557,7 +617,7 @@ def grow(
         walk.position[depth] += 1
         pose = walk.candidate[depth, place]
         walk.chosen[depth] = pose
-        join(forest.phases, pose, walk.union[depth], walk.union[depth + 1])
+        join(forest.layout.bits, pose, walk.union[depth], walk.union[depth + 1])
         for site in range(walk.room.shape[1]):
             walk.room[depth + 1, site] = walk.room[depth, site]
         walk.room[depth + 1, forest.site[pose]] -= 1

@@ -9,12 +9,12 @@ import numpy as np
 from geometry.arrays import BoolArray
 from geometry.errors import InputError
 from geometry.image_boxes import iou
-from scenarios.aeb import AebRule, braking_distance_m, is_in_time
-from scenarios.runs import FrameAxis, confirmation_times_s
+from scenarios.aeb import AebRule, braking_distance_m
+from scenarios.runs import FrameAxis, find_onsets
 
 from ..detection_table import DetectionTable, pack_table
 from ..detectors import load_min_iou
-from ..evaluation import Verdict
+from ..evaluation import Verdict, earliest_arrival_s
 from .files import Detection, Label, RecordingFormat, load_format
 from .read import Drive, Recording
 
@@ -250,10 +250,11 @@ def _evaluate(
 
 
 def _verdict(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> Verdict:
-    confirmation = confirmation_times_s(detected, axis, n_confirmations=rule.n_confirmations)
+    arrival_s = earliest_arrival_s([(detected, rule.latency_s)], axis)
+    onsets = find_onsets(arrival_s, axis, rule=rule)
     return Verdict(
         detected=detected,
-        confirmation_time_s=confirmation,
-        onset_time_s=confirmation + rule.latency_s,
-        is_avoided=is_in_time(confirmation, axis.last_brake_time_s, latency_s=rule.latency_s),
+        confirmation_time_s=onsets.confirmation_s,
+        onset_time_s=onsets.onset_s,
+        is_avoided=onsets.is_in_time,
     )

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, float_array
 from geometry.errors import InputError, Unquoted
-from scenarios.aeb import AebRule, is_in_time
+from scenarios.aeb import AebRule
 from scenarios.exposure import weight_share
-from scenarios.runs import FrameAxis, onset_times_s
+from scenarios.runs import FrameAxis, find_onsets
 
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, silent
@@ -258,7 +258,5 @@ def _avoided(
     together = [arrivals] if fusion == "any" else [[arrival] for arrival in arrivals]
     avoided = np.zeros(axis.n_runs, dtype=bool)
     for fused in together:
-        arrival = earliest_arrival_s(fused, axis)
-        _, onset = onset_times_s(arrival, axis, n_confirmations=rule.n_confirmations)
-        avoided |= is_in_time(onset, axis.last_brake_time_s, latency_s=0.0)
+        avoided |= find_onsets(earliest_arrival_s(fused, axis), axis, rule=rule).is_in_time
     return avoided

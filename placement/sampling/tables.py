@@ -318,6 +318,7 @@ def _stack_axis(axis: FrameAxis, last_brake_time_s: FloatArray, n_samples: int) 
         run_ids=tuple(f"{run}#{n}" for n in range(1, n_samples + 1) for run in axis.run_ids),
         cases=axis.cases * n_samples,
         approaches=axis.approaches * n_samples,
+        positions=axis.positions * n_samples,
         weathers=axis.weathers * n_samples,
         vut_speed_kmh=np.tile(axis.vut_speed_kmh, n_samples),
         weight=np.tile(axis.weight / n_samples, n_samples),

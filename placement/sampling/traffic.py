@@ -24,12 +24,12 @@ from .uncertainty import StandingTraffic, VehicleKind
 _STEP_M = 0.25  # along a way, from one footprint to the next
 _TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
 
-GroupKey = tuple[str, str]
+GroupKey = tuple[str, str, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ways:
-    """The ground that runs of one case from one approach sweep over, at any speed."""
+    """The ground that runs of a case, an approach and a position sweep over, at any speed."""
 
     # (n, 4, 2): footprints of VUT and VRU, close to one another along their ways. World frame. [m]
     corners_m: FloatArray
@@ -47,7 +47,7 @@ class Ways:
 
 def group_key(run: Run) -> GroupKey:
     """Runs of one group have the same ways but for the speed."""
-    return run.case.name, run.approach
+    return run.case.name, run.approach, run.position
 
 
 def build_ways(runs: Sequence[Run], rule: AebRule) -> dict[GroupKey, Ways]:

@@ -30,6 +30,7 @@ from geometry.files import (
 )
 from geometry.untrusted_files import MAX_UNPACKED_BYTES, unpacked_bytes
 from scenarios.aeb import AebRule
+from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis
 
 from ..detection_table import DetectionTable
@@ -59,6 +60,10 @@ _FUSIONS: Mapping[str, str] = {
 _AVOIDED = (
     "a_r = 1 if a window of n frames in a row of run r is seen and the time of its last frame "
     "+ latency <= last brake time of r"
+)
+_ALIVE = (
+    "; and if from then on until last brake time - latency no longer than track_memory_s passes "
+    "without a frame that is seen"
 )
 
 
@@ -114,7 +119,7 @@ def build_certificate(
             "stages": [stage.name for stage in certificate.stages],
             "in_words": {
                 "fusion": _FUSIONS[problem.fusion],
-                "avoided": _AVOIDED,
+                "avoided": _AVOIDED + ("" if _is_never_lost(problem.rule) else _ALIVE),
                 **{stage.name: _FORMULAS[Objective(stage.name)] for stage in certificate.stages},
             },
         },
@@ -227,7 +232,12 @@ def model_of(problem: PlacementProblem) -> dict[str, Any]:
             }
             for floor in problem.floors
         ],
-        "rule": asdict(problem.rule),
+        "rule": {
+            name: value
+            for name, value in asdict(problem.rule).items()
+            # Left out where it means nothing: JSON has no infinity.
+            if name != "track_memory_s" or not _is_never_lost(problem.rule)
+        },
     }
 
 
@@ -314,6 +324,7 @@ _FIELDS: Mapping[str, _Field] = {
     "run_ids": _Field("str", ("runs",)),
     "cases": _Field("str", ("runs",)),
     "approaches": _Field("str", ("runs",)),
+    "positions": _Field("str", ("runs",), is_optional=True),  # older files: 0 everywhere
     "weathers": _Field("str", ("runs",)),
     "vut_speed_kmh": _Field("float64", ("runs",)),
     "weight": _Field("float64", ("runs",)),
@@ -349,6 +360,7 @@ _FIELDS: Mapping[str, _Field] = {
     "latency_s": _Field("float64"),
     "n_confirmations": _Field("int64"),
     "frame_rate_hz": _Field("float64"),
+    "track_memory_s": _Field("float64", is_optional=True),  # infinite where it is missing
 }
 
 
@@ -425,6 +437,11 @@ def problem_hash(problem: PlacementProblem) -> str:
     return digest.hexdigest()
 
 
+def _is_never_lost(rule: AebRule) -> bool:
+    """Whether a confirmed track lives for ever."""
+    return rule.track_memory_s == math.inf
+
+
 def _to_arrays(problem: PlacementProblem) -> Arrays:
     table, axis, limits, rule = problem.table, problem.table.axis, problem.limits, problem.rule
     floors = problem.floors
@@ -444,6 +461,10 @@ def _to_arrays(problem: PlacementProblem) -> Arrays:
     }
     for owner in (axis, limits, problem, rule):
         values |= {name: getattr(owner, name) for name in _FIELDS if hasattr(owner, name)}
+    if _is_never_lost(rule):
+        values["track_memory_s"] = None
+    if set(axis.positions) == {AT_ZERO.name}:
+        del values["positions"]  # the same file, and hash, as before there were others
     arrays = {
         name: np.array(value, dtype=_FIELDS[name].dtype)
         for name, value in values.items()
@@ -466,6 +487,7 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
         run_ids=texts("run_ids"),
         cases=texts("cases"),
         approaches=texts("approaches"),
+        positions=texts("positions") if "positions" in arrays else (),
         weathers=texts("weathers"),
         vut_speed_kmh=arrays["vut_speed_kmh"],
         weight=arrays["weight"],
@@ -499,6 +521,7 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
             latency_s=number("latency_s"),
             n_confirmations=number("n_confirmations"),
             frame_rate_hz=number("frame_rate_hz"),
+            track_memory_s=number("track_memory_s") if "track_memory_s" in arrays else math.inf,
         ),
         floors=tuple(
             Floor(

@@ -2,8 +2,8 @@
 
 Nothing here is shared with :mod:`placement.optimiser` but the problem itself, as it lies in a file
 (the table's bits, the limits and the weights), and the names of the objectives. Frames are gone
-through one after the other, counting detections in a row; there is no presolve, no window and no
-model. It checks the optimiser, so it is to be read against design.md and not against the optimiser.
+through one after the other, counting detections in a row and the time since the last one; there is
+no presolve, no window and no model. It checks the optimiser, so it is to be read against design.md and not against the optimiser.
 """
 
 import math
@@ -221,21 +221,32 @@ def _mean_s(problem: "PlacementProblem", margin_s: FloatArray) -> FloatArray:
 
 
 def _margins_of_bits(problem: "PlacementProblem", bits: NDArray[np.uint8]) -> FloatArray:
-    """Margins if the frames with set bits are seen: (n, n_bytes) -> (n, n_runs)."""
+    """Margins if the frames with set bits are seen: (n, n_bytes) -> (n, n_runs).
+
+    A track is born with the last of n frames in a row, and dies when it is not seen for longer than
+    its memory, be it by the next frame that is seen or by the last moment.
+    """
     axis, rule = problem.table.axis, problem.rule
     start, length = axis.run_start[:-1], np.diff(axis.run_start)
+    moment_s = axis.last_brake_time_s - rule.latency_s
     margin_s = np.full((len(bits), axis.n_runs), -np.inf)
     in_a_row = np.zeros((len(bits), axis.n_runs), dtype=np.int32)
+    seen_s = np.full((len(bits), axis.n_runs), -np.inf)  # when last
     for position in range(int(length.max())):
         runs = np.flatnonzero(length > position)  # those that have such a frame
+        runs = runs[axis.time_s[start[runs] + position] <= moment_s[runs] + EPSILON]
         frame = start[runs] + position
         is_seen = (bits[:, frame // 8] >> (frame % 8).astype(np.uint8)) & 1
         in_a_row[:, runs] = (in_a_row[:, runs] + 1) * is_seen
-        onset_s = axis.time_s[frame] + rule.latency_s
-        left_s = axis.last_brake_time_s[runs] - onset_s
-        # The first confirmation leaves the most time; one that is too late leaves none.
-        confirms = (in_a_row[:, runs] >= rule.n_confirmations) & (left_s >= -EPSILON)
-        margin_s[:, runs] = np.maximum(margin_s[:, runs], np.where(confirms, left_s, -np.inf))
+        is_late = axis.time_s[frame] - seen_s[:, runs] > rule.track_memory_s + EPSILON
+        lives = (margin_s[:, runs] > -np.inf) & ~(is_late & (is_seen == 1))
+        alive_s = np.where(lives, margin_s[:, runs], -np.inf)
+        left_s = axis.last_brake_time_s[runs] - (axis.time_s[frame] + rule.latency_s)
+        # The first confirmation of a track leaves the most time.
+        confirms = in_a_row[:, runs] >= rule.n_confirmations
+        margin_s[:, runs] = np.maximum(alive_s, np.where(confirms, left_s, -np.inf))
+        seen_s[:, runs] = np.where(is_seen == 1, axis.time_s[frame], seen_s[:, runs])
+    margin_s[seen_s < moment_s - rule.track_memory_s - EPSILON] = -np.inf
     return margin_s
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from geometry.actors import Actor, PlacedActor, Shape
+from geometry.actors import Actor, MovingActor, PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.poses import body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster, build_caster
@@ -30,7 +30,7 @@ def obstruction_key(run: Run) -> tuple[object, ...]:
 
 
 def find_obstructions(runs: Sequence[Run]) -> dict[tuple[object, ...], tuple[PlacedActor, ...]]:
-    """Distinct obstructions in the order of `World.static`, by their content."""
+    """Distinct obstructions in the order of `World.obstructions`, by their content."""
     return {obstruction_key(run): run.obstruction for run in runs}
 
 
@@ -38,43 +38,52 @@ def build_static_mesh(
     scene: Scene, obstruction: tuple[PlacedActor, ...], origin_m: FloatArray
 ) -> tuple[FloatArray, NDArray[np.int32]]:
     """Vertices (n, 3) from an origin, and triangles (m, 3), of a scene with an obstruction."""
-    vertices, triangles = [scene.vertices_m], [scene.triangles]
-    for parked in obstruction:
-        shape = parked.actor.shapes[0]
+    vertices, triangles = bodies_mesh(obstruction, origin_m)
+    return (
+        np.concatenate([scene.vertices_m - origin_m, vertices]),
+        np.concatenate([scene.triangles, triangles + np.int32(len(scene.vertices_m))]),
+    )
+
+
+def bodies_mesh(
+    bodies: tuple[PlacedActor, ...], origin_m: FloatArray
+) -> tuple[FloatArray, NDArray[np.int32]]:
+    """Vertices (n, 3) from an origin, and triangles (m, 3), of placed bodies."""
+    vertices, triangles = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int32)]
+    for body in bodies:
+        shape = body.actor.shapes[0]
         triangles.append((shape.triangles + sum(map(len, vertices))).astype(np.int32))
-        vertices.append(to_world(shape.vertices_m, parked.pose))
-    return np.concatenate(vertices) - origin_m, np.concatenate(triangles)
+        vertices.append(to_world(shape.vertices_m, body.pose) - origin_m)
+    return np.concatenate(vertices), np.concatenate(triangles)
 
 
-def _build_boxes(obstruction: tuple[PlacedActor, ...], origin_m: FloatArray) -> FloatArray:
-    """Corners of the triangles of boxes around bodies, (n, 12, 3, 3); normals point outwards."""
-    boxes = []
-    for parked in obstruction:
-        vertices = parked.actor.shapes[0].vertices_m
-        corners = np.where(_BOX_CORNERS, vertices.max(axis=0), vertices.min(axis=0))
-        boxes.append((to_world(corners, parked.pose) - origin_m)[_BOX_TRIANGLES])
-    return np.array(boxes).reshape(-1, 12, 3, 3)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Obstruction:
+    """Bodies that stand in the scene in some of the runs, and the box of each in its own frame."""
+
+    caster: RayCaster  # of all of them, relative to the origin of `World`
+    position_m: FloatArray  # (n, 3): relative to the origin of `World`. [m]
+    rotation: FloatArray  # (n, 3, 3): from the frame of each into the world's
+    low_m: FloatArray  # (n, 3): where the box begins. [m]
+    high_m: FloatArray  # (n, 3): where it ends. [m]
 
 
-_BOX_CORNERS = np.array([[i & 4, i & 2, i & 1] for i in range(8)], dtype=bool)  # x, y, z
-_BOX_TRIANGLES = np.array(
-    [
-        *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5)),  # behind, ahead
-        *((0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6)),  # right, left
-        *((0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),  # below, above
-    ]
-)
+def _build_obstruction(
+    bodies: tuple[PlacedActor, ...], origin_m: FloatArray, rays: str
+) -> Obstruction:
+    vertices = [body.actor.shapes[0].vertices_m for body in bodies]
+    return Obstruction(
+        caster=build_caster(*bodies_mesh(bodies, origin_m), library=rays),
+        position_m=np.array([body.pose.position_m - origin_m for body in bodies]).reshape(-1, 3),
+        rotation=np.array(
+            [body_rotation(body.pose.yaw_deg, body.pose.pitch_deg) for body in bodies]
+        ).reshape(-1, 3, 3),
+        low_m=np.array([own.min(axis=0) for own in vertices]).reshape(-1, 3) - _AROUND_BODY_M,
+        high_m=np.array([own.max(axis=0) for own in vertices]).reshape(-1, 3) + _AROUND_BODY_M,
+    )
 
 
-def _is_inside_any(boxes_m: FloatArray, point_m: FloatArray) -> bool:
-    """Whether a point is in one of some convex bodies, (n, n_triangles, 3, 3), or nearly so."""
-    a, b, c = np.moveaxis(boxes_m, 2, 0)
-    normals = np.cross(b - a, c - a)
-    outside_m = ((point_m - a) * normals).sum(axis=-1) / np.linalg.norm(normals, axis=-1)
-    return bool((outside_m <= _NEARLY_M).all(axis=1).any())
-
-
-_NEARLY_M = 0.01
+_AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
 
 
 def _corners(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> FloatArray:
@@ -159,14 +168,14 @@ _OFF_SURFACE_M = 1.0e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VruViews:
-    """Every distinct (body, shape, pose, static world) in which a VRU is looked at."""
+    """Every distinct (body, shape, pose, obstruction) in which a VRU is looked at."""
 
     # (n_views, 2): middle of the footprint, relative to the origin of `World`. [m]
     position_m: FloatArray
     yaw_deg: FloatArray  # (n_views,): heading. [deg]
-    # surface_index, static_index: (n_views,): into the surfaces and static casters of `World`
+    # surface_index, obstruction_index: (n_views,): into the surfaces and obstructions of `World`
     surface_index: IntArray
-    static_index: IntArray
+    obstruction_index: IntArray
     # (n_views, 3, n_points): by axis, the body's points, relative to the origin of `World`. [m]
     axes_m: FloatRays
     # (n_views, 3, n_corners): by axis, the points at the corners of the body's convex hull; some
@@ -187,22 +196,29 @@ class VruViews:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Vehicles:
+    """Bodies that move: the VUT, and what else drives by; one row for each and each frame."""
+
+    actors: tuple[Actor, ...]  # distinct bodies, the VUT first
+    casters: tuple[RayCaster, ...]  # of each, in its own frame
+    actor_index: IntArray  # (n,): into `actors`
+    frame: IntArray  # (n,): of the frame axis
+    position_m: FloatArray  # (n, 2): relative to the origin of `World`. [m]
+    yaw_deg: FloatArray  # (n,): heading. [deg]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class World:
     """All that rays are cast against, and all that they are cast to."""
 
     # (3,): subtracted from every coordinate: rays are cast in single precision. [m]
     origin_m: FloatArray
-    static: tuple[RayCaster, ...]  # the scene with each distinct obstruction
-    scene_m: FloatArray  # (n, 3, 3): corners of the scene's triangles, relative to `origin_m`. [m]
-    # (n, 12, 3, 3): the same of boxes around the bodies of each distinct obstruction. [m]
-    boxes_m: tuple[FloatArray, ...]
+    scene: RayCaster  # what stands there in all runs
+    scene_m: FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
+    obstructions: tuple[Obstruction, ...]  # each distinct one; maybe without any body
     surfaces: tuple[Surface, ...]  # each distinct shape of a VRU, and its caster in `bodies`
     bodies: tuple[RayCaster, ...]  # VRUs in their own frame
-    vut: Actor  # the vehicle under test, and its caster in its own frame
-    vut_body: RayCaster  # see `vut`
-    # vut_position_m, vut_yaw_deg: (n_frames, 2), (n_frames,): relative to `origin_m`. [m], [deg]
-    vut_position_m: FloatArray
-    vut_yaw_deg: FloatArray
+    vehicles: Vehicles  # what moves
     views: VruViews  # what is looked at
 
     @property
@@ -241,23 +257,45 @@ def build_world(
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     shapes = _find_shapes(runs)
     obstructions = find_obstructions(runs)
-    vut = runs[0].encounter.vut
     surfaces = tuple(
         build_surface(actor, index, n_points=n_points, seed=seed) for actor, index in shapes
     )
-    meshes = [build_static_mesh(scene, parked, origin) for parked in obstructions.values()]
     return World(
         origin_m=origin,
-        static=tuple(build_caster(*mesh, library=rays) for mesh in meshes),
+        scene=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
         scene_m=_corners(scene.vertices_m - origin, scene.triangles),
-        boxes_m=tuple(_build_boxes(parked, origin) for parked in obstructions.values()),
+        obstructions=tuple(
+            _build_obstruction(parked, origin, rays) for parked in obstructions.values()
+        ),
         surfaces=surfaces,
         bodies=tuple(_shape_caster(actor.shapes[index], rays) for actor, index in shapes),
-        vut=vut,
-        vut_body=_shape_caster(vut.shapes[0], rays),
-        vut_position_m=np.concatenate([run.vut_position_m for run in runs]) - origin[:2],
-        vut_yaw_deg=np.concatenate([run.vut_yaw_deg for run in runs]),
+        vehicles=_build_vehicles(runs, origin, rays),
         views=_build_views(runs, surfaces, list(obstructions), origin),
+    )
+
+
+def _build_vehicles(runs: Sequence[Run], origin_m: FloatArray, rays: str) -> Vehicles:
+    actors = {runs[0].encounter.vut: 0}
+    index, frame, position, yaw = [], [], [], []
+    first = 0
+    for run in runs:
+        vut = MovingActor(
+            actor=run.encounter.vut, position_m=run.vut_position_m, yaw_deg=run.vut_yaw_deg
+        )
+        for body in (vut, *run.traffic):
+            there = np.flatnonzero(body.is_there)
+            index.append(np.full(len(there), actors.setdefault(body.actor, len(actors))))
+            frame.append(first + there)
+            position.append(body.position_m[there] - origin_m[:2])
+            yaw.append(body.yaw_deg[there])
+        first += len(run.time_s)
+    return Vehicles(
+        actors=tuple(actors),
+        casters=tuple(_shape_caster(actor.shapes[0], rays) for actor in actors),
+        actor_index=np.concatenate(index),
+        frame=np.concatenate(frame),
+        position_m=np.concatenate(position),
+        yaw_deg=np.concatenate(yaw),
     )
 
 
@@ -311,7 +349,7 @@ def _build_views(
         position_m=unique[:, :2],
         yaw_deg=unique[:, 2],
         surface_index=surface_index,
-        static_index=unique[:, 4].astype(np.int64),
+        obstruction_index=unique[:, 4].astype(np.int64),
         axes_m=axes,
         hull_m=np.take_along_axis(axes, corners[surface_index][:, None, :], axis=2),
         middle_m=points.mean(axis=1),
@@ -350,13 +388,11 @@ def cast_sight(
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
     row_of_view[near_views[is_left]] = np.flatnonzero(is_left)
-    frames = _frames_behind_vut(world, eye, row_of_view[views.view_of_frame])
-    rows = row_of_view[views.view_of_frame[frames]]
-    behind_vut = _is_blocked_by_vut(
-        world, eye, frames, near_views[rows], blocked[rows], near_m=near_m
+    row_of_frame = row_of_view[views.view_of_frame]
+    frames, behind = _hidden_by_vehicles(
+        world, eye, row_of_frame, near_views, blocked, near_m=near_m
     )
-    is_hit = behind_vut.any(axis=1)
-    frames, rows, behind_vut = frames[is_hit], rows[is_hit], behind_vut[is_hit]
+    rows = row_of_frame[frames]
 
     is_asked = is_left & (for_lidar | (n_blocked > 0) | _is_close(world, eye, near_views))
     is_asked[rows] = True
@@ -368,9 +404,9 @@ def cast_sight(
     is_seen = np.asarray(is_visible.any(axis=1))
     entry_of_row: IntArray = np.full(len(near_views) + 1, -1)  # one more, for frames without a row
     entry_of_row[np.flatnonzero(is_seen)] = np.arange(int(is_seen.sum()))
-    entry_of_frame: IntArray = entry_of_row[row_of_view[views.view_of_frame]]
-    # The VUT hides a part only if it is one that would be seen.
-    left_visible = is_visible[rows] & ~behind_vut
+    entry_of_frame: IntArray = entry_of_row[row_of_frame]
+    # A vehicle hides a part only if it is one that would be seen.
+    left_visible = is_visible[rows] & ~behind
     is_less = is_seen[rows] & (left_visible != is_visible[rows]).any(axis=1)
     frames, rows, left_visible = frames[is_less], rows[is_less], left_visible[is_less]
     is_more = left_visible.any(axis=1)
@@ -428,7 +464,7 @@ def _is_blocked_by_static(
     max_distance_m: float,
 ) -> BoolArray:
     """Points hidden by the scene or the case's obstruction, (n, n_points)."""
-    from .shadows import N_AROUND, N_UP, fill_rays, find_unclear_points, mark_nearest
+    from .shadows import N_AROUND, N_UP, find_points_behind, find_unclear_points, mark_nearest
 
     views = world.views
     blocked = np.zeros((len(view_index), views.axes_m.shape[2]), dtype=bool)
@@ -436,89 +472,124 @@ def _is_blocked_by_static(
         return blocked
     # Things farther than this are behind all bodies: footprints' middles are what is near enough.
     far_m = max_distance_m + 2.0 * world.radius_m + 1.0
-    low_m, high_m = world.height_limits_m
-    limits = (near_m, far_m, low_m, high_m)
-    of_scene = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
-    mark_nearest(of_scene, world.scene_m, eye_m, *limits)
-    for index, (caster, boxes) in enumerate(zip(world.static, world.boxes_m, strict=True)):
-        rows = np.flatnonzero(views.static_index[view_index] == index)
-        if len(rows) == 0:
+    nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
+    mark_nearest(nearest, world.scene_m, eye_m, near_m, far_m, *world.height_limits_m)
+    find_unclear_points(
+        nearest, views.axes_m, views.middle_m, views.radius_m, eye_m, view_index, blocked
+    )
+    _cast_to_points(world.scene, world, eye_m, view_index, blocked, near_m=near_m)
+    for index, obstruction in enumerate(world.obstructions):
+        rows = np.flatnonzero(views.obstruction_index[view_index] == index)
+        if len(rows) == 0 or len(obstruction.position_m) == 0:
             continue
-        nearest = of_scene
-        if len(boxes):
-            nearest = of_scene.copy()
-            mark_nearest(nearest, boxes.reshape(-1, 3, 3), eye_m, *limits)
-            if _is_inside_any(boxes, eye_m):  # of a box only the outside is known
-                nearest[:] = 0.0
         here = view_index[rows]
-        asked = np.zeros((len(rows), blocked.shape[1]), dtype=bool)
-        find_unclear_points(
-            nearest, views.axes_m, views.middle_m, views.radius_m, eye_m, here, asked
+        behind = np.zeros((len(rows), blocked.shape[1]), dtype=bool)
+        find_points_behind(
+            obstruction.position_m,
+            obstruction.rotation,
+            obstruction.low_m,
+            obstruction.high_m,
+            *(views.axes_m, views.middle_m, views.radius_m, eye_m, here, blocked[rows], behind),
         )
-        starts, vectors = (np.empty((int(asked.sum()), 3), np.float32) for _ in range(2))
-        fill_rays(views.axes_m, here, asked, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
-        asked[asked] = caster.is_blocked(starts, vectors)
-        blocked[rows] = asked
+        _cast_to_points(obstruction.caster, world, eye_m, here, behind, near_m=near_m)
+        blocked[rows] |= behind
     return blocked
 
 
-def _frames_behind_vut(world: World, eye_m: FloatArray, row_of_frame: IntArray) -> IntArray:
-    """Frames in which the VUT may stand between eye and VRU: a conservative sieve.
+def _cast_to_points(
+    caster: RayCaster,
+    world: World,
+    eye_m: FloatArray,
+    view_index: IntArray,
+    asked: BoolArray,
+    *,
+    near_m: float,
+) -> None:
+    """Of the points asked for, (n, n_points), leave those that something hides, in place."""
+    from .shadows import fill_rays
 
-    Those whose row is -1 are left out.
+    starts, vectors = (np.empty((int(asked.sum()), 3), np.float32) for _ in range(2))
+    fill_rays(world.views.axes_m, view_index, asked, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
+    asked[asked] = caster.is_blocked(starts, vectors)
+
+
+def _rows_between(world: World, eye_m: FloatArray, row_of_frame: IntArray) -> IntArray:
+    """Rows of vehicles that may stand between eye and VRU: a conservative sieve.
+
+    Those in frames whose row is -1 are left out.
     """
-    frames = np.flatnonzero(row_of_frame >= 0)
-    target = world.views.position_m[world.views.view_of_frame[frames]]
-    way = target - eye_m[:2]
-    to_vut = world.vut_position_m[frames] - eye_m[:2]
-    share = np.clip((to_vut * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-9), 0.0, 1.0)
-    beside_m = np.hypot(*(to_vut - share[:, None] * way).T)
-    reach_m = 0.5 * np.hypot(world.vut.length_m, world.vut.width_m) + max(
+    vehicles, views = world.vehicles, world.views
+    rows = np.flatnonzero(row_of_frame[vehicles.frame] >= 0)
+    actor = vehicles.actor_index[rows]
+    way = views.position_m[views.view_of_frame[vehicles.frame[rows]]] - eye_m[:2]
+    to_vehicle = vehicles.position_m[rows] - eye_m[:2]
+    share = np.clip(
+        (to_vehicle * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-9), 0.0, 1.0
+    )
+    beside_m = np.hypot(*(to_vehicle - share[:, None] * way).T)
+    half_diagonal_m = [0.5 * np.hypot(body.length_m, body.width_m) for body in vehicles.actors]
+    reach_m = np.array(half_diagonal_m)[actor] + max(
         0.5 * np.hypot(surface.actor.length_m, surface.actor.width_m) for surface in world.surfaces
     )
-    # Lowest ray over the far end of the VUT: from the eye down to the road below the VRU.
+    # Lowest ray over the far end of the vehicle: from the eye down to the road below the VRU.
     reach_share = reach_m / np.maximum(np.hypot(*way.T), 1e-9)
     lowest_m = eye_m[2] * (1.0 - np.minimum(share + reach_share, 1.0))
-    kept: IntArray = frames[(beside_m <= reach_m) & (lowest_m <= world.vut.height_m)]
+    height_m = np.array([body.height_m for body in vehicles.actors])[actor]
+    kept: IntArray = rows[(beside_m <= reach_m) & (lowest_m <= height_m)]
     return kept
 
 
-_AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
+_ROWS_TOGETHER = 4096  # of vehicles, whose rays are cast in one go
 
 
-def _is_blocked_by_vut(
+def _hidden_by_vehicles(
     world: World,
     eye_m: FloatArray,
-    frames: IntArray,
-    view_index: IntArray,
-    is_hidden: BoolArray,
+    row_of_frame: IntArray,
+    view_of_row: IntArray,
+    hidden: BoolArray,
     *,
     near_m: float,
-) -> BoolArray:
-    """Points hidden by the VUT, by rays in its frame, (n, n_points); hidden ones are left out."""
+) -> tuple[IntArray, BoolArray]:
+    """Frames (n,) in which vehicles hide points, and which points, (n, n_points).
+
+    Points of a view that are `hidden` (n_rows, n_points) already are left out.
+    """
     from .shadows import find_rays_at_body
 
-    blocked = np.zeros(is_hidden.shape, dtype=bool)
-    if len(frames) == 0:
-        return blocked
-    yaw = np.radians(world.vut_yaw_deg[frames])
-    vertices = world.vut.shapes[0].vertices_m
-    starts, vectors = (np.empty((is_hidden.size, 3), np.float32) for _ in range(2))
-    n_rays = find_rays_at_body(
-        world.views.axes_m,
-        view_index,
-        is_hidden,
-        eye_m,
-        world.vut_position_m[frames],
-        np.cos(yaw),
-        np.sin(yaw),
-        vertices.min(axis=0) - _AROUND_BODY_M,
-        vertices.max(axis=0) + _AROUND_BODY_M,
-        near_m,
-        _OFF_SURFACE_M,
-        starts,
-        vectors,
-        blocked,
-    )
-    blocked[blocked] = world.vut_body.is_blocked(starts[:n_rays], vectors[:n_rays])
-    return blocked
+    vehicles = world.vehicles
+    between = _rows_between(world, eye_m, row_of_frame)
+    frames, place = np.unique(vehicles.frame[between], return_inverse=True)
+    behind = np.zeros((len(frames), hidden.shape[1]), dtype=bool)
+    for index, (actor, caster) in enumerate(zip(vehicles.actors, vehicles.casters, strict=True)):
+        vertices = actor.shapes[0].vertices_m
+        of_actor = np.flatnonzero(vehicles.actor_index[between] == index)
+        for start in range(0, len(of_actor), _ROWS_TOGETHER):
+            chosen = of_actor[start : start + _ROWS_TOGETHER]
+            own = between[chosen]
+            rows = row_of_frame[vehicles.frame[own]]
+            yaw = np.radians(vehicles.yaw_deg[own])
+            blocked = np.zeros((len(own), hidden.shape[1]), dtype=bool)
+            starts, vectors = (np.empty((blocked.size, 3), np.float32) for _ in range(2))
+            n_rays = find_rays_at_body(
+                world.views.axes_m,
+                view_of_row[rows],
+                hidden[rows],
+                eye_m,
+                vehicles.position_m[own],
+                np.cos(yaw),
+                np.sin(yaw),
+                vertices.min(axis=0) - _AROUND_BODY_M,
+                vertices.max(axis=0) + _AROUND_BODY_M,
+                near_m,
+                _OFF_SURFACE_M,
+                starts,
+                vectors,
+                blocked,
+            )
+            blocked[blocked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
+            order = np.argsort(place[chosen], kind="stable")
+            shown, first = np.unique(place[chosen][order], return_index=True)
+            behind[shown] |= np.logical_or.reduceat(blocked[order], first, axis=0)
+    is_hit = behind.any(axis=1)
+    return frames[is_hit], behind[is_hit]

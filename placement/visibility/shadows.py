@@ -225,6 +225,98 @@ def find_unclear_points(
 
 
 @kernel
+def _misses(
+    ex: float,
+    ey: float,
+    ez: float,
+    x: float,
+    y: float,
+    z: float,
+    low: tuple[float, float, float],
+    high: tuple[float, float, float],
+) -> bool:
+    """Whether the way from one place to another passes by a box along the axes."""
+    first, last = 0.0, 1.0
+    for origin, target, least, most in (
+        (ex, x, low[0], high[0]),
+        (ey, y, low[1], high[1]),
+        (ez, z, low[2], high[2]),
+    ):
+        way = target - origin
+        if abs(way) < 1.0e-9:
+            if origin < least or origin > most:
+                return True
+            continue
+        enter, leave = (least - origin) / way, (most - origin) / way
+        if enter > leave:
+            enter, leave = leave, enter
+        first, last = max(first, enter), min(last, leave)
+    return first > last
+
+
+@kernel
+def find_points_behind(
+    position: Array,
+    rotation: Array,
+    low: Array,
+    high: Array,
+    points: Array,
+    middle: Array,
+    radius: Array,
+    eye: Array,
+    views: Array,
+    hidden: Array,
+    behind: Array,
+) -> None:
+    """Set `behind` (n, n_points) where the way to a point of a view meets one of some boxes.
+
+    The boxes stand at `position` (k, 3), turned by `rotation` (k, 3, 3), and reach from `low` to
+    `high`, (k, 3), in their own frames. Points that are `hidden` (n, n_points) are left out; the
+    others are as for :func:`find_unclear_points`.
+    """
+    n_boxes = len(position)
+    eyes, centres, reach = np.empty((n_boxes, 3)), np.empty((n_boxes, 3)), np.empty(n_boxes)
+    for box in range(n_boxes):
+        size2 = 0.0
+        for i in range(3):
+            eyes[box, i] = centres[box, i] = 0.0
+            for j in range(3):
+                eyes[box, i] += rotation[box, j, i] * (eye[j] - position[box, j])
+                half = 0.5 * (low[box, j] + high[box, j])
+                centres[box, i] += rotation[box, i, j] * half
+            centres[box, i] += position[box, i] - eye[i]
+            size2 += (high[box, i] - low[box, i]) ** 2
+        reach[box] = 0.5 * np.sqrt(size2)
+    for row in range(len(views)):
+        view = views[row]
+        mx, my, mz = middle[view, 0] - eye[0], middle[view, 1] - eye[1], middle[view, 2] - eye[2]
+        length2 = mx * mx + my * my + mz * mz
+        wide = radius[view] + _SLACK_M
+        for box in range(n_boxes):
+            cx, cy, cz = centres[box]
+            share = (cx * mx + cy * my + cz * mz) / max(length2, 1.0e-12)
+            share = min(max(share, 0.0), 1.0)
+            away2 = (cx - share * mx) ** 2 + (cy - share * my) ** 2 + (cz - share * mz) ** 2
+            if away2 > (reach[box] + wide) ** 2:
+                continue
+            r = rotation[box]
+            px, py, pz = position[box]
+            ex, ey, ez = eyes[box]
+            least = (low[box, 0], low[box, 1], low[box, 2])
+            most = (high[box, 0], high[box, 1], high[box, 2])
+            for point in range(points.shape[2]):
+                if hidden[row, point] or behind[row, point]:
+                    continue
+                wx = points[view, 0, point] - px
+                wy = points[view, 1, point] - py
+                wz = points[view, 2, point] - pz
+                x = r[0, 0] * wx + r[1, 0] * wy + r[2, 0] * wz
+                y = r[0, 1] * wx + r[1, 1] * wy + r[2, 1] * wz
+                z = r[0, 2] * wx + r[1, 2] * wy + r[2, 2] * wz
+                behind[row, point] = not _misses(ex, ey, ez, x, y, z, least, most)
+
+
+@kernel
 def shorten(
     eye: tuple[np.float32, np.float32, np.float32],
     way: tuple[np.float32, np.float32, np.float32],
@@ -297,6 +389,7 @@ def find_rays_at_body(
     `vectors` have room for all points of all rows.
     """
     near, cut = np.float32(near_m), np.float32(near_m + off_surface_m)
+    least, most = (lowest[0], lowest[1], lowest[2]), (highest[0], highest[1], highest[2])
     ray = 0
     for row in range(len(views)):
         view = views[row]
@@ -310,22 +403,7 @@ def find_rays_at_body(
             wx, wy = points[view, 0, point] - px, points[view, 1, point] - py
             x, y = wx * c + wy * s, wy * c - wx * s
             z = np.float64(points[view, 2, point])
-            first, last = 0.0, 1.0
-            for origin, target, low, high in (
-                (ex, x, lowest[0], highest[0]),
-                (ey, y, lowest[1], highest[1]),
-                (ez, z, lowest[2], highest[2]),
-            ):
-                way = target - origin
-                if abs(way) < 1.0e-9:
-                    if origin < low or origin > high:
-                        first = 2.0
-                    continue
-                enter, leave = (low - origin) / way, (high - origin) / way
-                if enter > leave:
-                    enter, leave = leave, enter
-                first, last = max(first, enter), min(last, leave)
-            if first > last:
+            if _misses(ex, ey, ez, x, y, z, least, most):
                 continue
             asked[row, point] = True
             ox, oy, oz = np.float32(ex), np.float32(ey), np.float32(ez)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.evaluation import Evaluation, Verdict
+from placement.evaluation import Evaluation, Verdict, earliest_arrival_s
 from placement.latency import (
     LatencyBudget,
     LatencyCurve,
@@ -24,6 +25,8 @@ from placement.latency import (
 )
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
+from scenarios.exposure import weight_share
+from scenarios.runs import FrameAxis, find_onsets
 
 RULE = load_aeb_rule()
 TOLERANCE_S = 1.0e-9
@@ -63,21 +66,36 @@ def _evaluation(axis, vut, units, own_latencies_s=None, vam=None) -> Evaluation:
     )
 
 
-def _apr_by_hand(axis, parties, n_confirmations) -> float:
-    """Every window of every run, one by one: is it known by the last moment?"""
+def curve_of(last_latency_s, weight) -> LatencyCurve:
+    """Runs that are avoided with every latency up to some."""
+    return LatencyCurve(
+        first_latency_s=np.full(len(weight), -np.inf),
+        last_latency_s=np.array(last_latency_s),
+        run_index=np.arange(len(weight)),
+        weight=np.array(weight),
+    )
+
+
+def _apr_by_hand(axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.0) -> float:
+    """Every window of every run, one by one: is it known, and alive, at the last moment?"""
     avoided = 0.0
     for run in range(axis.n_runs):
         frames = range(axis.run_start[run], axis.run_start[run + 1])
+        last_brake_s = axis.last_brake_time_s[run]
         known = [
             min((axis.time_s[f] + late for seen, late in parties if seen[f]), default=math.inf)
+            <= last_brake_s + TOLERANCE_S
             for f in frames
         ]
-        windows = [
-            max(known[first : first + n_confirmations])
-            for first in range(len(known) - n_confirmations + 1)
-        ]
-        if min(windows, default=math.inf) <= axis.last_brake_time_s[run] + TOLERANCE_S:
-            avoided += axis.weight[run]
+        times = axis.time_s[frames.start : frames.stop]
+        for last in range(n_confirmations - 1, len(known)):
+            if not all(known[last - n_confirmations + 1 : last + 1]):
+                continue
+            stops = [times[f] for f in range(last, len(known)) if known[f]]
+            gaps = [b - a for a, b in pairwise([*stops, last_brake_s - latency_s])]
+            if max(gaps) <= memory_s + TOLERANCE_S:
+                avoided += axis.weight[run]
+                break
     return avoided
 
 
@@ -92,22 +110,25 @@ def cases(draw):
     return axis, draw(frames), units, own_s
 
 
-@settings(max_examples=60)
+@settings(max_examples=150)
 @given(
     cases(),
     st.integers(0, 1200).map(lambda ms: ms / 1000.0),
     st.integers(1, 4),
     st.one_of(st.none(), st.just(0.07)),
+    st.sampled_from([0.1, 0.2, 0.35, 0.5, math.inf]),
 )
 def test_every_party_is_judged_as_if_evaluated_with_that_latency(
-    case, latency_s, n_confirmations, vut_latency_s
+    case, latency_s, n_confirmations, vut_latency_s, memory_s
 ):
     axis, vut, units, own_s = case
     last = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
     for each_s in (latency_s, vut_latency_s, *own_s):  # no ties but exact ones
         slack = np.abs(last - axis.time_s - each_s) if each_s is not None else np.ones(1)
         assume(not ((slack > 0.1 * TOLERANCE_S) & (slack < 10.0 * TOLERANCE_S)).any())
-    rule = replace(RULE, n_confirmations=n_confirmations)
+    age = np.abs(last - axis.time_s - latency_s - memory_s)
+    assume(not ((age > 0.1 * TOLERANCE_S) & (age < 10.0 * TOLERANCE_S)).any())
+    rule = replace(RULE, n_confirmations=n_confirmations, track_memory_s=memory_s)
     evaluation = _evaluation(axis, vut, units, own_s, vam=vut[::-1])
     curves = apr_by_latency(evaluation, rule, vut_latency_s=vut_latency_s)
 
@@ -125,13 +146,19 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
     }
     assert list(curves) == list(parties)
     for name, party in parties.items():
-        expected = _apr_by_hand(axis, party, n_confirmations)
+        expected = _apr_by_hand(axis, party, n_confirmations, memory_s, latency_s)
+        onsets = find_onsets(
+            earliest_arrival_s([(np.array(seen), late) for seen, late in party], axis),
+            axis,
+            rule=replace(rule, latency_s=latency_s),
+        )
+        assert float(weight_share(onsets.is_in_time, axis.weight)) == pytest.approx(expected), name
         assert float(curves[name].apr(latency_s)) == pytest.approx(expected), name
 
 
 @pytest.mark.parametrize("last_s", [-1.0e-9, -0.4e-9, 0.0])
 def test_what_is_just_in_time_with_no_latency_has_a_step_at_zero(last_s):
-    curve = LatencyCurve(last_latency_s=np.array([last_s, -1.0]), weight=np.array([0.5, 0.5]))
+    curve = curve_of([last_s, -1.0], [0.5, 0.5])
     until, apr = curve.steps()
     assert (until.tolist(), apr.tolist()) == ([0.0, math.inf], [0.5, 0.0])
 
@@ -174,7 +201,9 @@ def test_a_curve_of_three_runs_by_hand(frame_axis):
     axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
     evaluation = _evaluation(axis, np.zeros(10), [np.array([1] * 8 + [0, 0])])
     curve = apr_by_latency(evaluation, RULE)["rsu_all"]
-    assert curve.last_latency_s == pytest.approx([0.05, 0.3, -np.inf])
+    assert curve.run_index.tolist() == [0, 1]
+    assert curve.first_latency_s.tolist() == [-math.inf, -math.inf]
+    assert curve.last_latency_s == pytest.approx([0.05, 0.3])
     until, apr = curve.steps()
     assert until == pytest.approx([0.05, 0.3, np.inf])
     assert apr.tolist() == [0.75, 0.25, 0.0]
@@ -185,6 +214,85 @@ def test_a_curve_of_three_runs_by_hand(frame_axis):
     part = LatencyPart(name="wait", low_s=0.0, high_s=0.1, source="test")
     budget = LatencyBudget(name="test", parts=(part,))
     assert curve.expected_apr(budget) == pytest.approx(0.5 * 0.5 + 0.25)
+
+
+def test_a_run_may_be_avoided_with_a_longer_latency_alone():
+    """Seen from -2 to -1.6 s: with 0.5 s the track is asked for at -1 s, with none at -0.5 s."""
+    time_s = np.arange(-20, 1) / 10.0
+    axis = FrameAxis(
+        run_ids=("a", "b"),
+        cases=("A",) * 2,
+        approaches=("north",) * 2,
+        weathers=("day",) * 2,
+        vut_speed_kmh=np.full(2, 30.0),
+        weight=np.array([0.75, 0.25]),
+        last_brake_time_s=np.array([-0.5, -0.5]),
+        run_start=np.array([0, 21, 42]),
+        time_s=np.tile(time_s, 2),
+    )
+    seen = np.concatenate([time_s < -1.55, time_s > -1.55])
+    rule = replace(RULE, track_memory_s=1.0)
+    evaluation = _evaluation(axis, np.zeros(42), [seen])
+    curve = apr_by_latency(evaluation, rule)["rsu_all"]
+    assert curve.run_index.tolist() == [0, 1]
+    assert curve.first_latency_s == pytest.approx([0.1, -1.5])
+    assert curve.last_latency_s == pytest.approx([1.3, 0.8])
+    until, apr = curve.steps()
+    assert until == pytest.approx([0.1, 0.8, 1.3, math.inf])
+    assert apr.tolist() == [0.25, 1.0, 0.75, 0.0]
+    assert curve.apr([0.09, 0.1, 0.8, 0.81, 1.3, 1.31]).tolist() == [0.25, 1, 1, 0.75, 0.75, 0]
+    assert curve.longest_latency_s(0.2) == pytest.approx(1.3)
+    assert curve.longest_latency_s(0.9) == -math.inf  # not with none, although with 0.1 s
+    # Uniform over 0 to 100 ms never reaches what the first run needs; over 0 to 200 ms in half.
+    for high_s, expected in ((0.1, 0.25), (0.2, 0.625)):
+        part = LatencyPart(name="wait", low_s=0.0, high_s=high_s, source="test")
+        budget = LatencyBudget(name="test", parts=(part,))
+        assert curve.expected_apr(budget) == pytest.approx(expected)
+    assert curve.expected_apr(fixed_latency(0.1)) == pytest.approx(1.0)
+
+
+MORTAL = replace(RULE, track_memory_s=0.2)
+
+
+@settings(max_examples=100)
+@given(cases(), st.lists(numbers(0.0, 1.5), min_size=1, max_size=5))
+def test_steps_are_the_whole_curve_also_where_tracks_are_lost(case, latencies_s):
+    axis, vut, units, own_s = case
+    for curve in apr_by_latency(_evaluation(axis, vut, units, own_s), MORTAL).values():
+        until, apr = curve.steps()
+        assert until[-1] == np.inf
+        assert (np.diff(until) > 0.0).all()
+        assert (np.abs(np.diff(apr)) > 0.0).all()
+        for first, last, run in zip(
+            curve.first_latency_s, curve.last_latency_s, curve.run_index, strict=True
+        ):
+            own = (curve.run_index == run) & (curve.first_latency_s > first)
+            assert first <= last
+            assert (last < curve.first_latency_s[own]).all()
+        for latency_s in latencies_s:
+            assume(np.abs(until - latency_s).min() > 1.0e-8)
+            step = int(np.searchsorted(until, latency_s))
+            assert float(curve.apr(latency_s)) == pytest.approx(apr[step])
+        for level in (0.3, 0.9):
+            longest = curve.longest_latency_s(level)
+            if longest == -math.inf:
+                assert float(curve.apr(0.0)) < level
+            else:
+                below = [value for value in latencies_s if value <= longest]
+                assert (curve.apr([0.0, *below]) >= level - 1e-9).all()
+
+
+@settings(max_examples=40)
+@given(cases(), st.integers(0, 300).map(lambda ms: ms / 1000.0), st.integers(0, 1))
+def test_the_expectation_is_the_mean_over_draws_also_where_tracks_are_lost(case, fixed_s, which):
+    axis, vut, units, own_s = case
+    curve = apr_by_latency(_evaluation(axis, vut, units, own_s), MORTAL)["rsu_all"]
+    budget = load_latency_budget(("cpm-100ms", "cpm-50ms")[which])
+    drawn = curve.apr(budget.sample_s(np.random.default_rng(0), 1000))
+    error = max(drawn.std() / math.sqrt(len(drawn)), 0.002)
+    assert curve.expected_apr(budget) == pytest.approx(drawn.mean(), abs=5.0 * error)
+    exact = curve.expected_apr(fixed_latency(fixed_s))
+    assert exact == pytest.approx(float(curve.apr(fixed_s)))
 
 
 def test_a_unit_with_its_own_latency_keeps_it(frame_axis):
@@ -224,7 +332,7 @@ def test_of_a_fixed_budget_expected_and_worst_are_one(case, latency_s):
 
 
 def test_without_weight_there_is_no_expectation_and_curves_cannot_be_changed():
-    curve = LatencyCurve(last_latency_s=np.array([0.1]), weight=np.array([0.0]))
+    curve = curve_of([0.1], [0.0])
     assert math.isnan(curve.expected_apr(load_latency_budget()))
     with pytest.raises(ValueError, match="read-only"):
         curve.weight[0] = 1.0

@@ -11,21 +11,25 @@ from oracles import (
     overlap_area,
     rectangle_polygon,
     simulated_contact,
+    simulated_track_s,
     stop_tau_s,
 )
 from scipy.optimize import brentq
 from strategies import KMH, angles_deg, build_encounter, coordinates_m, encounters, numbers
 
 from geometry.actors import load_actors
+from geometry.errors import InputError
 from scenarios.aeb import (
     Encounter,
     confirmation_mask,
-    confirmation_time_s,
     first_contact_s,
     has_contact,
+    held_frames,
     is_in_time,
     last_brake_time_s,
+    live_confirmation_time_s,
     load_aeb_rule,
+    load_track_memory_s,
     smallest_separation_m,
 )
 from scenarios.paths import (
@@ -44,6 +48,8 @@ vru_speeds = numbers(3.0, 15.0).map(lambda kmh: kmh * KMH)
 build_ups_s = st.one_of(st.just(0.0), numbers(0.05, 0.8), numbers(2.0, 4.0))
 bodies = st.sampled_from(["adult", "cyclist"])
 detections = st.lists(st.booleans(), min_size=1, max_size=15)
+memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])
+untils_s = numbers(-1.5, 0.5)
 
 
 def _tau_s(encounter, rule=RULE) -> float:
@@ -494,29 +500,110 @@ def test_confirmation_of_many_records_is_that_of_each(records, n):
     table = np.array([record[:n_frames] for record in records])
     time_s = np.arange(1 - n_frames, 1) / 10.0
     together = confirmation_mask(table, n_confirmations=n)
-    times = confirmation_time_s(table, time_s, n_confirmations=n)
+    rule = _rule(n_confirmations=n, track_memory_s=0.2)
+    times = live_confirmation_time_s(table, time_s, until_s=-0.1, rule=rule)
     for row, record in enumerate(table):
         assert np.array_equal(together[row], confirmation_mask(record, n_confirmations=n))
-        assert times[row] == confirmation_time_s(record, time_s, n_confirmations=n)
+        assert times[row] == live_confirmation_time_s(record, time_s, until_s=-0.1, rule=rule)
 
 
-@given(detections, st.integers(1, 6))
-def test_confirmation_time_is_that_of_the_first_confirmed_frame(detected, n):
+@given(detections, st.integers(1, 6), memories_s)
+def test_confirmation_time_is_that_of_the_first_confirmed_frame(detected, n, memory_s):
     time_s = np.arange(1 - len(detected), 1) / 10.0
     naive = [t for t, seen in zip(time_s, naive_confirmed(detected, n), strict=True) if seen]
-    assert confirmation_time_s(detected, time_s, n_confirmations=n) == (
+    rule = _rule(n_confirmations=n, track_memory_s=memory_s)
+    assert live_confirmation_time_s(detected, time_s, until_s=math.inf, rule=rule) == (
         naive[0] if naive else math.inf
     )
 
 
-@given(detections, st.integers(1, 6), st.data())
-def test_one_more_detected_frame_never_delays_the_confirmation(detected, n, data):
+@given(detections, st.integers(1, 4), memories_s, st.data())
+def test_one_more_detected_frame_never_delays_the_confirmation(detected, n, memory_s, data):
     time_s = np.arange(1 - len(detected), 1) / 10.0
+    until_s = data.draw(st.one_of(numbers(-1.5, 0.3), st.just(math.inf)))
+    rule = _rule(n_confirmations=n, track_memory_s=memory_s)
     more = list(detected)
     more[data.draw(st.integers(0, len(more) - 1))] = True
-    assert confirmation_time_s(more, time_s, n_confirmations=n) <= confirmation_time_s(
-        detected, time_s, n_confirmations=n
+    assert live_confirmation_time_s(
+        more, time_s, until_s=until_s, rule=rule
+    ) <= live_confirmation_time_s(detected, time_s, until_s=until_s, rule=rule)
+
+
+# Tracks that live
+
+
+@settings(max_examples=300)
+@given(detections, st.integers(1, 4), memories_s, untils_s)
+def test_the_live_track_is_that_of_a_simulation_frame_by_frame(detected, n, memory_s, until_s):
+    time_s = np.arange(1 - len(detected), 1) / 10.0
+    rule = _rule(n_confirmations=n, track_memory_s=memory_s)
+    assert live_confirmation_time_s(
+        detected, time_s, until_s=until_s, rule=rule
+    ) == simulated_track_s(detected, time_s, until_s=until_s, memory_s=memory_s, n=n)
+
+
+@given(detections, st.integers(1, 4), untils_s)
+def test_a_track_that_is_never_lost_is_that_of_the_first_confirmation(detected, n, until_s):
+    time_s = np.arange(1 - len(detected), 1) / 10.0
+    rule = _rule(n_confirmations=n)
+    assert rule.track_memory_s == math.inf  # the study's reading
+    first_s = live_confirmation_time_s(detected, time_s, until_s=math.inf, rule=rule)
+    in_time = is_in_time(first_s, until_s, latency_s=0.0)
+    found_s = live_confirmation_time_s(detected, time_s, until_s=until_s, rule=rule)
+    assert found_s == (first_s if in_time else math.inf)
+
+
+@given(detections, st.integers(1, 4), untils_s, st.tuples(memories_s, memories_s).map(sorted))
+def test_a_longer_memory_never_loses_a_track(detected, n, until_s, both_s):
+    time_s = np.arange(1 - len(detected), 1) / 10.0
+    longer, shorter = (
+        live_confirmation_time_s(
+            detected,
+            time_s,
+            until_s=until_s,
+            rule=_rule(n_confirmations=n, track_memory_s=memory_s),
+        )
+        for memory_s in reversed(both_s)
     )
+    assert longer <= shorter
+
+
+def test_a_track_may_be_exactly_as_old_as_its_memory():
+    time_s = np.arange(-30, 1) / 10.0
+    detected = (time_s > -2.95) & (time_s < -1.95)  # last seen 2 s before the impact
+    for until_s, confirmed_s in ((-1.0, -2.7), (-0.999, math.inf)):
+        rule = _rule(track_memory_s=1.0)
+        found_s = live_confirmation_time_s(detected, time_s, until_s=until_s, rule=rule)
+        assert found_s == pytest.approx(confirmed_s)
+
+
+@given(detections, memories_s, untils_s)
+def test_held_frames_of_runs_end_to_end_are_those_of_each(detected, memory_s, until_s):
+    time_s = np.arange(1 - len(detected), 1) / 10.0
+    alone = held_frames(detected, time_s, until_s=until_s, memory_s=memory_s)
+    n = len(detected)
+    both = held_frames(
+        [*detected, *detected],
+        np.tile(time_s, 2),
+        until_s=np.full(2 * n, until_s),
+        memory_s=memory_s,
+        last_frame=np.repeat([n - 1, 2 * n - 1], n),
+    )
+    assert both.tolist() == [*alone.tolist()] * 2
+
+
+@pytest.mark.parametrize("memory_s", [0.09, 0.0, -1.0, math.nan, -math.inf])
+def test_a_memory_shorter_than_from_frame_to_frame_is_refused(memory_s):
+    with pytest.raises(InputError) as caught:
+        _rule(track_memory_s=memory_s)
+    assert str(caught.value) == (
+        f"aeb.track_memory_s: got {memory_s!r}; expected seconds, at least 0.1 (from one frame to "
+        "the next), or inf"
+    )
+
+
+def test_tracks_that_are_not_the_studys_live_for_a_second():
+    assert load_track_memory_s() == 1.0
 
 
 @given(st.integers(-200, 0), st.integers(0, 50))

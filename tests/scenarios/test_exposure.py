@@ -3,10 +3,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from geometry.errors import InputError, MissingExtraError
 from scenarios import exposure
 from scenarios.exposure import (
+    default_weights,
     weigh,
     weight_per_case,
     weight_per_run,
@@ -14,11 +17,12 @@ from scenarios.exposure import (
 )
 
 
-def run(case, approach="north", weather="day", speed_kmh=20):
+def run(case, approach="north", weather="day", speed_kmh=20, position="0"):
     return SimpleNamespace(
         id=f"{case}/{approach}/{speed_kmh}/{weather}",
         case=SimpleNamespace(name=case),
         approach=approach,
+        position=position,
         weather=weather,
     )
 
@@ -49,8 +53,49 @@ def test_every_run_counts_the_same_and_all_sum_to_one(runs):
     assert weight.sum() == pytest.approx(1.0, abs=1e-12)
 
 
-def test_every_case_counts_the_same_and_its_runs_share_that():
+def test_every_case_counts_the_same_and_within_it_every_approach_position_and_run():
     assert weight_per_case(DRIVEN) == pytest.approx([1 / 8, 1 / 8, 1 / 8, 1 / 2, 1 / 8])
+    north = [run("CPLA-50", position=position) for position in ("0", "0", "-15", "+15")]
+    weight = weight_per_case([*north, run("CPLA-50", "south", position="+0"), run("CBNA")])
+    assert weight == pytest.approx([1 / 24, 1 / 24, 1 / 12, 1 / 12, 1 / 4, 1 / 2])
+
+
+PLACES = st.tuples(
+    st.sampled_from(["CBNA", "CPLA-50", "CBLA"]),
+    st.sampled_from(["north", "south"]),
+    st.sampled_from(["day", "night"]),
+    st.sampled_from([20, 30]),
+    st.sampled_from(["0", "-15", "+0", "+15"]),
+)
+
+
+@given(st.lists(PLACES, min_size=1, max_size=20).map(lambda rows: [run(*row) for row in rows]))
+def test_weights_by_case_are_those_of_sharing_out_level_by_level(runs):
+    expected = dict.fromkeys(range(len(runs)), 0.0)
+
+    def share_out(members, amount, levels):
+        if not levels:
+            for index in members:
+                expected[index] = amount / len(members)
+            return
+        groups = {}
+        for index in members:
+            groups.setdefault(levels[0](runs[index]), []).append(index)
+        for group in groups.values():
+            share_out(group, amount / len(groups), levels[1:])
+
+    share_out(
+        list(expected), 1.0, [lambda r: r.case.name, lambda r: r.approach, lambda r: r.position]
+    )
+    assert weight_per_case(runs) == pytest.approx(list(expected.values()))
+
+
+@pytest.mark.parametrize(
+    ("cases", "word"),
+    [("study", "run"), ("default", "case"), ("CBNA", "case"), ("study,CBNA", "case")],
+)
+def test_the_runs_of_the_study_count_the_same_and_else_the_cases_do(cases, word):
+    assert default_weights(cases) == word
 
 
 @pytest.mark.parametrize("how", ["run", "case"])
@@ -85,6 +130,24 @@ def test_a_weather_can_be_named_and_columns_may_come_in_any_order(table):
     assert weigh(DRIVEN, str(path)) == pytest.approx([0.0, 0.0, 3 / 4, 0.0, 1 / 4])
 
 
+def test_a_position_can_be_named(table):
+    runs = [run("CPLA-50", position=position) for position in ("0", "0", "-15", "+15")]
+    path = table(
+        "case,approach,position,weight\nCPLA-50,north,0,2\nCPLA-50,*,-15,1\nCPLA-50,,+15,1\n"
+    )
+    assert weigh(runs, str(path)) == pytest.approx([1 / 4, 1 / 4, 1 / 4, 1 / 4])
+    path = table("case,approach,position,weight\nCPLA-50,north,*,2\n")
+    assert weigh(runs, str(path)) == pytest.approx([1 / 4] * 4)
+    path = table("case,approach,position,weight\nCPLA-50,north,+30,2\n")
+    with pytest.raises(InputError) as caught:
+        weigh(runs, str(path))
+    assert str(caught.value) == (
+        f"{path}: line 2: got 'CPLA-50', 'north', '+30'; expected an approach, position and "
+        "weather in which CPLA-50 is driven: north at 0 by day, north at -15 by day, north at +15 "
+        "by day"
+    )
+
+
 def test_a_byte_order_mark_and_empty_lines_do_not_matter(table):
     path = table("case,approach,weight\n\nCBNA,north,2\n\n", encoding="utf-8-sig")
     assert weigh(DRIVEN, str(path)).tolist() == [0.0, 0.0, 0.0, 1.0, 0.0]
@@ -93,7 +156,7 @@ def test_a_byte_order_mark_and_empty_lines_do_not_matter(table):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "{}: got an empty file; expected columns case, approach, weight, and weather"),
+        ("", "{}: got an empty file; expected columns case, approach, weight, and position"),
         ("case,approach,weight\n", "{}: got no rows; expected one row per case and approach"),
         ("case,approach\nCBNA,north\n", "{}: line 1: got case, approach; expected case, approach"),
         ("case,approach,weight,age\n", "{}: line 1: got case, approach, weight, age; expected"),
@@ -111,8 +174,8 @@ def test_a_byte_order_mark_and_empty_lines_do_not_matter(table):
         ),
         (
             "case,approach,weight\n\nCBNA,up,1\n",
-            "{}: line 3: got 'CBNA', 'up'; expected an approach and weather in which CBNA is "
-            "driven: north by day",
+            "{}: line 3: got 'CBNA', 'up'; expected an approach, position and weather in which "
+            "CBNA is driven: north at 0 by day",
         ),
         (
             "case,approach,weight\nCPNA-25,*,1\nCPNA-25,south,1\n",

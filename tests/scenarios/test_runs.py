@@ -6,21 +6,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from junctions import ARMS, LANE_M, protocol_scene, turned
-from oracles import separation_m
+from oracles import separation_m, simulated_track_s
 from strategies import frame_axes, numbers
 
 from geometry.errors import InputError
 from geometry.scene import Lane
 from geometry.scene_files import load_study_scene
-from scenarios.aeb import has_contact
+from scenarios.aeb import has_contact, is_in_time, live_confirmation_time_s
 from scenarios.cases import load_cases, pick_cases
 from scenarios.exposure import weight_per_run
 from scenarios.runs import (
     FrameAxis,
     build_frame_axis,
     build_runs,
-    confirmation_times_s,
-    onset_times_s,
+    find_onsets,
+    live_confirmation_times_s,
 )
 
 
@@ -355,41 +355,136 @@ def test_frame_axis_allows_runs_that_nothing_avoids(frame_axis):
 # From detected frames to the onset of braking
 
 
+def _rule(rule, n, memory_s=math.inf, latency_s=0.025):
+    return dataclasses.replace(
+        rule, n_confirmations=n, track_memory_s=memory_s, latency_s=latency_s
+    )
+
+
+def _row(data, n_frames):
+    return np.array(data.draw(st.lists(st.booleans(), min_size=n_frames, max_size=n_frames)))
+
+
+memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])
+
+
+@given(frame_axes(), st.integers(1, 4), memories_s, numbers(0.0, 1.0), st.data())
+def test_live_confirmations_are_those_of_each_run(rule, axis, n, memory_s, latency_s, data):
+    rows = np.stack([_row(data, axis.n_frames) for _ in range(2)])
+    rule = _rule(rule, n, memory_s, latency_s)
+    found_s = live_confirmation_times_s(rows, axis, rule=rule)
+    assert np.array_equal(live_confirmation_times_s(rows[1], axis, rule=rule), found_s[1])
+    for run in range(axis.n_runs):
+        frames = axis.frames_of(run)
+        until_s = float(axis.last_brake_time_s[run]) - latency_s
+        for row, times_s in zip(rows, found_s, strict=True):
+            expected_s = simulated_track_s(
+                row[frames], axis.time_s[frames], until_s=until_s, memory_s=memory_s, n=n
+            )
+            assert times_s[run] == expected_s
+
+
+def test_many_rows_are_looked_at_in_parts(rule, frame_axis):
+    rows = np.random.default_rng(0).random((3, 150, frame_axis.n_frames)) < 0.6
+    rule = _rule(rule, 2, 0.1)
+    found_s = live_confirmation_times_s(rows, frame_axis, rule=rule)
+    assert found_s.shape == (3, 150, frame_axis.n_runs)
+    for place in ((0, 0), (1, 63), (2, 149)):
+        one_s = live_confirmation_times_s(rows[place], frame_axis, rule=rule)
+        assert np.array_equal(found_s[place], one_s)
+
+
 @given(frame_axes(), st.integers(1, 4), numbers(0.0, 1.0), st.data())
-def test_for_one_party_braking_sets_in_a_latency_after_the_confirmation(axis, n, latency_s, data):
-    n_frames = axis.n_frames
-    row = np.array(data.draw(st.lists(st.booleans(), min_size=n_frames, max_size=n_frames)))
+def test_for_one_party_braking_sets_in_a_latency_after_the_confirmation(
+    rule, axis, n, latency_s, data
+):
+    row = _row(data, axis.n_frames)
     arrival_s = np.where(row, axis.time_s + latency_s, np.inf)
-    confirmation_s, onset_s = onset_times_s(arrival_s, axis, n_confirmations=n)
-    expected_s = confirmation_times_s(row, axis, n_confirmations=n)
-    assert np.array_equal(confirmation_s, expected_s)
-    assert np.array_equal(onset_s, expected_s + latency_s)
+    onsets = find_onsets(arrival_s, axis, rule=_rule(rule, n))
+    first_s = [
+        live_confirmation_time_s(
+            row[frames], axis.time_s[frames], until_s=math.inf, rule=_rule(rule, n)
+        )
+        for frames in map(axis.frames_of, range(axis.n_runs))
+    ]
+    assert np.array_equal(onsets.confirmation_s, first_s)
+    assert np.array_equal(onsets.onset_s, np.array(first_s) + latency_s)
+    in_time = is_in_time(first_s, axis.last_brake_time_s, latency_s=latency_s)
+    assert np.array_equal(onsets.is_in_time, in_time)
 
 
 @given(frame_axes(), st.integers(1, 4), st.data())
-def test_of_several_parties_the_window_whose_last_message_comes_first_decides(axis, n, data):
-    n_frames = axis.n_frames
-    delays = data.draw(
-        st.lists(
-            st.one_of(st.just(math.inf), numbers(0.0, 1.0)), min_size=n_frames, max_size=n_frames
-        )
-    )
-    arrival_s = axis.time_s + np.array(delays)
-    confirmation_s, onset_s = onset_times_s(arrival_s, axis, n_confirmations=n)
+def test_of_several_parties_the_window_whose_last_message_comes_first_decides(rule, axis, n, data):
+    arrival_s = axis.time_s + _delays_s(data, axis)
+    onsets = find_onsets(arrival_s, axis, rule=_rule(rule, n))
     for run in range(axis.n_runs):
-        time_s, known_s = (
-            values[axis.frames_of(run)].tolist() for values in (axis.time_s, arrival_s)
+        windows = _windows(axis, run, arrival_s, n)
+        best_s, last_s = min(
+            ((known_s, time_s) for known_s, time_s, _ in windows), default=(math.inf, math.inf)
         )
-        windows = [
-            (max(known_s[last - n + 1 : last + 1]), time_s[last])
-            for last in range(n - 1, len(time_s))
-        ]
-        best_s, last_s = min(windows, default=(math.inf, math.inf))
-        assert onset_s[run] == best_s
-        assert confirmation_s[run] == (last_s if best_s < math.inf else math.inf)
+        assert onsets.onset_s[run] == best_s
+        assert onsets.confirmation_s[run] == (last_s if best_s < math.inf else math.inf)
 
 
-def test_messages_of_several_units_confirm_when_the_slowest_of_a_window_has_come(frame_axis):
+def _delays_s(data, axis):
+    """What messages of frames take; infinite: there is none."""
+    delays = st.one_of(st.just(math.inf), numbers(0.0, 1.0))
+    return np.array(data.draw(st.lists(delays, min_size=axis.n_frames, max_size=axis.n_frames)))
+
+
+def _windows(axis, run, arrival_s, n):
+    """When each window of a run is known, the time of its last frame, and that frame."""
+    time_s, known_s = (values[axis.frames_of(run)].tolist() for values in (axis.time_s, arrival_s))
+    return [
+        (max(known_s[last - n + 1 : last + 1]), time_s[last], last)
+        for last in range(n - 1, len(time_s))
+    ]
+
+
+@settings(max_examples=200)
+@given(frame_axes(), st.integers(1, 3), memories_s, st.data())
+def test_the_vut_brakes_for_the_live_window_that_it_knows_first(rule, axis, n, memory_s, data):
+    """Window by window: known by the last brake time, and no gap until the last moment."""
+    arrival_s = axis.time_s + _delays_s(data, axis)
+    rule = _rule(rule, n, memory_s)
+    onsets = find_onsets(arrival_s, axis, rule=rule)
+    for run in range(axis.n_runs):
+        last_brake_s = axis.last_brake_time_s[run]
+        time_s = axis.time_s[axis.frames_of(run)]
+        seen = arrival_s[axis.frames_of(run)] <= last_brake_s + 1e-9
+        windows = [one for one in _windows(axis, run, arrival_s, n) if one[0] < math.inf]
+        in_time = [one for one in windows if one[0] <= last_brake_s + 1e-9]
+
+        def lives(frame, time_s=time_s, seen=seen, last_brake_s=last_brake_s):
+            stops = [t for t, s in zip(time_s[frame:], seen[frame:], strict=True) if s]
+            gaps = np.diff([*stops, max(last_brake_s - rule.latency_s, stops[-1])])
+            return (gaps <= memory_s + 1e-9).all()
+
+        live = [one for one in in_time if lives(one[2])]
+        late = [one for one in windows if one not in in_time]
+        assert onsets.is_in_time[run] == bool(live)
+        for group, has_onset in ((live, True), (late, True), (in_time, False), ([], False)):
+            if group or not (live or late or in_time):
+                known_s = min((one[0] for one in group), default=math.inf)
+                assert onsets.onset_s[run] == (known_s if has_onset else math.inf)
+                first = [t for k, t, _ in group if not has_onset or k == known_s]
+                assert onsets.confirmation_s[run] == min(first, default=math.inf)
+                break
+
+
+def test_a_track_that_is_lost_again_sets_nothing_in_motion(rule, frame_axis):
+    """Second run, frames at -0.4 .. 0 s, seen at -0.4 and -0.3 s; last moment at -0.025 s."""
+    axis = dataclasses.replace(frame_axis, last_brake_time_s=np.array([0.0, 0.0, -np.inf]))
+    arrival_s = np.full(10, np.inf)
+    arrival_s[3:5] = axis.time_s[3:5] + 0.025
+    for memory_s, onset_s in ((0.2, math.inf), (0.275, -0.275), (math.inf, -0.275)):
+        onsets = find_onsets(arrival_s, axis, rule=_rule(rule, 2, memory_s))
+        assert onsets.confirmation_s == pytest.approx([math.inf, -0.3, math.inf])
+        assert onsets.onset_s == pytest.approx([math.inf, onset_s, math.inf])
+        assert onsets.is_in_time.tolist() == [False, onset_s < 0.0, False]
+
+
+def test_messages_of_several_units_confirm_when_the_slowest_of_a_window_has_come(rule, frame_axis):
     """Second run, frames at -0.4 .. 0 s: the message of -0.3 s takes 0.35 s, all others 0.02 s.
 
     Windows of two frames: the first is known at 0.05 s, and so is the second; the third, of -0.2
@@ -397,6 +492,6 @@ def test_messages_of_several_units_confirm_when_the_slowest_of_a_window_has_come
     """
     arrival_s = np.full(10, np.inf)
     arrival_s[3:8] = frame_axis.time_s[3:8] + [0.02, 0.35, 0.02, 0.02, 0.02]
-    confirmation_s, onset_s = onset_times_s(arrival_s, frame_axis, n_confirmations=2)
-    assert confirmation_s.tolist() == [math.inf, -0.1, math.inf]
-    assert onset_s == pytest.approx([math.inf, -0.08, math.inf])
+    onsets = find_onsets(arrival_s, frame_axis, rule=_rule(rule, 2))
+    assert onsets.confirmation_s.tolist() == [math.inf, -0.1, math.inf]
+    assert onsets.onset_s == pytest.approx([math.inf, -0.08, math.inf])

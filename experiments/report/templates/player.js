@@ -77,7 +77,7 @@ function startPlayer(data) {
     const [confirmed, onset, now] = [run.confirmed[fused], run.onset[fused], run.time[frame]];
     if (confirmed === null) return "All RSUs together never confirm the road user.";
     if (confirmed > now) return "Not confirmed yet.";
-    if (onset === null) return `Confirmed at ${seconds(confirmed)} s, but the car never gets to know in time.`;
+    if (onset === null) return `Confirmed at ${seconds(confirmed)} s, but lost again: no track is alive at the last moment.`;
     const spare = run.last === null ? null : run.last - onset;
     const verdict = spare === null ? "" : spare >= 0 ? `: ${seconds(spare)} s to spare` : `: ${seconds(-spare)} s too late`;
     return `Confirmed by all RSUs at ${seconds(confirmed)} s; with them the car would brake from ${seconds(onset)} s on${verdict}.`;

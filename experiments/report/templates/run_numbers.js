@@ -46,7 +46,8 @@ function inWords(row, time) {
 
 function outcome(run, party) {
   if (run.avoided[party]) return "avoided";
-  return run.confirmed[party] === null ? "never confirmed" : "too late";
+  if (run.confirmed[party] === null) return run.detected[party].includes(1) ? "never confirmed" : "never seen";
+  return run.onset[party] === null ? "lost again" : "too late";
 }
 
 // The last frame in which braking still helps; the first one where none does.

@@ -81,7 +81,10 @@ def run_refused(run, layout_file):
 def _curve(*last_latency_s) -> LatencyCurve:
     n_runs = len(last_latency_s)
     return LatencyCurve(
-        last_latency_s=np.array(last_latency_s), weight=np.full(n_runs, 1.0 / n_runs)
+        first_latency_s=np.full(n_runs, -np.inf),
+        last_latency_s=np.array(last_latency_s),
+        run_index=np.arange(n_runs),
+        weight=np.full(n_runs, 1.0 / n_runs),
     )
 
 

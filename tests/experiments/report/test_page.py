@@ -24,7 +24,7 @@ from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout, layout_records
 from placement.question import Question
 from placement.setting import build_setting
-from scenarios.aeb import confirmation_time_s, is_in_time
+from scenarios.aeb import is_in_time, live_confirmation_time_s
 from scenarios.runs import Refusal, build_frame_axis
 
 VOID = {"source", "meta", "img", "br", "hr", "link", "input"}
@@ -73,10 +73,11 @@ def build_evaluation(setting, layout, *, seed, share=0.9):
     def verdict(detected):
         confirmation = np.array(
             [
-                confirmation_time_s(
+                live_confirmation_time_s(
                     detected[axis.frames_of(index)],
                     axis.time_s[axis.frames_of(index)],
-                    n_confirmations=rule.n_confirmations,
+                    until_s=np.inf,
+                    rule=rule,
                 )
                 for index in range(axis.n_runs)
             ]

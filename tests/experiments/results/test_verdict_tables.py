@@ -11,7 +11,7 @@ from experiments.results.tables import (
     runs_table,
 )
 from placement.evaluation import Evaluation, Verdict, apr
-from scenarios.aeb import confirmation_time_s, is_in_time
+from scenarios.aeb import is_in_time, live_confirmation_time_s
 
 
 @pytest.fixture
@@ -21,10 +21,11 @@ def evaluation(layout, frame_axis, rule):
     def verdict(detected):
         confirmation = np.array(
             [
-                confirmation_time_s(
+                live_confirmation_time_s(
                     detected[frame_axis.frames_of(index)],
                     frame_axis.time_s[frame_axis.frames_of(index)],
-                    n_confirmations=2,
+                    until_s=np.inf,
+                    rule=replace(rule, n_confirmations=2),
                 )
                 for index in range(frame_axis.n_runs)
             ]

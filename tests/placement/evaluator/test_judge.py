@@ -7,11 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placement.candidates import CandidatePose
+from placement.evaluation import run_outcomes
 from placement.evaluator import evaluate as judge_module
 from placement.evaluator.evaluate import Judge
 from scenarios.aeb import has_contact, is_in_time, load_aeb_rule
 from scenarios.exposure import weight_per_run
-from scenarios.runs import build_frame_axis, confirmation_times_s
+from scenarios.runs import build_frame_axis, find_onsets, live_confirmation_times_s
 
 RULE = load_aeb_rule()
 
@@ -38,7 +39,8 @@ def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
 ):
     (row,) = _rows(axis, seed, 1)
     verdict = judge.verdict([(row, latency_s)])
-    confirmation_s = confirmation_times_s(row, axis, n_confirmations=RULE.n_confirmations)
+    endless = replace(axis, last_brake_time_s=np.full(axis.n_runs, np.inf))
+    confirmation_s = live_confirmation_times_s(row, endless, rule=RULE)
     assert np.array_equal(verdict.confirmation_time_s, confirmation_s)
     assert verdict.onset_time_s == pytest.approx(confirmation_s + latency_s)
     touches = [
@@ -72,6 +74,42 @@ def test_a_further_party_never_makes_it_later(axis, judge, seed, latencies_s):
     assert (more.onset_time_s <= fewer.onset_time_s).all()
     assert (more.is_avoided >= fewer.is_avoided).all()
     assert (more.detected >= fewer.detected).all()
+
+
+@pytest.mark.parametrize("memory_s", [0.1, 0.5, 1.0])
+def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
+    study_runs, axis, memory_s
+):
+    rule = replace(RULE, track_memory_s=memory_s)
+    judge = Judge(study_runs, axis, rule)
+    outcomes = set()
+    early = np.concatenate([run.time_s < run.time_s[0] + 1.95 for run in study_runs])
+    for row in [early, *_rows(axis, 7, 10)]:
+        verdict = judge.verdict([(row, rule.latency_s)])
+        live_s = live_confirmation_times_s(row, axis, rule=rule)
+        assert np.array_equal(verdict.is_avoided, np.isfinite(live_s))
+        is_live = verdict.is_avoided
+        assert np.array_equal(verdict.confirmation_time_s[is_live], live_s[is_live])
+        touches = [
+            has_contact(run.encounter, onset, rule)
+            for run, onset in zip(study_runs, verdict.onset_time_s.tolist(), strict=True)
+        ]
+        assert np.array_equal(verdict.is_avoided, ~np.array(touches))
+        arrival_s = np.where(row, axis.time_s + rule.latency_s, np.inf)
+        first = find_onsets(arrival_s, axis, rule=RULE)  # never lost
+        assert (verdict.onset_time_s >= first.onset_s).all()
+        words = run_outcomes(verdict, axis)
+        outcomes |= set(words)
+        for run, word in enumerate(words):
+            is_confirmed = np.isfinite(first.onset_s[run])
+            assert (word == "avoided") == verdict.is_avoided[run]
+            assert (word == "lost again") == (
+                first.is_in_time[run] and np.isinf(verdict.onset_time_s[run])
+            )
+            assert (word in ("never seen", "never confirmed")) == (not is_confirmed)
+            assert (word == "never seen") == (not row[axis.frames_of(run)].any())
+    assert "avoided" in outcomes
+    assert "lost again" in outcomes
 
 
 def test_nobody_confirms_nothing(axis, judge):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from ray_renderer import VRU, render_frame
 
-from geometry.actors import PlacedActor, pick_actor
+from geometry.actors import MovingActor, PlacedActor, pick_actor
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError
 from geometry.poses import Pose, to_world
@@ -45,6 +45,19 @@ def _random_runs(build_run, rng, n_frames=N_FRAMES // 3):
             [rng.uniform(-9.0, 9.0, (n_frames, 2)), rng.uniform(-180.0, 180.0, n_frames)]
         )
         runs.append(build_run(pick_actor(name, "test"), vru, vut, obstruction))
+    # Two vans and a car drive by in the second run; the car only in its first half.
+    driving = []
+    for kind, n_there in (("parked-van", n_frames), ("parked-car-large", n_frames // 2)) * 2:
+        position = rng.uniform(-6.0, 6.0, (n_frames, 2))
+        position[n_there:] = np.nan
+        driving.append(
+            MovingActor(
+                actor=pick_actor(kind, "test"),
+                position_m=position,
+                yaw_deg=rng.uniform(-180.0, 180.0, n_frames),
+            )
+        )
+    runs[1] = replace(runs[1], traffic=tuple(driving[:3]))
     return runs
 
 
@@ -314,7 +327,12 @@ def _turned_run(build_run, run, degrees, shift_m):
         ]
         return [[*pose.position_m[:2], pose.yaw_deg] for pose in poses]
 
-    return build_run(
+    def turn_body(body):
+        poses = np.array(turn(np.nan_to_num(body.position_m), body.yaw_deg))
+        position_m = np.where(body.is_there[:, None], poses[:, :2], np.nan)
+        return MovingActor(actor=body.actor, position_m=position_m, yaw_deg=poses[:, 2])
+
+    turned = build_run(
         run.encounter.vru,
         turn(run.vru_position_m, run.vru_yaw_deg),
         turn(run.vut_position_m, run.vut_yaw_deg),
@@ -323,3 +341,4 @@ def _turned_run(build_run, run, degrees, shift_m):
             for body in run.obstruction
         ),
     )
+    return replace(turned, traffic=tuple(turn_body(body) for body in run.traffic))

@@ -228,8 +228,8 @@ def test_what_reaches_into_the_beam_hides_what_rays_find_hidden(corners_m, plate
     placed = _place(pose, np.zeros((1, 3)))
     depth = np.full((30, 30), plate_m)
     beam = (placed.turn[0], placed.shift[0], window, plate_m, -np.inf, np.inf)
-    hide(_image(TINY, up_m), build_tree(corners_m), *beam, depth.reshape(-1))
-    is_before = hide(_image(TINY, up_m), build_tree(corners_m), *beam, np.empty(0))
+    hide(_image(TINY, up_m), build_tree(corners_m), 0, *beam, depth.reshape(-1))
+    is_before = hide(_image(TINY, up_m), build_tree(corners_m), 0, *beam, np.empty(0))
     in_camera = corners_m @ placed.turn[0].T + placed.shift[0]
     before, is_sure = _cast(in_camera, TINY, window)
     is_sure &= np.abs(before - plate_m) > 1.0e-6
@@ -267,8 +267,8 @@ def test_tree_of_nothing_hides_nothing():
     empty = Mesh(vertices_m=np.empty((0, 3)), triangles=np.empty((0, 3), dtype=np.int64)).tree
     placed = _place(LEVEL, np.zeros((1, 3)))
     args = (placed.turn[0], placed.shift[0], (0, 0, 9, 9), 5.0, 0.0, 2.0, np.ones(81))
-    assert not hide(_image(TINY), empty, *args)
-    assert not hide(_image(TINY), empty, *args[:-1], np.empty(0))
+    assert not hide(_image(TINY), empty, 0, *args)
+    assert not hide(_image(TINY), empty, 0, *args[:-1], np.empty(0))
 
 
 # ---------- bodies

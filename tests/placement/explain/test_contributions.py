@@ -15,6 +15,7 @@ from placement.optimiser import (
     placement_value,
     run_margins_s,
 )
+from scenarios.aeb import load_aeb_rule
 
 PROBLEMS = problems()
 
@@ -85,6 +86,22 @@ def test_frames_of_the_first_window_are_shared_by_who_detects_in_them():
     from placement.explain.contributions import _parts_of_firsts, _parts_of_window
 
     detected = np.array([[0, 1, 1, 1, 1], [0, 0, 1, 1, 1], [1, 0, 0, 0, 1]], dtype=bool)
-    parts = _parts_of_window(detected, n_confirmations=3)  # frames 0, 1, 2
+    time_s, rule = np.arange(-4, 1) / 10.0, load_aeb_rule()
+    parts = _parts_of_window(detected, time_s, 0.0, rule)  # frames 0, 1, 2
     np.testing.assert_allclose(parts, np.array([1.0 + 0.5, 0.5, 1.0]) / 3.0)
-    np.testing.assert_allclose(_parts_of_firsts(detected, n_confirmations=3), [1.0, 0.0, 0.0])
+    firsts = _parts_of_firsts(detected, time_s, 0.0, rule)
+    np.testing.assert_allclose(firsts, [1.0, 0.0, 0.0])
+
+
+def test_frames_of_a_track_that_was_lost_are_nobodys():
+    from placement.explain.contributions import _parts_of_firsts, _parts_of_window
+
+    detected = np.zeros((2, 12), dtype=bool)
+    detected[0, :3] = True  # lost before the second unit sees the road user
+    detected[1, 8:11] = True
+    time_s = np.arange(-11, 1) / 10.0
+    for memory_s, parts in ((0.5, [0.0, 1.0]), (0.6, [1.0, 0.0]), (np.inf, [1.0, 0.0])):
+        rule = replace(load_aeb_rule(), track_memory_s=memory_s)
+        assert _parts_of_window(detected, time_s, 0.0, rule).tolist() == parts
+        alone = _parts_of_firsts(detected, time_s, 0.0, rule).tolist()
+        assert alone == ([1.0, 0.0] if memory_s == np.inf else [0.0, 1.0])

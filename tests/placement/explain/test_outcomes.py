@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 from itertools import product
 
@@ -17,6 +18,8 @@ from placement.explain.sensitivity import (
     runs_lost,
 )
 from placement.optimiser import placement_value
+from scenarios.aeb import load_aeb_rule
+from scenarios.runs import FrameAxis
 
 CAMERA = load_cameras()["carla-ncap-rgb"]
 POSE = Pose(position_m=np.array([0.0, 0.0, 5.0]), yaw_deg=0.0)
@@ -86,10 +89,14 @@ def few_frames(frame_axis, rule):
     )
 
 
+@pytest.mark.parametrize("memory_s", [0.1, 0.2, math.inf])
 @pytest.mark.parametrize("fusion", ["any", "single"])
 @pytest.mark.parametrize("packet_loss", [0.0, 0.3, 1.0])
-def test_expected_shares_are_those_of_all_ways_to_lose_messages(few_frames, fusion, packet_loss):
-    watched = replace(few_frames, fusion=fusion)
+def test_expected_shares_are_those_of_all_ways_to_lose_messages(
+    few_frames, fusion, packet_loss, memory_s
+):
+    rule = replace(few_frames.rule, track_memory_s=memory_s)
+    watched = replace(few_frames, fusion=fusion, rule=rule)
     outcome = find_expected_outcome(watched, packet_loss=packet_loss)
     by_hand = expected_by_hand(watched, packet_loss)
     assert outcome.avoided_share == pytest.approx(by_hand)
@@ -104,6 +111,48 @@ def test_expected_shares_are_those_of_all_ways_to_lose_messages(few_frames, fusi
     left = min(share @ watched.axis.weight for share in alone)
     assert outcome.apr_one_failed == pytest.approx(left)
     assert outcome.smallest_margin_s is None
+
+
+@settings(max_examples=20)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_confirmations=st.integers(1, 3),
+    memory_s=st.sampled_from([0.1, 0.2, 0.3, 0.5]),
+    packet_loss=st.sampled_from([0.0, 0.2, 0.7]),
+    latency_s=st.sampled_from([None, 0.0, 0.15]),
+)
+def test_expected_shares_of_tracks_that_are_lost_are_those_of_all_ways(
+    seed, n_confirmations, memory_s, packet_loss, latency_s
+):
+    """Two runs of up to twelve frames, six detections of two units."""
+    rng = np.random.default_rng(seed)
+    lengths = rng.integers(4, 13, size=2)
+    axis = FrameAxis(
+        run_ids=("a", "b"),
+        cases=("A",) * 2,
+        approaches=("north",) * 2,
+        weathers=("day",) * 2,
+        vut_speed_kmh=np.full(2, 30.0),
+        weight=np.array([0.75, 0.25]),
+        last_brake_time_s=-rng.uniform(0.0, 0.9, size=2),
+        run_start=np.cumsum([0, *lengths]),
+        time_s=np.concatenate([np.arange(1 - n, 1) / 10.0 for n in lengths]),
+    )
+    detected = np.zeros((2, axis.n_frames), dtype=bool)
+    detected.ravel()[rng.permutation(detected.size)[:6]] = True
+    watched = Watched(
+        units=(unit("a"), unit("b", latency_s=latency_s)),
+        detected=detected,
+        axis=axis,
+        rule=replace(
+            load_aeb_rule(),
+            n_confirmations=n_confirmations,
+            latency_s=0.05,
+            track_memory_s=memory_s,
+        ),
+    )
+    outcome = find_expected_outcome(watched, packet_loss=packet_loss)
+    assert outcome.avoided_share == pytest.approx(expected_by_hand(watched, packet_loss))
 
 
 def test_a_unit_keeps_its_own_latency(few_frames):

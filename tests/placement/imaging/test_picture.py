@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from ray_renderer import render_frame
 
+from geometry.actors import MovingActor, pick_actor
 from geometry.image_boxes import mask_box
 from geometry.poses import Pose
 from geometry.scene import Site
@@ -165,3 +166,20 @@ def test_the_vuts_own_camera_sees_its_headlights_not_itself(backdrop, study_run,
     ]
     below = np.s_[120:, 60:180]
     assert pictures[0][below].mean() > 3.0 * pictures[1][below].mean()
+
+
+def test_what_drives_by_is_in_the_picture(backdrop, study_run, small, day):
+    vru_m = study_run.vru_position_m[0]
+    towards = (CORNER.position_m[:2] - vru_m) / np.linalg.norm(CORNER.position_m[:2] - vru_m)
+    n_frames = len(study_run.time_s)
+    position_m = np.tile(vru_m + 3.0 * towards, (n_frames, 1))
+    position_m[1:] = np.nan
+    van = MovingActor(
+        actor=pick_actor("parked-van", "test"), position_m=position_m, yaw_deg=np.zeros(n_frames)
+    )
+    run = replace(study_run, traffic=(van,))
+    first, second = (draw_picture(backdrop, run, n, CORNER, small, weather=day) for n in (0, 1))
+    assert first.names[-3:] == ("driving-1", "vut", "vru")
+    assert (first.instance == first.names.index("driving-1")).any()
+    assert second.names[-2:] == ("vut", "vru")
+    assert "driving-1" not in second.names

@@ -48,15 +48,19 @@ def reduced_problems_and_sets(draw):
 
 
 @given(reduced_problems_and_sets())
-def test_margins_are_those_of_the_first_window_that_is_seen_as_a_whole(drawn):
+def test_margins_are_those_of_the_first_window_that_is_whole_and_has_all_its_tails(drawn):
     reduced, sets = drawn
     margin = union_margins_s(reduced, unions_of(reduced, sets))
     detected = reduced.detected()
     for units, margins in zip(sets, margin, strict=True):
         seen = detected[units].any(axis=0)
         for run, chain in enumerate(reduced.run_chain):
-            whole = [all(seen[reduced.window_frames[w]]) for w in reduced.chain(chain)]
-            first = whole.index(True) if True in whole else len(whole)
+            frames, n_links = reduced.tails(chain)
+            live = [
+                all(seen[reduced.window_frames[w]]) and all(seen[frames[n_links > link]])
+                for link, w in enumerate(reduced.chain(chain))
+            ]
+            first = live.index(True) if True in live else len(live)
             assert margins[run] == reduced.margin_s[run, first]
 
 

@@ -17,9 +17,8 @@ from placement.recordings import (
     recorded_table,
     write_recording,
 )
-from scenarios.aeb import is_in_time
 from scenarios.exposure import weight_per_run
-from scenarios.runs import build_frame_axis, confirmation_times_s
+from scenarios.runs import build_frame_axis, live_confirmation_times_s
 
 N_RESETS = 30
 MIN_HEIGHT_PX = 25.0
@@ -199,8 +198,7 @@ def test_a_simulated_recording_gives_the_detected_frames_and_verdicts_of_the_sim
     parties = {**result.units, "car": result.vut}
     for name, frames in detected.items():
         assert np.array_equal(parties[name].detected, frames)
-        confirmation = confirmation_times_s(frames, axis, n_confirmations=rule.n_confirmations)
-        avoided = is_in_time(confirmation, axis.last_brake_time_s, latency_s=rule.latency_s)
+        avoided = np.isfinite(live_confirmation_times_s(frames, axis, rule=rule))
         assert parties[name].is_avoided.tolist() == avoided.tolist()
     assert np.array_equal(recorded_table(result).detected([0, 1]), [detected["2"], detected["9"]])
 

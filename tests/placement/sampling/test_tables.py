@@ -22,7 +22,7 @@ from placement.sampling import (
 )
 from placement.sampling.tables import _append, build_sample_tables
 from placement.visibility import build_detection_table
-from scenarios.runs import confirmation_times_s
+from scenarios.runs import live_confirmation_times_s
 
 
 def _table(sample, *, seed=0, **options):
@@ -125,9 +125,13 @@ def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planne
     assert after == pytest.approx(before - 0.3)
     # As good as a rule with the longer latency.
     detected = _detected(planned).any(axis=0)
-    confirmed = confirmation_times_s(detected, setting.axis, n_confirmations=3)
-    latency_s = setting.rule.latency_s
-    assert ((confirmed + latency_s <= after) == (confirmed + latency_s + 0.3 <= before)).all()
+    for memory_s in (0.2, 1.0, np.inf):  # the age of a track is asked for at the moved moment, too
+        rule = replace(setting.rule, track_memory_s=memory_s)
+        slower = replace(rule, latency_s=rule.latency_s + 0.3)
+        here_s = live_confirmation_times_s(detected, sampled.table.axis, rule=rule)
+        assert np.array_equal(
+            here_s, live_confirmation_times_s(detected, setting.axis, rule=slower)
+        )
 
 
 def test_units_that_are_off_detect_otherwise(setting, candidates, planned):

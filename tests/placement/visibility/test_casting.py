@@ -223,17 +223,19 @@ def test_the_sieve_keeps_every_frame_in_which_the_vut_blocks_a_ray(
         padded = np.vstack([sight.is_visible, np.zeros((1, N_POINTS), dtype=bool)])
         return padded[sight.entry_of_frame]
 
-    sieve = casting._frames_behind_vut
+    sieve = casting._rows_between
     kept = []
 
     def watched(world, eye_m, row_of_frame):
         kept.append(sieve(world, eye_m, row_of_frame))
         return kept[-1]
 
-    monkeypatch.setattr(casting, "_frames_behind_vut", watched)
+    monkeypatch.setattr(casting, "_rows_between", watched)
     with_sieve = cast()
     monkeypatch.setattr(
-        casting, "_frames_behind_vut", lambda world, eye_m, row: np.flatnonzero(row >= 0)
+        casting,
+        "_rows_between",
+        lambda world, eye_m, row: np.flatnonzero(row[world.vehicles.frame] >= 0),
     )
     assert np.array_equal(with_sieve, cast())
     n_frames = sum(len(run.time_s) for run in runs)
@@ -251,9 +253,9 @@ def test_both_ray_libraries_see_the_same(build_scene, build_run):
     seen = {}
     for name in CASTERS:
         world = build_world(scene, runs, n_points=N_POINTS, seed=0, rays=name)
-        assert {type(caster) for caster in (*world.static, *world.bodies, world.vut_body)} == {
-            CASTERS[name]
-        }
+        assert {
+            type(caster) for caster in (world.scene, *world.bodies, *world.vehicles.casters)
+        } == {CASTERS[name]}
         sight = cast_sight(world, eye, near_m=NEAR_M, max_distance_m=FAR_M)
         padded = np.vstack([sight.is_visible, np.zeros((1, N_POINTS), dtype=bool)])
         seen[name] = padded[sight.entry_of_frame]
@@ -283,9 +285,9 @@ def test_equal_obstructions_are_one_static_world(build_scene, build_run, actors)
         for number, obstruction in enumerate((park(3.0), (), park(3.0), park(3.5)))
     ]
     world = build_world(build_scene(), runs, n_points=N_POINTS, seed=0)
-    assert len(world.static) == 3
-    static = world.views.static_index[world.views.view_of_frame]
-    assert static[0] == static[2]
+    assert len(world.obstructions) == 3
+    obstruction = world.views.obstruction_index[world.views.view_of_frame]
+    assert obstruction[0] == obstruction[2]
     assert len(world.views.yaw_deg) == 3
 
 
@@ -299,4 +301,4 @@ def test_the_same_pose_at_another_speed_is_cast_once(study_runs):
     assert position == pytest.approx(
         np.concatenate([run.vru_position_m for run in study_runs]), abs=1e-4
     )
-    assert load_actors()["vut"] is world.vut
+    assert load_actors()["vut"] is world.vehicles.actors[0]

@@ -1,0 +1,122 @@
+"""Vehicles that drive by hide road users: in the detection table and in the evaluator."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from geometry.actors import Actor, MovingActor, PlacedActor, Shape, pick_actor
+from geometry.catalogue import pick_camera
+from geometry.errors import InputError
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.compute import DEFAULT_COMPUTE
+from placement.evaluator.watch import unit_key, watch
+from placement.visibility import build_detection_table
+
+LENGTH_M, WIDTH_M, HEIGHT_M = 12.0, 2.5, 3.2
+SPEED_MPS = 12.0
+
+
+@pytest.fixture(scope="module")
+def bus():
+    box = trimesh.creation.box((LENGTH_M, WIDTH_M, HEIGHT_M))
+    return Actor(
+        name="bus",
+        class_name="car",
+        length_m=LENGTH_M,
+        width_m=WIDTH_M,
+        height_m=HEIGHT_M,
+        shapes=(
+            Shape(
+                vertices_m=np.array(box.vertices) + [0.0, 0.0, 0.5 * HEIGHT_M],
+                triangles=np.array(box.faces, dtype=np.int32),
+            ),
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def unit():
+    return CandidatePose(
+        id="camera",
+        site_id="pole",
+        pose=Pose(position_m=[0.0, 0.0, 3.0], yaw_deg=0.0, pitch_deg=-5.0),
+        sensor=pick_camera("carla-ncap-rgb", "test"),
+    )
+
+
+@pytest.fixture(scope="module")
+def scene(build_scene):
+    """Nothing but a place."""
+    return replace(build_scene(), outline_m=np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0]]))
+
+
+def _seen(setting, unit):
+    """Frames in which a unit detects, by the table and by the evaluator."""
+    table = build_detection_table(
+        setting.scene, [unit], setting.runs, setting.axis, detector=setting.planner
+    )
+    compute = replace(DEFAULT_COMPUTE, workers=1)
+    detected = watch(setting, {unit_key(unit): unit}, compute=compute)
+    return table.detected([0])[0], detected[unit_key(unit)]
+
+
+def test_a_bus_hides_a_pedestrian_for_a_second(scene, build_run, build_setting, bus, unit):
+    """The shadow of a box, by similar triangles: the pedestrian stands twice as far as the bus."""
+    adult = pick_actor("adult", "test")
+    n_frames = 31
+    along_m = SPEED_MPS * (np.arange(n_frames) - 15) / 10.0
+    run = build_run(adult, np.tile([20.0, 0.0, 90.0], (n_frames, 1)))
+    driving = MovingActor(
+        actor=bus,
+        position_m=np.column_stack([np.full(n_frames, 10.0), along_m]),
+        yaw_deg=np.full(n_frames, 90.0),
+    )
+    with_bus = replace(run, traffic=(driving,))
+    setting = build_setting(scene, [run, with_bus])
+    # Over the roof the camera sees nothing of a body lower than this at 20 m.
+    far_edge_m = 10.0 + 0.5 * WIDTH_M
+    assert adult.height_m < 3.0 - (3.0 - HEIGHT_M) * 20.0 / far_edge_m
+    # The rays to both sides of the body pass the near edge of the bus this far from the axis.
+    side_m = 0.5 * max(adult.width_m, adult.length_m) * (10.0 - 0.5 * WIDTH_M) / 20.0
+    # Where the body is on the far edge's line of sight, its sides are as far out.
+    is_hidden = np.abs(along_m) < 0.5 * LENGTH_M - side_m
+    is_clear = np.abs(along_m) > 0.5 * LENGTH_M + 0.5 * max(adult.width_m, adult.length_m)
+    assert is_hidden.sum() in (9, 10)  # a second
+    for seen in _seen(setting, unit):
+        alone, behind = seen[:n_frames], seen[n_frames:]
+        assert alone.all()
+        assert not behind[is_hidden].any()
+        assert behind[is_clear].all()
+
+
+def test_what_drives_on_the_spot_hides_as_what_is_parked(scene, build_run, build_setting, unit):
+    rng = np.random.default_rng(5)
+    van = pick_actor("parked-van", "test")
+    vru = np.column_stack([rng.uniform(6, 30, 80), rng.uniform(-9, 9, 80), rng.uniform(0, 360, 80)])
+    run = build_run(pick_actor("cyclist", "test"), vru)
+    places = [(8.0, 2.0, 30.0), (12.0, -3.0, 80.0), (5.0, -1.0, 0.0)]
+    parked = tuple(
+        PlacedActor(actor=van, pose=Pose(position_m=[x, y, 0.0], yaw_deg=yaw))
+        for x, y, yaw in places
+    )
+    driving = tuple(
+        MovingActor(actor=van, position_m=np.tile([x, y], (80, 1)), yaw_deg=np.full(80, yaw))
+        for x, y, yaw in places
+    )
+    setting = build_setting(
+        scene, [run, replace(run, obstruction=parked), replace(run, traffic=driving)]
+    )
+    for seen in _seen(setting, unit):
+        free, behind_parked, behind_driving = seen.reshape(3, 80)
+        assert (behind_parked == behind_driving).all()
+        assert 10 < (free & ~behind_parked).sum() < 70
+
+
+def test_a_vehicle_has_as_many_frames_as_the_run(build_run, bus):
+    run = build_run(pick_actor("adult", "test"), [[20.0, 0.0, 0.0]] * 3)
+    driving = MovingActor(actor=bus, position_m=np.zeros((2, 2)), yaw_deg=np.zeros(2))
+    with pytest.raises(InputError, match="2 frames; expected 3"):
+        replace(run, traffic=(driving,))
