@@ -21,6 +21,7 @@ _FLOATING_M = 0.5
 _SUNK_M = 3.0
 _FLOOR_M = 0.1
 _OVERLAP_M2 = 1.0
+_SAME_SHARE = 0.8  # of the ground of two buildings that are one
 _ON_ROAD_M2 = 2.0
 _STANDING = ("building", "wall", "vegetation")
 _MAX_NAMES = 6
@@ -174,7 +175,9 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
         for lane in scene.lanes
     ]
     hit, which = shapely.STRtree(lanes).query(shapely.points(feet), predicate="within")
-    in_lane = {int(index): scene.lanes[int(lane)].id for index, lane in zip(hit, which, strict=True)}
+    in_lane = {
+        int(index): scene.lanes[int(lane)].id for index, lane in zip(hit, which, strict=True)
+    }
     in_middle = shapely.intersects_xy(junction, *feet.T)
     for index, site in enumerate(sites):
         if in_middle[index] or index in in_lane:
@@ -237,10 +240,23 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     tree = shapely.STRtree(areas)
     one, other = tree.query(areas, predicate="intersects")
     pairs = [(a, b) for a, b in zip(one.tolist(), other.tolist(), strict=True) if a < b]
-    for a, b in pairs:
-        if shapely.area(shapely.intersection(areas[a], areas[b])) > _OVERLAP_M2:
-            why = "they overlap on the ground"
-            yield Finding(level="warning", what=f"{names[a]} and {names[b]}", why=why)
+    overlaps = {
+        (a, b): float(shapely.area(shapely.intersection(areas[a], areas[b]))) for a, b in pairs
+    }
+    smaller = {
+        (a, b): min(float(shapely.area(areas[a])), float(shapely.area(areas[b]))) for a, b in pairs
+    }
+    twice, partly = [], []
+    for (a, b), area in overlaps.items():
+        if area > _OVERLAP_M2:
+            is_same = area > _SAME_SHARE * smaller[a, b] and _is_as_large(areas[a], areas[b])
+            (twice if is_same else partly).append(f"{names[a]} and {names[b]}")
+    for found, why in (
+        (partly, "they overlap on the ground"),
+        (twice, "they overlap on the ground: the same thing twice, as from two files"),
+    ):
+        if found:
+            yield Finding(level="warning", what=_names(found), why=why)
     road = road_area(scene)
     on_road = [
         names[index]
@@ -250,6 +266,10 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     if on_road:
         why = "it stands on a lane or in the junction: cases that it is in the way of are refused"
         yield Finding(level="warning", what=_names(on_road), why=why)
+
+
+def _is_as_large(one: Any, other: Any) -> bool:
+    return bool(min(one.area, other.area) > _SAME_SHARE * max(one.area, other.area))
 
 
 def _names(ids: list[str]) -> str:

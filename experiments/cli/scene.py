@@ -117,7 +117,9 @@ Examples:
   place-rsus --scene scene --budget 3              and then""",
 )
 @click.argument("files", nargs=-1, metavar="FILE...")
-@option("--junction", default="", metavar="ID", help='Id, name ("A Street / B Street") or part of it.')
+@option(
+    "--junction", default="", metavar="ID", help='Id, name ("A Street / B Street") or part of it.'
+)
 @option(
     "--at",
     type=_point,
@@ -356,9 +358,7 @@ def _listing(
 
     An id that is too long has a line of its own, and `below` stand texts under the rows.
     """
-    widths = [
-        max(len(row[column]) for row in (heads, *rows)) for column in range(1, len(heads))
-    ]
+    widths = [max(len(row[column]) for row in (heads, *rows)) for column in range(1, len(heads))]
     left = WIDTH - 2 - sum(widths) - 2 * len(widths)
     first = min(max(len(row[0]) for row in (heads, *rows)), left)
 

@@ -252,6 +252,12 @@ def _near_things(
     if not n_far:
         return near, []
     why = f"farther than {radius_m:g} m from the junction"
+    if frame.map_crs and not source.crs:
+        why = (
+            "the file names no coordinate reference system, and in that of the map with the roads "
+            f"they lie {why}: --crs says in which one they are (EPSG:25832), --offset X,Y moves "
+            "them"
+        )
     return near, [Skipped(what=f"{n_far} things in {source.name}", why=why)]
 
 

@@ -92,9 +92,7 @@ def _moved(position: FloatArray, edge: Any, why: str, most_m: float) -> Place:
     nearest = np.asarray(shapely.shortest_line(point, edge).coords)[1]
     away_m = float(np.hypot(*(nearest - position)))
     target = "to the nearest kerb" if why.startswith("on ") else "out of it"
-    return Place(
-        position_m=np.round(nearest, 3), why=f"{why}: moved {away_m:.1f} m {target}"
-    )
+    return Place(position_m=np.round(nearest, 3), why=f"{why}: moved {away_m:.1f} m {target}")
 
 
 def _without_gaps(area: Any) -> Any:

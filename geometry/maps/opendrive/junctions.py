@@ -112,7 +112,7 @@ def leading_roads(
     ends: Mapping[str, RoadEnds],
     sampled: Mapping[str, Sequence[SampledSection]],
 ) -> dict[str, tuple[LeadingRoad, ...]]:
-    """Roads that lead to each junction, by its id, with the driving lanes of their records there."""
+    """Roads that lead to each junction, by its id, with the driving lanes recorded there."""
     found: dict[str, list[LeadingRoad]] = {}
     for road_id, at in ends.items():
         road, sections = roads[road_id], sampled[road_id]

@@ -51,9 +51,7 @@ def object_kind(element: Element) -> str | None:
     for kind, types in load_facts()["object_types"].items():
         if plain in types and element.get("dynamic", "no") != "yes":
             return str(kind)
-    for text in (
-        (object_type,) if plain not in _SAYS_NOTHING else (name, subtype)
-    ):
+    for text in (object_type,) if plain not in _SAYS_NOTHING else (name, subtype):
         for kind, listed in load_facts()["object_words"].items():
             if has_word((text,), listed):
                 return str(kind)

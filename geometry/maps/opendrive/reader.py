@@ -85,9 +85,7 @@ def read_opendrive(path: Path) -> SourceMap:
 _JOINED_M = 1.0e-3  # a road that is shorter is but a joint between its neighbours
 
 
-def _read_roads(
-    root: Element, where: str, offset: Offset, omissions: Omissions
-) -> dict[str, Road]:
+def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions) -> dict[str, Road]:
     """All roads by id; the neighbours of those without a length are joined, which is noted."""
     roads: dict[str, Road] = {}
     joints: dict[str, tuple[RoadLink, RoadLink]] = {}

@@ -320,9 +320,7 @@ def find_junctions(
         outline = _outline(final, inside.get(number, []), points)
         name = _name(final, inside.get(number, []))
         roads = find_leading_roads(network, clusters.members[number], outline)
-        junctions.append(
-            MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads)
-        )
+        junctions.append(MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads))
     order = sorted(range(len(junctions)), key=lambda index: int(junctions[index].id[1:]))
     return list(reaches.values()), [junctions[index] for index in order]
 

@@ -109,7 +109,9 @@ def test_every_failure_is_as_brute_force_says(axis, n_units, data):
         assert [item.apr for item in items] == sorted(item.apr for item in items)
 
 
-@pytest.mark.parametrize("sites", [("a", "a", "b"), ("a", "b", "c"), ("a", "a", "a"), ("", "", "b")])
+@pytest.mark.parametrize(
+    "sites", [("a", "a", "b"), ("a", "b", "c"), ("a", "a", "a"), ("", "", "b")]
+)
 def test_a_pole_takes_all_its_units_with_it(frame_axis, rule, sites):
     rng = np.random.default_rng(4)
     detected = rng.random((3, 10)) < 0.8
