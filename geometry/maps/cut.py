@@ -19,6 +19,7 @@ _LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could h
 _SAME_LEVEL_M = 3.0
 _AT_OUTLINE_M = 2.0  # other roads that end here would look like an arm
 _CROSSWALK_WITHIN_M = 25.0
+_DIGITS_M = 0.002
 _LOWEST_M = 0.2  # lower things hide nobody
 _KEPT = ("driving", "parking", "cycling")
 
@@ -167,9 +168,18 @@ def _lanes(
             if _is_elsewhere(points, height - junction.height_m, outline_m, reach_m):
                 continue
             points = _longest_within(points, reach_m)
-        points = points[np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1.0e-6)]
+        points = _apart(points)
         if len(points) >= 2:
             yield Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points)
+
+
+def _apart(points_m: FloatArray) -> FloatArray:
+    """A line without points that a file with three digits could not tell from their neighbours."""
+    is_new = np.append(True, np.hypot(*np.diff(points_m, axis=0).T) > _DIGITS_M)
+    if not is_new[-1] and is_new.sum() > 1:  # the end stays, and the point before it goes
+        is_new[np.flatnonzero(is_new)[-1]] = False
+        is_new[-1] = True
+    return points_m[is_new]
 
 
 def _is_elsewhere(

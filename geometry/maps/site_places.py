@@ -57,8 +57,8 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
     walls: dict[int, Thing] = {}
     for thing in surroundings.things:
         if thing.class_name in ("building", "wall") and len(thing.triangles):
-            for index in np.flatnonzero(is_under(positions, thing)):
-                walls.setdefault(int(index), thing)
+            for hit in np.flatnonzero(is_under(positions, thing)):
+                walls.setdefault(int(hit), thing)
     blocked = _without_gaps(shapely.buffer(road, SETBACK_M, quad_segs=4))
     places = []
     for index, position in enumerate(positions):

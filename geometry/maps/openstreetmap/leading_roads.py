@@ -29,7 +29,7 @@ def find_leading_roads(
     waiting = deque(rows)
     seen = set(waiting)
     done: set[int] = set()
-    found = []
+    found: list[LeadingRoad] = []
     while waiting:
         for end in network.ends.get(waiting.popleft(), ()):
             if end[0] in done:
