@@ -208,8 +208,8 @@ def build_junction(scene: Scene) -> Junction:
     Lanes belong to one arm that lie side by side and lead the same way, and so do two carriageways,
     one into the junction and one out of it, with a median of up to 25 m between. An arm is named
     after one of four points of the compass, or of eight or sixteen where two arms would share a
-    name; if even these do, numbers tell them apart. Where it has no crosswalk of its own, pedestrians cross 2 m
-    inside the mouth, as at Euro NCAP's junction.
+    name; if even these do, numbers tell them apart. Where it has no crosswalk of its own,
+    pedestrians cross 2 m inside the mouth, as at Euro NCAP's junction.
 
     Raises
     ------

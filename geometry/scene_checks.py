@@ -246,7 +246,8 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     smaller = {
         (a, b): min(float(shapely.area(areas[a])), float(shapely.area(areas[b]))) for a, b in pairs
     }
-    twice, partly = [], []
+    twice: list[str] = []
+    partly: list[str] = []
     for (a, b), area in overlaps.items():
         if area > _OVERLAP_M2:
             is_same = area > _SAME_SHARE * smaller[a, b] and _is_as_large(areas[a], areas[b])

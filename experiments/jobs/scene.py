@@ -1,5 +1,6 @@
 """What ``place-rsus scene`` does: import, show, check."""
 
+import hashlib
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
+from geometry.files import check_file
 from geometry.maps.importing import (
     ImportedScene,
     ImportOptions,
@@ -41,6 +43,8 @@ from ..results.scenes import (
 
 PLAN_NAME, VIEW_NAME = "plan.png", "view.png"
 _STUDY = "town05"
+IMPORT_VERSION = 1
+"""Counts up when the same map gives another scene; older ones in the cache are not taken."""
 
 
 def run_import(
@@ -113,6 +117,55 @@ def run_import(
             write_files(out, {**_last(contents, SCENE_FILE)})
     progress.kept = f"the scene is in {out}"
     return replace(result, written=str(out), seconds=progress.finish())
+
+
+def import_into_cache(
+    source: str, *, junction: str, cache: Path, progress: StageProgress
+) -> tuple[str, SceneResult]:
+    """Import a junction of a map unless that was done before, for a command that goes on with it.
+
+    Parameters
+    ----------
+    source : str
+        A map with roads.
+    junction : str
+        Id or name, see :func:`geometry.maps.junctions.choose_junction`.
+    cache : Path
+        Folder below which scenes are kept, by what the map and the junction are.
+    progress : StageProgress
+        Is told the stages.
+
+    Returns
+    -------
+    folder : str
+        Where the scene is.
+    told : SceneResult
+        What it has, and what was left out or assumed.
+
+    Raises
+    ------
+    InputError
+        There is no map, or it has no such junction.
+    """
+    path = Path(source)
+    if not source or not path.is_file() or _is_scene(path):
+        got = source or "the study's junction"
+        raise InputError("--junction", Unquoted(f"it with {got}"), "--scene FILE, a map with roads")
+    check_file(path)
+    digest = hashlib.sha256(path.read_bytes())
+    digest.update(f"\n{junction}\n{IMPORT_VERSION}".encode())
+    folder = cache / "scenes" / digest.hexdigest()[:16]
+    if (folder / SCENE_FILE).exists():
+        try:
+            scene, notes = load_any_scene(str(folder))
+            return str(folder), build_scene_result(scene, skipped=_skipped(notes.skipped))
+        except InputError:
+            pass  # damaged: import it again
+    folder.mkdir(parents=True, exist_ok=True)
+    told = run_import(
+        [source], ImportOptions(junction=junction), bbox="", out=folder, progress=progress
+    )
+    return str(folder), told
 
 
 def run_show(

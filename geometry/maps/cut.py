@@ -179,7 +179,8 @@ def _apart(points_m: FloatArray) -> FloatArray:
     if not is_new[-1] and is_new.sum() > 1:  # the end stays, and the point before it goes
         is_new[np.flatnonzero(is_new)[-1]] = False
         is_new[-1] = True
-    return points_m[is_new]
+    apart: FloatArray = points_m[is_new]
+    return apart
 
 
 def _is_elsewhere(

@@ -208,7 +208,12 @@ def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, len
         leads = to_road("successor", "8", "start") if joint else to_junction("successor", "9")
         parts = [
             road("1", length=50.0, link=leads),
-            road("2", plan=geometry(x=70.0, length=50.0), length=50.0, link=to_junction("predecessor", "9")),
+            road(
+                "2",
+                plan=geometry(x=70.0, length=50.0),
+                length=50.0,
+                link=to_junction("predecessor", "9"),
+            ),
             road(
                 "3",
                 plan=geometry(x=50.0, length=20.0),
@@ -220,7 +225,9 @@ def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, len
         ]
         if joint:
             link = to_road("predecessor", "1", "end") + to_junction("successor", "9")
-            parts.insert(1, road("8", plan=geometry(x=50.0, length=length_m), length=length_m, link=link))
+            parts.insert(
+                1, road("8", plan=geometry(x=50.0, length=length_m), length=length_m, link=link)
+            )
         incoming = "8" if joint else "1"
         parts.append(
             f'<junction id="9"><connection id="0" incomingRoad="{incoming}" connectingRoad="3" '
