@@ -154,8 +154,8 @@ class MovingActor:
     @property
     def is_there(self) -> BoolArray:
         """Frames in which it is there, (n_frames,)."""
-        there: BoolArray = ~np.isnan(self.position_m).any(axis=1)
-        return there
+        is_missing = np.asarray(np.isnan(self.position_m).any(axis=1), dtype=bool)
+        return ~is_missing
 
 
 @cache

@@ -112,6 +112,8 @@ def read_table(table: object, kind: type[_T], where: str) -> _T:
         return msgspec.convert(table, kind, dec_hook=_read_array)
     except msgspec.ValidationError as error:
         raise _input_error(error, table, kind, where) from None
+    except UnicodeEncodeError as error:  # JSON can spell half of a surrogate pair
+        raise InputError(where, error.object, "text of whole characters") from None
 
 
 def read_tables(table: Table, kind: type[_T], where: str) -> dict[str, _T]:
@@ -322,6 +324,42 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+# ---------- folders whose content is believed: who else may write there?
+
+
+def writable_by_others(folder: Path) -> bool:
+    """Whether other users may put files into a folder, or another folder in its place.
+
+    A user's own group, which has the user's name and no other members, is nobody else; root may do
+    anything. False where the system has no such rights, or there is no such folder.
+    """
+    try:
+        import grp
+        import pwd
+    except ImportError:  # Windows
+        return False
+    me = os.getuid()
+    for index, path in enumerate([folder.absolute(), *folder.absolute().parents]):
+        try:
+            found = path.stat()
+        except OSError:
+            continue
+        if found.st_uid not in (me, 0):
+            return True
+        # What lies in a folder like /tmp can be moved by its owner alone.
+        is_kept = index > 0 and found.st_mode & stat.S_ISVTX
+        if found.st_mode & stat.S_IWOTH and not is_kept:
+            return True
+        if found.st_mode & stat.S_IWGRP and not is_kept and found.st_gid != 0:
+            try:
+                owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
+            except KeyError:
+                return True
+            if group.gr_name != owner or set(group.gr_mem) - {owner}:
+                return True
+    return False
 
 
 # ---------- temporary files and folders: whose process is alive?

@@ -22,6 +22,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from platformdirs import user_cache_path
 
 from .clock import stand_still_s
+from .files import writable_by_others
 
 F = TypeVar("F", bound=Callable[..., Any])
 _log = logging.getLogger(__name__)
@@ -34,8 +35,8 @@ def kernel(function: F) -> F:
     The machine code is kept for the next process; where that cannot be, each process compiles.
     """
     compiled = numba.njit(nogil=True, error_model="numpy")(function)
-    kept = _Kept(function) if _is_writable(compiled_folder()) else _Unkept()
-    compiled._cache = kept
+    trouble = _trouble(compiled_folder())
+    compiled._cache = _Unkept(trouble) if trouble else _Kept(function)
     return cast(F, compiled)
 
 
@@ -45,12 +46,14 @@ def compiled_folder() -> Path:
     return Path(chosen) if chosen else user_cache_path("place-rsus") / "compiled"
 
 
-def _is_writable(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return False
-    return os.access(folder, os.W_OK)
+@cache
+def _trouble(folder: Path) -> str:
+    """Why code is not kept in a folder; empty: it is. Code of others would run as ours."""
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        return "cannot be written to"
+    return "can be written to by other users" if writable_by_others(folder) else ""
 
 
 numba.config.CACHE_DIR = str(compiled_folder())
@@ -121,13 +124,15 @@ class _Kept(FunctionCache):  # type: ignore[misc]
 
 
 class _Unkept(NullCache):  # type: ignore[misc]
-    """Where nothing can be kept."""
+    """Where nothing can be kept, and why."""
+
+    def __init__(self, trouble: str) -> None:
+        super().__init__()
+        self._trouble = trouble
 
     def load_overload(self, signature: Any, target_context: Any) -> None:
         """None; says that there is none."""
-        _tell_once(
-            f"compiling in every call, some seconds: {compiled_folder()} cannot be written to"
-        )
+        _tell_once(f"compiling in every call, some seconds: {compiled_folder()} {self._trouble}")
         _begun_s.append(time.monotonic())
 
     def save_overload(self, signature: Any, data: Any) -> None:

@@ -92,6 +92,8 @@ class LidarModel:
         self._check(
             "reference_probability", 0.0 < self.reference_probability < 1.0, "0 < probability < 1"
         )
+        per_frame = self.points_per_second / self.frame_rate_hz
+        self._check("points_per_second", per_frame < math.inf, "a number of points per frame")
         self._check("points_per_second", self.n_columns > 0, "a point per line and frame or more")
 
     def _check(self, field: str, is_valid: bool, expected: str) -> None:

@@ -30,12 +30,12 @@ from .frames import from_carla_points, from_carla_yaw, from_gltf_points, to_gltf
 from .junction import LeadingRoad
 from .poses import Pose, to_world
 from .scene import Instance, Lane, Scene, Site
-from .untrusted_files import refuse_bomb
+from .untrusted_files import check_gltf, refuse_bomb
 
 STUDY = "town05"
 FORMAT, VERSION = "place-rsus scene", 1
 SCENE_FILE, THINGS_FILE = "scene.toml", "things.glb"
-_MAX_BYTES = {SCENE_FILE: MAX_TOML_BYTES, THINGS_FILE: 1_000_000_000}
+_MAX_BYTES = {SCENE_FILE: MAX_TOML_BYTES, THINGS_FILE: 300_000_000}  # five million triangles
 _MILLIMETRES = 3
 _POLE_SECTIONS = 10
 _HEAD = """\
@@ -635,11 +635,15 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
         raise InputError(shown, Unquoted("nothing there"), "the meshes of the scene")
     _check_bytes(path, shown)
     try:
+        check_gltf(path)  # a header that claims more would be given memory
         loaded = trimesh.load_scene(path, file_type="glb", process=False)
         meshes = {
             str(name): (from_gltf_points(mesh.vertices), np.asarray(mesh.faces, dtype=np.int32))
             for name, mesh in loaded.geometry.items()
         }
+    except InputError as error:
+        where = error.where.replace(str(path), shown)
+        raise InputError(where, error.got, f"glTF 2.0 (.glb): {error.expected}") from None
     except Exception as error:  # trimesh raises whatever its parts do
         raise InputError(
             shown, Unquoted(f"{type(error).__name__}: {error}"), "glTF 2.0 (.glb)"

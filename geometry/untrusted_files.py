@@ -4,6 +4,7 @@ import json
 import os
 import stat
 import struct
+import sys
 import zipfile
 import zlib
 from collections.abc import Collection, Iterator, Mapping
@@ -13,11 +14,14 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .errors import InputError, Unquoted
 from .files import MAX_TEXT_BYTES, check_file
 
 MAX_MEMBERS = 10_000
-MAX_UNPACKED_BYTES = 2_000_000_000
+MAX_UNPACKED_BYTES = 2_000_000_000  # out of one file, whatever it is packed with
 MAX_RATIO = 200  # text of coordinates comes to 10; a bomb begins at 1000
 _SMALL_BYTES = 1_000_000  # of which a bomb is none
 _CHUNK_BYTES = 1 << 20
@@ -124,27 +128,40 @@ def _extract(
                 sink.write(chunk)
 
 
-def unpacked_bytes(archive: zipfile.ZipFile, where: str, *, max_bytes: int) -> int:
-    """Size of an instance file's content; raises InputError if it is more than so much."""
+def unpacked_bytes(archive: zipfile.ZipFile, where: str) -> int:
+    """Size of an archive's content as it says; raises InputError if it is beyond the budget."""
     n_bytes = sum(member.file_size for member in archive.infolist())
-    if n_bytes > max_bytes:
-        raise InputError(
-            where,
-            Unquoted(f"{n_bytes:,} bytes when unpacked"),
-            f"an instance of at most {max_bytes:,}",
-        )
+    check_unpacked(n_bytes, where)
     return n_bytes
 
 
-def refuse_bomb(n_bytes: int, where: str) -> None:
-    """Raise InputError if a packed file `where` has more bytes unpacked than any honest one."""
-    packed = max(1, Path(where).stat().st_size)
+def check_unpacked(n_bytes: int, where: str) -> None:
+    """Raise InputError if so many bytes come out of one packed file.
+
+    The budget is one for archives, instances, scenes and point clouds alike.
+    """
     if n_bytes > MAX_UNPACKED_BYTES:
         raise InputError(
             where,
             Unquoted(f"{n_bytes:,} bytes or more when unpacked"),
-            f"at most {MAX_UNPACKED_BYTES:,}",
+            f"at most {MAX_UNPACKED_BYTES:,}, the budget of everything that is packed",
         )
+
+
+def is_text(array: NDArray[Any]) -> bool:
+    """Whether an array from a file has texts that Python can read: numpy looks at no character."""
+    if array.dtype.kind != "U":
+        return False
+    if not array.dtype.itemsize or not array.size:
+        return True
+    native = np.ascontiguousarray(array.astype(array.dtype.newbyteorder("=")))
+    return int(native.reshape(-1).view(np.uint32).max()) <= sys.maxunicode
+
+
+def refuse_bomb(n_bytes: int, where: str) -> None:
+    """Raise InputError if a packed file `where` has more bytes unpacked than any honest one."""
+    check_unpacked(n_bytes, where)
+    packed = max(1, Path(where).stat().st_size)
     if n_bytes > max(_SMALL_BYTES, MAX_RATIO * packed):
         raise InputError(
             where,

@@ -12,6 +12,7 @@ from .evaluation import Evaluation as Evaluation
 from .evaluation import Verdict as Verdict
 from .evaluation import apr as apr
 from .evaluation import apr_by_case as apr_by_case
+from .evaluation import apr_by_position as apr_by_position
 from .evaluator import evaluate_layout as evaluate_layout
 from .evaluator import evaluate_layouts as evaluate_layouts
 from .layout import Certificate as Certificate
@@ -30,6 +31,6 @@ from .setting import Links as Links
 from .setting import Setting as Setting
 from .setting import build_setting as build_setting
 from .verification.certificates import load_certificate as load_certificate
-from .verification.certificates import load_problem as load_problem
+from .verification.instances import load_problem as load_problem
 from .verification.verify import verify_certificate as verify_certificate
 from .wishes import Wishes as Wishes

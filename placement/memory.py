@@ -1,4 +1,4 @@
-"""How much memory a question needs, and what this machine has: told before anything long starts."""
+"""How much memory something needs, and what this machine has: told before anything long starts."""
 
 import os
 import sys
@@ -65,6 +65,20 @@ def machine_bytes() -> int | None:
     return min((size for size in sizes if size > 0), default=None)
 
 
+def available_bytes() -> int:
+    """Memory that can still be had: what the system says is free, within :func:`machine_bytes`.
+
+    Where the system tells nothing, as much as a size can say.
+    """
+    sizes = [machine_bytes() or sys.maxsize]
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        sizes += [1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
+    except (OSError, ValueError):  # not this system's way
+        pass
+    return min(sizes)
+
+
 def check_memory(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> None:
     """Refuse a question that cannot fit into the memory of this machine.
 
@@ -86,13 +100,46 @@ def check_memory(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> None:
     raise InputError(
         "memory",
         Unquoted(
-            f"{n_poses:,} poses x {n_frames:,} frames{worlds}, which need {_gib(needed)}, where "
-            f"there are {_gib(there)}"
+            f"{n_poses:,} poses x {n_frames:,} frames{worlds}, which need {gib(needed)}, where "
+            f"there are {gib(there)}"
         ),
         f"a smaller question: {fewer}fewer --cases, --speeds, --approaches or --weather, fewer "
         "--sensors, or only the poles of --within",
     )
 
 
-def _gib(size: int) -> str:
+def check_fits(where: str, what: str, needed_bytes: int, remedy: str) -> None:
+    """Refuse what takes more memory than can be had.
+
+    Parameters
+    ----------
+    where, what : str
+        What is read or solved, and how large it is.
+    needed_bytes : int
+        Memory that it takes. [bytes]
+    remedy : str
+        What helps.
+
+    Raises
+    ------
+    InputError
+        It takes more than there is.
+    """
+    free = available_bytes()
+    if needed_bytes > free:
+        raise InputError(
+            where,
+            Unquoted(f"{what}, which takes about {gib(needed_bytes)} of memory"),
+            f"what fits into the {gib(free)} that are free: {remedy}",
+        )
+
+
+def gib(size: int) -> str:
+    """An amount of memory in bytes, in words.
+
+    Examples
+    --------
+    >>> gib(3 * 2**29)
+    '1.5 GiB'
+    """
     return f"{size / 2**30:,.1f} GiB"

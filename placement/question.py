@@ -375,7 +375,8 @@ class Question:
         Option(
             section=SEEN,
             help="A confirmed track lives so long without detections, and must live at the last "
-            "moment; inf: for ever once confirmed, as the study reads it, and as is the default.",
+            "moment; inf: for ever, as the study reads it. Default: 1, but inf for --cases study "
+            "and recordings.",
             metavar="SECONDS",
             name="track-memory",
             takes_infinity=True,

@@ -14,7 +14,14 @@ from geometry.sensors import CameraModel
 from scenarios.aeb import AebRule, load_aeb_rule, load_track_memory_s
 from scenarios.cases import select_cases
 from scenarios.exposure import default_weights, weigh
-from scenarios.positions import AT_ZERO, Position, is_bound, pick_positions, read_position
+from scenarios.positions import (
+    AT_ZERO,
+    Position,
+    is_bound,
+    is_study_set,
+    pick_positions,
+    read_position,
+)
 from scenarios.runs import WEATHERS, FrameAxis, Refusal, Run, build_frame_axis, build_runs
 
 from .detectors import Detector, PlanningDetector, load_detector, load_planning_detector
@@ -138,12 +145,9 @@ def _track_memory_s(question: Question) -> float:
     """
     if question.track_memory_s is not None:
         return question.track_memory_s
-    if question.cases == "study" or not _TRACKS_LIVE_BY_DEFAULT:
+    if is_study_set(question.cases):
         return math.inf
     return load_track_memory_s()
-
-
-_TRACKS_LIVE_BY_DEFAULT = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

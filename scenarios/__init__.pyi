@@ -7,6 +7,8 @@ from .cases import Case as Case
 from .cases import load_cases as load_cases
 from .cases import pick_cases as pick_cases
 from .exposure import weigh as weigh
+from .positions import Position as Position
+from .positions import build_positions as build_positions
 from .runs import FrameAxis as FrameAxis
 from .runs import Refusal as Refusal
 from .runs import Run as Run

@@ -262,7 +262,7 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
         sets[set_name] = tuple(driven)
     for set_name, other in alike.items():
         sets[set_name] = pick(sets, other, f"case_sets.toml: {set_name}")
-    return {**sets, ALL_CASES: tuple(cases.values())}
+    return {**{name: sets[name] for name in table}, ALL_CASES: tuple(cases.values())}
 
 
 def _speeds_kmh(speeds: _Speeds) -> tuple[float, ...]:

@@ -20,7 +20,7 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
 from geometry.files import MAX_TEXT_BYTES, check_file, load_toml, read_table
 
-from .positions import is_study_set
+from .positions import is_study_set, read_position
 from .runs import Run
 
 # ---------- weights from a CSV file
@@ -35,7 +35,8 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
     """Weights by a user's own exposure table.
 
     The file is UTF-8, separated by commas or semicolons, with columns case, approach, weight, and
-    if wanted position and weather; "*" or nothing in approach, position or weather stands for all.
+    if wanted position and weather; "*" or nothing in approach, position or weather stands for all,
+    and a position without sign, but for 0, lies behind the junction.
     The weight of a row is shared equally by the runs that it names; what no row names weighs
     nothing. The weights sum to 1.
 
@@ -50,6 +51,7 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
     for line, row in _read_rows(path):
         where = f"{path}: line {line}"
         amount = _read_weight(row["weight"], where)
+        row["position"] = _read_position(row["position"], where)
         members = [index for index, run in enumerate(runs) if _is_named(run, row)]
         if not members:
             raise InputError(where, Unquoted(_words(row)), _what_is_driven(runs, row))
@@ -110,6 +112,15 @@ def _read_weight(text: str, where: str) -> float:
     if not 0.0 <= amount < math.inf:
         raise InputError(f"{where}: weight", text, "a number, at least 0")
     return amount
+
+
+def _read_position(text: str, where: str) -> str:
+    """The name of a position, or a word for all; spreadsheets take a + away, or need a '."""
+    text = text.removeprefix("'")
+    if text in _ANY:
+        return text
+    signed = text if text[:1] in ("+", "-", "0") else f"+{text}"
+    return read_position(signed, f"{where}: position").name
 
 
 def _is_named(run: Run, row: Mapping[str, str]) -> bool:

@@ -73,7 +73,6 @@ class Run:
     id: str
     case: Case
     approach: str
-    position: str
     weather: str
     vut_speed_kmh: float
     encounter: Encounter
@@ -85,6 +84,7 @@ class Run:
     vru_shape: IntArray
     obstruction: tuple[PlacedActor, ...]
     last_brake_time_s: float
+    position: str = AT_ZERO.name
     traffic: tuple[MovingActor, ...] = ()
 
     def __post_init__(self) -> None:

@@ -7,9 +7,10 @@ prevent? This page is a script. Its figures and tables are made when the site is
 """
 
 # %%
-# A question is what is driven and how it is judged. ``Question()`` alone is the study: 13 cases
-# from four approaches. Here a child crosses behind parked cars (CPNCO-50), a cyclist comes out of
-# the side road (CBNA), and the car comes from the north or the west.
+# A question is what is driven and how it is judged. ``Question()`` alone is the study's 13 cases
+# from four approaches, along the arms of the junction. Here a child crosses behind parked cars
+# (CPNCO-50), a cyclist comes out of the side road (CBNA), and the car comes from the north or the
+# west.
 import placement
 from experiments.figures import evaluation, plan
 

@@ -41,7 +41,7 @@ _OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 
 def main(budget: int, out: Path | None) -> None:
     """Measure rays, optimiser, growth with the runs, perception, and the whole command."""
     scene = load_study_scene()
-    setting = build_setting(Question(cases=_OWN_CASES), scene)
+    setting = build_setting(Question(cases=_OWN_CASES, along_arms="0"), scene)
     candidates = build_candidates(
         setting.scene, load_candidate_grid(), extra=load_carlancap_layout().units
     )
@@ -80,7 +80,7 @@ def _measure_growth(candidates: tuple[CandidatePose, ...]) -> Figures:
     compute = Compute(workers=_WORKERS)
     for cases in ("CBLA", _OWN_CASES, "study", "protocol-4.5.1"):
         began_s = time.perf_counter()
-        setting = build_setting(Question(cases=cases), scene)
+        setting = build_setting(Question(cases=cases, along_arms="0"), scene)
         laid_s = time.perf_counter()
         build_detection_table(
             scene, few, setting.runs, setting.axis, detector=setting.planner, compute=compute

@@ -158,7 +158,7 @@ def apr_lines(parties: Mapping[str, "PartyAprRecord"]) -> list[str]:
         name: [
             percent(party.all),
             *(percent(party.by_case[case]) for case in cases),
-            *(percent(party.by_position[position]) for position in positions),
+            *(percent(party.by_position.get(position)) for position in positions),
         ]
         for name, party in parties.items()
     }

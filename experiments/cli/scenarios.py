@@ -72,12 +72,13 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
 
     keys = list(dict.fromkeys((*driven, *reasons)))
     # By case in the order asked for, within it by approach, and as the VUT passes them.
-    cases, approaches = (list(dict.fromkeys(key[part] for key in keys)) for part in (0, 1))
+    cases = list(dict.fromkeys(case for case, _, _ in keys))
+    pairs = list(dict.fromkeys(key[:2] for key in keys))
     positions = sort_positions(key[2] for key in keys)
     keys.sort(
         key=lambda key: (
             cases.index(key[0]),
-            approaches.index(key[1]),
+            pairs.index(key[:2]),
             positions.index(key[2]),
         )
     )

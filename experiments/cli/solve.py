@@ -66,6 +66,15 @@ Examples:
     "the default.",
 )
 @option(
+    "--track-memory",
+    "track_memory_s",
+    type=float,
+    metavar="SECONDS",
+    expected="seconds, at least a frame's, or inf",
+    help="Of placement problems: how long a track lives without detections, in place of the file's "
+    "own; inf: for ever, as the study reads it.",
+)
+@option(
     "--solver",
     default="auto",
     show_default=True,
@@ -117,6 +126,7 @@ def solve(
     budget_units: int | None,
     budget_cost: float | None,
     target: float | None,
+    track_memory_s: float | None,
     solver: str,
     time_limit: float,
     gap: float,
@@ -128,7 +138,8 @@ def solve(
     """Solve a covering or placement problem from a file, and prove it.
 
     Placement problems (instance.npz of a result folder) are solved as they were asked, unless
-    --budget, --budget-cost or --target asks something else.
+    --budget, --budget-cost or --target asks something else, and with the file's own rule unless
+    --track-memory changes it.
 
     Chosen columns are numbered as in the file: from 1 in OR-Library's and Steiner triples, else
     from 0; --json says so in numbered_from.
@@ -136,11 +147,11 @@ def solve(
     _check_one_question()
     progress.start(quiet=quiet)
     from placement.optimiser.covering.files import instance_kind
-    from placement.verification.certificates import KIND
+    from placement.verification.instances import KINDS
 
     from ..jobs import solve
 
-    if format_name in ("auto", "npz") and instance_kind(file) == KIND:
+    if format_name in ("auto", "npz") and instance_kind(file) in KINDS:
         if out is not None:
             raise click.UsageError(f"--out: got {out}; expected it with covering problems only")
         solution = solve.run_solve_windows(
@@ -148,6 +159,7 @@ def solve(
             budget_units=budget_units,
             budget_cost=budget_cost,
             target=float("inf") if target is None and is_given("target") else target,
+            track_memory_s=track_memory_s,
             solver=solver,
             time_limit_s=time_limit,
             gap=gap,
@@ -155,6 +167,10 @@ def solve(
         )
         print_result(solution, progress, as_json, lambda: window_text(solution))
         return
+    if track_memory_s is not None:
+        raise click.UsageError(
+            f"--track-memory: got {track_memory_s:g}; expected it with placement problems only"
+        )
     try:
         summary = solve.run_solve(
             file,

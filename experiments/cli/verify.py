@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..progress import StageProgress
-from .options import json_option, quiet_option
+from .options import json_option, quiet_option, scene_option
 from .running import print_result
 from .terminal import sentences
 
@@ -26,22 +26,29 @@ Examples:
 Exit codes: 0 all checks hold, 1 a check has failed, 2 the input is wrong."""
 )
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@scene_option
 @json_option
 @quiet_option
 @click.pass_obj
-def verify(progress: StageProgress, *, folder: Path, as_json: bool, quiet: bool) -> None:
-    """Check the certificate in a folder of results, without the optimiser.
+def verify(
+    progress: StageProgress, *, folder: Path, scene: str, as_json: bool, quiet: bool
+) -> None:
+    """Check a folder of results, without the optimiser.
 
     Recomputes from certificate.json and instance.npz, by code that it does not share with the
     optimiser: that the instance is the one that was solved, that the layout is within all limits
     and reaches all floors, and its value in every stage. Bounds are proven again where all poses
     together reach no more, or where there are few enough sets of poses to compare them all;
     elsewhere they rest on the solver that the certificate names, and this says so.
+
+    Every file is compared with SHA256SUMS, with the instance, which has the poses and sensors that
+    were solved, and with each other; --scene adds the scene. What cannot be compared with anything
+    is listed.
     """
     progress.start(quiet=quiet)
     from ..jobs.verify import run_verification
 
-    summary = run_verification(folder, progress=progress)
+    summary = run_verification(folder, scene=scene, progress=progress)
     print_result(summary, progress, as_json, lambda: verification_text(summary))
     if not summary.is_verified:
         sys.exit(_EXIT_FAILED)

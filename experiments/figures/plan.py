@@ -20,6 +20,7 @@ from geometry.scene import Lane, Scene, thing_footprint
 from placement.candidates import CandidatePose, is_ring
 from placement.layout import Layout
 from placement.setting import Setting
+from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
 from .axes import (
@@ -239,12 +240,15 @@ def ground_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
     return corners
 
 
+_HALF_SIZE_M, _MARGIN_M = 45.0, 5.0
+
+
 def plot_plan(
     setting: Setting,
     layout: Layout,
     *,
     others: Sequence[Layout] = (),
-    half_size_m: float = 45.0,
+    half_size_m: float | None = None,
     max_range_m: float = 35.0,
     width_in: float = WIDTH_IN,
     axes: Axes | None = None,
@@ -259,8 +263,9 @@ def plot_plan(
         Drawn with labels and fields of view.
     others : sequence of Layout
         Drawn lighter, without fields of view.
-    half_size_m : float
-        Half the side of the square that is shown, around the middle of the junction. [m]
+    half_size_m : float, optional
+        Half the side of the square that is shown, around the middle of the junction; by default 45,
+        or what shows all places along the arms. [m]
     max_range_m : float
         Fields of view end here; the camera itself sees farther. [m]
     width_in : float
@@ -282,6 +287,9 @@ def plot_plan(
     scene = setting.scene
     outline = scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    if half_size_m is None:
+        places = np.array([run.vru_position_m[-1] for run in setting.runs]).reshape(-1, 2)
+        half_size_m = max(_HALF_SIZE_M, float(np.abs(places - middle).max(initial=0.0)) + _MARGIN_M)
     draw_scene(axes, scene)
     draw_parked(axes, [body for run in setting.runs for body in run.obstruction])
     _draw_paths(axes, setting.runs)
@@ -339,6 +347,30 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
             _, style = _PATH_STYLES.get(body, _PATH_STYLES["pedestrian"])
             axes.plot(*positions.T, zorder=3, **style)
         axes.plot(*run.vru_position_m[-1], zorder=4, **_IMPACT_STYLE)
+    if len({run.position for run in runs}) > 1:
+        _label_positions(axes, runs)
+
+
+def _label_positions(axes: Axes, runs: Sequence[Run]) -> None:
+    """Write beside the places along the arms which they are, each once."""
+    firsts = {(run.approach, run.position): run for run in reversed(runs)}
+    for (_, position), run in firsts.items():
+        if position == AT_ZERO.name:
+            continue
+        ahead = np.radians(run.vut_yaw_deg[-1])
+        left = np.array([-math.sin(ahead), math.cos(ahead)])
+        axes.annotate(
+            position.replace("-", "\N{MINUS SIGN}"),
+            xy=(run.vru_position_m[-1][0], run.vru_position_m[-1][1]),
+            xytext=(9.0 * left[0], 9.0 * left[1]),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontsize=6.5,
+            path_effects=[HALO],
+            zorder=7,
+            annotation_clip=True,
+        )
 
 
 _IMPACT_STYLE: Style = {
@@ -506,5 +538,8 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
     if any(run.obstruction for run in setting.runs):
         things.append(Patch(label="parked body or wall of single cases", **PARKED_STYLE))
     site = Line2D([], [], label="pole or mast: possible site", linestyle="none", **SITE_STYLE)
-    impact = Line2D([], [], label="collision point", **_IMPACT_STYLE)
+    label = "collision point"
+    if len({run.position for run in setting.runs}) > 1:
+        label += "; metres before (\N{MINUS SIGN}), behind (+)"
+    impact = Line2D([], [], label=label, **_IMPACT_STYLE)
     return [*units, *paths, impact, site, *things]

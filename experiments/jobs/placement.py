@@ -168,6 +168,7 @@ def run_placement(
         command=command,
         progress=progress,
         placement=placement,
+        candidates=poses,
         bill=build_bill(
             placement.layout,
             scene,

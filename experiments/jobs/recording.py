@@ -8,6 +8,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
+from geometry.files import write_atomically
 from placement.optimiser import (
     apr_one_failed,
     presolve,
@@ -180,6 +181,7 @@ def _finish(
         if write_more is not None:
             write_more(new)
         result = replace(result, seconds=progress.finish())
-        (new / MARKER).write_text(to_json_text(result), encoding="utf-8")
+        text = to_json_text(result).encode()
+        write_atomically(new / MARKER, lambda file: file.write(text))
     progress.kept = f"the results are in {out}"
     return result

@@ -23,7 +23,7 @@ from placement.optimiser.covering.solve import (
     solve_mclp,
 )
 from placement.optimiser.model import SolverName
-from placement.verification.certificates import load_problem
+from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress
 from ..results.record import build_stage_records
@@ -130,6 +130,7 @@ def run_solve_windows(
     budget_units: int | None,
     budget_cost: float | None,
     target: float | None,
+    track_memory_s: float | None,
     solver: str,
     time_limit_s: float,
     gap: float,
@@ -146,6 +147,8 @@ def run_solve_windows(
     target : float or None
         In place of the file's own question: share of the runs to avoid, with the fewest units;
         infinity: all that can be avoided.
+    track_memory_s : float or None
+        In place of that of the file's own rule. [s]
     solver : str
         auto, exact, relax, greedy, or a mixed-integer solver by its name in cvxpy.
     time_limit_s, gap
@@ -159,7 +162,14 @@ def run_solve_windows(
         The file is damaged, or the question has no answer.
     """
     progress("read", 0, 0)
-    problem = _asked(load_problem(path), budget_units, budget_cost, target)
+    problem = load_problem(path)
+    if track_memory_s is not None:
+        try:
+            rule = replace(problem.rule, track_memory_s=track_memory_s)
+        except InputError as error:
+            raise InputError("--track-memory", error.got, error.expected) from None
+        problem = replace(problem, rule=rule)
+    problem = _asked(problem, budget_units, budget_cost, target)
     if solver not in _SEARCHES:
         check_solver(solver)
         solver = "exact"

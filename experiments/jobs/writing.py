@@ -1,7 +1,7 @@
 """What a command writes into a folder of results: layout, certificate, tables, report."""
 
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +10,14 @@ import msgspec
 from matplotlib.axes import Axes
 
 from geometry.errors import InputError, Unquoted
+from geometry.files import write_atomically
+from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation
 from placement.layout import layout_records
 from placement.pipeline import Placement
 from placement.setting import Setting
 from placement.verification.certificates import build_certificate, save_certificate
+from placement.verification.mounts import build_mounts
 
 from ..export.csv import to_csv
 from ..export.geojson import to_geojson
@@ -38,6 +41,7 @@ def write_results(
     command: str,
     progress: StageProgress,
     placement: Placement | None = None,
+    candidates: Sequence[CandidatePose] = (),
     bill: BillOfMaterials | None = None,
     sampled_figure: Axes | None = None,
 ) -> Result:
@@ -59,6 +63,8 @@ def write_results(
         Told what is on disk in the end.
     placement : Placement, optional
         Where the subject was found: its certificate is written, too.
+    candidates : sequence of CandidatePose
+        The rows of the table in which it was found.
     bill : BillOfMaterials, optional
         Of the subject, where more is known of its costs than the scene tells.
     sampled_figure : Axes, optional
@@ -86,6 +92,7 @@ def write_results(
             geojson = to_geojson(layout, setting.scene.crs, setting.scene)
             _write_text(new / "layout.geojson", geojson)
         if placement is not None:
+            mounts = build_mounts(setting.scene, candidates)
             document = build_certificate(
                 placement.problem,
                 placement.certificate,
@@ -94,8 +101,9 @@ def write_results(
                 presolve=placement.presolve,
                 seconds=placement.seconds,
                 versions=result.versions,
+                mounts=mounts,
             )
-            save_certificate(new, document, placement.problem)
+            save_certificate(new, document, placement.problem, mounts)
         bill = bill or build_bill(layout, setting.scene)
         _write_text(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
         _write_text(new / APR_FILE, csv_text(apr_table(evaluations)))
@@ -132,4 +140,5 @@ def _kept_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
 
 
 def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    """Write a file, whole or not at all: what is kept of a failed writing can be read."""
+    write_atomically(path, lambda file: file.write(text.encode()))

@@ -377,7 +377,7 @@ def build_sensitivity_record(found: Sequence[Sensitivity]) -> SensitivityRecord:
         assumptions=tuple(
             AssumptionRecord(
                 name=one.assumption.name,
-                planned_value=one.planned_value,
+                planned_value=one.planned_value and finite_or_none(one.planned_value),
                 reason=one.assumption.reason,
                 is_ours=one.assumption.is_ours,
                 left_out=one.left_out,

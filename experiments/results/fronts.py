@@ -211,7 +211,7 @@ class FrontResult(FrontRecord, frozen=True, kw_only=True):
     vut_sensors: tuple[str, ...]
     packet_loss: Share
     vam_rate: Share
-    track_memory_s: float | None
+    track_memory_s: float | None = None
     not_driven: tuple[RefusalRecord, ...]
     possible_runs: int
     driven: tuple[str, ...]

@@ -74,7 +74,7 @@ class LatencyResult(Record, frozen=True, kw_only=True):
     vut_sensors: tuple[str, ...]
     packet_loss: float
     vam_rate: float
-    track_memory_s: float | None
+    track_memory_s: float | None = None
     not_driven: tuple[RefusalRecord, ...]
     possible_runs: int
     driven: tuple[str, ...]

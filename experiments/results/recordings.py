@@ -102,7 +102,7 @@ class RecordedResult(Record, frozen=True, kw_only=True):
     runs: int
     cases: tuple[str, ...]
     weathers: tuple[str, ...]
-    track_memory_s: float | None
+    track_memory_s: float | None = None
     not_driven: tuple[RefusalRecord, ...] = ()
     apr: float
     bound: float | None

@@ -79,7 +79,7 @@ class RetrofitResult(Record, frozen=True, kw_only=True):
     vut_sensors: tuple[str, ...]
     packet_loss: float
     vam_rate: float
-    track_memory_s: float | None
+    track_memory_s: float | None = None
     not_driven: tuple[RefusalRecord, ...]
     possible_runs: int
     driven: tuple[str, ...]

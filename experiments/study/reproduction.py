@@ -1,5 +1,6 @@
 """The CarlaNCAP study's figures beside ours: ``python -m experiments.study.reproduction``."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -34,7 +35,9 @@ from placement.evaluator import evaluate_layout
 from placement.layout import Layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from scenarios.runs import Run
+from scenarios.aeb import load_track_memory_s
+from scenarios.exposure import weight_per_run
+from scenarios.runs import Run, build_frame_axis
 
 from ..figures.axes import to_png
 from ..figures.evaluation import plot_heatmaps
@@ -47,6 +50,8 @@ from .layout import load_carlancap_layout
 
 OWN_CASES = "CPNC-50,CBNA,CBLA"
 """The cases whose starts and figures the study publishes."""
+# At the junction alone, every run alike, a track for ever once confirmed.
+_AS_STUDIED = Question(cases=OWN_CASES, along_arms="0", weights="run", track_memory_s=math.inf)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,7 +76,7 @@ class Variant:
 def build_variants() -> tuple[Variant, ...]:
     """As it is first; then walls, parked cars, smallest box and field of view, changed."""
     layout = load_carlancap_layout()
-    base = build_setting(Question(cases=OWN_CASES), load_study_scene())
+    base = build_setting(_AS_STUDIED, load_study_scene())
     changes: Mapping[str, Callable[[], Setting]] = {
         "as it is": lambda: base,
         "walls 0.5 m nearer to the corner": lambda: _move_walls(base, 0.5),
@@ -147,6 +152,55 @@ def _with_runs(setting: Setting, obstruction: Callable[[Run], tuple[PlacedActor,
     return replace(setting, runs=runs)
 
 
+def build_additional_variants() -> tuple[Variant, ...]:
+    """Of the study's additional cases: as it is; then one thing changed that it leaves open."""
+    layout = load_carlancap_layout()
+    scene = load_study_scene()
+    base = _additional(build_setting(Question(cases="study"), scene), "0")
+    along = build_setting(
+        Question(cases="study", along_arms="0,15,30", track_memory_s=math.inf), scene
+    )
+    live = replace(base, rule=replace(base.rule, track_memory_s=load_track_memory_s()))
+    changes = {
+        "as it is": base,
+        f"a track lives for {live.rule.track_memory_s:g} s": live,
+        "the last 5 s before the impact": _shorten(base, 5.0),
+        "the last 3 s before the impact": _shorten(base, 3.0),
+        "smallest box 60 px": _detect_from(base, 60.0),
+        "15 m before the crosswalk": _additional(along, "-15"),
+        "30 m before the crosswalk": _additional(along, "-30"),
+    }
+    return tuple(
+        Variant(name=name, setting=setting, layout=layout) for name, setting in changes.items()
+    )
+
+
+def _additional(setting: Setting, position: str) -> Setting:
+    """The runs of the additional cases at one position along the arms."""
+    cases = {figure.case for figure in load_additional()}
+    runs = [run for run in setting.runs if run.case.name in cases and run.position == position]
+    return _of_runs(setting, runs)
+
+
+def _shorten(setting: Setting, last_s: float) -> Setting:
+    """Recordings that begin so long before the impact, if they began earlier. [s]."""
+
+    def shorten(run: Run) -> Run:
+        kept = run.time_s >= -last_s - _TOLERANCE_S
+        names = ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
+        return replace(run, **{name: getattr(run, name)[kept] for name in (*names, "vru_shape")})
+
+    return _of_runs(setting, [shorten(run) for run in setting.runs])
+
+
+_TOLERANCE_S = 1.0e-6
+
+
+def _of_runs(setting: Setting, runs: Sequence[Run]) -> Setting:
+    axis = build_frame_axis(runs, weight_per_run(runs))
+    return replace(setting, runs=tuple(runs), axis=axis)
+
+
 def _detect_from(setting: Setting, height_px: float) -> Setting:
     default = load_planning_detector()
     assert isinstance(default, GeometricDetector)
@@ -210,6 +264,39 @@ def load_published() -> tuple[PublishedFigure, ...]:
     return tuple(found)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AdditionalFigure:
+    """A figure of the study's additional cases, another recording; nothing was fitted to it.
+
+    Attributes
+    ----------
+    quantity, case : str
+        What, as :func:`quantities` names it, and in which case.
+    published : str
+        What the study says, in words.
+    """
+
+    quantity: str
+    case: str
+    published: str
+
+
+@cache
+def load_additional() -> tuple[AdditionalFigure, ...]:
+    """Figures of the additional cases, from ``data/carla_ncap_published.toml``."""
+    where = "carla_ncap_published.toml"
+    table = load_toml(files("experiments") / "data" / where)
+    return tuple(
+        AdditionalFigure(
+            **{
+                name: take_text(entry, name, f"{where}: additional[{index}]")
+                for name in ("quantity", "case", "published")
+            }
+        )
+        for index, entry in enumerate(take_list(table, "additional", where))
+    )
+
+
 def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
     """What the study publishes or leaves open, as shares of 1.
 
@@ -227,13 +314,15 @@ def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
         for name, verdict in parties.items():
             found[f"APR of {name}", case] = apr(verdict, axis, mask)
             found[f"frames of {name}", case] = detected_share(verdict, axis, mask)
+        alone = [found[f"APR of {name}", case] for name in evaluation.units]
+        found["APR of the best RSU", case] = max(alone)
     return found
 
 
 def write_reproduction(folder: Path, *, compute: Compute) -> None:
     """Evaluate all variants and weathers, and write ``reproduction.md`` with its heatmaps."""
-    variants = build_variants()
-    n_steps = len(variants) + len(DETECTORS)
+    variants, additional = build_variants(), build_additional_variants()
+    n_steps = len(variants) + len(DETECTORS) + len(additional)
     evaluations = []
     quiet = replace(compute, progress=silent)
     for number, variant in enumerate(variants):
@@ -243,6 +332,10 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
     for number, detector in enumerate(DETECTORS, start=len(variants)):
         compute.progress("evaluate variants", number, n_steps)
         by_weather[detector] = _evaluate_weathers(detector, variants[0], quiet)
+    of_additional = {}
+    for number, variant in enumerate(additional, start=len(variants) + len(DETECTORS)):
+        compute.progress("evaluate variants", number, n_steps)
+        of_additional[variant.name] = quantities(_evaluate(variant, quiet))
     base = evaluations[0]
     heatmaps = [
         base.axis.run_ids.index(f"{case}/east/{speed}")
@@ -255,6 +348,7 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
         [
             *_introduction(),
             *_published_table(found),
+            *_additional_table(of_additional),
             *_units_table(found[0], list(base.units)),
             *_sensitivity_table(names, found),
             *_weather_table(by_weather),
@@ -281,7 +375,7 @@ def _evaluate(variant: Variant, compute: Compute) -> Evaluation:
 
 
 def _evaluate_weathers(detector: str, base: Variant, compute: Compute) -> Evaluation:
-    question = Question(cases=OWN_CASES, weather=",".join(WEATHERS), detector=detector)
+    question = replace(_AS_STUDIED, weather=",".join(WEATHERS), detector=detector)
     setting = build_setting(question, base.setting.scene)
     return evaluate_layout(base.layout, setting, compute=compute)
 
@@ -320,6 +414,33 @@ def _published_table(found: Sequence[dict[tuple[str, str], float]]) -> list[str]
     ]
     header = ("quantity", "case", "published", "ours", "range", "use", "hangs on")
     return ["## Published and ours", "", *_table(header, rows), ""]
+
+
+def _additional_table(by_variant: Mapping[str, Mapping[tuple[str, str], float]]) -> list[str]:
+    rows = [
+        (
+            figure.case,
+            figure.quantity,
+            figure.published,
+            *(
+                percent(values[key]) if (key := (figure.quantity, figure.case)) in values else "-"
+                for values in by_variant.values()
+            ),
+        )
+        for figure in load_additional()
+    ]
+    return [
+        "## The study's additional cases",
+        "",
+        "Another recording, by protocol 4.5.1; how its runs start and where they meet is not "
+        "published, and nothing was fitted to its figures. Each column after the first changes one "
+        "thing that the study leaves open: how long a track lives without detections, how long the "
+        "recording is, how high in the image a road user must be, and where along the arm the "
+        "bodies meet (at every third speed; turning cases have no other place).",
+        "",
+        *_table(("case", "quantity", "published", *by_variant), rows),
+        "",
+    ]
 
 
 def _units_table(values: dict[tuple[str, str], float], units: Sequence[str]) -> list[str]:

@@ -163,6 +163,8 @@ def georeference(
         )
     try:
         crs = horizontal_crs(declared)
+        if crs is not None:  # it may be well-formed, and its numbers make no sense
+            transform(box[:1], crs_name(crs), WGS84)
     except ProjError:
         crs = None
     if crs is None:

@@ -312,11 +312,12 @@ def _things(
         )
     things: list[Thing] = []
     names: Counter[str] = Counter()
-    n_left = MAX_TRIANGLES
+    n_left, n_walls = MAX_TRIANGLES, voxels.MAX_WALL_VOXELS
     for kind, part in found:
         name = "building" if kind == "roofs" else kind
         if kind == "roofs" or (name == class_name == "building" and _is_roof(part, voxel_m)):
-            part = voxels.columns_to(part, _MIDDLE, scan.where)
+            part = voxels.columns_to(part, _MIDDLE, scan.where, n_left=n_walls)
+            n_walls -= len(part)
         if kind != "vegetation":
             part = voxels.filled(part, _MIDDLE)
         names[name] += 1

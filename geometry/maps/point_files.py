@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
+from ..untrusted_files import check_unpacked
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 SUFFIXES = (".las", ".laz", ".pcd")
 MAX_POINTS = 50_000_000
 CHUNK_POINTS = 1_000_000
-_MAX_UNPACKED_BYTES = 4_000_000_000
 # LASzip's types of items in a point: their bytes; 0: as many as there are.
 _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14: 0}
 # Of the types that are packed in layers: how many; 0: one for every byte.
@@ -107,8 +107,7 @@ def _check_header(path: Path) -> None:
             Unquoted(f"a header with {n_points:,} points in {n_bytes:,} bytes: cut off"),
             f"{first_point + n_points * point_bytes:,} bytes",
         )
-    if n_points * max(point_bytes, 20) > _MAX_UNPACKED_BYTES:
-        raise InputError(where, Unquoted(f"{point_bytes} bytes for every point"), "fewer")
+    check_unpacked(n_points * max(point_bytes, 20), where)
 
 
 def _n_layers(path: Path, header_bytes: int, n_records: int, point_bytes: int) -> int:

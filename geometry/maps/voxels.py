@@ -9,7 +9,8 @@ from ..errors import InputError, Unquoted
 _BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
 _MASK = (1 << _BITS) - 1
 MAX_VOXELS_PER_AXIS = _MASK - 1
-MAX_COLUMN_VOXELS = 20_000_000  # 10,000 m^2 of roof 30 m above ground, 0.25 m
+MAX_COLUMN_VOXELS = 20_000_000  # of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m
+MAX_WALL_VOXELS = 100_000_000  # of all things of a file
 _MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
 _HALF_OF_NEIGHBOURS = tuple(  # differences of keys
     (x << 2 * _BITS) + (y << _BITS) + z
@@ -98,25 +99,31 @@ def filled(keys: IntArray, floor: int) -> IntArray:
     return np.sort(to_keys(np.argwhere(dense).astype(np.int64) + low))
 
 
-def columns_to(keys: IntArray, floor: int, where: str) -> IntArray:
+def columns_to(
+    keys: IntArray, floor: int, where: str, *, n_left: int = MAX_WALL_VOXELS
+) -> IntArray:
     """Voxels from the floor to the highest of every column, sorted.
 
-    Raises InputError if they are more than any building has: heights in another unit, or damaged.
+    Raises InputError if they are more than any building has, or than `n_left` of what all buildings
+    of a file may have: heights in another unit, or damaged.
     """
-    cells = to_cells(keys)
     columns, start = np.unique(keys >> _BITS, return_index=True)
-    top = np.maximum.reduceat(cells[:, 2], start)
+    top = np.maximum.reduceat(keys & _MASK, start)
     counts = np.maximum(top - floor + 1, 0)
-    if counts.sum() > MAX_COLUMN_VOXELS:
-        raise InputError(
-            where,
-            Unquoted(f"walls of {int(counts.sum()):,} voxels"),
-            f"at most {MAX_COLUMN_VOXELS:,}",
-        )
-    column = np.repeat(columns, counts)
-    first = np.repeat(np.cumsum(counts) - counts, counts)
-    z = floor + np.arange(int(counts.sum())) - first
-    return np.unique(np.concatenate([keys, (column << _BITS) | z]))
+    total = int(counts.sum())
+    for n_voxels, most, whose in (
+        (total, MAX_COLUMN_VOXELS, "a thing"),
+        (MAX_WALL_VOXELS - n_left + total, MAX_WALL_VOXELS, "a file"),
+    ):
+        if n_voxels > most:
+            raise InputError(
+                where, Unquoted(f"walls of {n_voxels:,} voxels"), f"at most {most:,} of {whose}"
+            )
+    # Ascending, for columns are: one array, and no sorting.
+    walls = np.repeat((columns << _BITS) + floor - (np.cumsum(counts) - counts), counts)
+    walls += np.arange(total)
+    below = keys[(keys & _MASK) < floor]
+    return np.sort(np.concatenate([below, walls])) if len(below) else walls
 
 
 def faces(

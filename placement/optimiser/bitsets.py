@@ -149,15 +149,17 @@ def left_after_failures(
     return smallest
 
 
-def keep_apr_after_failure(reduced: ReducedProblem, sets: IntArray, least: float) -> BoolArray:
-    """Which sets of poses keep an APR of at least so much, whichever unit fails, (n_sets,).
+def keep_apr(
+    reduced: ReducedProblem, sets: IntArray, least: float, *, with_failures: bool = False
+) -> BoolArray:
+    """Which sets of poses have an APR of at least so much, (n_sets,).
 
-    Only where the APR is a weighted mean over all runs. As :func:`left_after_failures` of one
-    failure, but most sets that do not are found out at a few runs.
+    With failures: whichever unit fails. Only where the APR is a weighted mean over all runs. Most
+    sets that lose too much are found out at a few runs.
     """
     lost = (reduced.margin_s == -np.inf) * reduced.weight[:, None]
     most = reduced.measure.limit - least
-    return _lose_little(reduced, sets, lost, most, with_failures=True)
+    return _lose_little(reduced, sets, lost, most, with_failures=with_failures)
 
 
 def may_keep_margins(

@@ -6,6 +6,7 @@ that all have that APR. Few have: to put together what they allow takes seconds 
 the models take minutes.
 """
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import chain, combinations, pairwise
@@ -17,10 +18,19 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
-from .bitsets import BestSet, best_set, concatenate_values, set_values, union_apr, unions_of
+from .bitsets import (
+    BestSet,
+    SetValues,
+    best_set,
+    keep_apr,
+    may_keep_margins,
+    set_values,
+    union_apr,
+    unions_of,
+)
 from .bounds import Coverage, ValueArray
 from .limits import Limits, are_allowed, costs_eur
-from .objectives import COST_TOLERANCE_EUR, TOLERANCE
+from .objectives import COST_TOLERANCE_EUR, TOLERANCE, Objective
 from .presolve import ReducedProblem
 
 # ---------- all sets, or all that keep an APR
@@ -28,6 +38,7 @@ from .presolve import ReducedProblem
 
 MAX_UNITS = 3
 _PART_SETS = 1 << 14
+_FIRST_POSES = 64
 
 
 def best_of_few(
@@ -59,43 +70,59 @@ def best_of_few(
 
 
 def best_of_all(
-    reduced: ReducedProblem, units: IntArray, *, apr_one_failed: float, max_sets: int
+    reduced: ReducedProblem, units: IntArray, *, known: SetValues, max_sets: int
 ) -> IntArray | None:
-    """Best set of as many units as `units` has that keeps `apr_one_failed` when one unit fails.
+    """Best set of as many units as `units` has that is as good when one unit fails.
 
-    The limits are plain, and `units` is such a set of up to three poses. None if there are more
-    than `max_sets` sets to go through, of either size.
+    `known` is what these units are worth. The limits are plain, the APR is a weighted mean that no
+    set exceeds theirs in, and they are three poses at most. None if there are more than `max_sets`
+    sets to go through, of either size.
     """
     n_units = len(units)
     if n_units == 1 and reduced.n_poses <= max_sets:
         return best_set(reduced, np.arange(reduced.n_poses)[:, None])
     if not 2 <= n_units <= MAX_UNITS or comb(reduced.n_poses, n_units - 1) > max_sets:
         return None
-    fewer = (
-        np.arange(reduced.n_poses)[:, None]
-        if n_units == 2
-        else np.column_stack(np.triu_indices(reduced.n_poses, k=1))
-    )
-    left = np.concatenate([union_apr(reduced, unions_of(reduced, part)) for part in _parts(fewer)])
-    keeps = left >= apr_one_failed - TOLERANCE
+    least = float(known.of(Objective.APR_ONE_FAILED)) - TOLERANCE
+    kept = []
+    for part in _parts_of_fewer(reduced.n_poses, n_units - 1):
+        part = part[keep_apr(reduced, part, least)]
+        kept.append(np.column_stack([part, union_apr(reduced, unions_of(reduced, part))]))
     # APR of what is left, by the ascending poses that are left; -1 where it is too low.
     table = np.full((reduced.n_poses,) * (n_units - 1), -1.0)
-    table[tuple(fewer[keeps].T)] = left[keeps]
+    for part in kept:
+        table[tuple(part[:, :-1].astype(np.int64).T)] = part[:, -1]
     sets = _pairs(table, max_sets) if n_units == 2 else _triples(table, max_sets)
     if sets is None:
         return None
-    sets = np.concatenate([np.sort(units)[None, :], sets[are_allowed(reduced.limits, sets)]])
-    winners, values = [], []
-    for part in _parts(sets):
+    known_smallest_s = float(known.of(Objective.SMALLEST_MARGIN))
+    known_total_s = float(known.of(Objective.MEAN_MARGIN) * known.of(Objective.APR))
+    best = BestSet()
+    best.offer(units[None, :], set_values(reduced, units[None, :]))
+    for part in _parts(sets[are_allowed(reduced.limits, sets)]):
         one_failed = np.min(
             [table[tuple(np.delete(part, unit, axis=1).T)] for unit in range(n_units)], axis=0
         )
-        part_values = set_values(reduced, part, one_failed)
-        row = part_values.best_row()
-        winners.append(part[row])
-        values.append(part_values[row : row + 1])
-    best: IntArray = winners[concatenate_values(values).best_row()]
-    return best
+        # Of sets that are no better when one fails, only those with better margins matter.
+        may = one_failed > least + 2.0 * TOLERANCE
+        for beyond_s, total_s in ((TOLERANCE, 0.0), (-TOLERANCE, known_total_s - TOLERANCE)):
+            may |= may_keep_margins(
+                reduced, part, smallest_s=known_smallest_s + beyond_s, total_s=total_s
+            )
+        if may.any():
+            best.offer(part[may], set_values(reduced, part[may], one_failed[may]))
+    return best.units
+
+
+def _parts_of_fewer(n_poses: int, n_units: int) -> Iterator[IntArray]:
+    """All poses, or all pairs of them, ascending, many at a time."""
+    if n_units == 1:
+        yield np.arange(n_poses)[:, None]
+        return
+    for first in range(0, n_poses, _FIRST_POSES):
+        firsts = np.arange(first, min(first + _FIRST_POSES, n_poses))
+        one, other = np.nonzero(np.arange(n_poses) > firsts[:, None])
+        yield np.column_stack([firsts[one], other])
 
 
 def _parts(sets: IntArray) -> list[IntArray]:

@@ -2,9 +2,9 @@
 
 x_c = 1: pose c is chosen. y_f: frame f is seen; so is a tail, which is a frame here. z_w: window w
 is seen as a whole. a_k: one of the windows of a chain up to its k-th link is live; run r is avoided
-if a of its last link in time is 1. Only x has to be whole: given x, every y, z and a is bounded from above by zeros and ones
-alone, and nothing bounds them from below but what we ask to be avoided, so that at the largest
-values they can take they are zeros and ones themselves.
+if a of its last link in time is 1. Only x has to be whole: given x, every y, z and a is bounded
+from above by zeros and ones alone, and nothing bounds them from below but what we ask to be
+avoided, so that at the largest values they can take they are zeros and ones themselves.
 """
 
 from __future__ import annotations

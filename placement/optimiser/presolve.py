@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from scenarios.aeb import AebRule, is_in_time
+from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time
 from scenarios.runs import FrameAxis
 
 from .limits import Limits
@@ -27,8 +27,6 @@ from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
 from .problem import Measure, PlacementProblem, Requirement
 
 WordArray = NDArray[np.uint64]
-
-_TIME_TOLERANCE_S = 1.0e-9  # as that of the rule
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -325,7 +323,7 @@ def tails_behind(
     """
     if rule.track_memory_s == np.inf:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    memory_s = rule.track_memory_s + _TIME_TOLERANCE_S
+    memory_s = rule.track_memory_s + TIME_TOLERANCE_S
     behind, last = [end[:0]], [end[:0]]
     of_runs, begin = np.unique(run, return_index=True)
     for of_run, ends in zip(of_runs, np.split(end, begin)[1:], strict=True):
@@ -466,9 +464,7 @@ class _Windows:
         return is_needless
 
 
-def _any_of_rows(
-    rows: NDArray[np.uint8], begin: IntArray, end: IntArray
-) -> NDArray[np.uint8]:
+def _any_of_rows(rows: NDArray[np.uint8], begin: IntArray, end: IntArray) -> NDArray[np.uint8]:
     """Bits that are set in one of the rows begin .. end - 1: (n_rows, n) -> (n_ranges, n)."""
     result = np.zeros((len(begin), rows.shape[1]), dtype=np.uint8)
     for offset in range(int((end - begin).max(initial=0))):

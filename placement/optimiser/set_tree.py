@@ -2,8 +2,9 @@
 
 A set avoids a run only if one of its poses sees a certain frame of one of the run's windows, or a
 certain tail of it; any frame or tail of each window may be asked for, so that every choice makes
-the problem a maximal covering problem that promises no less (see :mod:`placement.optimiser.window_cover`). There a pose *covers*
-a run, and prices on runs bound all sets that contain certain poses:
+the problem a maximal covering problem that promises no less (see
+:mod:`placement.optimiser.window_cover`). There a pose *covers* a run, and prices on runs bound all
+sets that contain certain poses:
 
     sum over runs of max over m of (weight G(n + m) - m price) + the best poses' sums of prices,
 
@@ -12,7 +13,9 @@ are worth. With G(n) = 1 from n = 1 on that is the share of runs avoided (the La
 Cornuejols, Fisher, Nemhauser 1977). What is left when N of K units fail is no more than what is
 left on average, and of the ways to fail the share C(K - n, N - n) / C(K, N) takes all n poses that
 cover a run: G is concave again, so that the same prices bound it. It is also no more than what is
-left without a certain unit. A node is given up when any of these bounds is below its need.
+left without a certain unit. A node is given up when any of these bounds is below its need. Where
+the best poses in parts cover nearly all, prices cannot tell: the node then asks which pose covers
+the run that fewest poses cover, and at last what is left without it.
 
 Sets that remain are valued on the windows themselves. A walk that ends has met every set.
 """
@@ -381,6 +384,7 @@ class SetWalk:
             fixed=np.zeros((n_units, 2)),
             n_candidates=np.zeros(n_units, dtype=np.int64),
             position=np.zeros(n_units, dtype=np.int64),
+            group=np.zeros(n_units, dtype=np.int64),
             cover=np.zeros((n_rows, n_poses), dtype=np.float32),
             gain_now=np.zeros(n_poses),
         )

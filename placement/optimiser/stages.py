@@ -12,7 +12,7 @@ from geometry.clock import now_s
 from .bitsets import (
     BestSet,
     SetValues,
-    keep_apr_after_failure,
+    keep_apr,
     left_after_failures,
     may_keep_margins,
     set_values,
@@ -192,7 +192,7 @@ def _no_worse_before(
         sets = sets[may_keep_margins(reduced, sets, smallest_s=smallest_s, total_s=need)]
     if Objective.APR_ONE_FAILED in reduced.objectives and reduced.measure.is_mean:
         least = float(known.of(Objective.APR_ONE_FAILED)) - TOLERANCE
-        sets = sets[keep_apr_after_failure(reduced, sets, least)]
+        sets = sets[keep_apr(reduced, sets, least, with_failures=True)]
     return sets
 
 
@@ -210,6 +210,7 @@ def _worth(reduced: ReducedProblem, worth: Objective, sets: IntArray) -> FloatAr
 
 _SETS_PER_SECOND = 30_000  # enumeration; measured: two to three times as many
 _MAX_FEW_SETS = 60_000  # of all sizes, when every one is valued in full
+_SETS_KEPT_PER_SECOND = 200_000  # that lose too much; measured: twice as many
 _MAX_SETS = 400_000  # beyond, models are quicker
 
 
@@ -619,8 +620,8 @@ class Stages:
                 best = best_of_all(
                     reduced,
                     self._units(),
-                    apr_one_failed=search.value.apr_one_failed,
-                    max_sets=self._max_sets(),
+                    known=search.row,
+                    max_sets=int(max(search.left_s(), 0.0) * _SETS_KEPT_PER_SECOND),
                 )
                 self.has_enumerated = best is not None
                 if best is not None:

@@ -302,45 +302,48 @@ class SetSearch:
         weight, root = self._find_root()
 
         def value_of(sets: IntArray) -> FloatArray:
-            if n_failures:
-                return self.left(sets, n_failures)
-            return self.shares(sets)
+            return self.left(sets, n_failures) if n_failures else self.shares(sets)
+
+        def walk_from(value: float) -> SetWalk:
+            return SetWalk(
+                self.links,
+                self.reduced.limits,
+                weight,
+                root,
+                n_units=self.n_units,
+                need=value if least_apr is None else least_apr,
+                n_failures=n_failures,
+                left=value,
+            )
+
+        def within(block: IntArray) -> IntArray:
+            if least_apr is None or not len(block):
+                return block
+            return block[self.shares(block) >= least_apr - TOLERANCE]
 
         best = float(value_of(np.sort(units)[None, :])[0])
-        walk = SetWalk(
-            self.links,
-            self.reduced.limits,
-            weight,
-            root,
-            n_units=self.n_units,
-            need=best if least_apr is None else least_apr,
-            n_failures=n_failures,
-            left=best,
-        )
+        walk = walk_from(best + _STEP_UP)
         limit = self._rounded_down(walk.root_limit)
-        tied: list[IntArray] = []
-        keeps_all = True
         for block in walk.blocks(end_s):
-            if not len(block):
-                continue
-            if least_apr is not None:
-                block = block[self.shares(block) >= least_apr - TOLERANCE]
+            block = within(block)
             value = value_of(block)
             if len(block) and value.max() > best + TOLERANCE:
                 better = on_better(block[value.argmax()])
                 best = max(float(value.max()), float(value_of(better[None, :])[0]))
-                tied, keeps_all = [], True
-            block = block[value >= best - TOLERANCE]
-            if keeps_all:
-                tied.append(block)
-                if sum(map(len, tied)) > _MAX_TIED:
-                    tied, keeps_all = [], False
-            step = 0.0 if keeps_all else _STEP_UP
-            walk.raise_needs(best + step if least_apr is None else least_apr, best + step)
+                need = best + _STEP_UP
+                walk.raise_needs(need if least_apr is None else least_apr, need)
         if not walk.is_finished:
             return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
+        walk = walk_from(best)
+        tied: list[IntArray] = []
+        for block in walk.blocks(end_s):
+            block = within(block)
+            tied.append(block[value_of(block) >= best - TOLERANCE])
+            if sum(map(len, tied)) > _MAX_TIED:
+                break
         sets = np.concatenate([np.empty((0, self.n_units), dtype=np.int64), *tied])
-        return Tied(sets=sets if keeps_all else None, value=best, limit=best, is_finished=True)
+        has_all = walk.is_finished and len(sets) <= _MAX_TIED
+        return Tied(sets=sets if has_all else None, value=best, limit=best, is_finished=True)
 
     def best_of(self, sets: IntArray, *, n_failures: int, value: float) -> IntArray | None:
         """Best of tied sets and of their parts that tie with them; None if there is none.

@@ -71,6 +71,7 @@ class Walk(NamedTuple):
     fixed: FloatArray  # (n_units, 2)
     n_candidates: IntArray  # (n_units,)
     position: IntArray  # (n_units,)
+    group: IntArray  # (n_units,): candidates that are gone through before a node is looked at again
     cover: Float32Array  # (n_rows, n_poses): working space
     gain_now: FloatArray  # (n_poses,): working space
 
@@ -290,10 +291,13 @@ def lose_little(
         kept[row] = most_lost >= 0.0
         for case in range(sets.shape[1] if with_failures else 1):
             failed = case if with_failures else -1
-            union[:] = 0
+            for word in range(len(union)):
+                union[word] = 0
             for unit in range(sets.shape[1]):
                 if unit != failed:
-                    union |= words[sets[row, unit]]
+                    of_unit = words[sets[row, unit]]
+                    for word in range(len(union)):
+                        union[word] |= of_unit[word]
             total = 0.0
             for rank in range(n_chains):
                 chain = order[rank]
@@ -516,6 +520,7 @@ def look_at_node(forest: Forest, walk: Walk, n_failures: int) -> bool:
     share = np.empty(0)
     picked = np.empty(left, dtype=np.int64)
     fill_cover(forest.covers, candidate, n, walk.cover)
+    is_saturated = False
     n_checks = 1 if n_failures == 0 else 2 + depth
     for check in range(n_checks):
         kind = min(check, 2)
@@ -542,6 +547,8 @@ def look_at_node(forest: Forest, walk: Walk, n_failures: int) -> bool:
         )
         if bound < walk.needs[kind]:
             return False
+        if check == 0:
+            is_saturated = 2.0 * bound > forest.weight.sum() + walk.needs[0]
         others, _ = pick_best(gain, n, candidate, forest.site, walk.room[depth], left - 1, picked)
         if check < 2:
             walk.fixed[depth, check] = fixed
@@ -561,8 +568,60 @@ def look_at_node(forest: Forest, walk: Walk, n_failures: int) -> bool:
         n = n_kept
     walk.n_candidates[depth] = n
     walk.position[depth] = 0
-    sort_falling(walk.gain[depth, 0], walk.gain[depth, 1], candidate, n)
+    group = n
+    if is_saturated:
+        group = hardest_row_first(forest, walk, depth)
+    sort_falling(walk.gain[depth, 0], walk.gain[depth, 1], candidate, group)
+    sort_falling(
+        walk.gain[depth, 0, group:], walk.gain[depth, 1, group:], candidate[group:], n - group
+    )
+    walk.group[depth] = group
     return True
+
+
+@kernel
+def hardest_row_first(forest: Forest, walk: Walk, depth: int) -> int:
+    """Put the candidates first that cover the row which fewest cover; how many they are.
+
+    Where all rows can be covered in parts, prices say little. But the row is covered by one of
+    these poses, or lost: its loss adds up with others.
+    """
+    n = walk.n_candidates[depth]
+    candidate, gain = walk.candidate[depth], walk.gain[depth]
+    hardest, fewest = -1, n
+    for row in range(len(forest.weight)):
+        if walk.n_covering[depth, row] == 0 and forest.weight[row] > 0.0:
+            n_covering = 0
+            for place in range(n):
+                n_covering += has_bit(forest.covers[candidate[place]], row)
+            if 0 < n_covering < fewest:
+                hardest, fewest = row, n_covering
+    if hardest < 0:
+        return n
+    group = 0
+    for place in range(n):
+        if has_bit(forest.covers[candidate[place]], hardest) != 0:
+            candidate[group], candidate[place] = candidate[place], candidate[group]
+            for check in range(2):
+                amount = gain[check, group]
+                gain[check, group] = gain[check, place]
+                gain[check, place] = amount
+            group += 1
+    return group
+
+
+@kernel
+def most_beside(gain: FloatArray, place: int, group: int, n: int, n_others: int) -> float:
+    """Sum of the largest gains behind a place, in two parts that fall: up to `group`, and on."""
+    one, other, total = place + 1, max(group, place + 1), 0.0
+    for _ in range(n_others):
+        if one < group and (other >= n or gain[one] >= gain[other]):
+            total += gain[one]
+            one += 1
+        elif other < n:
+            total += gain[other]
+            other += 1
+    return total
 
 
 @kernel
@@ -605,12 +664,22 @@ def grow(
             if not look_at_node(forest, walk, n_failures):
                 walk.where[0] -= 1
             continue
-        place, n = walk.position[depth], walk.n_candidates[depth]
-        bound = walk.fixed[depth, 0]
-        for later in range(place, min(place + left, n)):
-            bound += walk.gain[depth, 0, later]
-        if place + left > n or bound < walk.needs[0]:
+        place, n, group = walk.position[depth], walk.n_candidates[depth], walk.group[depth]
+        if place + left > n:
             walk.where[0] -= 1
+            continue
+        if place == group:  # nothing covers that row any more
+            for later in range(group, n):
+                walk.candidate[depth, later - group] = walk.candidate[depth, later]
+            walk.n_candidates[depth] = n - group
+            walk.where[1] = 1
+            continue
+        of_first = walk.gain[depth, 0]
+        bound = walk.fixed[depth, 0] + of_first[place]
+        if bound + most_beside(of_first, place, group, n, left - 1) < walk.needs[0]:
+            walk.position[depth] = group
+            if group == n:
+                walk.where[0] -= 1
             continue
         if len(out) - walk.where[2] < n:
             return FULL
@@ -638,10 +707,15 @@ def grow(
             walk.where[0] += 1
             walk.where[1] = 1
             continue
-        for later in range(place + 1, n):
+        later = place
+        while later + 1 < n:
+            later += 1
             gain = walk.gain[depth]
             if walk.fixed[depth, 0] + gain[0, place] + gain[0, later] < walk.needs[0]:
-                break
+                if later >= group:
+                    break
+                later = group - 1  # the others may still gain more
+                continue
             left_on_average = walk.fixed[depth, 1] + gain[1, place] + gain[1, later]
             if n_failures > 0 and left_on_average < walk.needs[1]:
                 continue

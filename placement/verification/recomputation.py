@@ -3,7 +3,8 @@
 Nothing here is shared with :mod:`placement.optimiser` but the problem itself, as it lies in a file
 (the table's bits, the limits and the weights), and the names of the objectives. Frames are gone
 through one after the other, counting detections in a row and the time since the last one; there is
-no presolve, no window and no model. It checks the optimiser, so it is to be read against design.md and not against the optimiser.
+no presolve, no window and no model. It checks the optimiser, so it is to be read against design.md
+and not against the optimiser.
 """
 
 import math

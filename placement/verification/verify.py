@@ -18,9 +18,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ..candidates import CandidatePose
 from ..layout import Stage
 from ..optimiser.objectives import Objective
-from .certificates import StoredCertificate, model_of, problem_hash
+from .certificates import StoredCertificate, instance_of, model_of, words_of
+from .instances import problem_hash
+from .mounts import Mounts
 from .recomputation import (
     EPSILON,
     all_sets,
@@ -82,6 +85,8 @@ def verify_certificate(
     stored: StoredCertificate,
     shown: Sequence[Mapping[str, Any]],
     *,
+    mounts: Mounts | None = None,
+    units: Sequence[CandidatePose] = (),
     max_sets: int = MAX_SETS,
     on_stage: Callable[[str], None] | None = None,
 ) -> Verification:
@@ -95,6 +100,10 @@ def verify_certificate(
         What is claimed.
     shown : sequence of mapping
         Units of the layout file beside it.
+    mounts : Mounts, optional
+        What the poses of the problem are, as the instance file says.
+    units : sequence of CandidatePose
+        Units of the layout file, with their sensors.
     max_sets : int
         Compare so many sets of poses at most.
     on_stage : callable, optional
@@ -107,8 +116,9 @@ def verify_certificate(
     """
     tell = on_stage or (lambda stage: None)
     tell("recompute the layout's values")
-    checks = [_instance_check(problem, stored), *_model_checks(problem, stored)]
+    checks = [*_instance_checks(problem, stored, mounts), *_model_checks(problem, stored)]
     checks += [*_pose_checks(problem, stored), _layout_check(problem, stored, shown)]
+    checks += _mount_checks(problem, stored, mounts, units)
     if not all(check.passed for check in checks if check.name in ("poses", "stages")):
         return Verification(checks=tuple(checks), proofs=())  # there is nothing to recompute
     chosen = np.array([stored.pose_index], dtype=np.int64)
@@ -140,11 +150,21 @@ def verify_certificate(
     return Verification(checks=tuple(checks), proofs=tuple(proofs))
 
 
-def _instance_check(problem: "PlacementProblem", stored: StoredCertificate) -> Check:
-    found = problem_hash(problem)
+def _instance_checks(
+    problem: "PlacementProblem", stored: StoredCertificate, mounts: Mounts | None
+) -> list[Check]:
+    found = problem_hash(problem, mounts)
     same = found == stored.sha256
     text = f"SHA-256 {found[:16]}.."
-    return Check("instance", same, text if same else f"{text}, not {stored.sha256[:16]}..")
+    wrong = [
+        f"{name} {stored.instance.get(name)}, not {value}"
+        for name, value in instance_of(problem, mounts).items()
+        if name != "sha256" and stored.instance.get(name) != value
+    ]
+    return [
+        Check("instance", same, text if same else f"{text}, not {stored.sha256[:16]}.."),
+        Check("instance sizes", not wrong, wrong[0] if wrong else "as the certificate says"),
+    ]
 
 
 def _model_checks(problem: "PlacementProblem", stored: StoredCertificate) -> list[Check]:
@@ -157,7 +177,10 @@ def _model_checks(problem: "PlacementProblem", stored: StoredCertificate) -> lis
     n_windows = np.maximum(np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0).sum()
     sizes = (table.n_poses, axis.n_frames, int(n_windows), axis.n_runs)
     before = tuple(pair[0] for pair in stored.presolve.values())
+    words = stored.model.get("in_words")
+    has_words = is_so and words == words_of(problem, names)
     return [
+        Check("model in words", has_words, "as asked" if has_words else "other words than this"),
         Check(
             "model",
             not wrong,
@@ -210,6 +233,50 @@ def _layout_check(
         if (site == other_site) != (index[row] == index[other_row]):
             return Check("layout file", False, f"rows {row} and {other_row} stand on other sites")
     return Check("layout file", True, f"it shows the same {len(shown)} units")
+
+
+def _mount_checks(
+    problem: "PlacementProblem",
+    stored: StoredCertificate,
+    mounts: Mounts | None,
+    units: Sequence[CandidatePose],
+) -> list[Check]:
+    """Whether units hang and look as the poses do that were solved, and poses as their names say.
+
+    Sites and prices of the problem follow from the poses, too.
+    """
+    if mounts is None:
+        return []
+    table, limits = problem.table, problem.limits
+    misnamed = mounts.misnamed(table.pose_ids)
+    of_index: dict[int, str] = {}
+    torn = [
+        table.pose_ids[row]
+        for row, index in enumerate(limits.site_index.tolist())
+        if of_index.setdefault(index, mounts.sites[row]) != mounts.sites[row]
+    ]
+    prices = np.array([sensor.price_eur for sensor in mounts.sensors])[mounts.sensor_index]
+    is_paid = (limits.unit_cost_eur == prices) | ((limits.unit_cost_eur == 0.0) & limits.is_forced)
+    unpaid = [table.pose_ids[row] for row in np.flatnonzero(~is_paid)[:1]]
+    checks = [
+        Check(
+            "poses and names",
+            not misnamed,
+            misnamed or "poses of the grid hang and look as their names say",
+        ),
+        Check("poses and sites", not torn, f"{torn[0]} is elsewhere" if torn else "they agree"),
+        Check(
+            "prices of sensors",
+            not unpaid,
+            f"{unpaid[0]} has another" if unpaid else "those of the models",
+        ),
+    ]
+    for unit, row in zip(units, stored.pose_index, strict=False):
+        if row < table.n_poses:
+            wrong = "; ".join(mounts.differences(row, unit))
+            text = f"hangs, looks and is made as row {row}"
+            checks.append(Check(f"unit {unit.id}", not wrong, wrong or text))
+    return checks
 
 
 def _stage_checks(

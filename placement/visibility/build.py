@@ -5,6 +5,7 @@ import logging
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.catalogue import Sensor
-from geometry.files import write_atomically
+from geometry.files import writable_by_others, write_atomically
 from geometry.lidar import LidarModel, load_lidar_detection
 from geometry.poses import body_rotation
 from geometry.scene import Scene
@@ -177,7 +178,7 @@ def _in_view(world: World, offset_m: FloatArray, units: Sequence[CandidatePose])
 
 # ---------- tables on disk, under a hash of everything that went into them
 
-_FORMAT = "place-rsus/table/4"  # raise it whenever the same inputs give another table
+_FORMAT = "place-rsus/table/5"  # raise it whenever the same inputs give another table
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
@@ -242,11 +243,15 @@ def _numbered(things: Iterable[_T]) -> dict[_T, int]:
 def save_table(path: Path, table: DetectionTable, *, fingerprint: str) -> None:
     """Write a table, whole or not at all; a folder that cannot be written to is only logged."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_atomically(
             path,
             lambda file: np.savez(
-                file, format=_FORMAT, fingerprint=fingerprint, packed=table.packed
+                file,
+                format=_FORMAT,
+                fingerprint=fingerprint,
+                content=_content_hash(table.packed, fingerprint),
+                packed=table.packed,
             ),
         )
     except OSError as error:
@@ -262,13 +267,37 @@ def load_table(
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             if str(stored["format"]) != _FORMAT or str(stored["fingerprint"]) != fingerprint:
                 raise ValueError("made from other inputs")
-            return DetectionTable(
-                pose_ids=tuple(candidate.id for candidate in candidates),
-                axis=axis,
-                packed=stored["packed"],
+            packed = stored["packed"]
+            if str(stored["content"]) != _content_hash(packed, fingerprint):
+                raise ValueError("its content is not what was written")
+            table = DetectionTable(
+                pose_ids=tuple(candidate.id for candidate in candidates), axis=axis, packed=packed
             )
+        _tell_if_shared(path.parent)
     except FileNotFoundError:
         return None
     except Exception as error:  # damaged archives raise many kinds: zipfile's, zlib's, tokenize's
         _log.warning("cached detection table not used, made anew: %s: %s", path, error)
         return None
+    else:
+        return table
+
+
+def _content_hash(packed: NDArray[np.uint8], fingerprint: str) -> str:
+    """Hash of a table's bits, which fits one fingerprint only: 64 hexadecimal digits."""
+    digest = hashlib.blake2b(
+        f"{packed.dtype} {packed.shape}\0".encode(), key=fingerprint.encode(), digest_size=32
+    )
+    digest.update(np.ascontiguousarray(packed).tobytes())
+    return digest.hexdigest()
+
+
+@cache
+def _tell_if_shared(folder: Path) -> None:
+    """Say once that tables of a folder are believed into which other users may write."""
+    if writable_by_others(folder):
+        _log.warning(
+            "detection tables are read from %s, where other users may write: PLACE_RSUS_CACHE "
+            "names another folder, --no-cache uses none",
+            folder,
+        )

@@ -19,7 +19,8 @@ from geometry.scene_files import SCENE_FILE, THINGS_FILE, load_scene
 from placement.layout import load_layout
 from placement.private_ground import load_private_ground
 from placement.recordings import read_recording
-from placement.verification.certificates import load_certificate, load_problem
+from placement.verification.certificates import load_certificate
+from placement.verification.instances import load_problem
 from scenarios.exposure import weight_from_csv
 
 
@@ -138,8 +139,10 @@ def test_point_clouds_whose_roofs_are_kilometres_high():
 def test_instances_that_unpack_to_more_than_memory(tmp_path, monkeypatch):
     path = tmp_path / "instance.npz"
     np.savez_compressed(path, kind="x", packed=np.zeros(2_000_000, dtype=np.uint8))
-    monkeypatch.setattr("placement.verification.certificates.MAX_UNPACKED_BYTES", 1_000_000)
-    assert "bytes when unpacked; expected an instance of at most" in refusal(load_problem, path)
+    monkeypatch.setattr("geometry.untrusted_files.MAX_UNPACKED_BYTES", 1_000_000)
+    assert "bytes or more when unpacked; expected at most 1,000,000, the budget" in refusal(
+        load_problem, path
+    )
 
 
 def test_instances_with_something_else_under_the_name_of_an_array(tmp_path):

@@ -98,6 +98,16 @@ def test_where_no_folder_can_be_made_each_process_compiles(start, tmp_path):
         assert _end(start(folder)) == (0, told)
 
 
+def test_code_of_a_folder_into_which_others_may_write_is_not_run(start, tmp_path):
+    folder = tmp_path / "compiled"
+    assert _end(start(folder)) == (0, COMPILING)
+    folder.chmod(0o777)
+    told = f"compiling in every call, some seconds: {folder} can be written to by other users"
+    assert _end(start(folder)) == (0, [told])
+    folder.chmod(0o700)
+    assert _end(start(folder)) == (1, [])
+
+
 def test_a_full_disk_costs_no_more_than_time(start, tmp_path):
     folder = tmp_path / "compiled"
     fill = """

@@ -1,4 +1,6 @@
 import logging
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from placement.setting import (
     drive,
     drive_one,
 )
-from scenarios.aeb import load_aeb_rule
+from scenarios.aeb import load_aeb_rule, load_track_memory_s
 from scenarios.cases import load_case_sets
 
 
@@ -32,7 +34,7 @@ def t_junction():
 
 @pytest.fixture(scope="module")
 def study():
-    return drive(Question(), load_study_scene())
+    return drive(Question(cases="study"), load_study_scene())
 
 
 def test_all_cases_of_the_study_are_driven_from_all_approaches(study):
@@ -41,16 +43,63 @@ def test_all_cases_of_the_study_are_driven_from_all_approaches(study):
     names = [case.name for case in load_case_sets()["study"]]
     assert driven == {(n, a) for n in names for a in ("north", "east", "south", "west")}
     assert len(study.runs) == 240
+    assert {run.position for run in study.runs} == {"0"}
+
+
+def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
+    question = Question(approaches="west")
+    setting = build_setting(question, load_study_scene())
+    at_zero = [run.id for run in setting.runs if run.position == "0"]
+    assert at_zero == [run.id for run in study.runs if run.approach == "west"]
+    others = set(setting.axis.positions) - {"0"}
+    assert others == {"-15", "-30", "+0", "+15", "+30", "+45"}
+    assert {refusal.position for refusal in setting.refusals} == {"-15", "-30", "-45", "+0"}
+    # Every case counts the same, and in it every place; with the study's set every run does.
+    cases = np.array(setting.axis.cases)
+    shares = {name: setting.axis.weight[cases == name].sum() for name in set(cases)}
+    assert list(shares.values()) == pytest.approx([1 / 13] * 13)
+    there = (cases == "CPLA-50") & (np.array(setting.axis.positions) == "+15")
+    assert setting.axis.weight[there] == pytest.approx([1 / 13 / 6 / 3] * 3)
+    plain = build_setting(Question(cases="study", approaches="west"), load_study_scene())
+    assert plain.axis.weight == pytest.approx([1 / 60] * 60)
+
+
+def test_how_far_along_the_arms_is_chosen():
+    question = Question(cases="study", approaches="north", along_arms="0, 20")
+    runs = drive(question, load_study_scene()).runs
+    assert {run.position for run in runs} == {"0", "-20", "+0", "+20"}
+    assert len({run.id for run in runs}) == len(runs)
+    bound = drive(replace(question, cases="CBNA", along_arms="20"), load_study_scene()).runs
+    assert {run.position for run in bound} == {"0"}
+    nowhere = replace(question, cases="CPNA-25,CPLA-50", along_arms="400")
+    with pytest.raises(InputError) as caught:
+        build_setting(nowhere, load_study_scene())
+    assert str(caught.value) == (
+        "--cases: got CPNA-25, which no approach carries; expected a case that can be driven at "
+        "town05 (from the north: the mapped lane does not reach so far)"
+    )
 
 
 def test_the_rule_is_the_studys_but_for_what_the_question_changes():
-    assert build_rule(Question()) == load_aeb_rule()
+    assert build_rule(Question(cases="study")) == load_aeb_rule()
     rule = build_rule(
         Question(deceleration_mps2=5.0, build_up_s=0.3, latency_s=0.0, n_confirmations=1)
     )
     assert (rule.deceleration_mps2, rule.build_up_s) == (5.0, 0.3)
     assert (rule.latency_s, rule.n_confirmations) == (0.0, 1)
     assert rule.frame_rate_hz == load_aeb_rule().frame_rate_hz
+
+
+def test_tracks_live_as_long_as_asked_and_those_of_the_studys_cases_for_ever():
+    default_s = load_track_memory_s()
+    for question, memory_s in (
+        (Question(cases="study"), math.inf),
+        (Question(cases="all"), default_s),
+        (Question(cases="CPNC-50"), default_s),
+        (Question(cases="study", track_memory_s=0.7), 0.7),
+        (Question(cases="CPNC-50", track_memory_s=math.inf), math.inf),
+    ):
+        assert build_rule(question).track_memory_s == memory_s
 
 
 def test_weaker_and_slower_brakes_must_begin_earlier():
@@ -105,7 +154,13 @@ def test_forced_speeds_are_warned_about(caplog):
             "--weather: got 'snow'; expected one or more of day, night, rain, fog",
         ),
         ({"weather": ","}, "--weather: got ','; expected one or more of day, night, rain, fog"),
-        ({"cases": "CPXX"}, "--cases: got 'CPXX'; expected one of study, protocol-4.5.1, all"),
+        (
+            {"cases": "CPXX"},
+            "--cases: got 'CPXX'; expected one of default, study, protocol-4.5.1, ",
+        ),
+        ({"along_arms": "-15"}, "--along-arms: got '-15'; expected metres along the arm, 0 to 500"),
+        ({"along_arms": "0,15,15"}, "--along-arms: got '0,15,15'; expected every distance once"),
+        ({"along_arms": ","}, "--along-arms: got ''; expected metres along the arm"),
         (
             {"detector": "best"},
             "--detector: got 'best'; expected geometric, response, a .toml file",
@@ -117,6 +172,10 @@ def test_forced_speeds_are_warned_about(caplog):
         ({"speeds": "130"}, "--speeds: got 130; expected 10 to 60 km/h as the protocol drives"),
         ({"weights": "none"}, "--weights: got 'none'; expected run, case, euroncap-rating-2026"),
         ({"deceleration_mps2": 0.0}, "aeb.deceleration_mps2: got 0.0; expected a positive number"),
+        (
+            {"track_memory_s": 0.05},
+            "--track-memory: got 0.05; expected seconds, at least 0.1 (from one frame to the next)",
+        ),
     ],
 )
 def test_questions_that_cannot_be_answered_say_why(options, message):
@@ -144,7 +203,7 @@ def test_what_some_approaches_do_not_carry_is_kept_with_its_reason():
 
 
 def test_the_list_has_a_row_per_case_and_approach():
-    rows = list_rows(drive(Question(cases="CPTAfs-50,CPNA-25"), t_junction()))
+    rows = list_rows(drive(Question(cases="CPTAfs-50,CPNA-25", along_arms="0"), t_junction()))
     assert [(row.case, row.approach) for row in rows] == [
         ("CPTAfs-50", "east"),
         ("CPTAfs-50", "south"),
@@ -164,13 +223,36 @@ def test_the_list_has_a_row_per_case_and_approach():
     assert crossing.last_brake_time_s == pytest.approx(-speeds / (2.0 * 7.72), abs=1e-3)
 
 
+def test_the_list_says_where_along_the_arms():
+    question = Question(cases="CPNA-25,CBNA", approaches="north", along_arms="0,15,60,100")
+    rows = list_rows(drive(question, load_study_scene()))
+    assert [(row.case, row.position, row.n_runs) for row in rows] == [
+        ("CPNA-25", "-100", 0),
+        ("CPNA-25", "-60", 4),
+        ("CPNA-25", "-15", 3),
+        ("CPNA-25", "0", 11),
+        ("CPNA-25", "+0", 3),
+        ("CPNA-25", "+15", 4),
+        ("CPNA-25", "+60", 4),
+        ("CPNA-25", "+100", 0),
+        ("CBNA", "0", 9),
+    ]
+    text = scenario_table(rows)
+    assert max(map(len, text.splitlines())) <= 80
+    assert "CPNA-25  north  10-60  6 of 8    29" in text
+    assert "CPNA-25 from north (at -100, +100) not driven: the mapped lane does not" in text
+    assert text.endswith("38 runs of 2 cases")
+
+
 def test_speeds_that_a_case_does_not_have_are_listed_as_not_driven():
-    drives = drive(Question(cases="CPTAns-50,CPNA-25", speeds="40"), load_study_scene())
+    drives = drive(
+        Question(cases="CPTAns-50,CPNA-25", speeds="40", along_arms="0"), load_study_scene()
+    )
     row = list_rows(drives)[-1]
     assert row.case == "CPTAns-50"
     assert row.reason == "none of the speeds asked for (40) is one of this case"
     text = scenario_table(list_rows(drives))
-    assert "not driven: none of the speeds asked for (40)" in text
+    assert "south not driven: none of the speeds asked for (40)" in " ".join(text.split())
     assert max(map(len, text.splitlines())) <= 80
     assert text.endswith("4 runs of 2 cases")
 
@@ -184,3 +266,14 @@ def test_one_run_must_be_named():
         "CPTAfs-50 from the west: got no lane leads out of the junction on the far side; "
         "expected a case that this approach carries"
     )
+
+
+def test_one_run_at_a_position_drives_the_speed_asked_for():
+    scene, question = load_study_scene(), Question(cases="CPLA-50", approaches="east", speeds="33")
+    question = replace(question, force=True)
+    run = drive_one(question, scene, position="-15")
+    assert (run.id, run.position) == ("CPLA-50/east-15/33", "-15")
+    with pytest.raises(InputError, match="--position: got '-15'; expected 0: CBNA is bound to"):
+        drive_one(replace(question, cases="CBNA"), scene, position="-15")
+    with pytest.raises(InputError, match="--position: got 'far'; expected 0, or metres before it"):
+        drive_one(question, scene, position="far")

@@ -1,5 +1,6 @@
 """The question: its file is read and written, and every field stands in it once."""
 
+import math
 import tomllib
 from dataclasses import fields, replace
 
@@ -37,10 +38,11 @@ OTHERS = Question(
     weather='rain "and" fog',
     latency_s=0.1,
     n_confirmations=2,
+    track_memory_s=0.5,
 )
 
 
-@pytest.mark.parametrize("question", [Question(), OTHERS])
+@pytest.mark.parametrize("question", [Question(), OTHERS, replace(OTHERS, track_memory_s=math.inf)])
 def test_a_question_that_is_saved_is_the_one_that_is_loaded(path, question):
     save_question(path, question)
     assert load_question(path) == question
@@ -88,6 +90,10 @@ def test_a_number_is_taken_where_a_word_may_stand(path):
         ("budget = '3'", "budget: got '3'; expected a whole number of units, at least 1"),
         ("fusion = 'all'", "fusion: got 'all'; expected one of any, single"),
         ("latency = nan", "latency: got nan; expected a finite number"),
+        ("latency = inf", "latency: got inf; expected a finite number"),
+        ("track_memory = nan", "track_memory: got nan; expected a finite number"),
+        ("track_memory = -inf", "track_memory: got -inf; expected a finite number"),
+        ("track_memory = 0", "track_memory: got 0; expected seconds, more than 0, or inf"),
         ("vam_rate = 2", "vam_rate: got 2; expected a share of equipped road users, 0 to 1"),
         ("time_limit = 0", "time_limit: got 0; expected seconds, more than 0"),
         ("refine = 1", "refine: got 1; expected true or false"),

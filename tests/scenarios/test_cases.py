@@ -173,7 +173,9 @@ def test_a_set_is_picked_with_its_own_speeds():
 
 @pytest.mark.parametrize("text", ["CPXX", "", "study,,CBLA", "cbla"])
 def test_unknown_cases_list_sets_and_cases(text):
-    with pytest.raises(InputError, match=r"--cases: got '.*'; expected one of study, protocol"):
+    with pytest.raises(
+        InputError, match=r"--cases: got '.*'; expected one of default, study, protocol"
+    ):
         cases.pick_cases(text, "--cases")
 
 

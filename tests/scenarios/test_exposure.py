@@ -136,6 +136,8 @@ def test_a_position_can_be_named(table):
         "case,approach,position,weight\nCPLA-50,north,0,2\nCPLA-50,*,-15,1\nCPLA-50,,+15,1\n"
     )
     assert weigh(runs, str(path)) == pytest.approx([1 / 4, 1 / 4, 1 / 4, 1 / 4])
+    path = table("case,approach,position,weight\nCPLA-50,,'-15.0,1\nCPLA-50,,15,2\nCPLA-50,,'0,1\n")
+    assert weigh(runs, str(path)) == pytest.approx([1 / 8, 1 / 8, 1 / 4, 1 / 2])
     path = table("case,approach,position,weight\nCPLA-50,north,*,2\n")
     assert weigh(runs, str(path)) == pytest.approx([1 / 4] * 4)
     path = table("case,approach,position,weight\nCPLA-50,north,+30,2\n")
@@ -176,6 +178,10 @@ def test_a_byte_order_mark_and_empty_lines_do_not_matter(table):
             "case,approach,weight\n\nCBNA,up,1\n",
             "{}: line 3: got 'CBNA', 'up'; expected an approach, position and weather in which "
             "CBNA is driven: north at 0 by day",
+        ),
+        (
+            "case,approach,position,weight\nCBNA,north,far,1\n",
+            "{}: line 2: position: got '+far'; expected 0, or metres before it such as -15, or",
         ),
         (
             "case,approach,weight\nCPNA-25,*,1\nCPNA-25,south,1\n",

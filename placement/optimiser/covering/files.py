@@ -41,10 +41,10 @@ import scipy.sparse as sp
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
-from geometry.untrusted_files import unpacked_bytes
+from geometry.untrusted_files import is_text, unpacked_bytes
 
+from ...memory import check_fits
 from .instance import CoveringInstance
-from .memory import TEXT_BYTES, UNPACKED_BYTES, check_fits
 
 # ---------- others' formats
 
@@ -182,7 +182,7 @@ def _formats_of_lines(data: bytes) -> set[str]:
     n_triples = sum(len(line) == _TRIPLE for line in lines)
     if 2 * n_lists > len(lines):
         formats = (_GECCO, _RAIL)  # as many records as the first, or the second number says
-        exact = {name for name, size in zip(formats, sizes, strict=False) if int(size) == n_lists}
+        exact = {name for name, size in zip(formats, sizes, strict=False) if float(size) == n_lists}
         return exact or set(formats)
     return {_STS} if 2 * n_triples > len(lines) else set()
 
@@ -430,9 +430,13 @@ FORMATS = (NPZ, *TEXT_FORMATS)
 KIND = "place-rsus/covering-instance/1"
 """What our own files say they hold; raise the number whenever the fields change."""
 
+_OPTIONAL = {"numbered_from": 0, "names": np.empty(0, dtype=np.str_)}
 _ZIP_MAGIC = b"PK"
 _MAX_BYTES = 1 << 30
-_MAX_UNPACKED_BYTES = 1 << 32
+_TEXT_BYTES = (
+    25  # of memory for each byte of a file of numbers while it is read; measured: 19 to 24
+)
+_UNPACKED_BYTES = 6  # of memory for each byte of our own files, unpacked, while they are read
 
 
 def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInstance:
@@ -462,7 +466,7 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
             check_fits(
                 where,
                 f"{status.st_size:,} bytes of text",
-                TEXT_BYTES * status.st_size,
+                _TEXT_BYTES * status.st_size,
                 "fewer rows or columns, or a file of this program (--out, .npz), a fifth of it",
             )
             data = file.read()
@@ -511,11 +515,11 @@ def instance_kind(path: Path) -> str | None:
 def _load_npz(file: BinaryIO, where: str) -> CoveringInstance:
     try:
         with np.load(file, allow_pickle=False) as stored:
-            n_bytes = unpacked_bytes(stored.zip, where, max_bytes=_MAX_UNPACKED_BYTES)
+            n_bytes = unpacked_bytes(stored.zip, where)
             check_fits(
                 where,
                 f"{n_bytes:,} bytes when unpacked",
-                UNPACKED_BYTES * n_bytes,
+                _UNPACKED_BYTES * n_bytes,
                 "fewer rows or columns",
             )
             fields = {name: stored[name] for name in stored.files}
@@ -526,7 +530,8 @@ def _load_npz(file: BinaryIO, where: str) -> CoveringInstance:
         raise InputError(
             where, Unquoted(f"a damaged file ({words})"), "an .npz file of this program"
         ) from None
-    kind = str(fields["kind"]) if "kind" in fields else Unquoted("nothing")
+    told = np.asarray(fields.get("kind", 0))
+    kind = str(told) if is_text(told) else Unquoted("no text" if "kind" in fields else "nothing")
     if kind != KIND:
         raise InputError(f"{where}: kind", kind, repr(KIND))
     try:
@@ -537,8 +542,9 @@ def _load_npz(file: BinaryIO, where: str) -> CoveringInstance:
 
 def _covering_from(fields: Mapping[str, Any]) -> CoveringInstance:
     for name in ("n_rows", "covered_rows_start", "covered_rows", "cost", "weight"):
-        if name not in fields:
-            raise InputError(name, Unquoted("nothing"), "an array")
+        if not isinstance(fields.get(name), np.ndarray):  # what is no array is read as bytes
+            got = "something else" if name in fields else "nothing"
+            raise InputError(name, Unquoted(got), "an array")
         if fields[name].dtype.kind not in "iuf":
             raise InputError(name, Unquoted(f"an array of {fields[name].dtype}"), "numbers")
     start, rows = fields["covered_rows_start"], fields["covered_rows"]
@@ -551,6 +557,11 @@ def _covering_from(fields: Mapping[str, Any]) -> CoveringInstance:
         raise InputError(
             "covered_rows_start", Unquoted(f"shape {start.shape}"), "one number more than columns"
         )
+    first, names = (np.asarray(fields.get(name, empty)) for name, empty in _OPTIONAL.items())
+    if first.shape != () or first.dtype.kind not in "iu":
+        raise InputError("numbered_from", Unquoted(f"{first.dtype} of shape {first.shape}"), "0, 1")
+    if names.ndim != 1 or not is_text(names):
+        raise InputError("names", Unquoted(f"{names.dtype} of shape {names.shape}"), "texts")
     try:
         covers = sp.csr_array(
             (np.ones(len(rows), dtype=np.bool_), rows, start),
@@ -563,6 +574,6 @@ def _covering_from(fields: Mapping[str, Any]) -> CoveringInstance:
         covers=covers,
         cost=fields["cost"],
         weight=fields["weight"],
-        names=tuple(map(str, np.atleast_1d(fields.get("names", ())))),
-        numbered_from=int(fields.get("numbered_from", 0)),
+        names=tuple(names.tolist()),
+        numbered_from=int(first),
     )

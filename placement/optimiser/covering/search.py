@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
+from ...memory import available_bytes
 from .instance import TOLERANCE, CoveringBudget
-from .memory import available_bytes
 
 _TRACE = 1.0e-3  # of the tolerance: what running sums may be off
 _MIN_RUINED_SHARE, _MAX_RUINED_SHARE = 0.05, 0.35

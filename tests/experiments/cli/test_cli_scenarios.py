@@ -8,7 +8,7 @@ import pytest
 
 from experiments.export.openscenario import load_xosc
 
-KEYS = {"case", "approach", "speeds_kmh", "n_runs", "last_brake_time_s", "reason"}
+KEYS = {"case", "approach", "position", "speeds_kmh", "n_runs", "last_brake_time_s", "reason"}
 
 
 def refusal(result):
@@ -35,7 +35,8 @@ def test_the_list_as_json_has_one_last_moment_per_speed(run):
 
 def test_the_list_fits_a_terminal(run):
     code, out, err = run(
-        "scenarios", "list", "--cases", "CBTAns,CBLA-25", "--approaches", "east,west", "--quiet"
+        *("scenarios", "list", "--cases", "CBTAns,CBLA-25", "--approaches", "east,west"),
+        *("--along-arms", "0", "--quiet"),
     )
     assert (code, err) == (0, "")
     assert max(map(len, out.splitlines())) <= 80
@@ -48,6 +49,14 @@ def test_show_writes_a_film_strip_where_results_lie(run):
     path = Path("results/scenarios/CPNA-25_east_40.png")
     assert run(*arguments) == (0, f"Written to {path}.\n", "")
     assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_run_away_from_the_junction_is_shown(run):
+    arguments = ("scenarios", "show", "CPNA-25", "--approach", "north", "--speed", "40", "--quiet")
+    code, out, _ = run(*arguments, "--position", "-15", "--out", "away.png")
+    assert (code, out) == (0, "Written to away.png.\n")
+    line = refusal(run(*arguments, "--position", "north"))
+    assert line.startswith("--position: got 'north'; expected 0, or metres before it such as -15")
 
 
 def test_a_run_is_exported_as_openscenario(run):
@@ -70,16 +79,26 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--cases", "CPXX"], "--cases: got 'CPXX'; expected one of study, protocol-4.5.1, all"),
-        (["--cases", ""], "--cases: got ''; expected one of study"),
+        (
+            ["--cases", "CPXX"],
+            "--cases: got 'CPXX'; expected one of default, study, protocol-4.5.1",
+        ),
+        (["--cases", ""], "--cases: got ''; expected one of default"),
         (["--speeds", "fast"], "--speeds: got 'fast'; expected km/h with commas between"),
         (["--cases", "CBLA", "--speeds", "70"], "--speeds: got 70; expected 25 to 60 km/h"),
         (["--approaches", "up"], "--approaches: got 'up'; expected one or more of east, north,"),
+        (["--along-arms", "nan"], "--along-arms: got 'nan'; expected metres along the arm, 0 to 5"),
+        (["--along-arms=-15"], "--along-arms: got '-15'; expected metres along the arm, 0 to 500"),
         (["--weather", "snow"], "--weather: got 'snow'; expected one or more of day, night, rain"),
         (["--deceleration", "0"], "--deceleration: got '0'; expected m/s^2, more than 0"),
         (["--deceleration", "nan"], "--deceleration: got 'nan'; expected m/s^2, more than 0"),
         (["--brake-build-up", "-1"], "--brake-build-up: got '-1'; expected seconds, at least 0"),
         (["--latency", "inf"], "--latency: got 'inf'; expected seconds, at least 0"),
+        (["--track-memory", "-1"], "--track-memory: got '-1'; expected seconds, more than 0, or i"),
+        (["--track-memory", "nan"], "--track-memory: got 'nan'; expected seconds, more than 0, or"),
+        (["--track-memory", "-inf"], "--track-memory: got '-inf'; expected seconds, more than 0,"),
+        (["--track-memory", "long"], "--track-memory: got 'long'; expected seconds, more than 0,"),
+        (["--track-memory", "0.09"], "--track-memory: got 0.09; expected seconds, at least 0.1 ("),
         (["--confirmations", "0"], "--confirmations: got '0'; expected a number of frames, at le"),
     ],
 )

@@ -100,6 +100,9 @@ def test_braking_and_confidence_are_heard(run, recording):
         (["--deceleration", 3.0], 1.0),
         (["--latency", 1.5], 0.0),
         (["--confirmations", 11], 0.0),
+        (["--track-memory", "inf"], 1.0),
+        (["--track-memory", 0.4], 1.0),  # last seen at -1 s, 0.33 s before the last moment
+        (["--track-memory", 0.3], 0.0),
         (["--min-confidence", 1], 1.0),
     ):
         code, out, _ = run(*("evaluate", "--recording", recording, "--json", "--quiet"), *arguments)

@@ -102,6 +102,8 @@ def test_frames_count_from_both_ends():
 def test_the_weather_of_the_id_holds_unless_another_is_given():
     scene = load_study_scene()
     assert find_run("CBNA/east/60", scene).weather == "day"
+    for run_id in ("CPLA-50/north-15/33", "CPLA-50/north+0/25/night", "CPLA-50/north/25"):
+        assert find_run(run_id, scene).id == run_id
     assert find_run("CBNA/east/60/rain", scene).weather == "rain"
     assert find_run("CBNA/east/60/rain", scene, weather="fog").weather == "fog"
 

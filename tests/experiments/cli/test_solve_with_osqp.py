@@ -8,7 +8,7 @@ import pytest
 
 from experiments.bench.optimiser import SyntheticSize, build_synthetic_instance
 from placement.optimiser import Limits, PlacementProblem
-from placement.verification.certificates import save_problem
+from placement.verification.instances import save_problem
 from scenarios.aeb import AebRule
 
 SIZE = SyntheticSize(

@@ -109,7 +109,19 @@ def test_heatmap_marks_confirmations_and_names_outcomes(evaluation):
         (outcomes,) = axes.child_axes
         for label, row, time_s in zip(outcomes.get_yticklabels(), rows, times, strict=True):
             late = "too late" if np.isfinite(time_s) else "never confirmed"
+            if not row.detected[evaluation.axis.frames_of(run_index)].any():
+                late = "never seen"
             assert label.get_text() == ("avoided" if row.is_avoided[run_index] else late)
+
+
+def test_a_heatmap_names_tracks_that_were_lost_again(evaluation):
+    late = evaluation.rsu_all
+    run_index = int(np.flatnonzero(~late.is_avoided & np.isfinite(late.confirmation_time_s))[0])
+    onset = late.onset_time_s.copy()
+    onset[run_index] = np.inf
+    axes = plot_heatmap(replace(evaluation, rsu_all=replace(late, onset_time_s=onset)), run_index)
+    (outcomes,) = axes.child_axes
+    assert outcomes.get_yticklabels()[-1].get_text() == "lost again"
 
 
 def test_cells_tell_the_apr_of_every_case_and_party(frame_axis, camera):

@@ -23,7 +23,7 @@ CAMERA = load_cameras()["carla-ncap-rgb"]
 
 @pytest.fixture(scope="module")
 def setting():
-    return build_setting(Question(cases="CPNC-50,CBNA,CBLA"), load_study_scene())
+    return build_setting(Question(cases="CPNC-50,CBNA,CBLA", along_arms="0"), load_study_scene())
 
 
 def is_inside(points_m, corners_m):

@@ -278,5 +278,5 @@ def test_a_recorded_choice_has_a_certificate_that_holds(tmp_path):
     (out / "summary.json").write_text(json.dumps(summary))
     assert not run_verification(out, progress=StageProgress()).is_verified
     (out / "summary.json").write_text("[]")
-    with pytest.raises(InputError, match=r"layout\.json: got No such file"):
+    with pytest.raises(InputError, match=r"summary\.json: got no object; expected a summary"):
         run_verification(out, progress=StageProgress())

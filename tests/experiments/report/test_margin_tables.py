@@ -101,12 +101,13 @@ def test_a_summary_is_what_counting_run_by_run_gives(axis, data):
     lucky = np.array([data.draw(st.booleans()) for _ in range(n)])
     avoided = np.isfinite(onset) & np.isfinite(axis.last_brake_time_s)
     avoided &= (onset <= axis.last_brake_time_s) | lucky
-    party = verdict(axis, onset, avoided)
+    lost = ~np.isfinite(onset) & np.array([data.draw(st.booleans()) for _ in range(n)])
+    party = replace(verdict(axis, onset, avoided), confirmation_time_s=np.where(lost, -0.9, onset))
     mask = np.array([data.draw(st.booleans()) for _ in range(n)])
     summary = summarise_margins(party, axis, mask)
 
     chosen = [run for run in range(n) if mask[run] and axis.weight[run] > 0.0]
-    margins_s, late_s, never, hopeless = [], [], 0, 0
+    margins_s, late_s, never, lost_again, hopeless = [], [], 0, 0, 0
     for run in chosen:
         last = axis.last_brake_time_s[run]
         if avoided[run]:
@@ -114,15 +115,17 @@ def test_a_summary_is_what_counting_run_by_run_gives(axis, data):
         elif last == -np.inf:
             hopeless += 1
         elif onset[run] == np.inf:
-            never += 1
+            never += not lost[run]
+            lost_again += bool(lost[run])
         else:
             late_s.append((onset[run] - last, axis.vut_speed_kmh[run] / 3.6))
     metres = [seconds * speed for seconds, speed in margins_s]
     seconds = [seconds for seconds, _ in margins_s]
     assert summary.n_runs == len(chosen)
     assert summary.n_avoided == len(margins_s)
-    assert summary.n_not_avoided == never + hopeless + len(late_s)
-    assert (summary.n_never, summary.n_hopeless) == (never, hopeless)
+    assert summary.n_not_avoided == never + lost_again + hopeless + len(late_s)
+    assert (summary.n_never, summary.n_lost) == (never, lost_again)
+    assert summary.n_hopeless == hopeless
     for got, expected in (
         (summary.smallest_s, min(seconds, default=math.nan)),
         (summary.smallest_m, min(metres, default=math.nan)),
@@ -163,6 +166,10 @@ def test_sentences_name_the_tightest_run_and_what_is_missed(build):
         f"confirmed too late misses the last moment by 1000{space}ms."
     )
     assert car == "The car by itself avoids none of 3 runs."
+    found = build("mine", [-0.6, np.inf, np.inf], [np.inf] * 3)
+    lost = replace(found.rsu_all, confirmation_time_s=np.array([-0.6, -0.9, np.inf]))
+    mine, _ = margin_sentences({"mine": replace(found, rsu_all=lost)})
+    assert mine.endswith("Not avoided: 2 runs (1 never confirmed, 1 confirmed, but lost again).")
 
 
 def test_half_of_one_run_is_not_told(build):

@@ -63,7 +63,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def setting():
-    return build_setting(Question(cases="CPNC-50,CBNA,CBLA"), load_study_scene())
+    return build_setting(Question(cases="CPNC-50,CBNA,CBLA", along_arms="0"), load_study_scene())
 
 
 def build_evaluation(setting, layout, *, seed, share=0.9):
@@ -504,7 +504,7 @@ def test_runs_that_are_hit_come_first_and_are_counted(evaluation_page, evaluatio
 
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_several_weathers_are_told_and_have_a_column(evaluation_page):
-    question = Question(cases="CBLA", approaches="east", weather="day,night")
+    question = Question(cases="CBLA", along_arms="0", approaches="east", weather="day,night")
     setting = build_setting(question, load_study_scene())
     page, _ = page_of(setting, Layout(name="found", units=load_carlancap_layout().units[:1]))
     words = Page(page).words
@@ -548,7 +548,7 @@ def test_braking_and_the_moment_of_the_frames_are_told(setting, layout, evaluati
     words = Page(evaluation_page).words
     assert "constant from the onset" in words
     assert "One frame falls on the moment of the impact." in words
-    question = Question(cases="CBLA", approaches="east", build_up_s=0.3)
+    question = Question(cases="CBLA", along_arms="0", approaches="east", build_up_s=0.3)
     slow = build_setting(question, load_study_scene())
     words = Page(page_of(slow, layout)[0]).words
     assert "reached linearly 0.3 s after the onset" in words
@@ -560,7 +560,7 @@ def test_heatmaps_are_of_the_studys_runs_where_they_are_driven(setting, evaluati
 
 
 def test_heatmaps_are_otherwise_of_the_hardest_runs_that_count_each_of_another_case(layout):
-    question = Question(cases="CPNC-50,CPLA-50,CPNCO-50,CPTAfs-50,CBTAfo-50")
+    question = Question(cases="CPNC-50,CPLA-50,CPNCO-50,CPTAfs-50,CBTAfo-50", along_arms="0")
     setting = build_setting(question, load_study_scene())
     evaluation = build_evaluation(setting, layout, seed=5)
     first, *others = pick_heatmap_runs(setting, evaluation)

@@ -1,11 +1,14 @@
 import json
+import math
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from msgspec import UNSET
 from partial_pages import pictures_of, render_section, tables_of
 
+from experiments.export.json import to_json_text
 from experiments.figures.axes import to_png
 from experiments.report.sensitivity import (
     TITLES,
@@ -16,7 +19,7 @@ from experiments.report.sensitivity import (
     sensitivity_table,
     value_text,
 )
-from experiments.results.explanations import build_sensitivity_record
+from experiments.results.explanations import SensitivityRecord, build_sensitivity_record
 from experiments.results.record import to_plain
 from geometry.errors import InputError
 from placement.explain.sensitivity import RANGES, Assumption, Outcome, Sensitivity, Varied
@@ -79,6 +82,32 @@ def test_the_summary_is_plain_and_has_every_number(summary):
     brakes = summary["assumptions"][2]
     assert [value["apr"] for value in brakes["varied"]] == [0.6, 1.0]
     assert brakes["varied"][0]["lost_runs"] == ["A/north/20", "B/north/30"]
+
+
+def test_tracks_that_are_never_lost_are_told_in_words():
+    found = summarise(
+        [
+            sensitivity(
+                "track_memory_s",
+                varied(0.5, outcome(0.7, 0.5), "A/north/20"),
+                varied(math.inf, outcome(0.95, 0.5)),
+                planned_value=1.0,
+            ),
+        ]
+    )
+    assert "tracks kept 0.5 s without detections (70.0 %)" in sensitivity_sentences(found)[0]
+    rows = sensitivity_table(found).rows
+    assert [row[1:4] for row in rows[1:]] == [
+        ["1 s", "0.5 s", "70.0 %"],
+        ["1 s", "for ever", "95.0 %"],
+    ]
+    endless = summarise(
+        [sensitivity("track_memory_s", varied(1.0, outcome(0.7, 0.5)), planned_value=math.inf)]
+    )
+    assert sensitivity_table(endless).rows[1][1:3] == ["for ever", "1 s"]
+    plain = json.loads(to_json_text(found))  # as a result holds it
+    (again,) = msgspec.convert(plain, SensitivityRecord).assumptions
+    assert [value.value for value in again.varied] == [0.5, None]
 
 
 def test_the_sentences_name_what_hits_hardest_first(summary):

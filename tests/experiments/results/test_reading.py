@@ -55,6 +55,29 @@ def test_a_result_is_read_back(folder):
     assert repr(result) == f"Result('best-2', {result.summary.runs} runs, {str(folder)!r})"
 
 
+def test_older_results_without_positions_have_all_runs_at_zero(folder):
+    whole = load_result(folder)
+    assert set(whole.summary.evaluation.vut.by_position) == {"0"}
+    runs, apr = folder / "runs.parquet", folder / "apr.csv"
+    pd.read_parquet(runs).drop(columns="position").to_parquet(runs)
+    pd.read_csv(apr).drop(columns="position").to_csv(apr, index=False)
+    rewrite(folder / "summary.json", _without_positions)
+    result = load_result(folder)
+    pd.testing.assert_frame_equal(result.runs, whole.runs)
+    pd.testing.assert_frame_equal(result.apr, whole.apr)
+    assert result.summary.evaluation.vut.by_position == {}
+
+
+def _without_positions(summary):
+    for name in ("vut", "rsu_all", "vut_and_rsus"):
+        del summary["evaluation"][name]["by_position"]
+
+
+def test_a_result_that_does_not_say_how_long_tracks_live_is_one_where_they_never_die(folder):
+    rewrite(folder / "summary.json", lambda summary: summary.pop("track_memory_s"))
+    assert load_result(str(folder)).summary.track_memory_s is None
+
+
 def rewrite(path, change):
     summary = json.loads(path.read_text(encoding="utf-8"))
     change(summary)

@@ -105,7 +105,11 @@ def plain(record):
 def test_all_runs_avoided_is_exactly_one_and_none_is_zero(evaluation_of):
     for n_avoided, ratio in ((N_RUNS, 1.0), (0, 0.0)):
         summary = plain(build_evaluation_record(evaluation_of(n_avoided), RULE))
-        ratios = {"all": ratio, "by_case": {"A": ratio, "B": ratio}}
+        ratios = {
+            "all": ratio,
+            "by_case": {"A": ratio, "B": ratio},
+            "by_position": {"0": ratio},
+        }
         assert summary == {
             "vut": ratios,
             "rsu_all": ratios,
@@ -134,6 +138,7 @@ def test_evaluation_and_comparison_have_the_keys_of_a_placement(setting, evaluat
         "gap",
         "baseline",
         "surrogate_disagreement",
+        "track_memory_s",  # tracks live for ever
     }
 
 
@@ -175,10 +180,12 @@ def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
         "vut_sensors": ["camera", "lidar"],
         "packet_loss": 0.25,
         "vam_rate": 0.5,
+        "track_memory_s": None,
         "not_driven": [
             {
                 "case": "C",
                 "approach": "north",
+                "position": "0",
                 "speeds_kmh": [20.0, 25.0],
                 "reason": "no room",
                 "is_possible": True,

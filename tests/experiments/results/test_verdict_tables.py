@@ -10,7 +10,7 @@ from experiments.results.tables import (
     parties,
     runs_table,
 )
-from placement.evaluation import Evaluation, Verdict, apr
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_position
 from scenarios.aeb import is_in_time, live_confirmation_time_s
 
 
@@ -54,8 +54,8 @@ def evaluation(layout, frame_axis, rule):
 def test_apr_table_agrees_with_the_evaluation(evaluation):
     table = apr_table({"mine": evaluation})
     assert list(table.columns) == [
-        "layout", "party", "case", "approach", "weather", "vut_speed_kmh", "apr", "n_runs",
-        "n_avoided",
+        "layout", "party", "case", "approach", "position", "weather", "vut_speed_kmh", "apr",
+        "n_runs", "n_avoided",
     ]  # fmt: skip
     for party, verdict in parties(evaluation).items():
         is_wanted = (table.party == party) & (table.approach == "all")
@@ -86,6 +86,33 @@ def test_apr_table_tells_several_weathers_apart(evaluation):
         assert table.loc[(party, "all", "all", "all")].apr == apr(verdict, axis)
     runs = runs_table({"mine": evaluation})
     assert runs.weather.tolist() == list(axis.weathers) * len(parties(evaluation))
+
+
+def test_apr_table_tells_several_positions_apart(evaluation):
+    axis = replace(evaluation.axis, positions=("0", "-15", "0"))
+    evaluation = replace(evaluation, axis=axis)
+    table = apr_table({"mine": evaluation})
+    keys = ["party", "case", "approach", "position", "weather", "vut_speed_kmh"]
+    assert not table.duplicated(keys).any()
+    told = table[table.position != "all"]
+    assert set(told.vut_speed_kmh) == set(told.weather) == {"all"}
+    for party, verdict in parties(evaluation).items():
+        rows = told[told.party == party].set_index(["case", "approach", "position"])
+        for case, approach, position in rows.index:
+            mask = np.array(axis.positions) == position
+            mask &= (case == "all") | (np.array(axis.cases) == case)
+            mask &= (approach == "all") | (np.array(axis.approaches) == approach)
+            row = rows.loc[(case, approach, position)]
+            assert row.apr == apr(verdict, axis, mask)
+            assert (row.n_runs, row.n_avoided) == (mask.sum(), (verdict.is_avoided & mask).sum())
+        assert {("all", "all", "-15"), ("A", "all", "-15"), ("all", "north", "0")} <= set(
+            rows.index
+        )
+        assert apr_by_position(verdict, axis) == {
+            position: rows.loc[("all", "all", position)].apr for position in ("-15", "0")
+        }
+    runs = runs_table({"mine": evaluation})
+    assert runs.position.tolist() == list(axis.positions) * len(parties(evaluation))
 
 
 def test_apr_table_tells_several_speeds_apart(evaluation):

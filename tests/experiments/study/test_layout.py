@@ -19,10 +19,15 @@ GOLDEN_UNITS = {
 }
 
 
+_AS_STUDIED = Question(
+    cases="CPNC-50,CBNA,CBLA", along_arms="0", weights="run", track_memory_s=np.inf
+)
+
+
 @pytest.fixture(scope="module")
 def setting():
     """The cases for which the study publishes numbers."""
-    return build_setting(Question(cases="CPNC-50,CBNA,CBLA"), load_study_scene())
+    return build_setting(_AS_STUDIED, load_study_scene())
 
 
 @pytest.fixture(scope="module")

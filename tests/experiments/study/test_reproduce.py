@@ -7,7 +7,9 @@ import pytest
 from experiments.study import reproduction
 from experiments.study.reproduction import (
     Variant,
+    build_additional_variants,
     build_variants,
+    load_additional,
     load_published,
     quantities,
     write_reproduction,
@@ -61,6 +63,7 @@ def test_quantities_are_shares_by_case(small):
 
 def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkeypatch):
     monkeypatch.setattr(reproduction, "build_variants", lambda: small)
+    monkeypatch.setattr(reproduction, "build_additional_variants", lambda: small[:1])
     monkeypatch.setattr(reproduction, "DETECTORS", ())
     stages = []
     write_reproduction(
@@ -71,8 +74,10 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
         assert f"| {figure.quantity} | {figure.case} | {100 * figure.value:.2f} % |" in text
     assert "| field of view 90 deg, not 110 |" in text
     assert "## Predictions" in text
+    for figure in load_additional():  # of cases that the small variants do not drive
+        assert f"| {figure.case} | {figure.quantity} | {figure.published} | - |" in text
     assert (tmp_path / "reproduction_heatmaps.png").read_bytes().startswith(b"\x89PNG")
-    assert stages[0] == ("evaluate variants", 0, 2)
+    assert stages[0] == ("evaluate variants", 0, 3)
     assert sorted(path.name for path in Path(tmp_path).iterdir()) == [
         "reproduction.md",
         "reproduction_heatmaps.png",
@@ -86,3 +91,21 @@ def test_a_use_that_does_not_exist_is_named(monkeypatch):
     with pytest.raises(InputError, match=r"figures\[0\].use: got 'fitted'"):
         load_published()
     load_published.cache_clear()
+
+
+def test_the_additional_cases_are_changed_in_one_thing_at_a_time():
+    variants = {variant.name: variant.setting for variant in build_additional_variants()}
+    base = variants["as it is"]
+    assert set(base.axis.cases) == {"CPNCO-50", "CPLA-50", "CBTAno-50", "CBTAfo-50"}
+    assert set(base.axis.positions) == {"0"}
+    assert base.rule.track_memory_s == np.inf
+    live = variants["a track lives for 1 s"]
+    assert live.rule == replace(base.rule, track_memory_s=1.0)
+    assert live.axis is base.axis
+    short = variants["the last 3 s before the impact"]
+    assert short.axis.run_ids == base.axis.run_ids
+    for run, whole in zip(short.runs, base.runs, strict=True):
+        assert len(run.time_s) == min(31, len(whole.time_s))
+        assert (run.vru_position_m == whole.vru_position_m[-len(run.time_s) :]).all()
+    assert set(variants["15 m before the crosswalk"].axis.positions) == {"-15"}
+    assert variants["30 m before the crosswalk"].axis.cases.count("CPNCO-50") >= 4

@@ -98,7 +98,14 @@ def test_as_planned_it_is_what_the_table_says(setting, layout, found):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("latency_s", 0.5), ("n_confirmations", 1.0), ("n_confirmations", 5.0)]
+    ("name", "value"),
+    [
+        ("latency_s", 0.5),
+        ("n_confirmations", 1.0),
+        ("n_confirmations", 5.0),
+        ("track_memory_s", 0.5),
+        ("track_memory_s", 2.0),
+    ],
 )
 def test_another_rule_is_that_rule(setting, layout, found, name, value):
     given = int(value) if name == "n_confirmations" else value
@@ -197,11 +204,22 @@ def test_what_a_plan_does_not_ask_is_left_out(setting, layout):
 
 
 def test_the_plans_own_value_drops_out(setting, layout):
-    own = Assumption(
-        name="latency_s", values=(setting.rule.latency_s, 0.2), reason="so", is_ours=True
-    )
-    (one,) = find_sensitivity(setting, layout, assumptions=[own])
-    assert [varied.value for varied in one.varied] == [0.2]
+    own = [
+        Assumption(name=name, values=values, reason="so", is_ours=True)
+        for name, values in (
+            ("latency_s", (setting.rule.latency_s, 0.2)),
+            ("track_memory_s", (1.0, np.inf)),
+        )
+    ]
+    latency, memory = find_sensitivity(setting, layout, assumptions=own)
+    assert [varied.value for varied in latency.varied] == [0.2]
+    assert [varied.value for varied in memory.varied] == [1.0]
+    mortal = replace(setting, rule=replace(setting.rule, track_memory_s=1.0))
+    (other,) = find_sensitivity(mortal, layout, assumptions=own[1:])
+    assert [varied.value for varied in other.varied] == [np.inf]
+    assert other.planned_value == 1.0
+    assert other.varied[0].outcome.apr == memory.planned.apr
+    assert other.planned.apr == memory.varied[0].outcome.apr
 
 
 def test_of_large_layouts_only_what_needs_no_new_look_is_varied(setting):
@@ -271,6 +289,9 @@ def test_values_are_sorted_and_reasons_told_apart():
         ({"latency_s": {"values": [0.1, -1.0], "source": "a"}}, "mine.toml: latency_s.values[1]"),
         ({"n_confirmations": {"values": [1.5], "source": "a"}}, "n_confirmations.values[0]"),
         ({"packet_loss": {"values": ["all"], "source": "a"}}, "packet_loss.values[0]"),
+        ({"latency_s": {"values": [np.inf], "source": "a"}}, "latency_s.values[0]"),
+        ({"track_memory_s": {"values": [0.0], "source": "a"}}, "track_memory_s.values[0]"),
+        ({"track_memory_s": {"values": [np.nan], "source": "a"}}, "track_memory_s.values[0]"),
         ({"latency_s": {"values": [0.1]}}, "mine.toml: latency_s"),
         ({"latency_s": {"values": [0.1], "source": "a", "assumption": "b"}}, "latency_s"),
     ],

@@ -1,5 +1,6 @@
 """Why runs are not avoided: named things in tiny worlds, and everything else by brute force."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -205,6 +206,10 @@ def tables(draw):
     n_poses = 7
     places = rng.integers(0, 4, size=(n_poses, 2)) * 10.0
     candidates = [unit(x, y, name=f"unit-{i}") for i, (x, y) in enumerate(places)]
+    setting = replace(
+        setting,
+        rule=replace(setting.rule, track_memory_s=draw(st.sampled_from([0.1, 0.3, math.inf]))),
+    )
     share = draw(st.sampled_from([0.1, 0.3, 0.6]))
     detected = rng.random((n_poses, setting.axis.n_frames)) < share
     problem = problem_of(
@@ -280,6 +285,7 @@ def check_outcome(problem, chosen, entry):
         for end in range(n - 1, len(time_s))
         if party[end + 1 - n : end + 1].all()
     ]
+    late = [time for time in confirmed if time + rule.latency_s > last_s + 1e-9]
     if counts.sum() < n:
         assert entry.outcome == "hopeless"
         assert entry.rescue is None
@@ -288,10 +294,13 @@ def check_outcome(problem, chosen, entry):
         assert entry.outcome == "never seen"
     elif not confirmed:
         assert entry.outcome == "never confirmed"
+    elif not late:
+        assert entry.outcome == "lost again"
+        assert rule.track_memory_s < math.inf
     else:
         assert entry.outcome == "too late"
-    if confirmed and np.isfinite(last_s):
-        assert entry.late_s == pytest.approx(min(confirmed) + rule.latency_s - last_s)
+    if late and np.isfinite(last_s):
+        assert entry.late_s == pytest.approx(min(late) + rule.latency_s - last_s)
     else:
         assert entry.late_s == np.inf
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from placement.optimiser import PlacementProblem
 from placement.optimiser.bitsets import (
     avoided_with_each,
-    keep_apr_after_failure,
+    keep_apr,
     left_after_failures,
     may_keep_margins,
     set_values,
@@ -70,7 +70,7 @@ def test_sets_are_left_out_early_only_if_they_lose_too_much(drawn, least, smalle
     if not reduced.measure.is_mean or not len(sets):
         return
     left = left_after_failures(reduced, reduced.measure, 1, sets)
-    kept = keep_apr_after_failure(reduced, sets, least)
+    kept = keep_apr(reduced, sets, least, with_failures=True)
     is_clear = np.abs(left - least) > 1e-9
     np.testing.assert_array_equal(kept[is_clear], (left >= least)[is_clear])
 

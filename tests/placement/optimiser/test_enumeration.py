@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from placement.optimiser import PlacementProblem, is_feasible, presolve
-from placement.optimiser.bitsets import best_set, left_after_failures, set_values
+from placement.optimiser.bitsets import best_set, set_values
 from placement.optimiser.enumeration import best_of_all
 from placement.optimiser.objectives import Objective
 
@@ -31,9 +31,7 @@ def test_nothing_beats_the_best_of_all(problem: PlacementProblem, data: st.DataO
     found = best_of_all(
         reduced,
         all_sets[start],
-        apr_one_failed=float(
-            left_after_failures(reduced, reduced.measure, 1, all_sets[[start]])[0]
-        ),
+        known=set_values(reduced, all_sets[[start]])[0],
         max_sets=1000,
     )
     assert found is not None
@@ -46,4 +44,6 @@ def test_too_many_sets_are_not_begun(problem: PlacementProblem) -> None:
     reduced = presolve(problem)
     units = np.arange(problem.limits.max_units)
     is_small = reduced.n_poses <= problem.limits.max_units
-    assert is_small or best_of_all(reduced, units, apr_one_failed=0.0, max_sets=1) is None
+    if not is_small:
+        known = set_values(reduced, units[None, :])[0]
+        assert best_of_all(reduced, units, known=known, max_sets=1) is None

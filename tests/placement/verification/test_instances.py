@@ -13,7 +13,7 @@ from problems import questions
 from geometry.errors import InputError
 from placement.detection_table import DetectionTable
 from placement.optimiser import Floor, Limits, PlacementProblem
-from placement.verification.certificates import (
+from placement.verification.instances import (
     KIND,
     instance_kind,
     load_problem,
@@ -124,6 +124,7 @@ def variations(problem: PlacementProblem) -> dict[str, PlacementProblem]:
         "a run": on_axis(run_ids=("A/north/20", "A/north/30", "B/north/21")),
         "cases": on_axis(cases=("A", "B", "B")),
         "approaches": on_axis(approaches=("north", "north", "east")),
+        "positions": on_axis(positions=("0", "0", "-15")),
         "weathers": on_axis(weathers=("day", "day", "fog")),
         "speeds": on_axis(vut_speed_kmh=np.array([20.0, 30.0, 21.0])),
         "weights": on_axis(weight=np.array([0.25, 0.5, 0.25])),
@@ -173,6 +174,24 @@ def test_the_hash_changes_with_whatever_changes(problem):
     hashes["nothing"] = problem_hash(problem)
     assert len(set(hashes.values())) == len(hashes)
     assert all(len(text) == 64 for text in hashes.values())
+
+
+def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(problem, tmp_path):
+    path, axis = tmp_path / "a.npz", problem.table.axis
+    save_problem(path, problem)
+    with np.load(path) as archive:
+        assert "positions" not in archive.files  # as before there were any
+    assert load_problem(path).table.axis.positions == ("0", "0", "0")
+    moved = replace(axis, positions=("-15", "0", "+0"))
+    there = replace(problem, table=replace(problem.table, axis=moved))
+    save_problem(path, there)
+    assert_same(load_problem(path), there)
+    rewrite(path, there, positions=np.array(["-15", "0", "far"]))
+    with pytest.raises(InputError, match=r"a\.npz: positions: got 'far'; expected 0, or metres"):
+        load_problem(path)
+    rewrite(path, there, positions=np.array(["-15", "0"]))
+    with pytest.raises(InputError, match=r"a\.npz: positions: got "):
+        load_problem(path)
 
 
 def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(problem, tmp_path):

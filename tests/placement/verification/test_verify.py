@@ -23,13 +23,8 @@ from placement.optimiser import (
 )
 from placement.optimiser.objectives import Objective
 from placement.verification import verify as verify_module
-from placement.verification.certificates import (
-    CERTIFICATE_FILE,
-    INSTANCE_FILE,
-    load_certificate,
-    load_problem,
-    save_certificate,
-)
+from placement.verification.certificates import CERTIFICATE_FILE, load_certificate, save_certificate
+from placement.verification.instances import INSTANCE_FILE, load_problem
 from placement.verification.recomputation import stage_names, stage_values
 from placement.verification.verify import Verification, verify_certificate
 

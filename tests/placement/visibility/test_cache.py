@@ -169,6 +169,62 @@ def test_whatever_bit_is_flipped_the_table_is_right_or_not_used(stored, caplog, 
     assert n_refused > 0.7 * len(good)
 
 
+def _saved_again(**changes):
+    """The file saved anew by a program that knows no hash of its content, or not which."""
+
+    def write(path):
+        with np.load(path) as stored:
+            arrays = dict(stored)
+        np.savez(path, **{**arrays, **{name: new(arrays) for name, new in changes.items()}})
+
+    return write
+
+
+def _turned(arrays):
+    bits = arrays["packed"].copy()
+    bits[0, 0] ^= 1
+    return bits
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"packed": lambda arrays: np.zeros_like(arrays["packed"])},
+        {"packed": _turned},
+        {"packed": lambda arrays: arrays["packed"][::-1]},
+        {
+            "packed": _turned,
+            "content": lambda arrays: build_module._content_hash(_turned(arrays), "f" * 32),
+        },
+    ],
+    ids=["zeros", "a bit", "rows", "the hash of another fingerprint"],
+)
+def test_bits_that_were_changed_and_saved_under_the_same_name_are_not_used(stored, caplog, change):
+    _, path, _ = stored
+    _saved_again(**change)(path)
+    assert _load(stored) is None
+    _assert_one_line(caplog, path)
+    assert caplog.messages[0].endswith(": its content is not what was written")
+
+
+def test_a_new_folder_is_the_users_own(stored):
+    _, path, _ = stored
+    assert path.parent.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o1777, 0o755])
+def test_a_folder_into_which_others_may_write_is_told_once(stored, caplog, mode):
+    _, path, _ = stored
+    path.parent.chmod(mode)
+    build_module._tell_if_shared.cache_clear()
+    assert _load(stored) is not None
+    assert _load(stored) is not None
+    told = [text for text in caplog.messages if "where other users may write" in text]
+    assert len(told) == (mode != 0o755)
+    assert all(str(path.parent) in text for text in told)
+    build_module._tell_if_shared.cache_clear()
+
+
 # Folders that cannot be written to
 
 

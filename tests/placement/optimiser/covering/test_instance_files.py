@@ -392,7 +392,7 @@ def test_a_file_that_memory_has_no_room_for_is_not_read(write, tmp_path, monkeyp
     path = write(ORLIB)
     own = tmp_path / "own.npz"
     save_instance(own, load_instance(path))
-    monkeypatch.setattr("placement.optimiser.covering.memory.available_bytes", lambda: 100)
+    monkeypatch.setattr("placement.memory.available_bytes", lambda: 100)
     assert refusal(path) == (
         f"FILE: got {len(ORLIB)} bytes of text, which takes about 0.0 GiB of memory; expected what "
         "fits into the 0.0 GiB that are free: fewer rows or columns, or a file of this program "
@@ -463,9 +463,10 @@ def test_a_file_that_unpacks_to_too_much_is_not_unpacked(write, monkeypatch):
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("cost.npy", bytes(10_000_000))
-    monkeypatch.setattr("placement.optimiser.covering.files._MAX_UNPACKED_BYTES", 1_000_000)
+    monkeypatch.setattr("geometry.untrusted_files.MAX_UNPACKED_BYTES", 1_000_000)
     assert refusal(write(buffer.getvalue())) == (
-        "FILE: got 10,000,000 bytes when unpacked; expected an instance of at most 1,000,000"
+        "FILE: got 10,000,000 bytes or more when unpacked; expected at most 1,000,000, the budget "
+        "of everything that is packed"
     )
 
 

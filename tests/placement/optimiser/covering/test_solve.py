@@ -155,8 +155,8 @@ def test_solvers_agree_on_covers_that_need_the_local_search(n_rows, monkeypatch)
 
 
 def test_a_model_that_memory_has_no_room_for_is_not_built(hard, monkeypatch, caplog):
-    for module in ("memory", "solve"):
-        monkeypatch.setattr(f"placement.optimiser.covering.{module}.available_bytes", lambda: 1000)
+    for module in ("memory", "optimiser.covering.solve"):
+        monkeypatch.setattr(f"placement.{module}.available_bytes", lambda: 1000)
     with pytest.raises(InputError) as caught:
         solve_lscp(hard, solver="HIGHS")
     assert str(caught.value).startswith("--solver: got HIGHS with ")

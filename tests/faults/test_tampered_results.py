@@ -1,0 +1,472 @@
+"""Results that somebody has changed: each change is found, or is named as what nothing tells.
+
+After every change the list of hashes is made anew, and with it what else the change would give
+away, so that the files agree as well as whoever changed them could make them agree.
+"""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from small_results import build_small_setting, write_small_results
+
+from experiments.export.csv import to_csv
+from experiments.export.geojson import to_geojson
+from experiments.jobs.verify import run_verification
+from experiments.progress import StageProgress
+from experiments.results.folders import MANIFEST, write_manifest
+from experiments.results.solutions import VerificationResult
+from geometry.errors import InputError
+from geometry.scene_files import load_study_scene, save_scene
+from placement.layout import load_layout
+from placement.verification.certificates import instance_of
+from placement.verification.instances import StoredProblem, load_stored_problem, save_problem
+
+Change = Callable[[Path], None]
+Document = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("placed") / "results"
+    write_small_results(folder, build_small_setting())
+    return folder
+
+
+@pytest.fixture
+def results(written, tmp_path):
+    return Path(shutil.copytree(written, tmp_path / "results"))
+
+
+def verified(folder: Path, scene: str = "") -> VerificationResult:
+    return run_verification(folder, scene=scene, progress=StageProgress())
+
+
+def failed(found: VerificationResult) -> list[str]:
+    return [check.name for check in found.checks if not check.passed]
+
+
+def edit(path: Path, change: Callable[[Document], object]) -> None:
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document, indent=2))
+
+
+def layout(change: Callable[[Document], object]) -> Change:
+    return lambda folder: edit(folder / "layout.json", change)
+
+
+def certificate(change: Callable[[Document], object]) -> Change:
+    return lambda folder: edit(folder / "certificate.json", change)
+
+
+def summary(change: Callable[[Document], object]) -> Change:
+    return lambda folder: edit(folder / "summary.json", change)
+
+
+def unit(**values: object) -> Change:
+    """The first unit otherwise, in ``layout.json`` alone."""
+    return layout(lambda d: d["layout"][0].update(values))
+
+
+def everywhere(**values: object) -> Change:
+    """The first unit otherwise, in every file that shows it."""
+
+    def change(folder: Path) -> None:
+        edit(folder / "layout.json", lambda d: d["layout"][0].update(values))
+        edit(folder / "certificate.json", lambda d: d["layout"][0]["unit"].update(values))
+        edit(folder / "summary.json", lambda d: d["layout"][0].update(values))
+        shown = load_layout(folder / "layout.json")
+        scene = load_study_scene()
+        (folder / "layout.csv").write_text(to_csv(shown, scene))
+        (folder / "layout.geojson").write_text(to_geojson(shown, scene.crs, scene))
+
+    return change
+
+
+def both(change: Callable[[Document], object]) -> Change:
+    def change_both(folder: Path) -> None:
+        certificate(change)(folder)
+        summary(change)(folder)
+
+    return change_both
+
+
+def instance(change: Callable[[StoredProblem, int], StoredProblem]) -> Change:
+    """Another instance, with its hash and sizes in the certificate; given the first unit's row."""
+
+    def rewrite(folder: Path) -> None:
+        row = json.loads((folder / "certificate.json").read_text())["layout"][0]["row"]
+        problem, mounts = change(load_stored_problem(folder / "instance.npz"), row)
+        save_problem(folder / "instance.npz", problem, mounts)
+        told = instance_of(problem, mounts)
+        edit(folder / "certificate.json", lambda d: d.update(instance=told))
+
+    return rewrite
+
+
+def mounts(**values: Callable[[Any, int], Any]) -> Change:
+    """Fields of the mounts otherwise: functions of the old value and the first unit's row."""
+
+    def change(stored: StoredProblem, row: int) -> StoredProblem:
+        assert stored.mounts is not None
+        changed = {name: new(getattr(stored.mounts, name), row) for name, new in values.items()}
+        return stored._replace(mounts=replace(stored.mounts, **changed))
+
+    return instance(change)
+
+
+def axis(**values: Callable[[Any], Any]) -> Change:
+    def change(stored: StoredProblem, row: int) -> StoredProblem:
+        table = stored.problem.table
+        changed = {name: new(getattr(table.axis, name)) for name, new in values.items()}
+        table = replace(table, axis=replace(table.axis, **changed))
+        return stored._replace(problem=replace(stored.problem, table=table))
+
+    return instance(change)
+
+
+def limits(**values: Callable[[Any, int], Any]) -> Change:
+    def change(stored: StoredProblem, row: int) -> StoredProblem:
+        old = stored.problem.limits
+        changed = {name: new(getattr(old, name), row) for name, new in values.items()}
+        return stored._replace(problem=replace(stored.problem, limits=replace(old, **changed)))
+
+    return instance(change)
+
+
+def at(index: int, value: object) -> Callable[[Any], Any]:
+    """A copy of an array with one value otherwise."""
+
+    def change(array: Any) -> Any:
+        copy = array.copy()
+        copy[index] = value
+        return copy
+
+    return change
+
+
+def at_row(value: object) -> Callable[[Any, int], Any]:
+    return lambda array, row: at(row, value)(array)
+
+
+def chained(*changes: Change) -> Change:
+    def change(folder: Path) -> None:
+        for one in changes:
+            one(folder)
+
+    return change
+
+
+def runs(change: Callable[[pd.DataFrame], object]) -> Change:
+    def rewrite(folder: Path) -> None:
+        table = pd.read_parquet(folder / "runs.parquet")
+        change(table)
+        table.to_parquet(folder / "runs.parquet")
+
+    return rewrite
+
+
+def replaced(name: str, old: str, new: str) -> Change:
+    def change(folder: Path) -> None:
+        text = (folder / name).read_text()
+        assert old in text
+        (folder / name).write_text(text.replace(old, new, 1))
+
+    return change
+
+
+def appended(name: str, text: str) -> Change:
+    return lambda folder: (folder / name).write_text((folder / name).read_text() + text) and None
+
+
+def missing(name: str) -> Change:
+    return lambda folder: (folder / name).unlink()
+
+
+def without_row_of(name: str) -> Change:
+    def change(folder: Path) -> None:
+        lines = (folder / name).read_text().splitlines(keepends=True)
+        (folder / name).write_text("".join(lines[:-1]))
+
+    return change
+
+
+def row_of_equal_value(folder: Path) -> None:
+    """The first unit's row and name become those of another pose that detects the same.
+
+    In the instance both detect the same from now on.
+    """
+    document = json.loads((folder / "certificate.json").read_text())
+    row = document["layout"][0]["row"]
+    other = (row + 1) % document["instance"]["n_poses"]
+
+    def change(stored: StoredProblem, first: int) -> StoredProblem:
+        table, problem = stored.problem.table, stored.problem
+        packed = table.packed.copy()
+        packed[other] = packed[row]
+        return stored._replace(problem=replace(problem, table=replace(table, packed=packed)))
+
+    instance(change)(folder)
+    name = load_stored_problem(folder / "instance.npz").problem.table.pose_ids[other]
+    certificate(lambda d: d["layout"][0].update(row=other, pose=name))(folder)
+
+
+def flip(array: Any, row: int = 0) -> Any:
+    copy = array.copy()
+    copy[0, 0] ^= np.uint8(1)
+    return copy
+
+
+def another_bit(stored: StoredProblem, row: int) -> StoredProblem:
+    table = stored.problem.table
+    unused = next(index for index in range(table.n_poses) if index != row)
+    packed = table.packed.copy()
+    packed[unused, 0] ^= np.uint8(1)
+    return stored._replace(problem=replace(stored.problem, table=replace(table, packed=packed)))
+
+
+def all_of_one(folder: Path) -> None:
+    """The evaluator's outcomes of a party, and every ratio that follows from them."""
+    name = json.loads((folder / "summary.json").read_text())["name"]
+
+    def turn(table: pd.DataFrame) -> None:
+        table.loc[(table["layout"] == name) & (table["party"] == "vut"), "is_avoided"] = True
+
+    runs(turn)(folder)
+    ratios = pd.read_csv(folder / "apr.csv", keep_default_na=False, dtype=str)
+    rows = (ratios["layout"] == name) & (ratios["party"] == "vut")
+    ratios.loc[rows, "apr"] = "1.0"
+    ratios.loc[rows, "n_avoided"] = ratios.loc[rows, "n_runs"]
+    ratios.to_csv(folder / "apr.csv", index=False, lineterminator="\n")
+
+    def tell(document: Document) -> None:
+        vut = document["evaluation"]["vut"]
+        vut["all"] = 1.0
+        for key in ("by_case", "by_position"):
+            vut[key] = dict.fromkeys(vut[key], 1.0)
+
+    summary(tell)(folder)
+
+
+MINE = {
+    **{"kind": "camera", "width_px": 1920, "height_px": 1080, "horizontal_fov_deg": 110.0},
+    **{"frame_rate_hz": 10.0, "near_m": 0.5, "price_eur": 1500.0},
+}
+
+
+def own_model(**values: object) -> Change:
+    """The layout file brings a model of its own under the name that all files have."""
+    return layout(lambda d: d.update(sensors={"carla-ncap-rgb": MINE | values}))
+
+
+# What was changed; how the name of a check begins that must fail, or behind a question mark words
+# that must be among what is said not to be checked.
+FOUND: dict[str, tuple[Change, str]] = {
+    # The layout alone.
+    "another yaw": (unit(yaw_deg=12.0), "layout file"),
+    "another pitch": (unit(pitch_deg=-21.0), "layout file"),
+    "30 m east": (unit(x_m=-85.0), "layout file"),
+    "higher": (unit(z_m=7.0), "layout file"),
+    "another site": (unit(site="mast-w"), "layout file"),
+    "another name of a unit": (unit(id="U9"), "layout file"),
+    "another latency": (unit(latency_s=0.5), "layout file"),
+    "more pixels under the same name": (own_model(width_px=3840, height_px=2160), "unit "),
+    "a wider lens under the same name": (own_model(horizontal_fov_deg=120.0), "unit "),
+    "a cheaper camera under the same name": (own_model(price_eur=1.0), "unit "),
+    "another scene": (layout(lambda d: d.update(scene="elsewhere")), "scene"),
+    "no scene": (layout(lambda d: d.pop("scene")), "scene"),
+    "another name of the layout": (layout(lambda d: d.update(name="x")), "summary.json: name"),
+    "a unit less": (layout(lambda d: d["layout"].pop()), "layout file"),
+    "units in another order": (layout(lambda d: d["layout"].reverse()), "layout file"),
+    # The layout wherever it is shown.
+    "30 m east, everywhere": (everywhere(x_m=-85.0), "unit "),
+    "another yaw, everywhere": (everywhere(yaw_deg=12.0), "unit "),
+    "another pitch, everywhere": (everywhere(pitch_deg=-21.0), "unit "),
+    "higher, everywhere": (everywhere(z_m=7.0), "unit "),
+    "another site, everywhere": (everywhere(site="mast-n"), "unit "),
+    "another latency, everywhere": (everywhere(latency_s=0.5), "unit "),
+    "another camera, everywhere": (everywhere(camera="varifocal-1080p"), "unit "),
+    # The certificate.
+    "a row of equal value": (row_of_equal_value, "unit "),
+    "another row": (certificate(lambda d: d["layout"][0].update(row=0)), "pose names"),
+    "another name of a pose": (
+        certificate(lambda d: d["layout"][0].update(pose="a")),
+        "pose names",
+    ),
+    "a better value": (both(lambda d: d["stages"][2].update(objective=9.0)), "smallest_margin_s"),
+    "a lower bound": (both(lambda d: d["stages"][3].update(bound=0.1)), "mean_margin_s: bound"),
+    "another gap": (both(lambda d: d["stages"][3].update(gap=0.5)), "mean_margin_s: gap"),
+    "not proven": (certificate(lambda d: d["stages"][3].update(is_proven=False)), "mean_margin_s"),
+    "proof incomplete": (certificate(lambda d: d.update(is_proven=False)), "proof"),
+    "a stage less": (both(lambda d: d["stages"].pop()), "stages"),
+    "another solver": (certificate(lambda d: d.update(solver="x")), "summary.json: solver"),
+    "another version": (certificate(lambda d: d["versions"].update(numpy="9")), "summary.json: v"),
+    "seconds of a stage": (certificate(lambda d: d["stages"][0].update(seconds=9.9)), "summary"),
+    "seconds of a step": (certificate(lambda d: d["seconds"].update(optimise=9.9)), "?and seconds"),
+    "other words": (certificate(lambda d: d["model"]["in_words"].update(apr="x")), "model in"),
+    "another budget": (certificate(lambda d: d["model"]["limits"].update(budget_units=9)), "model"),
+    "another rule": (certificate(lambda d: d["model"]["rule"].update(latency_s=9.0)), "model"),
+    "another goal": (certificate(lambda d: d["model"].update(goal="fewest")), "model"),
+    "more poses before presolve": (
+        certificate(lambda d: d["presolve"].update(n_poses=[9999, 1])),
+        "presolve",
+    ),
+    "fewer poses after presolve": (
+        certificate(lambda d: d["presolve"]["n_poses"].__setitem__(1, 1)),
+        "summary.json: presolve",
+    ),
+    "another size of the instance": (
+        certificate(lambda d: d["instance"].update(n_runs=9)),
+        "instance sizes",
+    ),
+    "another hash": (certificate(lambda d: d["instance"].update(sha256="0" * 64)), "instance"),
+    "another solver, twice": (both(lambda d: d.update(solver="x")), "?solver, presolved sizes"),
+    "other versions, twice": (
+        both(lambda d: d["versions"].update(numpy="9")),
+        "?versions of programs",
+    ),
+    # The instance, with its hash in the certificate.
+    "a pose that looks elsewhere": (mounts(yaw_deg=at_row(12.0)), "poses and names"),
+    "a pose that hangs elsewhere": (
+        mounts(position_m=lambda m, row: at(row, m[row] + [1.0, 0.0, 0.0])(m)),
+        "poses and names",
+    ),
+    "all poses of a site elsewhere": (
+        mounts(
+            position_m=lambda m, row: m + [30.0, 0.0, 0.0],
+        ),
+        "scene as it stands",
+    ),
+    "another sensor": (
+        mounts(sensors=lambda m, row: (replace(m[0], width_px=3840), *m[1:])),
+        "unit ",
+    ),
+    "another price of a sensor": (
+        mounts(sensors=lambda m, row: (replace(m[0], price_eur=1.0), *m[1:])),
+        "prices of sensors",
+    ),
+    "another scene's hash": (mounts(scene_sha256=lambda m, row: "0" * 64), "scene as it stands"),
+    "another scene's name": (mounts(scene_name=lambda m, row: "elsewhere"), "scene"),
+    "poses of another site": (
+        limits(site_index=lambda m, row: at(row, (m[row] + 1) % (m.max() + 1))(m)),
+        "poses and sites",
+    ),
+    "another price": (limits(unit_cost_eur=at_row(1.0)), "prices of sensors"),
+    "other weights": (
+        axis(weight=lambda w: np.arange(1.0, len(w) + 1.0) / np.arange(1.0, len(w) + 1.0).sum()),
+        "runs.parquet",
+    ),
+    "another last brake time": (axis(last_brake_time_s=at(0, -9.0)), "runs.parquet"),
+    "another speed": (axis(vut_speed_kmh=at(0, 9.0)), "runs.parquet"),
+    "a bit of the table": (instance(another_bit), "?whether the detection table is right"),
+    # The summary.
+    "another APR": (summary(lambda d: d.update(apr=0.5)), "summary.json: apr"),
+    "another ratio": (
+        summary(lambda d: d["evaluation"]["rsu_all"].update(all=0.5)),
+        "summary.json: ratios",
+    ),
+    "another ratio of the baseline": (
+        summary(lambda d: d["baseline"]["rsu_all"].update(all=0.0)),
+        "summary.json: ratios",
+    ),
+    "another ratio at a position": (
+        summary(lambda d: d["evaluation"]["vut"]["by_position"].update({"0": 0.123})),
+        "summary.json: ratios",
+    ),
+    "more candidates": (summary(lambda d: d.update(candidates=9)), "summary.json: candidates"),
+    "another budget, in the summary": (summary(lambda d: d.update(budget=9)), "summary.json: b"),
+    "money spent": (summary(lambda d: d.update(spent_eur=1.0)), "summary.json: spent_eur"),
+    "what explains it": (
+        summary(lambda d: d["explained"].update(runs_without_weight=7)),
+        "?explained",
+    ),
+    "no summary": (missing("summary.json"), "tables"),
+    # Tables.
+    "a ratio": (replaced("apr.csv", ",1.0,", ",0.5,"), "apr.csv"),
+    "a row of ratios less": (without_row_of("apr.csv"), "tables"),
+    "no ratios": (missing("apr.csv"), "tables"),
+    "an outcome": (runs(lambda t: t.__setitem__("is_avoided", ~t["is_avoided"])), "apr.csv"),
+    "weights of runs": (runs(lambda t: t.__setitem__("weight", 1.0)), "runs.parquet"),
+    "no runs": (missing("runs.parquet"), "tables"),
+    "outcomes and all that follows": (all_of_one, "?outcomes in runs.parquet"),
+    # The layout in other formats, and what people read.
+    "layout.csv": (replaced("layout.csv", "-20", "-21"), "layout.csv"),
+    "layout.geojson": (replaced("layout.geojson", "-20", "-21"), "layout.geojson"),
+    "no layout.csv": (missing("layout.csv"), "?layout.csv: not there"),
+    "bill of materials": (appended("bill_of_materials.csv", "x\n"), "?bill_of_materials.csv"),
+    "report.html": (appended("report.html", "<p>x"), "?report.html"),
+    "no report.html": (missing("report.html"), "?report.html: not there"),
+    "another file": (lambda folder: (folder / "a.txt").write_text("x") and None, "?what a.txt"),
+}
+
+
+def test_what_nobody_has_changed_is_verified(results):
+    found = verified(results)
+    assert failed(found) == []
+    assert found.is_verified
+    names = [check.name for check in found.checks]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_what_was_changed_is_found_or_named(results, name):
+    change, expected = FOUND[name]
+    change(results)
+    write_manifest(results)
+    found = verified(results)
+    assert found.is_verified == (not failed(found))
+    if expected.startswith("?"):
+        assert failed(found) == []
+        assert any(expected[1:] in line for line in found.not_checked), found.not_checked
+    else:
+        assert any(name.startswith(expected) for name in failed(found)), failed(found)
+
+
+@pytest.mark.parametrize("name", ["report.html", "bill_of_materials.csv", "layout.geojson"])
+def test_whoever_forgets_the_list_of_hashes_is_found_out(results, name):
+    (results / name).write_text("x")
+    (results / "more.txt").write_text("x")
+    found = verified(results)
+    assert {f"file {name}", "file more.txt"} <= set(failed(found))
+    (results / name).unlink()
+    details = {check.name: check.detail for check in verified(results).checks}
+    assert details[f"file {name}"] == "missing, says SHA256SUMS"
+    assert details["file more.txt"] == "not listed, says SHA256SUMS"
+
+
+def test_without_a_list_of_hashes_it_is_said_that_nothing_tells(results):
+    (results / MANIFEST).unlink()
+    found = verified(results)
+    assert found.is_verified
+    assert f"whether files were changed or lost: there is no {MANIFEST}" in found.not_checked
+    (results / MANIFEST).write_text("no list\n")
+    with pytest.raises(InputError, match="SHA-256 hash, two spaces, a name"):
+        verified(results)
+
+
+def test_an_instance_of_the_first_version_says_what_it_cannot_show(results):
+    def without_mounts(stored: StoredProblem, row: int) -> StoredProblem:
+        return stored._replace(mounts=None)
+
+    instance(without_mounts)(results)
+    write_manifest(results)
+    found = verified(results)
+    assert failed(found) == []
+    assert any(
+        line.startswith("positions, directions and sensor models") for line in found.not_checked
+    )
+    assert "layout.csv" in {check.name for check in found.checks}
+
+
+def test_another_scene_is_told_and_the_one_it_was_made_in_is_taken(results, tmp_path):
+    (tmp_path / "scene").mkdir()
+    save_scene(tmp_path / "scene", load_study_scene())  # rounded to millimetres: another one
+    assert failed(verified(results, str(tmp_path / "scene"))) == ["scene as it stands"]
+    assert failed(verified(results, "town05")) == []

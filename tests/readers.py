@@ -1,0 +1,761 @@
+"""Every reader of files that users give, with small sound files: what the fuzz tests damage.
+
+A new reader is covered by being registered here; test_fuzz.py fails if one is not.
+"""
+
+import bz2
+import gzip
+import io
+import json
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Files = Mapping[str, bytes]  # by name, in a folder
+
+TOML_FOLDER = Path(__file__).parents[1] / "docs" / "files"
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A function that reads what a user gives, and what it can be given."""
+
+    read: Callable[[Path], Any]
+    # Sound files by what they are, each alone in a folder but for those that belong to it; the
+    # first name is what is read, "." stands for the folder.
+    seeds: Callable[[], Mapping[str, tuple[str, Files]]]
+    covers: tuple[str, ...]  # functions behind it, by module and name
+    share: int = 1  # of the time: about as many as it has formats
+
+
+def _written(write: Callable[[Path], object]) -> Files:
+    """The files that a function writes into an empty folder."""
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder))
+        return {
+            path.relative_to(folder).as_posix(): path.read_bytes()
+            for path in sorted(Path(folder).rglob("*"))
+            if path.is_file()
+        }
+
+
+def _one(name: str, data: bytes | str) -> tuple[str, Files]:
+    return name, {name: data.encode() if isinstance(data, str) else data}
+
+
+# ---------- maps
+
+
+def _osm() -> str:
+    from osm_text import OsmText, crossing
+
+    osm = OsmText()
+    crossing(osm, bearings=[(1, 0), (0, 1), (-1, 0), (0, -1)], lanes="2", maxspeed="50", width="7")
+    osm.way([(20.0, 20.0), (40.0, 20.0), (40.0, 30.0), (20.0, 20.0)], {"building": "yes"})
+    osm.node(8.0, 8.0, highway="street_lamp", height="6 m")
+    osm.node(12.0, 0.0, highway="crossing")
+    osm.way([(9.0, -30.0), (9.0, -60.0)], {"barrier": "wall", "height": "2"})
+    osm.way([(-20.0, 20.0), (-40.0, 20.0), (-40.0, 30.0), (-20.0, 20.0)], {"building:part": "yes"})
+    return osm.text()
+
+
+def _pbf() -> bytes:
+    import osmium
+
+    def write(folder: Path) -> None:
+        (folder / "a.osm").write_text(_osm())
+        with osmium.SimpleWriter(folder / "b.osm.pbf") as writer:
+            for element in osmium.FileProcessor(folder / "a.osm"):
+                writer.add(element)
+        (folder / "a.osm").unlink()
+
+    return _written(write)["b.osm.pbf"]
+
+
+def _xodr() -> str:
+    from opendrive_text import crossing, document, road
+
+    objects = (
+        '<object id="1" type="building" s="20" t="12" zOffset="0" hdg="0" length="8" width="6" '
+        'height="5"/><object id="2" type="pole" s="10" t="6" height="6" radius="0.1"><outline>'
+        '<cornerLocal u="1" v="0" z="0" height="2"/><cornerLocal u="0" v="1" z="0" height="2"/>'
+        '<cornerLocal u="-1" v="0" z="0" height="2"/></outline></object>'
+    )
+    signals = '<signal id="3" s="15" t="5" zOffset="4" type="1000001" dynamic="yes" height="1"/>'
+    extra = road(
+        "77", objects=objects, signals=signals, offset='<laneOffset s="0" a="1" b="0" c="0" d="0"/>'
+    )
+    header = "<geoReference><![CDATA[+proj=utm +zone=33 +datum=WGS84]]></geoReference>"
+    return document(crossing(), extra, header=header)
+
+
+def _features() -> dict[str, Any]:
+    ring = [[13.36, 52.5], [13.3601, 52.5], [13.3601, 52.5001], [13.36, 52.5001], [13.36, 52.5]]
+    return {
+        "type": "FeatureCollection",
+        "features": [
+            {
+                "type": "Feature",
+                "properties": {"id": "a", "height": 6.0, "levels": 2, "class": "building"},
+                "geometry": {"type": "Polygon", "coordinates": [ring]},
+            },
+            {
+                "type": "Feature",
+                "properties": {"id": "b"},
+                "geometry": {"type": "MultiPolygon", "coordinates": [[ring]]},
+            },
+        ],
+    }
+
+
+def _features_as(driver: str, name: str) -> Files:
+    import geopandas
+    from shapely.geometry import box
+
+    def write(folder: Path) -> None:
+        shapes = [box(390_000, 5_819_000, 390_010, 5_819_008), box(0, 0, 1, 1)]
+        frame = geopandas.GeoDataFrame({"height": [6.0, 2.5]}, geometry=shapes, crs="EPSG:25833")
+        frame.to_file(folder / name, driver=driver)
+
+    return _written(write)
+
+
+def _zipped(files: Files) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return packed.getvalue()
+
+
+_CORNERS = [[x, y, z] for x in (0, 6) for y in (0, 8) for z in (0, 5)]
+_FACES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+
+
+def _city_json() -> dict[str, Any]:
+    surfaces = [[face] for face in _FACES]
+    solid = {"type": "Solid", "lod": "2", "boundaries": [surfaces]}
+    flat = {"type": "MultiSurface", "lod": "1.2", "boundaries": surfaces[:2]}
+    placed = {
+        "type": "GeometryInstance",
+        "template": 0,
+        "boundaries": [0],
+        "transformationMatrix": [1, 0, 0, 5, 0, 1, 0, 5, 0, 0, 1, 0, 0, 0, 0, 1],
+    }
+    return {
+        "type": "CityJSON",
+        "version": "2.0",
+        "transform": {"scale": [1.0] * 3, "translate": [390_000.0, 5_819_000.0, 30.0]},
+        "metadata": {"referenceSystem": "https://www.opengis.net/def/crs/EPSG/0/25833"},
+        "CityObjects": {
+            "a": {"type": "Building", "geometry": [solid], "children": ["b"]},
+            "b": {"type": "BuildingPart", "geometry": [flat], "parents": ["a"]},
+            "c": {"type": "SolitaryVegetationObject", "geometry": [placed]},
+        },
+        "geometry-templates": {"templates": [flat], "vertices-templates": _CORNERS},
+        "vertices": _CORNERS,
+    }
+
+
+def _city_json_lines() -> str:
+    whole = _city_json()
+    objects = whole["CityObjects"]
+    feature = {
+        "type": "CityJSONFeature",
+        "id": "a",
+        "CityObjects": {"a": objects["a"], "b": objects["b"]},
+        "vertices": _CORNERS,
+    }
+    head = whole | {"CityObjects": {}, "vertices": []}
+    return json.dumps(head) + "\n" + json.dumps(feature) + "\n"
+
+
+def _city_gml() -> str:
+    rings = "".join(
+        "<gml:surfaceMember><gml:Polygon><gml:exterior><gml:LinearRing><gml:posList>"
+        + " ".join(
+            f"{_CORNERS[i][0] + 390_000} {_CORNERS[i][1] + 5_819_000} {_CORNERS[i][2]}"
+            for i in [*face, face[0]]
+        )
+        + "</gml:posList></gml:LinearRing></gml:exterior></gml:Polygon></gml:surfaceMember>"
+        for face in _FACES
+    )
+    return (
+        '<CityModel xmlns="http://www.opengis.net/citygml/2.0" '
+        'xmlns:bldg="http://www.opengis.net/citygml/building/2.0" '
+        'xmlns:gml="http://www.opengis.net/gml" xmlns:xlink="http://www.w3.org/1999/xlink">'
+        '<gml:boundedBy><gml:Envelope srsName="urn:ogc:def:crs:EPSG::25833"><gml:lowerCorner>'
+        "0 0 0</gml:lowerCorner></gml:Envelope></gml:boundedBy>"
+        '<cityObjectMember><bldg:Building gml:id="a"><bldg:measuredHeight uom="m">5'
+        "</bldg:measuredHeight><bldg:lod2Solid><gml:Solid><gml:exterior><gml:CompositeSurface>"
+        f"{rings}</gml:CompositeSurface></gml:exterior></gml:Solid></bldg:lod2Solid>"
+        "</bldg:Building></cityObjectMember></CityModel>"
+    )
+
+
+def _mesh(suffix: str) -> Files:
+    import trimesh
+
+    def write(folder: Path) -> None:
+        scene = trimesh.Scene()
+        for index, name in enumerate(("House_1", "Tree.003")):
+            solid = trimesh.creation.box((4.0, 5.0, 6.0))
+            solid.apply_translation([10.0 * index, 0.0, 3.0])
+            scene.add_geometry(solid, node_name=name, geom_name=name)
+        whole = scene if suffix in ("glb", "gltf", "obj") else scene.to_geometry()
+        whole.export(folder / f"a.{suffix}")
+
+    return _written(write)
+
+
+def _points(suffix: str) -> bytes:
+    import laspy
+    import trimesh
+
+    solid = trimesh.creation.box((6.0, 4.0, 5.0))
+    solid.apply_translation([0.0, 0.0, 2.5])
+    rng = np.random.default_rng(1)
+    ground = np.column_stack([rng.uniform(-8, 8, (600, 2)), np.zeros(600)])
+    points = np.concatenate([solid.sample(2000, seed=1), ground])
+    if suffix == "pcd":
+        head = (
+            "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+            f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\n"
+        )
+        return f"{head}DATA binary\n".encode() + points.astype("<f4").tobytes()
+    if suffix == "ascii.pcd":
+        text = _points("pcd")[:1000].split(b"DATA")[0].decode()
+        lines = "".join(f"{x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in points)
+        return f"{text}DATA ascii\n{lines}".encode()
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [0.001] * 3, [390_000.0, 5_819_000.0, 35.0]
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = (points + header.offsets).T
+    las.classification = np.repeat([6, 2], [2000, 600]).astype(np.uint8)
+    return _written(lambda folder: las.write(folder / f"a.{suffix}"))[f"a.{suffix}"]
+
+
+def _streets() -> Mapping[str, tuple[str, Files]]:
+    text = _osm().encode()
+    return {
+        "osm": _one("a.osm", text),
+        "osm.gz": _one("a.osm.gz", gzip.compress(text)),
+        "osm.bz2": _one("a.osm.bz2", bz2.compress(text)),
+        "pbf": _one("a.osm.pbf", _pbf()),
+        "opendrive": _one("a.xodr", _xodr()),
+    }
+
+
+def _things() -> Mapping[str, tuple[str, Files]]:
+    shapes = _features_as("ESRI Shapefile", "a.shp")
+    return {
+        "geojson": _one("a.geojson", json.dumps(_features())),
+        "geopackage": ("a.gpkg", _features_as("GPKG", "a.gpkg")),
+        "shapefile": ("a.shp", shapes),
+        "shapefile.zip": _one("a.zip", _zipped(shapes)),
+        "cityjson": _one("a.city.json", json.dumps(_city_json())),
+        "cityjson lines": _one("a.city.jsonl", _city_json_lines()),
+        "citygml": _one("a.gml", _city_gml()),
+        **{
+            suffix: (f"a.{suffix}", _mesh(suffix))
+            for suffix in ("glb", "gltf", "obj", "ply", "stl", "off")
+        },
+        **{suffix: _one(f"a.{suffix}", _points(suffix)) for suffix in ("las", "laz", "pcd")},
+        "pcd ascii": _one("a.pcd", _points("ascii.pcd")),
+    }
+
+
+def _read_street_map(path: Path) -> Any:
+    from geometry.maps.importing import ImportOptions, import_scene
+
+    return import_scene([path], ImportOptions())
+
+
+def _read_things(path: Path) -> Any:
+    from geometry.maps.importing import ReadingOptions, read_map
+
+    return read_map(path, ReadingOptions(unit="m", up="z"))
+
+
+def _sites() -> Mapping[str, tuple[str, Files]]:
+    point = {"type": "Point", "coordinates": [13.38, 52.51, 35.0]}
+    feature = {"type": "Feature", "geometry": point, "properties": {"id": 7, "cost_eur": 10}}
+    return {
+        "csv": _one(
+            "a.csv",
+            "ID;X_m;Y_m;Z;Min_Height_m;max_height;Kind;Cost_EUR;Power;fibre;Capacity;Forbidden\n"
+            "a;390000;5819000;35.5;4;8;Lamp_Post;2500;yes;no;2;no\nb;390010.5;5819000;;;;;;;;;YES\n",
+        ),
+        "degrees": _one("a.csv", "id,latitude_deg,Longitude\na,52.51,13.38\n"),
+        "geojson": _one(
+            "a.geojson", json.dumps({"type": "FeatureCollection", "features": [feature]})
+        ),
+    }
+
+
+def _read_sites(path: Path) -> Any:
+    from geometry.maps.site_files import read_sites
+
+    return read_sites(path, crs="EPSG:25833")
+
+
+# ---------- scenes
+
+
+@cache
+def _small_scene() -> Any:
+    from junctions import protocol_scene
+
+    return protocol_scene(boxes=[("wall", 20.0, 20.0, 8.0, 1.0, 3.0)])
+
+
+def _scenes() -> Mapping[str, tuple[str, Files]]:
+    from geometry.scene_files import save_scene
+
+    files = _written(lambda folder: save_scene(folder, _small_scene(), skipped=[("a", "b")]))
+    return {"folder": (".", files), "zip": _one("a.zip", _zipped(files))}
+
+
+def _read_scene(path: Path) -> Any:
+    from geometry.scene_files import load_notes, load_scene
+
+    load_notes(path)
+    return load_scene(path)
+
+
+def _box_scene() -> Mapping[str, tuple[str, Files]]:
+    from importlib.resources import files
+
+    return {"toml": _one("a.toml", (files("geometry") / "data" / "town05.toml").read_bytes())}
+
+
+def _read_box_scene(path: Path) -> Any:
+    from geometry.scene_files import load_box_scene
+
+    return load_box_scene(path)
+
+
+# ---------- what is asked
+
+
+def _example(name: str) -> tuple[str, Files]:
+    return _one("a.toml", (TOML_FOLDER / name).read_bytes())
+
+
+def _read_sensors(path: Path) -> Any:
+    from geometry.catalogue import load_catalogue
+
+    return load_catalogue(path)
+
+
+def _sensors() -> Mapping[str, tuple[str, Files]]:
+    from importlib.resources import files
+
+    lidars = (files("geometry") / "data" / "lidars.toml").read_text()
+    table = lidars[lidars.index("[lidars.carla-ncap-lidar]") :]
+    lidar = table.split("\n\n")[0].replace(".carla-ncap-lidar]", ".mine]")
+    return {"cameras": _example("cameras.toml"), "lidars": _one("a.toml", lidar)}
+
+
+def _read_question(path: Path) -> Any:
+    from placement.question import load_question
+
+    return load_question(path)
+
+
+def _read_latency(path: Path) -> Any:
+    from placement.latency import load_latency_budget
+
+    return load_latency_budget(str(path))
+
+
+def _latencies() -> Mapping[str, tuple[str, Files]]:
+    name, files = _example("latency.toml")
+    return {"parts": (name, files)}
+
+
+def _read_uncertainty(path: Path) -> Any:
+    from placement.sampling import load_uncertainty
+
+    return load_uncertainty(str(path))
+
+
+def _uncertainties() -> Mapping[str, tuple[str, Files]]:
+    from importlib.resources import files
+
+    text = (files("placement") / "data" / "uncertainty.toml").read_text(encoding="utf-8")
+    start, end = text.index("[default"), text.index("[none")
+    table = text[start:end].replace("[default.", "[").replace("[[default.", "[[")
+    return {"example": _example("uncertainty.toml"), "default": _one("a.toml", table)}
+
+
+def _read_detector(path: Path) -> Any:
+    from placement.detectors import load_detector
+
+    return load_detector(str(path))
+
+
+def _detectors() -> Mapping[str, tuple[str, Files]]:
+    from importlib.resources import files
+
+    table = files("placement.detectors") / "data" / "detectors.toml"
+    return {"response": _one("a.toml", table.read_bytes())}
+
+
+def _read_layout(path: Path) -> Any:
+    from placement.layout import load_layout
+
+    return load_layout(path)
+
+
+def _layouts() -> Mapping[str, tuple[str, Files]]:
+    place = {"x_m": 1.0, "y_m": 2.0, "z_m": 5.0, "yaw_deg": 90.0, "pitch_deg": -20.0}
+    mine = {
+        **{"kind": "camera", "width_px": 640, "height_px": 480, "horizontal_fov_deg": 60.0},
+        **{"frame_rate_hz": 10.0, "near_m": 0.5, "price_eur": 100.0, "fov_range_deg": [30.0, 90.0]},
+    }
+    units = [
+        {"id": "U1", "site": "a", **place, "camera": "carla-ncap-rgb", "latency_s": 0.1},
+        {"id": "U2", **place, "lidar": "carla-ncap-lidar"},
+        {"id": "U3", **place, "camera": "mine", "fov_deg": 45.0},
+    ]
+    layout = {"name": "a", "scene": "town05", "layout": units, "sensors": {"mine": mine}}
+    return {"json": _one("a.json", json.dumps(layout))}
+
+
+@cache
+def _small_runs() -> Any:
+    from geometry.actors import load_actors
+    from geometry.scene_files import load_study_scene
+    from scenarios.aeb import load_aeb_rule
+    from scenarios.cases import pick_cases
+    from scenarios.runs import build_runs
+
+    cases = pick_cases("CPNC-50", "cases")
+    runs, _ = build_runs(load_study_scene(), cases, vut=load_actors()["vut"], rule=load_aeb_rule())
+    return runs[:4]
+
+
+def _read_weights(path: Path) -> Any:
+    from scenarios.exposure import weight_from_csv
+
+    return weight_from_csv(path, _small_runs())
+
+
+def _weights() -> Mapping[str, tuple[str, Files]]:
+    rows = "CPNC-50,*,2,day\n"
+    return {
+        "commas": _one("a.csv", "case,approach,weight,weather\n" + rows),
+        "semicolons": _one(
+            "a.csv", f"case;approach;weight\nCPNC-50;{_small_runs()[0].approach};1\n"
+        ),
+    }
+
+
+def _read_private_ground(path: Path) -> Any:
+    from geometry.scene_files import load_study_scene
+    from placement.private_ground import load_private_ground
+
+    return load_private_ground(path, load_study_scene())
+
+
+def _private_ground() -> Mapping[str, tuple[str, Files]]:
+    from pyproj import Transformer
+
+    from geometry.scene_files import load_study_scene
+
+    crs = load_study_scene().crs
+    to_degrees = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    ring = [[-120.0, 0.0], [-110.0, 0.0], [-110.0, 10.0], [-120.0, 0.0]]
+    feature = {
+        "type": "Feature",
+        "properties": {"name": "garden"},
+        "geometry": {
+            "type": "Polygon",
+            "coordinates": [[list(to_degrees.transform(*point)) for point in ring]],
+        },
+    }
+    return {
+        "geojson": _one(
+            "a.geojson", json.dumps({"type": "FeatureCollection", "features": [feature]})
+        )
+    }
+
+
+# ---------- recordings
+
+
+def _read_recording(path: Path) -> Any:
+    from placement.recordings import evaluate_recording, read_recording
+    from scenarios.aeb import load_aeb_rule
+
+    return evaluate_recording(read_recording(path), load_aeb_rule(), min_confidence=0.5)
+
+
+def _recordings() -> Mapping[str, tuple[str, Files]]:
+    files: dict[str, bytes] = {}
+    for index in range(42):
+        before = max(0, 11 - index)
+        name = f"3_{index}.txt"
+        files[f"WorldData/{name}"] = f"{2.0 + before!r} 10.0 1.5".encode()
+        line = "pedestrian 100 200 140 300"
+        files |= {f"{unit}/{name}": f"{line} 20.0\n".encode() for unit in ("0", "car")}
+        files[f"Eval/{name}"] = f"0 {line} 0.9\n".encode() if 7 <= before <= 10 else b""
+    return {"one drive": (".", files)}
+
+
+# ---------- problems, and what commands have written
+
+
+def _read_covering(path: Path) -> Any:
+    from placement.optimiser.covering.files import instance_kind, load_instance
+    from placement.optimiser.covering.solve import solve_lscp
+
+    instance_kind(path)
+    instance = load_instance(path)
+    if instance.n_columns * instance.n_rows <= 10_000:
+        solve_lscp(instance, time_limit_s=0.5)
+    return instance
+
+
+def _coverings() -> Mapping[str, tuple[str, Files]]:
+    from placement.optimiser.covering.files import save_instance
+    from placement.optimiser.covering.instance import build_covering_instance
+
+    covers = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 1]])
+    own = _written(lambda f: save_instance(f / "a.npz", build_covering_instance(covers)))
+    return {
+        "orlib": _one("a", "3 4\n1 2.5 3 4\n2\n1 2\n3\n2 3 4\n1\n4\n"),
+        "gecco": _one("a", "3 4\n1 3 1 2 3\n0 2 0 1\n2 1 3\n"),
+        "rail": _one("a", " 3 4\n 1 1 1\n 2 2 2 1\n 3 1 2\n 4 2 2 3\n"),
+        "sts": _one("a", "5 3\n1 2 3\n1 4 5\n2 3 4\n"),
+        "npz": ("a.npz", own),
+    }
+
+
+@cache
+def _certified() -> Files:
+    """A small problem and its certificate."""
+    from certified import document_of, two_of_twelve
+
+    from placement.optimiser import solve_placement
+    from placement.verification.certificates import save_certificate
+    from scenarios.aeb import load_aeb_rule
+    from scenarios.runs import FrameAxis
+
+    axis = FrameAxis(
+        run_ids=("A/north/20", "A/north/30", "B/north/20"),
+        cases=("A", "A", "B"),
+        approaches=("north",) * 3,
+        weathers=("day",) * 3,
+        vut_speed_kmh=np.array([20.0, 30.0, 20.0]),
+        weight=np.array([0.5, 0.25, 0.25]),
+        last_brake_time_s=np.array([-0.1, -0.2, -np.inf]),
+        run_start=np.array([0, 3, 8, 10]),
+        time_s=np.array([-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, -0.1, 0.0]),
+    )
+    problem = two_of_twelve(axis, load_aeb_rule())
+    document = document_of(problem, solve_placement(problem))
+    return _written(lambda folder: save_certificate(folder, document, problem))
+
+
+def _read_problem(path: Path) -> Any:
+    from placement.verification.instances import instance_kind, load_problem
+
+    instance_kind(path)
+    return load_problem(path)
+
+
+def _read_certificate(path: Path) -> Any:
+    from placement.verification.certificates import load_certificate
+
+    return load_certificate(path)
+
+
+@cache
+def _results() -> Files:
+    from small_results import build_small_setting, write_small_results
+
+    return _written(lambda folder: write_small_results(folder, build_small_setting()))
+
+
+def _result_folders() -> Mapping[str, tuple[str, Files]]:
+    return {"placement": (".", _results())}
+
+
+def _read_result(path: Path) -> Any:
+    from experiments.results.folders import changed_files
+    from experiments.results.reading import load_result
+
+    changed_files(path)
+    return load_result(path)
+
+
+def _read_verified(path: Path) -> Any:
+    from experiments.jobs.verify import run_verification
+    from experiments.progress import StageProgress
+
+    return run_verification(path, progress=StageProgress())
+
+
+@cache
+def _table() -> tuple[Any, Any]:
+    from experiments.study.layout import load_carlancap_layout
+    from geometry.scene_files import load_study_scene
+    from placement.layout import Layout
+    from scenarios.exposure import weight_per_run
+    from scenarios.runs import build_frame_axis
+
+    runs = _small_runs()
+    layout: Layout = load_carlancap_layout()
+    assert load_study_scene()
+    return layout.units, build_frame_axis(runs, weight_per_run(runs))
+
+
+_FINGERPRINT = "0123456789abcdef" * 2
+
+
+def _tables() -> Mapping[str, tuple[str, Files]]:
+    from placement.detection_table import DetectionTable
+    from placement.visibility import save_table
+
+    units, axis = _table()
+    packed = np.zeros((len(units), -(-axis.n_frames // 8)), dtype=np.uint8)
+    table = DetectionTable(pose_ids=tuple(u.id for u in units), axis=axis, packed=packed)
+    return {
+        "npz": (
+            "a.npz",
+            _written(lambda f: save_table(f / "a.npz", table, fingerprint=_FINGERPRINT)),
+        )
+    }
+
+
+def _read_table(path: Path) -> Any:
+    from placement.visibility import load_table
+
+    units, axis = _table()
+    return load_table(path, fingerprint=_FINGERPRINT, candidates=units, axis=axis)
+
+
+READERS: Mapping[str, Reader] = {
+    "street maps": Reader(
+        read=_read_street_map,
+        seeds=_streets,
+        covers=(
+            "geometry.maps.importing.import_scene",
+            "geometry.maps.importing.read_maps",
+            "geometry.maps.opendrive.reader.read_opendrive",
+            "geometry.maps.openstreetmap.reader.read_openstreetmap",
+            "geometry.maps.openstreetmap.elements.read_elements",
+            "geometry.untrusted_files.read_xml",
+            "geometry.untrusted_files.read_xml_root",
+        ),
+        share=4,
+    ),
+    "things": Reader(
+        read=_read_things,
+        seeds=_things,
+        covers=(
+            "geometry.maps.importing.read_map",
+            "geometry.maps.gis_files.read_features",
+            "geometry.maps.gis_files.read_footprints",
+            "geometry.maps.city_json.read_cityjson",
+            "geometry.maps.city_gml.read_citygml",
+            "geometry.maps.mesh_files.read_mesh",
+            "geometry.maps.point_clouds.read_point_cloud",
+            "geometry.maps.point_files.open_points",
+            "geometry.untrusted_files.read_text",
+        ),
+        share=8,
+    ),
+    "sites": Reader(_read_sites, _sites, ("geometry.maps.site_files.read_sites",)),
+    "scenes": Reader(
+        read=_read_scene,
+        seeds=_scenes,
+        covers=(
+            "geometry.scene_files.load_scene",
+            "geometry.scene_files.load_scene_folder",
+            "geometry.scene_files.load_notes",
+        ),
+    ),
+    "scenes of boxes": Reader(
+        _read_box_scene, _box_scene, ("geometry.scene_files.load_box_scene",)
+    ),
+    "sensors": Reader(
+        _read_sensors,
+        _sensors,
+        ("geometry.catalogue.load_catalogue", "geometry.files.load_toml"),
+    ),
+    "question": Reader(
+        _read_question,
+        lambda: {"example": _example("question.toml")},
+        ("placement.question.load_question", "placement.question.load_question_values"),
+    ),
+    "latency budget": Reader(_read_latency, _latencies, ("placement.latency.load_latency_budget",)),
+    "uncertainty": Reader(
+        _read_uncertainty, _uncertainties, ("placement.sampling.uncertainty.load_uncertainty",)
+    ),
+    "detector": Reader(
+        _read_detector,
+        _detectors,
+        ("placement.detectors.built_in.load_detector",),
+    ),
+    "layout": Reader(
+        _read_layout, _layouts, ("placement.layout.load_layout", "placement.planning.find_layout")
+    ),
+    "weights": Reader(_read_weights, _weights, ("scenarios.exposure.weight_from_csv",)),
+    "no-look areas": Reader(
+        _read_private_ground, _private_ground, ("placement.private_ground.load_private_ground",)
+    ),
+    "recordings": Reader(
+        read=_read_recording,
+        seeds=_recordings,
+        covers=(
+            "placement.recordings.read.read_recording",
+            "placement.recordings.files.read_labels",
+            "placement.recordings.files.read_detections",
+            "placement.recordings.files.read_world",
+        ),
+    ),
+    "covering instances": Reader(
+        read=_read_covering,
+        seeds=_coverings,
+        covers=(
+            "placement.optimiser.covering.files.load_instance",
+            "placement.optimiser.covering.files.instance_kind",
+        ),
+    ),
+    "placement problems": Reader(
+        read=_read_problem,
+        seeds=lambda: {"npz": _one("instance.npz", _certified()["instance.npz"])},
+        covers=(
+            "placement.verification.instances.load_problem",
+            "placement.verification.instances.load_stored_problem",
+            "placement.verification.instances.instance_kind",
+        ),
+    ),
+    "certificates": Reader(
+        read=_read_certificate,
+        seeds=lambda: {"json": _one("certificate.json", _certified()["certificate.json"])},
+        covers=("placement.verification.certificates.load_certificate",),
+    ),
+    "results": Reader(
+        read=_read_result,
+        seeds=_result_folders,
+        covers=(
+            "experiments.results.reading.load_result",
+            "experiments.results.folders.read_manifest",
+            "experiments.results.folders.changed_files",
+        ),
+    ),
+    "results to verify": Reader(
+        _read_verified, _result_folders, ("experiments.jobs.verify.run_verification",)
+    ),
+    "cached tables": Reader(_read_table, _tables, ("placement.visibility.build.load_table",)),
+}

@@ -1,0 +1,76 @@
+"""A folder of results as an optimisation writes it: six runs, two units, no figures."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.jobs import placement, writing
+from experiments.progress import StageProgress
+from experiments.study.layout import load_carlancap_layout
+from geometry.actors import load_actors
+from geometry.scene_files import load_study_scene
+from placement import planning
+from placement.candidates import load_candidate_grid
+from placement.compute import Compute
+from placement.detectors import load_detector, load_planning_detector
+from placement.question import Question
+from placement.setting import Setting
+from scenarios.aeb import load_aeb_rule
+from scenarios.cases import pick_cases
+from scenarios.exposure import weight_per_run
+from scenarios.runs import build_frame_axis, build_runs
+
+RUNS = (
+    "CPNC-50/east/55",
+    "CBNA/east/60",
+    "CBLA/east/50",
+    "CPNC-50/west/30",
+    "CBNA/north/20",
+    "CBLA/east/25",
+)
+
+
+def build_small_setting() -> Setting:
+    scene, rule = load_study_scene(), load_aeb_rule()
+    cases = pick_cases("CPNC-50,CBNA,CBLA", "cases")
+    runs, _ = build_runs(scene, cases, vut=load_actors()["vut"], rule=rule)
+    few = tuple(run for run in runs if run.id in RUNS)
+    return Setting(
+        scene=scene,
+        runs=few,
+        axis=build_frame_axis(few, weight_per_run(few)),
+        rule=rule,
+        detector=load_detector(),
+        planner=load_planning_detector(),
+    )
+
+
+def write_small_results(folder: Path, setting: Setting, question: Question | None = None) -> None:
+    """Choose two cameras of a coarse grid, and write everything but the report and its figures."""
+    grid = replace(
+        load_candidate_grid(),
+        heights_m=np.array([6.0]),
+        yaw_step_deg=90.0,
+        pitches_deg=np.array([-20.0]),
+    )
+
+    study = load_carlancap_layout()
+    two_of_study = replace(study, units=study.units[:2])
+
+    def write_blank_report(folder: Path, *given: object, **options: object) -> None:
+        (folder / "report.html").write_text("<p>no figures</p>")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(placement, "build_setting", lambda question, scene: setting)
+        patch.setattr(planning, "load_candidate_grid", lambda: grid)
+        patch.setattr(placement, "find_baseline", lambda scene: two_of_study)
+        patch.setattr(writing, "write_report", write_blank_report)
+        placement.run_placement(
+            question or Question(budget=2, time_limit_s=60.0),
+            out=folder,
+            compute=Compute(workers=2),
+            command="place-rsus",
+            progress=StageProgress(),
+        )
