@@ -10,7 +10,7 @@ import click
 from msgspec import UNSET
 
 from placement.compute import Compute
-from placement.question import Question
+from placement.question import MOUNTED, Question
 
 from ..progress import StageProgress
 from ..results.numbers import percent
@@ -24,7 +24,6 @@ from .evaluate import (
 )
 from .options import (
     JUDGED,
-    MOUNTED,
     PLANNED,
     SectionedGroup,
     cache_folder,
