@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arrays import FloatArray, float_array, freeze
+from .arrays import FloatArray, Point2, float_array, freeze
 from .errors import InputError
 from .scene import Lane, Scene
 
@@ -41,6 +41,8 @@ _ARM_SPREAD_DEG = 40.0  # a crosswalk leads across the arm within this
 _SAME_ARM_DEG = 25.0  # between a lane and the next one of the same arm
 _SAME_ARM_GAP_M = 12.0  # between their edges: a median, or tracks
 _SAME_ARM_AHEAD_M = 15.0  # between their mouths, along the arm
+_MEDIAN_M = 25.0  # between two carriageways of one arm, from lane to lane: tracks, a row of trees
+_STUB_M = 2.0  # a lane that is shorter, with all that leads to it, is no road
 _CROSSWALK_INSIDE_MOUTH_M = 2.0
 # Euro NCAP's junction: arms begin 11.5 m from the centre, pedestrians cross 9.5 m from it.
 
@@ -134,6 +136,39 @@ class Arm:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LeadingRoad:
+    """A road of the map that leads to a junction, counted without looking at its lanes' lines.
+
+    Attributes
+    ----------
+    name : str
+        Of the street, or else the id that the map gives it.
+    point_m : (2,) float
+        Where it meets the junction's outline, or a little farther out. [m]
+    direction : (2,) float
+        Unit vector away from the junction.
+    lanes_in, lanes_out : int
+        Driving lanes into the junction and out of it, by the map's own words.
+    """
+
+    name: str
+    point_m: Point2
+    direction: Point2
+    lanes_in: int
+    lanes_out: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point_m", float_array(self.point_m, (2,), "point_m"))
+        object.__setattr__(self, "direction", float_array(self.direction, (2,), "direction"))
+
+    @property
+    def bearing(self) -> str:
+        """The nearest of eight points of the compass."""
+        angle = float(np.degrees(np.arctan2(self.direction[1], self.direction[0])))
+        return COMPASS[round(angle / 45.0) % 8]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Junction:
     """Arms of a scene's junction.
 
@@ -170,10 +205,11 @@ class Junction:
 def build_junction(scene: Scene) -> Junction:
     """Find the arms of a scene's junction in its lanes.
 
-    Lanes belong to one arm that lie side by side and lead the same way. An arm is named after one
-    of four points of the compass, or of eight or sixteen where two arms would share a name; if even
-    these do, numbers tell them apart. Where it has no crosswalk of its own, pedestrians cross 2 m
-    inside the mouth, as at Euro NCAP's junction.
+    Lanes belong to one arm that lie side by side and lead the same way, and so do two carriageways,
+    one into the junction and one out of it, with a median of up to 25 m between. An arm is named
+    after one of four points of the compass, or of eight or sixteen where two arms would share a
+    name; if even these do, numbers tell them apart. Where it has no crosswalk of its own,
+    pedestrians cross 2 m inside the mouth, as at Euro NCAP's junction.
 
     Raises
     ------
@@ -185,7 +221,7 @@ def build_junction(scene: Scene) -> Junction:
         raise InputError(
             f"{scene.name}: lanes", len(scene.lanes), "lanes that begin or end at the outline"
         )
-    groups = _group_by_arm(ends)
+    groups = _group_by_arm(ends, keeps_left=scene.keeps_left)
     cycleways = _beside_arms(_ends_at_outline(scene, _CYCLE_KINDS), groups)
     bearings = [
         _mean_bearing_deg([_outward_bearing_deg(lane, is_in=is_in) for is_in, lane in group])
@@ -258,14 +294,29 @@ def lane_length_m(lane: Lane) -> float:
 
 
 def _ends_at_outline(scene: Scene, kinds: Sequence[str]) -> list[tuple[bool, Lane]]:
-    """Lanes of some kinds that lead into the junction (True) or out of it."""
-    return [
-        (is_in, lane)
-        for lane in scene.lanes
-        if lane.kind in kinds
-        for is_in, tip in ((True, lane.centreline_m[-1]), (False, lane.centreline_m[0]))
-        if distance_to_outline_m(tip, scene.outline_m) <= _AT_OUTLINE_M
-    ]
+    """Lanes of some kinds that lead into the junction (True) or out of it.
+
+    Of a piece so short that both its ends are at the outline the nearer end counts; stubs that end
+    nowhere are left out.
+    """
+    ends = []
+    for lane in scene.lanes:
+        if lane.kind not in kinds:
+            continue
+        off_m = {
+            is_in: distance_to_outline_m(lane.centreline_m[-1 if is_in else 0], scene.outline_m)
+            for is_in in (True, False)
+        }
+        near = [is_in for is_in, off in off_m.items() if off <= _AT_OUTLINE_M]
+        if len(near) == 2 and lane_length_m(lane) <= 2.0 * _AT_OUTLINE_M:
+            near = [min(near, key=lambda is_in: off_m[is_in])]
+        ends += [
+            (is_in, lane)
+            for is_in in near
+            if lane_length_m(lane) >= _STUB_M
+            or lane_length_m(_whole(lane, scene.lanes, is_in=is_in)) >= _STUB_M
+        ]
+    return ends
 
 
 def _beside_arms(
@@ -368,7 +419,9 @@ def _outward_bearing_deg(lane: Lane, *, is_in: bool) -> float:
     return line.yaw_deg + (180.0 if is_in else 0.0)
 
 
-def _group_by_arm(ends: Sequence[tuple[bool, Lane]]) -> list[list[tuple[bool, Lane]]]:
+def _group_by_arm(
+    ends: Sequence[tuple[bool, Lane]], *, keeps_left: bool
+) -> list[list[tuple[bool, Lane]]]:
     """Lane ends that lie side by side and lead the same way, chained from one to the next."""
     mouths = [_mouth(lane, is_in=is_in) for is_in, lane in ends]
     group = list(range(len(ends)))
@@ -378,10 +431,60 @@ def _group_by_arm(ends: Sequence[tuple[bool, Lane]]) -> list[list[tuple[bool, La
             if group[one] != group[other] and _is_beside(mouth, mouths[other], reach_m):
                 old, new = group[one], group[other]
                 group = [new if number == old else number for number in group]
-    return [
+    groups = [
         [end for end, number in zip(ends, group, strict=True) if number == wanted]
         for wanted in dict.fromkeys(group)
     ]
+    return _with_both_carriageways(groups, keeps_left=keeps_left)
+
+
+def _with_both_carriageways(
+    groups: list[list[tuple[bool, Lane]]], *, keeps_left: bool
+) -> list[list[tuple[bool, Lane]]]:
+    """Join carriageways into the junction with those out of it that a wide median divides.
+
+    They are neighbours, on the sides on which traffic keeps, and the nearest such pairs are joined.
+    """
+    pairs = []
+    for one, group in enumerate(groups):
+        for other, leaving in enumerate(groups):
+            if all(is_in for is_in, _ in group) and not any(is_in for is_in, _ in leaving):
+                gap_m = _median_m(group, leaving, keeps_left=keeps_left)
+                if gap_m is not None:
+                    pairs.append((gap_m, one, other))
+    used: set[int] = set()
+    joined = []
+    for _, one, other in sorted(pairs):
+        if not used & {one, other}:
+            used |= {one, other}
+            joined.append([*groups[one], *groups[other]])
+    return joined + [group for index, group in enumerate(groups) if index not in used]
+
+
+def _median_m(
+    entering: Sequence[tuple[bool, Lane]],
+    leaving: Sequence[tuple[bool, Lane]],
+    *,
+    keeps_left: bool,
+) -> float | None:
+    """Width of the median between two carriageways of one arm; None: they are not one arm's."""
+    least_m = np.inf
+    for is_in, lane in entering:
+        mouth = _mouth(lane, is_in=is_in)
+        for other_is_in, other_lane in leaving:
+            other = _mouth(other_lane, is_in=other_is_in)
+            if mouth.direction @ other.direction < np.cos(np.radians(_SAME_ARM_DEG)):
+                return None
+            between = replace(mouth, direction=mouth.direction + other.direction)
+            ahead_m, left_m = between.coordinates(other.point_m)
+            # Seen from the junction, cars come in on the left, or where traffic keeps left on the
+            # right.
+            across_m = left_m if keeps_left else -left_m
+            gap_m = across_m - 0.5 * (lane.width_m + other_lane.width_m)
+            if abs(ahead_m) > _MEDIAN_M or across_m <= 0.0:
+                return None
+            least_m = min(least_m, float(gap_m))
+    return least_m if least_m <= _MEDIAN_M else None
 
 
 def _mouth(lane: Lane, *, is_in: bool) -> Line:

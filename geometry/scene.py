@@ -1,5 +1,6 @@
 """A junction as it stands: triangles that hide things, and sites that carry sensors."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated, Any
@@ -11,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze
 from .errors import InputError, Unquoted
 
+HANGING_KINDS = ("mast arm", "gantry", "bridge", "wire")
+"""Kinds of sites that hang over the road; all others stand beside it."""
 CLASS_NAMES = (
     "ground",
     "building",
@@ -254,14 +257,19 @@ _MIN_AREA_M2 = 1.0e-6
 
 def road_area(scene: Scene) -> Any:
     """What a scene's lanes and its junction cover: a shapely geometry, world frame, metres."""
+    return covered_area(scene.outline_m, scene.lanes)
+
+
+def covered_area(outline_m: FloatArray, lanes: Sequence[Lane]) -> Any:
+    """What lanes and the outline (n, 2) of a junction cover: a shapely geometry in metres."""
     import shapely
 
-    lanes = [
+    strips = [
         shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
-        for lane in scene.lanes
+        for lane in lanes
         if len(lane.centreline_m) > 1
     ]
-    return shapely.union_all([shapely.make_valid(shapely.Polygon(scene.outline_m)), *lanes])
+    return shapely.union_all([shapely.make_valid(shapely.Polygon(outline_m)), *strips])
 
 
 @lru_cache(maxsize=4096)

@@ -1,22 +1,33 @@
 """Look for mistakes in a scene: holes, things that float or overlap, sites inside walls."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from .errors import InputError
-from .junction import build_junction
-from .scene import Scene, containing_instance, road_area, thing_footprint
+from .junction import Junction, LeadingRoad, build_junction
+from .scene import (
+    HANGING_KINDS,
+    Scene,
+    Site,
+    containing_instance,
+    road_area,
+    thing_footprint,
+)
 
 _FLOATING_M = 0.5
 _SUNK_M = 3.0
 _FLOOR_M = 0.1
 _OVERLAP_M2 = 1.0
+_SAME_SHARE = 0.8  # of the ground of two buildings that are one
 _ON_ROAD_M2 = 2.0
 _STANDING = ("building", "wall", "vegetation")
 _MAX_NAMES = 6
+_AT_KERB_M = 0.05  # digits of a file
+_SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
+_SAME_WAY = 0.5  # cosine of the angle between them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,13 +42,26 @@ class Finding:
     why: str
 
 
-def check_scene(scene: Scene, *, assumed_heights: frozenset[str] = frozenset()) -> list[Finding]:
+def check_scene(
+    scene: Scene,
+    *,
+    assumed_heights: frozenset[str] = frozenset(),
+    roads: Sequence[LeadingRoad] = (),
+) -> list[Finding]:
     """What may be wrong with a scene, errors first.
 
-    `assumed_heights` are the ids of things whose heights the sources do not say.
+    Parameters
+    ----------
+    scene : Scene
+        What to check.
+    assumed_heights : frozenset of str
+        Ids of things whose heights the sources do not say.
+    roads : sequence of LeadingRoad
+        Roads of the map that lead to the junction, which its arms are compared with; none: the map
+        does not say.
     """
     findings = [
-        *_check_roads(scene),
+        *_check_roads(scene, roads),
         *_check_sites(scene),
         *_check_meshes(scene),
         *_check_footprints(scene),
@@ -48,7 +72,7 @@ def check_scene(scene: Scene, *, assumed_heights: frozenset[str] = frozenset()) 
     return sorted(findings, key=lambda finding: finding.level)
 
 
-def _check_roads(scene: Scene) -> Iterator[Finding]:
+def _check_roads(scene: Scene, roads: Sequence[LeadingRoad]) -> Iterator[Finding]:
     try:
         junction = build_junction(scene)
     except InputError:
@@ -63,6 +87,64 @@ def _check_roads(scene: Scene) -> Iterator[Finding]:
     if not len(scene.crosswalks_m):
         why = "none: pedestrians cross 2 m inside each arm's mouth"
         yield Finding(level="warning", what="crosswalks", why=why)
+    if roads:
+        yield from compare_arms(junction, roads)
+
+
+def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[Finding]:
+    """Compare the arms of a junction, found by its lanes, with the roads that lead to it.
+
+    Parameters
+    ----------
+    junction : Junction
+        See :func:`geometry.junction.build_junction`.
+    roads : sequence of LeadingRoad
+        Roads as the map has them.
+
+    Yields
+    ------
+    finding : Finding
+        A road that is part of no arm, an arm without a road, or an arm whose driving lanes are not
+        those of its roads.
+    """
+    found: dict[str, list[LeadingRoad]] = {name: [] for name in junction.arms}
+    for road in roads:
+        name = _arm_of(road, junction)
+        if name is None:
+            why = "it leads to the junction, but no arm has a lane of it"
+            what = f"road {road.name} from the {road.bearing}"
+            yield Finding(level="warning", what=what, why=why)
+        else:
+            found[name].append(road)
+    for name, here in found.items():
+        arm = junction.arms[name]
+        if not here:
+            why = "no road of the map leads to the junction there"
+            yield Finding(level="warning", what=f"arm {name}", why=why)
+            continue
+        has = len(arm.entry_lanes), len(arm.exit_lanes)
+        said = sum(road.lanes_in for road in here), sum(road.lanes_out for road in here)
+        if has != said:
+            names = " and ".join(dict.fromkeys(road.name for road in here))
+            why = (
+                f"it has {has[0]} lanes in and {has[1]} out; by the map {names} has {said[0]} in "
+                f"and {said[1]} out"
+            )
+            yield Finding(level="warning", what=f"arm {name}", why=why)
+
+
+def _arm_of(road: LeadingRoad, junction: Junction) -> str | None:
+    """The arm of whose lanes one begins or ends next to a road; None: there is none."""
+    nearest, least_m = None, _SAME_ROAD_M
+    for name, arm in junction.arms.items():
+        tips = [(lane.centreline_m[-1], lane.centreline_m[-2]) for lane in arm.entry_lanes]
+        tips += [(lane.centreline_m[0], lane.centreline_m[1]) for lane in arm.exit_lanes]
+        for tip, beyond in tips:
+            along = (beyond - tip) @ road.direction / np.hypot(*(beyond - tip))
+            distance_m = float(np.hypot(*(tip - road.point_m)))
+            if along > _SAME_WAY and distance_m < least_m:
+                nearest, least_m = name, distance_m
+    return nearest
 
 
 def _check_sites(scene: Scene) -> Iterator[Finding]:
@@ -75,6 +157,33 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
                 why = f"its mount at {height_m:g} m is inside {around.class_name} {around.id}"
                 yield Finding(level="error", what=f"site {site.id}", why=why)
                 break
+    standing = [site for site in scene.sites if site.kind not in HANGING_KINDS]
+    if standing:
+        yield from _check_feet(scene, standing)
+
+
+def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
+    """Sites that stand where cars drive."""
+    import shapely
+
+    feet = np.array([site.position_m[:2] for site in sites])
+    junction = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_AT_KERB_M)
+    lanes = [
+        shapely.LineString(lane.centreline_m).buffer(
+            max(0.5 * lane.width_m - _AT_KERB_M, 0.0), cap_style="flat"
+        )
+        for lane in scene.lanes
+    ]
+    hit, which = shapely.STRtree(lanes).query(shapely.points(feet), predicate="within")
+    in_lane = {
+        int(index): scene.lanes[int(lane)].id for index, lane in zip(hit, which, strict=True)
+    }
+    in_middle = shapely.intersects_xy(junction, *feet.T)
+    for index, site in enumerate(sites):
+        if in_middle[index] or index in in_lane:
+            where = "in the junction" if in_middle[index] else f"on lane {in_lane[index]}"
+            why = f"it stands {where}: no pole can (kinds that hang: {', '.join(HANGING_KINDS)})"
+            yield Finding(level="error", what=f"site {site.id}", why=why)
 
 
 def _check_meshes(scene: Scene) -> Iterator[Finding]:
@@ -131,10 +240,24 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     tree = shapely.STRtree(areas)
     one, other = tree.query(areas, predicate="intersects")
     pairs = [(a, b) for a, b in zip(one.tolist(), other.tolist(), strict=True) if a < b]
-    for a, b in pairs:
-        if shapely.area(shapely.intersection(areas[a], areas[b])) > _OVERLAP_M2:
-            why = "they overlap on the ground"
-            yield Finding(level="warning", what=f"{names[a]} and {names[b]}", why=why)
+    overlaps = {
+        (a, b): float(shapely.area(shapely.intersection(areas[a], areas[b]))) for a, b in pairs
+    }
+    smaller = {
+        (a, b): min(float(shapely.area(areas[a])), float(shapely.area(areas[b]))) for a, b in pairs
+    }
+    twice: list[str] = []
+    partly: list[str] = []
+    for (a, b), area in overlaps.items():
+        if area > _OVERLAP_M2:
+            is_same = area > _SAME_SHARE * smaller[a, b] and _is_as_large(areas[a], areas[b])
+            (twice if is_same else partly).append(f"{names[a]} and {names[b]}")
+    for found, why in (
+        (partly, "they overlap on the ground"),
+        (twice, "they overlap on the ground: the same thing twice, as from two files"),
+    ):
+        if found:
+            yield Finding(level="warning", what=_names(found), why=why)
     road = road_area(scene)
     on_road = [
         names[index]
@@ -144,6 +267,10 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     if on_road:
         why = "it stands on a lane or in the junction: cases that it is in the way of are refused"
         yield Finding(level="warning", what=_names(on_road), why=why)
+
+
+def _is_as_large(one: Any, other: Any) -> bool:
+    return bool(min(one.area, other.area) > _SAME_SHARE * max(one.area, other.area))
 
 
 def _names(ids: list[str]) -> str:

@@ -12,7 +12,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -27,6 +27,7 @@ from .arrays import FloatArray, Point2, Points2, Segment2
 from .errors import InputError, Unquoted
 from .files import MAX_TOML_BYTES, Text, check_file, load_toml, read_table, write_atomically
 from .frames import from_carla_points, from_carla_yaw, from_gltf_points, to_gltf_points
+from .junction import LeadingRoad
 from .poses import Pose, to_world
 from .scene import Instance, Lane, Scene, Site
 from .untrusted_files import check_gltf, refuse_bomb
@@ -375,9 +376,11 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     sites: tuple[Site, ...]
     things: tuple[_Thing, ...]
     skipped: tuple[_Skipped, ...]
+    roads: tuple[LeadingRoad, ...] = ()
 
 
 _SITE_FIELDS = ["id", "kind", "position_m", "height_range_m", "capacity_units", "cost_eur", "use"]
+_ROAD_FIELDS = ["name", "point_m", "direction", "lanes_in", "lanes_out"]
 
 
 def save_scene(
@@ -387,6 +390,7 @@ def save_scene(
     sources: Sequence[str] = (),
     skipped: Sequence[tuple[str, str]] = (),
     assumed_heights: Sequence[str] = (),
+    roads: Sequence[LeadingRoad] = (),
 ) -> None:
     """Write a scene into a folder that exists.
 
@@ -402,6 +406,8 @@ def save_scene(
         What of them was left out, and why.
     assumed_heights : sequence of str
         Ids of things whose heights the sources do not say.
+    roads : sequence of LeadingRoad
+        Roads of the map that lead to the junction, for ``place-rsus scene check``.
     """
     import tomlkit
 
@@ -425,6 +431,7 @@ def save_scene(
             for thing in scene.instances
         ],
         "skipped": [{"what": what, "why": why} for what, why in skipped],
+        "roads": [_entry(road, *_ROAD_FIELDS) for road in roads],
     }
     text = _HEAD + tomlkit.dumps(table)
     glb = _to_glb(scene)
@@ -470,12 +477,34 @@ def load_scene_folder(path: Path) -> Scene:
     )
 
 
-def load_notes(path: Path) -> tuple[list[tuple[str, str]], set[str]]:
-    """What the import of a scene left out and why, and the ids of things of assumed height."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImportNotes:
+    """What the import of a scene told of it.
+
+    Attributes
+    ----------
+    skipped : tuple of (str, str)
+        What was left out or assumed, and why.
+    assumed_heights : frozenset of str
+        Ids of the things whose heights the sources do not say.
+    roads : tuple of LeadingRoad
+        Roads of the map that lead to the junction; none: the map does not say.
+    """
+
+    skipped: tuple[tuple[str, str], ...] = ()
+    assumed_heights: frozenset[str] = frozenset()
+    roads: tuple[LeadingRoad, ...] = ()
+
+
+def load_notes(path: Path) -> ImportNotes:
+    """What the import of a scene, a folder or .zip file, told of it."""
     with _as_folder(path) as folder:
         table = _read_scene_file(folder, shown=path)
-    skipped = [(skip.what, skip.why) for skip in table.skipped]
-    return skipped, {thing.id for thing in table.things if thing.is_height_assumed}
+    return ImportNotes(
+        skipped=tuple((skip.what, skip.why) for skip in table.skipped),
+        assumed_heights=frozenset(thing.id for thing in table.things if thing.is_height_assumed),
+        roads=table.roads,
+    )
 
 
 def _read_scene_file(folder: Path, *, shown: Path) -> _FolderScene:
@@ -551,7 +580,10 @@ def _unpack(member: IO[bytes], target: Path, archive: Path, max_bytes: int) -> N
 def _entry(value: object, *names: str) -> dict[str, Any]:
     """Fields of a value, lengths rounded to a millimetre."""
     fields = {name: getattr(value, name) for name in names}
-    return {key: _rounded(one) if key.endswith("_m") else one for key, one in fields.items()}
+    return {
+        key: _rounded(one) if isinstance(one, np.ndarray) or key.endswith("_m") else one
+        for key, one in fields.items()
+    }
 
 
 def _rounded(array: FloatArray) -> Any:

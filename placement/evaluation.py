@@ -192,6 +192,31 @@ def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
     return smallest
 
 
+def units_by_site(layout: Layout) -> dict[str, list[int]]:
+    """Indices of the units at each site; a unit without one is a site of its own, by its id."""
+    sites: dict[str, list[int]] = {}
+    for index, unit in enumerate(layout.units):
+        sites.setdefault(unit.site_id or f"unit {unit.id}", []).append(index)
+    return sites
+
+
+def apr_one_site_failed(evaluation: Evaluation, rule: AebRule) -> float:
+    """APR of all units together when the worst pole fails, with all that hangs on it."""
+    axis = evaluation.axis
+    arrivals_s = np.stack(
+        [
+            earliest_arrival_s([(evaluation.units[unit.id].detected, unit.latency(rule))], axis)
+            for unit in evaluation.layout.units
+        ]
+    )
+    smallest = 1.0
+    for failed in units_by_site(evaluation.layout).values():
+        left_s = np.delete(arrivals_s, failed, axis=0).min(axis=0, initial=np.inf)
+        in_time = find_onsets(left_s, axis, rule=rule).is_in_time
+        smallest = min(smallest, weight_share(in_time, axis.weight))
+    return smallest
+
+
 Outcome = Literal["avoided", "never seen", "never confirmed", "lost again", "too late"]
 """How a run ends. "lost again": a track was confirmed, but not alive at the last moment, and none
 was confirmed after it; "too late": braking set in, but the bodies touch all the same."""

@@ -92,7 +92,13 @@ def as_drawn(source: SourceMap) -> SourceMap:
         source,
         lanes=tuple(replace(lane, centreline_m=lane.centreline_m - shift) for lane in source.lanes),
         junctions=tuple(
-            replace(junction, outline_m=junction.outline_m - shift[:2])
+            replace(
+                junction,
+                outline_m=junction.outline_m - shift[:2],
+                roads=tuple(
+                    replace(road, point_m=road.point_m - shift[:2]) for road in junction.roads
+                ),
+            )
             for junction in source.junctions
         ),
         things=tuple(

@@ -5,7 +5,8 @@ from pathlib import Path
 import click
 
 from ..export import FORMAT_NAMES
-from .options import layout_option, option, scene_option
+from ..progress import StageProgress
+from .options import layout_option, option, quiet_option, scene_option
 from .running import load_one_layout, unwritable
 
 
@@ -48,10 +49,19 @@ Examples:
 )
 @scene_option
 @option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@quiet_option
+@click.pass_obj
 def export(
-    *, layout_names: tuple[str, ...], format_name: str, scene: str, out: Path | None
+    progress: StageProgress,
+    *,
+    layout_names: tuple[str, ...],
+    format_name: str,
+    scene: str,
+    out: Path | None,
+    quiet: bool,
 ) -> None:
     """Write a layout in a format that other programs read."""
+    progress.start(quiet=quiet)
     from ..export.calibration import lidar_ids
     from ..export.formats import export_layout, load_format
 
@@ -61,7 +71,7 @@ def export(
     layout = load_one_layout(layout_names)
     content = export_layout(layout, format_name, scene_path=scene)
     missing = [] if chosen.has_lidars else lidar_ids(layout)
-    if missing:
+    if missing and not quiet:
         click.echo(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     if out is None:
         click.echo(content, nl=False)

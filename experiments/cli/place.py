@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ import click
 from msgspec import UNSET
 
 from placement.compute import Compute
-from placement.question import Question
+from placement.question import MOUNTED, Question
 
 from ..progress import StageProgress
 from ..results.numbers import percent
@@ -27,6 +28,7 @@ from .options import (
     JUDGED,
     PLANNED,
     SectionedGroup,
+    cache_folder,
     is_given,
     job_options,
     option,
@@ -65,6 +67,7 @@ Examples:
   place-rsus evaluate --layout carlancap-12        the study's 12 cameras
   place-rsus --budget 3 --recording ncap_data      the best recorded units
   place-rsus compare results/latest/layout.json carlancap-12
+  place-rsus --scene city.osm --junction "A / B" --budget 3
   place-rsus scene import city.osm -o scene        your own junction ..
   place-rsus --scene scene --budget 3              .. and the best three there
   place-rsus pareto --max 8                        what each further unit buys
@@ -85,6 +88,13 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
     show_default=True,
     help="Folder for report, layout, tables and figures; earlier results there are replaced.",
 )
+@option(
+    "--junction",
+    default="",
+    metavar="NAME",
+    section=MOUNTED,
+    help='With --scene FILE, a map: id or streets of the junction, "A Street / B Street".',
+)
 @recording_options
 @question_options(*PLANNED, *JUDGED)
 @job_options(has_cache=True)
@@ -92,6 +102,7 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 def cli(
     context: click.Context,
     *,
+    junction: str,
     recording: Path | None,
     min_confidence: float,
     question: Question,
@@ -137,12 +148,29 @@ def cli(
         print_result(summary, progress, as_json, lambda: recorded_placement_table(summary, folder))
         return
     begin(progress, quiet=quiet)
+    if junction:
+        question = _with_junction(question, junction, quiet=quiet, progress=progress)
     from ..jobs import placement
 
     result = placement.run_placement(
         question, out=out, compute=compute, command=command_line(), progress=progress
     )
     print_result(result, progress, as_json, lambda: placement_text(result, out))
+
+
+def _with_junction(
+    question: Question, junction: str, *, quiet: bool, progress: StageProgress
+) -> Question:
+    """The question about a junction of a map, which is imported into the cache and told of."""
+    from ..jobs.scene import import_into_cache
+    from .scene import scene_text
+
+    folder, told = import_into_cache(
+        question.scene, junction=junction, cache=cache_folder(), progress=progress
+    )
+    if not quiet:
+        click.echo(f"{scene_text(told)}\nThe scene is in {folder}.\n", err=True)
+    return replace(question, scene=folder)
 
 
 def placement_text(result: "Result", out: Path) -> str:

@@ -10,10 +10,9 @@ import click
 from msgspec import UNSET
 
 from ..progress import StageProgress
-from ..results.numbers import shortened
 from .options import json_option, option, quiet_option
 from .running import print_result
-from .terminal import sentences, table
+from .terminal import WIDTH, sentences, table
 
 if TYPE_CHECKING:
     from geometry.maps.importing import ReadingOptions
@@ -109,6 +108,7 @@ def scene() -> None:
     epilog="""\b
 Examples:
   place-rsus scene import city.osm -o scene
+  place-rsus scene import city.osm --junction "Mill Lane / High Street" -o scene
   place-rsus scene import town.xodr --junction 189 -o scene.zip
   place-rsus scene import city.osm.pbf --at 13.4412,52.4771 -o scene
   place-rsus scene import roads.xodr houses.gml --sites poles.csv -o scene
@@ -117,7 +117,9 @@ Examples:
   place-rsus --scene scene --budget 3              and then""",
 )
 @click.argument("files", nargs=-1, metavar="FILE...")
-@option("--junction", default="", metavar="ID", help="Id, name or part of the name.")
+@option(
+    "--junction", default="", metavar="ID", help='Id, name ("A Street / B Street") or part of it.'
+)
 @option(
     "--at",
     type=_point,
@@ -207,13 +209,20 @@ def import_(
 Examples:
   place-rsus scene show                            the study's junction
   place-rsus scene show scene --out pictures
-  place-rsus scene show city.osm                   all junctions of a map
+  place-rsus scene show city.osm --sort signals    all junctions of a map
   place-rsus scene show city.osm --json --quiet | jq .junctions"""
 )
 @click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
 @_reading_options
 @option(
     "--out", type=click.Path(path_type=Path), help="Folder for plan.png and view.png; else none."
+)
+@option(
+    "--sort",
+    type=click.Choice(("arms", "lanes", "signals", "crossings", "name")),
+    default="arms",
+    show_default=True,
+    help="Of the junctions of a map: the most first, or by name.",
 )
 @json_option
 @quiet_option
@@ -224,6 +233,7 @@ def show(
     paths: tuple[str, ...],
     reading: "ReadingOptions",
     out: Path | None,
+    sort: str,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -236,6 +246,7 @@ def show(
         reading,
         out=out,
         progress=progress,
+        sort=sort,
     )
     print_result(summary, progress, as_json, lambda: scene_text(summary))
 
@@ -306,19 +317,20 @@ def _junction_lines(junctions: "Sequence[JunctionRecord]") -> list[str]:
             for arm in junctions[0].arm_list
         ]
         return table(["arm", "lanes in", "lanes out", "parking"], arms)
-    rows = [
-        [
-            shortened(one.id, 18),
-            shortened(one.name, 18),
-            str(one.arms),
-            str(one.lanes),
-            f"{one.x_m:.6f}",
-            f"{one.y_m:.6f}",
-        ]
-        for one in junctions[:_MAX_LISTED]
-    ]
-    heads = ["junction", "name", "arms", "lanes", "x", "y"]
-    return [*table(heads, rows, n_left=2), *_more(len(junctions))]
+    rows, names = [], []
+    for one in junctions[:_MAX_LISTED]:
+        counts = (one.arms, one.lanes, one.signals, one.crossings)
+        rows.append(
+            [
+                one.id,
+                *("-" if count is UNSET else str(count) for count in counts),
+                f"{one.x_m:.6f}",
+                f"{one.y_m:.6f}",
+            ]
+        )
+        names.append(one.name)
+    heads = ["junction", "arms", "lanes", "signals", "crossings", "x", "y"]
+    return [*_listing(heads, rows, names), *_more(len(junctions))]
 
 
 def _site_lines(sites: "Sequence[SiteRecord]") -> list[str]:
@@ -327,16 +339,41 @@ def _site_lines(sites: "Sequence[SiteRecord]") -> list[str]:
         low_m, high_m = site.height_range_m
         rows.append(
             [
-                shortened(site.id, 26),
-                shortened(site.kind, 14),
-                f"{site.x_m:.1f}",
-                f"{site.y_m:.1f}",
+                site.id,
+                site.kind,
+                f"{site.x_m:.3f}",
+                f"{site.y_m:.3f}",
                 f"{low_m:g} to {high_m:g}",
                 str(site.capacity_units),
             ]
         )
     heads = ["site", "kind", "x m", "y m", "mount m", "units"]
-    return [*table(heads, rows, n_left=2), *_more(len(sites))]
+    return [*_listing(heads, rows), *_more(len(sites))]
+
+
+def _listing(
+    heads: "Sequence[str]", rows: "Sequence[Sequence[str]]", below: "Sequence[str]" = ()
+) -> list[str]:
+    """A table in which nothing is cut.
+
+    An id that is too long has a line of its own, and `below` stand texts under the rows.
+    """
+    widths = [max(len(row[column]) for row in (heads, *rows)) for column in range(1, len(heads))]
+    left = WIDTH - 2 - sum(widths) - 2 * len(widths)
+    first = min(max(len(row[0]) for row in (heads, *rows)), left)
+
+    def line(head: str, cells: "Sequence[str]") -> str:
+        ends = (f"  {cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
+        return f"  {head:<{first}}{''.join(ends)}".rstrip()
+
+    lines = [line(heads[0], heads[1:])]
+    for index, row in enumerate(rows):
+        is_long = len(row[0]) > first
+        lines += [f"  {row[0]}"] if is_long else []
+        lines.append(line("" if is_long else row[0], row[1:]))
+        if below and below[index]:
+            lines += sentences(below[index], indent=4)
+    return lines
 
 
 def _more(count: int) -> list[str]:

@@ -192,7 +192,7 @@ def _footprint_path(scene: Scene, index: int) -> Path:
 
 def _lane_polygon(lane: Lane) -> FloatArray:
     direction = np.gradient(lane.centreline_m, axis=0)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
     left = 0.5 * lane.width_m * np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     polygon: FloatArray = np.concatenate(
         [lane.centreline_m + left, (lane.centreline_m - left)[::-1]]

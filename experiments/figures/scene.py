@@ -52,7 +52,9 @@ def plot_scene_plan(
     outline = np.vstack([scene.outline_m, scene.outline_m[:1]])
     axes.plot(*outline.T, color="#0072B2", linewidth=1.4, zorder=3)
     for ends in scene.crosswalks_m:
-        axes.plot(*ends.T, color="white", linewidth=5.0, linestyle=(0, (0.6, 0.6)), zorder=2)
+        # Grey below the white bars: beside the road they would not be seen on a white ground.
+        axes.plot(*ends.T, color="#8c8c8c", linewidth=6.0, solid_capstyle="butt", zorder=3)
+        axes.plot(*ends.T, color="white", linewidth=5.0, linestyle=(0, (0.6, 0.6)), zorder=3.1)
     for arm in junction.arms.values():
         for lanes, is_in in ((arm.lanes_in, True), (arm.lanes_out, False)):
             for lane in lanes:
@@ -60,9 +62,12 @@ def plot_scene_plan(
                     _draw_direction(axes, lane.centreline_m, is_in=is_in)
         _name_arm(axes, arm, middle, half)
     if len(scene.sites) <= _MAX_SITE_NAMES:
+        named: list[FloatArray] = []
         for site in scene.sites:
             x, y = site.position_m[:2]
-            if max(abs(x - middle[0]), abs(y - middle[1])) < half:
+            near = [place for place in named if np.abs(place - [x, y]) @ [0.4, 1.0] < 0.04 * half]
+            if max(abs(x - middle[0]), abs(y - middle[1])) < half and not near:
+                named.append(np.array([x, y]))
                 axes.annotate(
                     literal(site.id),
                     (x, y),

@@ -1,5 +1,6 @@
 """What ``place-rsus scene`` does: import, show, check."""
 
+import hashlib
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
+from geometry.files import check_file
 from geometry.maps.importing import (
     ImportedScene,
     ImportOptions,
@@ -14,11 +16,13 @@ from geometry.maps.importing import (
     import_scene,
     read_maps,
 )
+from geometry.maps.junctions import sort_junctions
 from geometry.maps.source_map import Skipped
 from geometry.scene import Scene
 from geometry.scene_checks import check_scene
 from geometry.scene_files import (
     SCENE_FILE,
+    ImportNotes,
     load_notes,
     load_scene_folder,
     load_study_scene,
@@ -39,6 +43,8 @@ from ..results.scenes import (
 
 PLAN_NAME, VIEW_NAME = "plan.png", "view.png"
 _STUDY = "town05"
+IMPORT_VERSION = 1
+"""Counts up when the same map gives another scene; older ones in the cache are not taken."""
 
 
 def run_import(
@@ -95,6 +101,7 @@ def run_import(
             sources=imported.sources if imported else (),
             skipped=imported.skipped if imported else (),
             assumed_heights=sorted(imported.assumed_heights) if imported else (),
+            roads=imported.roads if imported else (),
         )
         if is_zip:
             try:
@@ -112,12 +119,62 @@ def run_import(
     return replace(result, written=str(out), seconds=progress.finish())
 
 
+def import_into_cache(
+    source: str, *, junction: str, cache: Path, progress: StageProgress
+) -> tuple[str, SceneResult]:
+    """Import a junction of a map unless that was done before, for a command that goes on with it.
+
+    Parameters
+    ----------
+    source : str
+        A map with roads.
+    junction : str
+        Id or name, see :func:`geometry.maps.junctions.choose_junction`.
+    cache : Path
+        Folder below which scenes are kept, by what the map and the junction are.
+    progress : StageProgress
+        Is told the stages.
+
+    Returns
+    -------
+    folder : str
+        Where the scene is.
+    told : SceneResult
+        What it has, and what was left out or assumed.
+
+    Raises
+    ------
+    InputError
+        There is no map, or it has no such junction.
+    """
+    path = Path(source)
+    if not source or not path.is_file() or _is_scene(path):
+        got = source or "the study's junction"
+        raise InputError("--junction", Unquoted(f"it with {got}"), "--scene FILE, a map with roads")
+    check_file(path)
+    digest = hashlib.sha256(path.read_bytes())
+    digest.update(f"\n{junction}\n{IMPORT_VERSION}".encode())
+    folder = cache / "scenes" / digest.hexdigest()[:16]
+    if (folder / SCENE_FILE).exists():
+        try:
+            scene, notes = load_any_scene(str(folder))
+            return str(folder), build_scene_result(scene, skipped=_skipped(notes.skipped))
+        except InputError:
+            pass  # damaged: import it again
+    folder.mkdir(parents=True, exist_ok=True)
+    told = run_import(
+        [source], ImportOptions(junction=junction), bbox="", out=folder, progress=progress
+    )
+    return str(folder), told
+
+
 def run_show(
     paths: Sequence[str],
     reading: ReadingOptions,
     *,
     out: Path | None,
     progress: StageProgress,
+    sort: str = "arms",
 ) -> SceneResult:
     """Tell what a scene or a map has.
 
@@ -131,6 +188,8 @@ def run_show(
         Folder for pictures of a scene.
     progress : StageProgress
         Is told the stages.
+    sort : str
+        Order of the junctions of a map, see :func:`geometry.maps.junctions.sort_junctions`.
 
     Raises
     ------
@@ -148,7 +207,7 @@ def run_show(
         things = [thing for source in maps for thing in source.things]
         return SceneResult(
             name=roads.name,
-            junctions=tuple(build_junction_record(one) for one in junctions),
+            junctions=tuple(build_junction_record(one) for one in sort_junctions(junctions, sort)),
             buildings=sum(thing.class_name == "building" for thing in things),
             things=len(things),
             sites=sum(len(source.poles) for source in maps),
@@ -157,8 +216,8 @@ def run_show(
             skipped=tuple(skip for source in maps for skip in source.skipped),
             crs=roads.source_crs or roads.crs or None,
         )
-    scene, skipped, _ = load_any_scene(paths[0] if paths else "")
-    result = build_scene_result(scene, skipped=_skipped(skipped))
+    scene, notes = load_any_scene(paths[0] if paths else "")
+    result = build_scene_result(scene, skipped=_skipped(notes.skipped))
     if out is None:
         return result
     progress(WRITING, 0, 0)
@@ -182,8 +241,8 @@ def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
         There is no such scene.
     """
     progress("check", 0, 0)
-    scene, _, assumed = load_any_scene(path)
-    findings = check_scene(scene, assumed_heights=frozenset(assumed))
+    scene, notes = load_any_scene(path)
+    findings = check_scene(scene, assumed_heights=notes.assumed_heights, roads=notes.roads)
     return SceneCheckResult(
         name=scene.name,
         is_sound=all(finding.level != "error" for finding in findings),
@@ -191,12 +250,12 @@ def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
     )
 
 
-def load_any_scene(path: str) -> tuple[Scene, list[tuple[str, str]], set[str]]:
-    """A scene with what its import left out and assumed; no path: the study's junction."""
+def load_any_scene(path: str) -> tuple[Scene, ImportNotes]:
+    """A scene with what its import told of it; no path: the study's junction."""
     if not path:
-        return load_study_scene(), [], set()
-    skipped, assumed = load_notes(Path(path))
-    return load_scene_folder(Path(path)), skipped, assumed
+        return load_study_scene(), ImportNotes()
+    notes = load_notes(Path(path))
+    return load_scene_folder(Path(path)), notes
 
 
 def _import_result(imported: ImportedScene) -> SceneResult:

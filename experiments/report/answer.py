@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from msgspec import UNSET
 
 from geometry.arrays import BoolArray
 from geometry.catalogue import sensor_kind
@@ -47,6 +48,11 @@ def answer(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
     ]
     left = result.evaluation.apr_without_worst_unit
     failed = [] if left is None else [_one_failed(left, subject)]
+    if result.evaluation.apr_without_worst_site is not UNSET:
+        left = result.evaluation.apr_without_worst_site
+        failed.append(
+            f"if any one pole fails with all that hangs on it, {_reach(left, 'the others')}"
+        )
     if result.stages:
         verb = "avoids" if len(subject.units) == 1 else "avoid"
         how = ", each by itself," if result.fusion == "single" else ""
@@ -185,8 +191,13 @@ def _proof_in_short(stages: Sequence[StageRecord], n_candidates: int) -> str:
 def _one_failed(left: float, subject: Evaluation) -> str:
     if len(subject.units) == 1:
         return "If this one unit fails, only the car itself is left"
-    reach = "still avoid every run" if left > 1.0 - 1.0e-9 else f"reach at least {percent(left)}"
-    return f"If any one unit fails, the others {reach}"
+    return f"If any one unit fails, {_reach(left, 'the others')}"
+
+
+def _reach(left: float, who: str) -> str:
+    if left > 1.0 - 1.0e-9:
+        return f"{who} still avoid every run"
+    return f"{who} reach at least {percent(left)}"
 
 
 def _differences(

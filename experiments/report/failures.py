@@ -1,4 +1,4 @@
-"""What happens when units fail: in sentences and tables."""
+"""What happens when units or poles fail: in sentences and tables."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ _MAX_RUNS = 4
 
 
 def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
-    """What the failure of any one unit, and of any two, leaves; `labels` are short names by id."""
+    """What the failure of one unit, of two, and of a pole leaves; `labels` are names by id."""
     whole, n_units = failures.none_failed, len(failures.one_failed)
     if n_units == 1:
         return [
@@ -28,6 +28,25 @@ def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str
         f"All {n_units} units together prevent {percent(whole.apr)}.",
         *_one_sentences(failures, labels),
         *_two_sentences(failures, labels),
+        *_site_sentences(failures, labels),
+    ]
+
+
+def _site_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
+    """What the failure of any one pole leaves."""
+    if not failures.site_failed:
+        return []
+    shared = [item for item in failures.site_failed if len(item.unit_ids) > 1]
+    if not shared:
+        return ["No two units hang on one pole: a pole that fails takes one unit with it."]
+    worst = failures.site_failed[0]
+    text = "A pole fails with all that hangs on it (power, a crash). "
+    if not worst.lost_run_ids:
+        return [f"{text}Whichever one does, no run is lost."]
+    n_lost = len(worst.lost_run_ids)
+    return [
+        f"{text}If that of {_names(worst, labels)} does, {percent(worst.apr)} are left and "
+        f"{count_runs(n_lost)} {_verb(n_lost)} lost; no other pole leaves less."
     ]
 
 
@@ -100,8 +119,39 @@ def failure_table(
     )
 
 
+def site_table(failures: Sequence[Failure], labels: Mapping[str, str]) -> Table:
+    """A row per pole that fails with its units, the worst first, at most ``MAX_ROWS``."""
+    caption = "If one pole fails"
+    if len(failures) > MAX_ROWS:
+        caption += f": the {MAX_ROWS} worst of {len(failures)}"
+    rows = [
+        [
+            item.site_id,
+            _names(item, labels),
+            percent(item.apr),
+            number(1000.0 * item.smallest_margin_s, 0),
+            str(len(item.lost_run_ids)),
+            first_of(item.lost_run_ids, _MAX_RUNS) or NOTHING,
+        ]
+        for item in failures[:MAX_ROWS]
+    ]
+    return Table(
+        caption=caption,
+        columns=[
+            "pole",
+            "its units",
+            "APR of the rest",
+            "smallest margin of the rest (ms)",
+            "runs lost",
+            "which",
+        ],
+        rows=rows,
+        numeric=range(2, 5),
+    )
+
+
 def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str, str]) -> Section:
-    """What is left if a unit fails, or two.
+    """What is left if a unit fails, or two, or a pole with all its units.
 
     There is no table of pairs where it says nothing new, or where pairs are not looked at. `labels`
     are short names of the units, by id.
@@ -110,13 +160,15 @@ def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str,
     tables = [failure_table(failures.one_failed, labels, n_together=1)]
     if len(failures.two_failed) > 1:
         tables.append(failure_table(failures.two_failed, labels, n_together=2))
+    if any(len(item.unit_ids) > 1 for item in failures.site_failed):
+        tables.append(site_table(failures.site_failed, labels))
     note = (
         "Roadside units only, from what the evaluator sees with each; what the car sees by itself "
         "comes on top. A run is lost if all units together avoid it and those that are left do "
         "not; the fastest ones are named first."
     )
     sentences = " ".join(failure_sentences(failures, labels))
-    return Section("failures", "If a unit fails", [sentences, *tables, note])
+    return Section("failures", "If a unit or a pole fails", [sentences, *tables, note])
 
 
 def _names(failure: Failure, labels: Mapping[str, str]) -> str:

@@ -12,7 +12,7 @@ _PARTS = (
     "Where to mount",
     "What each unit buys",
     "Time and distance to spare",
-    "If a unit fails",
+    "If a unit or a pole fails",
     "What if an assumption is wrong?",
     "What the cameras see of the road",
     "Who sees the road user when",

@@ -18,6 +18,8 @@ from placement.evaluation import (
     apr_by_case,
     apr_by_position,
     apr_one_failed,
+    apr_one_site_failed,
+    units_by_site,
 )
 from placement.explain.agreement import find_disagreements
 from placement.optimiser import placement_value, run_margins_s
@@ -95,6 +97,16 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
     apr_without_worst_unit: Annotated[
         Share | None, says("APR of all units together if the one that is needed most fails.")
     ]
+    apr_without_worst_site: (
+        Annotated[
+            Share,
+            says(
+                "APR of all units together if the pole that is needed most fails with all its "
+                "units; only where a pole carries several."
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
 
 
 class GreedyLayoutRecord(Record, frozen=True, kw_only=True):
@@ -431,6 +443,11 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
         units={name: ratios(verdict) for name, verdict in evaluation.units.items()},
         **{name: ratios(verdict) for name, verdict in evaluation.others.items()},
         apr_without_worst_unit=apr_one_failed(evaluation, rule),
+        apr_without_worst_site=(
+            apr_one_site_failed(evaluation, rule)
+            if any(len(units) > 1 for units in units_by_site(evaluation.layout).values())
+            else UNSET
+        ),
     )
 
 

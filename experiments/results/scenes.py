@@ -1,5 +1,6 @@
 """What is told of a scene or a map: what it has, and what a check finds."""
 
+import numpy as np
 from msgspec import UNSET, UnsetType
 
 from geometry.junction import build_junction
@@ -10,6 +11,8 @@ from geometry.scene import Scene
 from geometry.scene_checks import Finding
 
 from .record import Record
+
+_DIGITS = 3  # a millimetre
 
 
 class ArmRecord(Record, frozen=True, kw_only=True):
@@ -22,7 +25,10 @@ class ArmRecord(Record, frozen=True, kw_only=True):
 
 
 class JunctionRecord(Record, frozen=True, kw_only=True):
-    """A junction; x_m and y_m are in the map's system: in degrees where that has degrees."""
+    """A junction; x_m and y_m are in the map's system: in degrees where that has degrees.
+
+    Signals are poles with traffic lights; they and crossings lie within 15 m of the outline.
+    """
 
     id: str
     name: str
@@ -30,6 +36,8 @@ class JunctionRecord(Record, frozen=True, kw_only=True):
     y_m: float
     arms: int
     lanes: int
+    signals: int | UnsetType = UNSET
+    crossings: int | UnsetType = UNSET
     arm_list: tuple[ArmRecord, ...] | UnsetType = UNSET
     arm_names: tuple[str, ...] | UnsetType = UNSET
 
@@ -77,7 +85,9 @@ class SceneCheckResult(Record, frozen=True, kw_only=True):
 def build_scene_result(scene: Scene, *, skipped: tuple[Skipped, ...] = ()) -> SceneResult:
     """A scene of one junction; `skipped` is what its import left out."""
     junction = build_junction(scene)
-    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    # Digits as scene.toml has them: an import tells what a look at its result does.
+    outline = np.round(scene.outline_m, _DIGITS)
+    middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     position = middle + scene.source_origin_m
     if scene.crs:
         position = transform(middle, scene.crs, scene.source_crs or scene.crs)
@@ -110,9 +120,9 @@ def build_scene_result(scene: Scene, *, skipped: tuple[Skipped, ...] = ()) -> Sc
             SiteRecord(
                 id=site.id,
                 kind=site.kind,
-                x_m=float(site.position_m[0]),
-                y_m=float(site.position_m[1]),
-                height_range_m=tuple(site.height_range_m.tolist()),
+                x_m=round(float(site.position_m[0]), _DIGITS),
+                y_m=round(float(site.position_m[1]), _DIGITS),
+                height_range_m=tuple(np.round(site.height_range_m, _DIGITS).tolist()),
                 capacity_units=site.capacity_units,
                 use=site.use,
             )
@@ -135,5 +145,7 @@ def build_junction_record(surveyed: Surveyed) -> JunctionRecord:
         y_m=float(surveyed.position[1]),
         arms=len(surveyed.arms),
         lanes=surveyed.n_lanes,
+        signals=surveyed.n_signals,
+        crossings=surveyed.n_crossings,
         arm_names=tuple(surveyed.arms),
     )

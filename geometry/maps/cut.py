@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
-from ..junction import distance_to_outline_m
+from ..junction import LeadingRoad, distance_to_outline_m
 from ..scene import Instance, Lane, Scene, Site
 from .georeferences import LocalFrame, frame_at
 from .solids import join
@@ -19,6 +19,7 @@ _LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could h
 _SAME_LEVEL_M = 3.0
 _AT_OUTLINE_M = 2.0  # other roads that end here would look like an arm
 _CROSSWALK_WITHIN_M = 25.0
+_DIGITS_M = 0.002
 _LOWEST_M = 0.2  # lower things hide nobody
 _KEPT = ("driving", "parking", "cycling")
 
@@ -35,6 +36,7 @@ class Surroundings:
     poles: tuple[Pole, ...]  # feet on the road plane, z = 0; ids are unique
     keeps_left: bool
     skipped: tuple[Skipped, ...]
+    roads: tuple[LeadingRoad, ...] = ()  # that lead to the junction
 
 
 def cut_out(
@@ -81,11 +83,12 @@ def cut_out(
             Skipped(what=f"{count} x {name} in {source.name}", why="not above the road")
             for name, count in low.items()
         ]
-        for pole in source.poles:
-            foot = frame.take(pole.position_m, source)
-            if np.hypot(*foot[:2]) <= radius_m:
-                pole_id = _unique(pole.id, source, taken)
-                poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
+        if source.poles:
+            feet = frame.take(np.stack([pole.position_m for pole in source.poles]), source)
+            for pole, foot in zip(source.poles, feet, strict=True):
+                if np.hypot(*foot[:2]) <= radius_m:
+                    pole_id = _unique(pole.id, source, taken)
+                    poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
     return Surroundings(
         frame=frame,
         lanes=tuple(_lanes(roads, junction, frame, outline, radius_m + _LANES_BEYOND_M)),
@@ -95,7 +98,13 @@ def cut_out(
         poles=tuple(poles),
         keeps_left=roads.keeps_left,
         skipped=tuple(skipped),
+        roads=tuple(_taken(road, frame, roads) for road in junction.roads),
     )
+
+
+def _taken(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRoad:
+    begin, ahead = frame.take(np.stack([road.point_m, road.point_m + road.direction]), source)
+    return replace(road, point_m=begin, direction=(ahead - begin) / np.hypot(*(ahead - begin)))
 
 
 def build_scene(
@@ -159,9 +168,19 @@ def _lanes(
             if _is_elsewhere(points, height - junction.height_m, outline_m, reach_m):
                 continue
             points = _longest_within(points, reach_m)
-        points = points[np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1.0e-6)]
+        points = _apart(points)
         if len(points) >= 2:
             yield Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points)
+
+
+def _apart(points_m: FloatArray) -> FloatArray:
+    """A line without points that a file with three digits could not tell from their neighbours."""
+    is_new = np.append(True, np.hypot(*np.diff(points_m, axis=0).T) > _DIGITS_M)
+    if not is_new[-1] and is_new.sum() > 1:  # the end stays, and the point before it goes
+        is_new[np.flatnonzero(is_new)[-1]] = False
+        is_new[-1] = True
+    apart: FloatArray = points_m[is_new]
+    return apart
 
 
 def _is_elsewhere(
@@ -244,6 +263,12 @@ def _near_things(
     if not n_far:
         return near, []
     why = f"farther than {radius_m:g} m from the junction"
+    if frame.map_crs and not source.crs:
+        why = (
+            "the file names no coordinate reference system, and in that of the map with the roads "
+            f"they lie {why}: --crs says in which one they are (EPSG:25832), --offset X,Y moves "
+            "them"
+        )
     return near, [Skipped(what=f"{n_far} things in {source.name}", why=why)]
 
 

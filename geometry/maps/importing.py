@@ -11,10 +11,12 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..files import check_file
+from ..junction import LeadingRoad
 from ..scene import Scene
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import build_scene, cut_out
 from .junctions import Surveyed, choose_junction, survey_junctions
+from .site_places import settle_poles
 from .sites import choose_sites
 from .source_map import SourceMap
 
@@ -250,6 +252,8 @@ class ImportedScene:
         What was left out or assumed, and why.
     assumed_heights : frozenset of str
         Ids of the things whose heights the sources do not give.
+    roads : tuple of LeadingRoad
+        Roads of the map that lead to the junction, in the scene's frame.
     """
 
     scene: Scene
@@ -258,6 +262,7 @@ class ImportedScene:
     sources: tuple[str, ...]
     skipped: tuple[tuple[str, str], ...]
     assumed_heights: frozenset[str]
+    roads: tuple[LeadingRoad, ...] = ()
 
 
 def read_maps(
@@ -329,6 +334,7 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
     surroundings = cut_out(
         maps, chosen.junction, radius_m=options.radius_m, ground_m=options.ground_m
     )
+    surroundings, settled = settle_poles(surroundings)
     sites, told = choose_sites(options.sites, surroundings, roads, radius_m=options.radius_m)
     scene = build_scene(
         surroundings,
@@ -337,7 +343,7 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
         sites=sites,
         radius_m=options.radius_m,
     )
-    skipped = [(skip.what, skip.why) for skip in (*surroundings.skipped, *told)]
+    skipped = [(skip.what, skip.why) for skip in (*surroundings.skipped, *settled, *told)]
     if len(junctions) > 1 and not options.junction and options.at is None:
         skipped.append(
             (
@@ -352,6 +358,7 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
         sources=tuple(source.name for source in maps),
         skipped=tuple(skipped),
         assumed_heights=frozenset(t.id for t in surroundings.things if t.is_height_assumed),
+        roads=surroundings.roads,
     )
 
 

@@ -1,7 +1,7 @@
 """The junctions of a map: list them, and choose one by name or place."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from .source_map import MapJunction, MapLane, SourceMap
 
 _MAX_LISTED = 12
 _NEAR_M = 100.0
+_BESIDE_M = 15.0  # from the outline: signals and crosswalks of the arms
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,6 +31,10 @@ class Surveyed:
         Driving lanes into it and out of it.
     n_driven : int
         Arms from which a driving lane leads into it.
+    n_signals : int
+        Poles with traffic lights inside it, or at most 15 m from its outline.
+    n_crossings : int
+        Crosswalks whose middle lies inside it, or at most 15 m from its outline.
     position : (2,) float
         Its middle in the file's coordinate reference system: longitude and latitude, or metres.
     """
@@ -39,6 +44,8 @@ class Surveyed:
     n_lanes: int
     n_driven: int
     position: FloatArray
+    n_signals: int = 0
+    n_crossings: int = 0
 
 
 def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
@@ -50,7 +57,17 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
     for lane in source.lanes:
         for name in {lane.from_junction, lane.to_junction} & by_junction.keys():
             by_junction[name].append(lane)
-    found = [_survey(source, one, by_junction[one.id]) for one in source.junctions]
+    lights = [pole.position_m[:2] for pole in source.poles if pole.kind == "traffic light"]
+    signals = _count_near(source.junctions, np.array(lights).reshape(-1, 2))
+    crossings = _count_near(source.junctions, source.crosswalks_m.mean(axis=1))
+    found = [
+        replace(
+            _survey(source, one, by_junction[one.id]),
+            n_signals=signals[index],
+            n_crossings=crossings[index],
+        )
+        for index, one in enumerate(source.junctions)
+    ]
     if not found:
         return ()
     middle = np.median([one.junction.position_m for one in found], axis=0)
@@ -60,6 +77,46 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
         return (-len(one.arms), -one.n_driven, -one.n_lanes, off_m)
 
     return tuple(sorted(found, key=rank))
+
+
+def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[int]:
+    """How many points lie inside each junction or next to it."""
+    import shapely
+
+    if not len(points_m):
+        return [0] * len(junctions)
+    areas = [shapely.make_valid(shapely.Polygon(one.outline_m)) for one in junctions]
+    points = shapely.points(points_m)
+    hit, _ = shapely.STRtree(areas).query(points, predicate="dwithin", distance=_BESIDE_M)[::-1]
+    counts: list[int] = np.bincount(hit, minlength=len(junctions)).tolist()
+    return counts
+
+
+SORTS = ("arms", "lanes", "signals", "crossings", "name")
+
+
+def sort_junctions(surveyed: Sequence[Surveyed], by: str) -> tuple[Surveyed, ...]:
+    """Junctions in another order: the most first, or names by the alphabet.
+
+    Parameters
+    ----------
+    surveyed : sequence of Surveyed
+        As :func:`survey_junctions` returns them; equal ones stay in this order.
+    by : str
+        One of ``SORTS``; "arms" is the order that they come in.
+
+    Raises
+    ------
+    InputError
+        `by` is none of them.
+    """
+    if by not in SORTS:
+        raise InputError("--sort", by, "one of " + ", ".join(SORTS))
+    if by == "name":
+        return tuple(sorted(surveyed, key=lambda one: one.junction.name.casefold()))
+    if by == "arms":
+        return tuple(surveyed)
+    return tuple(sorted(surveyed, key=lambda one: -int(getattr(one, f"n_{by}"))))
 
 
 def choose_junction(
@@ -78,7 +135,8 @@ def choose_junction(
     surveyed : sequence of Surveyed
         Its junctions, as :func:`survey_junctions` returns them.
     name : str
-        Id or name, or a part of the name that no other junction has; empty: any.
+        Id; or name, streets in any order: "Mannerheimintie / Kaivokatu", or some of them; or a part
+        of the name that no other junction has; empty: any.
     at : (float, float), optional
         A point within 100 m, in the file's coordinate reference system: longitude and latitude, or
         metres.
@@ -123,6 +181,8 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
     for matches in (
         [one for one in surveyed if one.junction.id == name],
         [one for one in surveyed if one.junction.name.casefold() == wanted],
+        [one for one in surveyed if _streets(one.junction.name) == _streets(name)],
+        [one for one in surveyed if _streets(one.junction.name) >= _streets(name)],
         [one for one in surveyed if wanted in one.junction.name.casefold()],
     ):
         if len(matches) == 1:
@@ -132,11 +192,19 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
     raise InputError("--junction", name, f"one of {_listed(surveyed)}")
 
 
+def _streets(name: str) -> frozenset[str]:
+    """Names of streets that meet, in any order and case."""
+    return frozenset(part.strip().casefold() for part in name.split("/"))
+
+
 def _listed(surveyed: Sequence[Surveyed]) -> str:
-    words = [
-        f"{one.junction.id} ({one.junction.name})" if one.junction.name else one.junction.id
-        for one in surveyed[:_MAX_LISTED]
-    ]
+    many = len({one.junction.name for one in surveyed}) < len(surveyed)  # names tell nothing apart
+    words = []
+    for one in surveyed[:_MAX_LISTED]:
+        told = one.junction.name
+        if many:
+            told += " at " * bool(told) + ",".join(f"{value:.8g}" for value in one.position)
+        words.append(f"{one.junction.id} ({told})" if told else one.junction.id)
     left = len(surveyed) - len(words)
     return ", ".join(words) + (f" and {left} more: place-rsus scene show FILE" if left else "")
 

@@ -11,19 +11,17 @@ from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
-from ..scene import Site
+from ..scene import HANGING_KINDS, Site
 from .cut import Surroundings
 from .site_files import SUFFIXES, SiteWish, read_sites
+from .site_places import SETBACK_M, find_places, is_under
 from .source_map import MapLane, Skipped, SourceMap, Thing
-from .thing_kinds import load_pole_kinds, mount_range_m
+from .thing_kinds import MIN_POLE_M, load_pole_kinds, mount_range_m
 
 if TYPE_CHECKING:
     from shapely import Polygon
 
 
-SETBACK_M = (
-    0.5  # of a pole's middle from the kerb; assumption: the usual clearance of a carriageway
-)
 REACH_M = 60.0
 _AT_OUTLINE_M = 1.5
 _JOINED_M = 0.5
@@ -187,7 +185,7 @@ def tidy_sites(
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
     for thing in things:
         if thing.class_name == "building" and len(thing.triangles) and len(positions):
-            for hit in np.flatnonzero(_is_under(positions, thing)):
+            for hit in np.flatnonzero(is_under(positions, thing)):
                 reasons.setdefault(int(hit), f"inside {thing.class_name} {thing.id}")
     left = [index for index in range(len(sites)) if index not in reasons]
     order = sorted(left, key=lambda index: (-sites[index].n_said, index))
@@ -214,29 +212,6 @@ def tidy_sites(
     )
 
 
-def _is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
-    """Which points lie in the footprint of a thing: below or above one of its triangles."""
-    corners = thing.vertices_m[thing.triangles][:, :, :2]
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    is_under: BoolArray = np.zeros(len(positions_m), dtype=np.bool_)
-    for index in np.flatnonzero(((positions_m > low) & (positions_m < high)).all(axis=1)):
-        a, b, c = np.swapaxes(corners - positions_m[index], 0, 1)
-        turns = np.stack([_turn(a, b), _turn(b, c), _turn(c, a)])
-        is_under[index] = ((turns > 0.0).all(axis=0) | (turns < 0.0).all(axis=0)).any()
-        if not is_under[index]:  # on the edge between two triangles
-            area = turns.sum(axis=0)
-            inside = ((turns >= 0.0).all(axis=0) & (area > 0.0)) | (
-                (turns <= 0.0).all(axis=0) & (area < 0.0)
-            )
-            is_under[index] = inside.sum() > 2  # roof and floor, on both sides of the edge
-    return is_under
-
-
-def _turn(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Twice the signed area between two vectors, (n,)."""
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-
-
 # ---------- the sites of a scene
 AUTO, MAP, KERB = "auto", "map", "kerb:"
 _AUTO_SPACING_M = 15.0
@@ -256,7 +231,8 @@ def choose_sites(
     """
     told: list[Skipped] = []
     if where in (AUTO, MAP):
-        wishes = _poles(surroundings)
+        wishes, low = _poles(surroundings)
+        told += low
         if not wishes and where == AUTO:
             wishes = _kerbs(surroundings, _AUTO_SPACING_M, radius_m)
             told.append(
@@ -273,7 +249,9 @@ def choose_sites(
         told += far
     else:
         raise InputError("--sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file")
-    kept, dropped = tidy_sites(wishes, things=surroundings.things)
+    placed, moved = _settled(wishes, surroundings)
+    told += [skip for skip in moved if not where.startswith(KERB) and where != AUTO]
+    kept, dropped = tidy_sites(placed, things=surroundings.things)
     told += dropped
     if not kept:
         raise InputError(
@@ -285,9 +263,34 @@ def choose_sites(
     return tuple(_site(wish) for wish in _with_plain_ids(kept)), tuple(told)
 
 
-def _poles(surroundings: Surroundings) -> tuple[SiteWish, ...]:
-    wishes = []
+def _settled(
+    wishes: Sequence[SiteWish], surroundings: Surroundings
+) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+    """Sites beside the road, but for what hangs over it; those inside walls are moved out.
+
+    Sites inside buildings stay: :func:`tidy_sites` leaves them out.
+    """
+    kept, told = [], []
+    places = find_places([wish.position_m for wish in wishes], surroundings)
+    for wish, place in zip(wishes, places, strict=True):
+        if not place.why or wish.kind in HANGING_KINDS:
+            kept.append(wish)
+        elif place.position_m is None:
+            told.append(Skipped(what=f"site {wish.id}", why=f"it stands {place.why}"))
+        else:
+            kept.append(replace(wish, position_m=place.position_m))
+            told.append(Skipped(what=f"site {wish.id}", why=f"it stood {place.why}"))
+    return tuple(kept), told
+
+
+def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Skipped]]:
+    """Poles that are high enough for sensors."""
+    wishes, told = [], []
     for pole in surroundings.poles:
+        if pole.height_m is not None and pole.height_m < MIN_POLE_M:
+            why = f"{pole.height_m:g} m high: too low for sensors"
+            told.append(Skipped(what=f"{pole.kind} {pole.id}", why=why))
+            continue
         low_m, high_m = mount_range_m(pole)
         wishes.append(
             SiteWish(
@@ -298,7 +301,7 @@ def _poles(surroundings: Surroundings) -> tuple[SiteWish, ...]:
                 max_height_m=high_m,
             )
         )
-    return tuple(wishes)
+    return tuple(wishes), told
 
 
 def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tuple[SiteWish, ...]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, float_array, freeze
 from ..errors import InputError
+from ..junction import LeadingRoad
 
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
@@ -30,7 +31,8 @@ class MapLane:
     kind : str
         One of ``LANE_KINDS``.
     width_m : float
-        Mean full width. [m]
+        Mean full width; where it varies and the lane leads to a junction, that of the 30 m next to
+        it. [m]
     centreline_m : (n, 3) float
         At least two points in driving direction; lanes without one (walking, parking) have that of
         the driving lane beside them. [m]
@@ -71,12 +73,15 @@ class MapJunction:
         Outline of its road surface, where the lanes of its arms begin and end. [m]
     height_m : float
         Height of the road in its middle, as the map counts heights. [m]
+    roads : tuple of LeadingRoad
+        Roads that lead to it, as the map's network has them: what its arms are compared with.
     """
 
     id: str
     name: str
     outline_m: FloatArray
     height_m: float = 0.0
+    roads: tuple[LeadingRoad, ...] = ()
 
     def __post_init__(self) -> None:
         where = f"junction {self.id}.outline_m"

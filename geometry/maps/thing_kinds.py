@@ -69,6 +69,10 @@ def kind_of_class(class_name: str) -> ThingKind:
     return kind
 
 
+MIN_POLE_M = 2.5
+"""A lower pole is a bollard: sensors on it could be reached from the pavement."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoleKind:
     """A kind of pole, for poles of which the map gives no more."""
@@ -97,7 +101,7 @@ def build_pole_body(pole: Pole) -> tuple[str, Mesh]:
     body = trimesh.creation.cylinder(
         radius=kind.radius_m, segment=[foot, foot + [0.0, 0.0, height_m]], sections=_SECTIONS
     )
-    class_name = "lamp post" if pole.kind == "lamp post" else "traffic light"
+    class_name = "traffic light" if pole.kind == "traffic light" else "lamp post"
     return class_name, (np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int32))
 
 

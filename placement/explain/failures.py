@@ -1,4 +1,4 @@
-"""Failures of units: what a layout still achieves when any one or two of them fail (N-1, N-2)."""
+"""Failures of units and poles: what a layout still achieves without them (N-1, N-2)."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from scenarios.aeb import AebRule
 from scenarios.exposure import weight_share
 from scenarios.runs import find_onsets
 
-from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out
+from ..evaluation import Evaluation, earliest_arrival_s, leave_each_out, units_by_site
 
 MAX_PAIR_UNITS = 12
 
@@ -36,12 +36,15 @@ class Failure:
     lost_run_ids : tuple of str
         Runs with weight that all units together avoid and the others do not, those with the
         highest speed first.
+    site_id : str
+        The site that fails with all its units; empty: units fail, their poles stand.
     """
 
     unit_ids: tuple[str, ...]
     apr: float
     smallest_margin_s: float
     lost_run_ids: tuple[str, ...]
+    site_id: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,15 +59,18 @@ class Failures:
         One for each unit.
     two_failed : tuple of Failure
         One for each pair; empty for a layout of one unit or of more than ``MAX_PAIR_UNITS``.
+    site_failed : tuple of Failure
+        One for each site: power or a crash takes all of its units at once.
     """
 
     none_failed: Failure
     one_failed: tuple[Failure, ...]
     two_failed: tuple[Failure, ...]
+    site_failed: tuple[Failure, ...] = ()
 
 
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
-    """Evaluate the failure of each unit of a layout, and of each pair.
+    """Evaluate the failure of each unit of a layout, of each pair, and of each site.
 
     In each frame any remaining unit may be the one that detects. The worst comes first: the lowest
     APR (:func:`placement.evaluation.apr_one_failed` is that of `one_failed`), then the smallest
@@ -83,7 +89,7 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
 
     avoided_by_all = find_onsets(earliest_s, axis, rule=rule).is_in_time
 
-    def failure(failed: tuple[int, ...], arrival_s: FloatArray) -> Failure:
+    def failure(failed: tuple[int, ...], arrival_s: FloatArray, site_id: str = "") -> Failure:
         onsets = find_onsets(arrival_s, axis, rule=rule)
         avoided = onsets.is_in_time
         margin = (axis.last_brake_time_s - onsets.onset_s)[avoided & counts]
@@ -94,15 +100,21 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
             apr=weight_share(avoided, axis.weight),
             smallest_margin_s=float(margin.min()) if len(margin) else math.nan,
             lost_run_ids=tuple(axis.run_ids[index] for index in fastest_first),
+            site_id=site_id,
         )
+
+    def without_units(failed: tuple[int, ...]) -> FloatArray:
+        left: FloatArray = np.delete(arrivals_s, failed, axis=0).min(axis=0, initial=np.inf)
+        return left
 
     return Failures(
         none_failed=failure((), earliest_s),
         one_failed=_worst_first([failure((unit,), left) for unit, left in enumerate(without)]),
-        two_failed=_worst_first(
+        two_failed=_worst_first([failure(pair, without_units(pair)) for pair in pairs]),
+        site_failed=_worst_first(
             [
-                failure(pair, np.delete(arrivals_s, pair, axis=0).min(axis=0, initial=np.inf))
-                for pair in pairs
+                failure(tuple(failed), without_units(tuple(failed)), site_id)
+                for site_id, failed in units_by_site(evaluation.layout).items()
             ]
         ),
     )

@@ -130,6 +130,10 @@ def _at(line: FloatArray, length_m: float, offset_m: float) -> tuple[FloatArray,
     lengths = _lengths(line)
     piece = int(np.clip(np.searchsorted(lengths, length_m) - 1, 0, len(line) - 2))
     step = line[piece + 1] - line[piece]
+    if not step.any():  # a point that is there twice: the nearest step beside it
+        steps = np.diff(line, axis=0)
+        other = np.flatnonzero(steps.any(axis=1))
+        step = steps[other[np.argmin(np.abs(other - piece))]]
     ahead = step / np.linalg.norm(step)
     left = np.array([-ahead[1], ahead[0]])
     return line[piece] + (length_m - lengths[piece]) * ahead + offset_m * left, ahead

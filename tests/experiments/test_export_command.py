@@ -13,6 +13,7 @@ from experiments.export import FORMAT_NAMES
 from experiments.export.calibration import lidar_ids
 from experiments.export.formats import load_format
 from experiments.export.json import to_json
+from experiments.progress import StageProgress
 from geometry.errors import InputError
 
 BINARY = ["parquet", "gpkg"]
@@ -30,7 +31,7 @@ def layout_path(tmp_path):
 
 
 def call(*arguments):
-    return CliRunner().invoke(command, [str(argument) for argument in arguments])
+    return CliRunner().invoke(command, [str(one) for one in arguments], obj=StageProgress())
 
 
 def test_every_format_is_described():

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import InputError, Unquoted
+from ...junction import LeadingRoad
 from ..source_map import MapJunction, MapLane, Omissions
 from .attributes import numbered, take_id
 from .lanes import RoadEnds, SampledSection, lane_kind
@@ -103,7 +104,57 @@ def junction_name(record: JunctionRecord, roads: Mapping[str, Road]) -> str:
     return " / ".join(dict.fromkeys(name for name in names if name))
 
 
+_AHEAD_M = 10.0  # over which the direction of a road is taken
+
+
+def leading_roads(
+    roads: Mapping[str, Road],
+    ends: Mapping[str, RoadEnds],
+    sampled: Mapping[str, Sequence[SampledSection]],
+) -> dict[str, tuple[LeadingRoad, ...]]:
+    """Roads that lead to each junction, by its id, with the driving lanes recorded there."""
+    found: dict[str, list[LeadingRoad]] = {}
+    for road_id, at in ends.items():
+        road, sections = roads[road_id], sampled[road_id]
+        for junction, is_start in ((at.start, True), (at.end, False)):
+            if not junction:
+                continue
+            section = sections[0 if is_start else -1]
+            index = 0 if is_start else -1
+            n_lanes = {True: 0, False: 0}  # by whether they follow the road
+            edges_m = []
+            for lane in section.lanes.values():
+                wide_m = float(lane.width_m[index])
+                if lane_kind(lane.record.type) == "driving" and wide_m >= _MIN_LANE_M:
+                    follows = ((lane.record.number < 0) != road.keeps_left) != (
+                        lane.record.is_reversed
+                    )
+                    n_lanes[follows] += 1
+                    edges_m += [float(lane.inner_m[index]), float(lane.outer_m[index])]
+            if not edges_m:
+                continue
+            middle_m = 0.5 * (min(edges_m) + max(edges_m))
+            tip = section.points_m[index, :2] + middle_m * section.left[index]
+            away = road.line.at(
+                np.array([min(_AHEAD_M, road.length_m), 0.0])
+                if is_start
+                else np.array([max(road.length_m - _AHEAD_M, 0.0), road.length_m])
+            )[0]
+            step = away[0] - away[1]
+            found.setdefault(junction, []).append(
+                LeadingRoad(
+                    name=road.name or f"road {road_id}",
+                    point_m=tip,
+                    direction=step / max(float(np.hypot(*step)), 1e-9),
+                    lanes_in=n_lanes[not is_start],
+                    lanes_out=n_lanes[is_start],
+                )
+            )
+    return {junction: tuple(here) for junction, here in found.items()}
+
+
 # ---------- outlines
+_MIN_LANE_M = 1.0  # a lane that begins or ends is narrower
 _ARM_KINDS = ("driving", "parking")  # a car parked at the corner hides who crosses
 _AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; later steps may move it slightly
 _MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction

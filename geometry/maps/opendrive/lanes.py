@@ -206,6 +206,7 @@ def _count_steps(
 _MIN_WIDTH_M = 0.05  # below it there is no lane yet, or none any more
 _SAME_POINT_M = 0.005
 _MIN_LENGTH_M = 0.01
+_STAGED_M = 30.0  # of a lane next to a junction: cases are laid there, so its width there counts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,7 +234,7 @@ def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) 
             continue
         # In traffic that keeps right, lanes right of the reference line follow it.
         follows = ((record.number < 0) != road.keeps_left) != record.is_reversed
-        for points, width_m, at_start, at_end in _runs(sections, chain):
+        for points, widths_m, at_start, at_end in _runs(sections, chain):
             name = f"{road.id}/{record.number}"
             if name in used:
                 name = f"{name}/{first}"
@@ -241,6 +242,7 @@ def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) 
             if used[name] > 1:
                 name = f"{name}:{used[name]}"
             junctions = ends.start if at_start else "", ends.end if at_end else ""
+            width_m = _width_m(points, widths_m, *map(bool, junctions))
             lanes.append(
                 MapLane(
                     id=name,
@@ -295,10 +297,25 @@ def _following(sections: Sequence[SampledSection], index: int, number: int) -> i
     return None
 
 
+def _width_m(points: FloatArray, widths_m: FloatArray, at_begin: bool, at_end: bool) -> float:
+    """Mean width of a lane along the metres next to its junctions, or all along without one."""
+    steps = np.hypot(*np.diff(points[:, :2], axis=0).T)
+    along = np.append(0.0, np.cumsum(steps))
+    middle_m = 0.5 * (along[1:] + along[:-1])
+    counts = np.zeros(len(steps), dtype=bool)
+    counts |= at_begin & (middle_m <= _STAGED_M)
+    counts |= at_end & (along[-1] - middle_m <= _STAGED_M)
+    if not counts.any():
+        counts[0], counts[-1] = at_begin, at_end
+    if not counts.any():
+        counts[:] = True
+    return float(np.average(0.5 * (widths_m[1:] + widths_m[:-1])[counts], weights=steps[counts]))
+
+
 def _runs(
     sections: Sequence[SampledSection], chain: dict[int, int]
-) -> Iterator[tuple[FloatArray, float, bool, bool]]:
-    """Stretches of a chain with a lane: centreline, mean width, at the road's start, at its end."""
+) -> Iterator[tuple[FloatArray, FloatArray, bool, bool]]:
+    """Stretches of a chain with a lane: centreline, widths, at the road's start, at its end."""
     pieces = []
     for index, number in chain.items():
         section = sections[index]
@@ -314,7 +331,6 @@ def _runs(
         length_m = float(steps.sum())
         if length_m < _MIN_LENGTH_M:
             continue
-        mean_width_m = float((0.5 * (width[1:] + width[:-1]) * steps).sum()) / length_m
         is_new = np.append(True, steps > _SAME_POINT_M)
         is_new[-1] = True  # the end stays, and a point too close before it goes
         if steps[-1] <= _SAME_POINT_M and len(is_new) > 2:
@@ -322,7 +338,7 @@ def _runs(
         is_new[0] = True
         at_start = min(chain) == 0 and begin == 0
         at_end = max(chain) == len(sections) - 1 and end == len(points)
-        yield line[is_new], mean_width_m, bool(at_start), bool(at_end)
+        yield line[is_new], width[is_new], bool(at_start), bool(at_end)
 
 
 # ---------- short roads at the mouth of a junction

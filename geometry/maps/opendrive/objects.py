@@ -40,6 +40,9 @@ def object_kind(element: Element) -> str | None:
     ``POLE_KINDS``, or "obstacle" if the standard's type says no more than that.
     """
     object_type, name = element.get("type", ""), element.get("name", "")
+    subtype = element.get("subtype", "")
+    if has_word((object_type, name, subtype), load_facts()["object_words"]["crosswalk"]):
+        return "crosswalk"  # some write them as road marks
     if has_word((object_type, name), load_facts()["flat"]["words"]):
         return None
     if element.find("parkingSpace") is not None:
@@ -48,9 +51,7 @@ def object_kind(element: Element) -> str | None:
     for kind, types in load_facts()["object_types"].items():
         if plain in types and element.get("dynamic", "no") != "yes":
             return str(kind)
-    for text in (
-        (object_type,) if plain not in _SAYS_NOTHING else (name, element.get("subtype", ""))
-    ):
+    for text in (object_type,) if plain not in _SAYS_NOTHING else (name, subtype):
         for kind, listed in load_facts()["object_words"].items():
             if has_word((text,), listed):
                 return str(kind)
@@ -58,16 +59,22 @@ def object_kind(element: Element) -> str | None:
 
 
 def signal_kind(element: Element) -> str | None:
-    """Kind of a signal: "traffic light", "crosswalk" (painted), "sign"; None: other paint."""
+    """Kind of a signal: "traffic light", "crosswalk" (painted), "sign"; None: other paint.
+
+    What the file calls static is no traffic light, whatever its name.
+    """
     facts = load_facts()["signals"]
     texts = (element.get("name", ""), element.get("type", ""), element.get("subtype", ""))
     number = element.get("type", "").strip()
-    is_dynamic = element.get("dynamic", "no").strip().lower() in ("yes", "true", "1")
+    dynamic = element.get("dynamic", "").strip().lower()
+    is_dynamic, is_static = dynamic in ("yes", "true", "1"), dynamic in ("no", "false", "0")
     if number in facts["crosswalk_types"] and not is_dynamic:
         return "crosswalk"
     if has_word(texts, facts["painted_words"]):
         return None
-    if (is_dynamic and number in facts["light_types"]) or has_word(texts, facts["light_words"]):
+    if is_dynamic and number in facts["light_types"]:
+        return "traffic light"
+    if not is_static and has_word(texts, facts["light_words"]):
         return "traffic light"
     return "sign"
 

@@ -5,6 +5,7 @@ simulator or version, while this needs lanes, outlines and objects of all versio
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -13,11 +14,11 @@ import numpy as np
 from ...errors import InputError, Unquoted
 from ...untrusted_files import local_name, read_xml
 from ..source_map import Omissions, SourceMap
-from .attributes import Offset, numbered, read_crs, read_offset
-from .junctions import build_junctions, find_road_ends, read_junction_records
+from .attributes import Offset, numbered, read_crs, read_offset, take_id, take_number
+from .junctions import build_junctions, find_road_ends, leading_roads, read_junction_records
 from .lanes import MAX_POINTS, SampledSection, build_lanes, join_stubs, sample_road
 from .objects import build_rows, cross_paths, read_objects
-from .roads import NO_JUNCTION, Road, read_road
+from .roads import NO_JUNCTION, Road, RoadLink, read_links, read_road
 from .signals import merge_poles, read_signals
 
 
@@ -44,7 +45,7 @@ def read_opendrive(path: Path) -> SourceMap:
     omissions = Omissions()
     crs, source_crs = read_crs(root, omissions)
     offset = read_offset(root, where)
-    roads = _read_roads(root, where, offset)
+    roads = _read_roads(root, where, offset, omissions)
     sampled = _sample(roads, where)
     records = read_junction_records(root, where, omissions)
     ends = find_road_ends(roads, records, omissions)
@@ -57,6 +58,8 @@ def read_opendrive(path: Path) -> SourceMap:
         ]
     )
     junctions, lanes = build_junctions(records, roads, sampled, lanes, omissions, where)
+    leading = leading_roads(roads, ends, sampled)
+    junctions = [replace(one, roads=leading.get(one.id, ())) for one in junctions]
     found = read_objects(roads, omissions)
     lanes += [
         lane for road, spaces in found.spaces.items() for lane in build_rows(roads[road], spaces)
@@ -79,16 +82,42 @@ def read_opendrive(path: Path) -> SourceMap:
     )
 
 
-def _read_roads(root: Element, where: str, offset: Offset) -> dict[str, Road]:
+_JOINED_M = 1.0e-3  # a road that is shorter is but a joint between its neighbours
+
+
+def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions) -> dict[str, Road]:
+    """All roads by id; the neighbours of those without a length are joined, which is noted."""
     roads: dict[str, Road] = {}
+    joints: dict[str, tuple[RoadLink, RoadLink]] = {}
     for element, _ in numbered(root, "road", where):
-        road = read_road(element, where, offset)
-        if road.id in roads:
-            raise InputError(f"{road.where}.id", road.id, "every id once")
-        roads[road.id] = road
+        road_id = take_id(element, f"{where}: road")
+        if road_id in roads or road_id in joints:
+            raise InputError(f"{where}: road {road_id}.id", road_id, "every id once")
+        length_m = take_number(element, "length", f"{where}: road {road_id}")
+        if 0.0 < length_m < _JOINED_M:
+            joints[road_id] = read_links(element)
+            why = f"shorter than {_JOINED_M * 1e3:g} mm: its neighbours are joined"
+            omissions.add("roads", f"road {road_id}", why)
+        else:
+            roads[road_id] = read_road(element, where, offset)
     if not roads:
         raise InputError(where, Unquoted("no road"), "a document with roads")
-    return roads
+    return {
+        road_id: replace(
+            road, before=_beyond(road.before, joints), after=_beyond(road.after, joints)
+        )
+        for road_id, road in roads.items()
+    }
+
+
+def _beyond(link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]) -> RoadLink:
+    """What a link leads to, roads without a length passed over."""
+    for _ in range(len(joints)):
+        if link.kind != "road" or link.id not in joints:
+            break
+        before, after = joints[link.id]
+        link = before if link.contact == "end" else after
+    return link
 
 
 def _sample(roads: Mapping[str, Road], where: str) -> dict[str, tuple[SampledSection, ...]]:

@@ -120,6 +120,7 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
     lanes = element.find("lanes")
     elevation = read_cubics(element.find("elevationProfile"), "elevation", where)
     lateral = element.find("lateralProfile")
+    before, after = read_links(element)
     return Road(
         id=road_id,
         name=element.get("name", "").strip(),
@@ -132,8 +133,8 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
         base_m=offset.z_m,
         offset=read_cubics(lanes, "laneOffset", where),
         sections=_read_sections(lanes, where, length_m),
-        before=_read_link(element, "predecessor"),
-        after=_read_link(element, "successor"),
+        before=before,
+        after=after,
         is_banked=lateral is not None and _is_banked(lateral, where),
         element=element,
     )
@@ -146,6 +147,11 @@ def _is_banked(lateral: Element, where: str) -> bool:
         for piece, here in numbered(lateral, tag, where)
         for key in "abcd"
     )
+
+
+def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
+    """What lies before and after a road."""
+    return _read_link(road, "predecessor"), _read_link(road, "successor")
 
 
 def _read_link(road: Element, side: str) -> RoadLink:

@@ -13,6 +13,7 @@ from shapely.geometry.base import BaseGeometry
 from ...arrays import FloatArray
 from ..source_map import MapJunction, Omissions
 from .elements import DEFAULTS, Elements, Tags
+from .leading_roads import find_leading_roads
 from .network import End, Network, Street, axis_points, surface, trace_streets
 
 _STEP_M = 0.5
@@ -265,6 +266,9 @@ def is_between_carriageways(network: Network, street: Street) -> bool:
 
 
 # ---------- junctions
+_STUB = "it ends nowhere, less than {:g} m beyond a junction: no arm".format(
+    DEFAULTS["cross_section"]["stub_m"]
+)
 _MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
 
 
@@ -291,10 +295,14 @@ def find_junctions(
     for number_of_round in count():
         streets = trace_streets(network, clusters.of_row.__contains__)
         arms, inside = _arms_by_cluster(streets, clusters, known)
+        stubs = _take_stubs(network, arms, inside)
         if number_of_round < _MAX_ROUNDS and _take_in_forks(network, clusters, arms):
             continue
         if not _drop_small(clusters, arms, elements, omissions):
             break
+    for stub in stubs:
+        edge, _ = stub.street.parts[0]
+        omissions.add("roads", f"way {edge.way_id}", _STUB)
     ids = {
         number: f"n{min(int(elements.node_ids[row]) for row in rows)}"
         for number, rows in clusters.members.items()
@@ -311,7 +319,8 @@ def find_junctions(
         points = network.positions_m[clusters.members[number]]
         outline = _outline(final, inside.get(number, []), points)
         name = _name(final, inside.get(number, []))
-        junctions.append(MapJunction(id=ids[number], name=name, outline_m=outline))
+        roads = find_leading_roads(network, clusters.members[number], outline)
+        junctions.append(MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads))
     order = sorted(range(len(junctions)), key=lambda index: int(junctions[index].id[1:]))
     return list(reaches.values()), [junctions[index] for index in order]
 
@@ -380,6 +389,22 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
     return bool(taken)
 
 
+def _take_stubs(
+    network: Network, arms: dict[int, list[Arm]], inside: dict[int, list[Street]]
+) -> list[Arm]:
+    """Take out of the arms what ends nowhere just beyond them; it is part of the junction."""
+    least_m = DEFAULTS["cross_section"]["stub_m"]
+    stubs = []
+    for number, here in arms.items():
+        for arm in here:
+            is_dead_end = len(network.ends[int(arm.street.rows[-1])]) == 1
+            if is_dead_end and arm.street.length_m - arm.mouth_m < least_m:
+                stubs.append(arm)
+                inside[number].append(arm.street)
+        arms[number] = [arm for arm in here if not any(arm is stub for stub in stubs)]
+    return stubs
+
+
 def _drop_small(
     clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements, omissions: Omissions
 ) -> bool:
@@ -412,7 +437,10 @@ def _reaches(
     reaches = {}
     for index, street in enumerate(streets):
         numbers = [clusters.of_row.get(int(street.rows[at])) for at in (0, -1)]
-        if numbers[0] is not None and (index, True) not in mouths:
+        if any(
+            number is not None and (index, is_begin) not in mouths
+            for number, is_begin in zip(numbers, (True, False), strict=True)
+        ):
             continue  # inside a junction
         cuts = [
             mouths[index, is_begin]

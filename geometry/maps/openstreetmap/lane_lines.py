@@ -50,6 +50,7 @@ def _street_lanes(reach: Reach) -> Iterator[MapLane]:
         for low, high in zip(street.breaks_m[:-1], street.breaks_m[1:], strict=True)
     ]
     parts = [index for index, (low, high) in enumerate(spans) if high - low > 1e-3]
+    parts, spans = _without_stubs(parts, spans, reach)
     open_pieces: dict[tuple[str, str, int], _Piece] = {}
     done: list[_Piece] = []
     for at, index in enumerate(parts):
@@ -77,6 +78,31 @@ def _street_lanes(reach: Reach) -> Iterator[MapLane]:
         lane = _lane(piece, reach)
         if lane is not None:
             yield lane
+
+
+def _without_stubs(
+    parts: Sequence[int], spans: Sequence[tuple[float, float]], reach: Reach
+) -> tuple[list[int], list[tuple[float, float]]]:
+    """Parts of a street that have lanes of their own, and their stations.
+
+    A way that is cut in two just outside a junction, as at a crosswalk, leaves a stub there: the
+    lanes of the part beyond it run on to the junction, unless that is driven in other directions.
+    """
+    least_m = DEFAULTS["cross_section"]["stub_m"]
+    kept, whole = list(parts), list(spans)
+    sections = reach.street.sections
+
+    def is_stub(near: int, beyond: int) -> bool:
+        is_short = np.ptp(whole[near]) < least_m
+        return bool(is_short) and sections[near].directions == sections[beyond].directions
+
+    while reach.from_junction and len(kept) > 1 and is_stub(kept[0], kept[1]):
+        stub = kept.pop(0)
+        whole[kept[0]] = (whole[stub][0], whole[kept[0]][1])
+    while reach.to_junction and len(kept) > 1 and is_stub(kept[-1], kept[-2]):
+        stub = kept.pop()
+        whole[kept[-1]] = (whole[kept[-1]][0], whole[stub][1])
+    return kept, whole
 
 
 def _key(strip: Strip) -> tuple[str, str, int]:

@@ -210,6 +210,11 @@ class CrossSection:
         lanes = [s for s in self.strips if s.kind == "driving" and s.is_forward == is_forward]
         return tuple(sorted(lanes, key=lambda strip: strip.number))
 
+    @property
+    def directions(self) -> frozenset[bool]:
+        """Directions in which cars drive: True is that of the way."""
+        return frozenset(strip.is_forward for strip in self.strips if strip.kind == "driving")
+
     def turned_round(self) -> "CrossSection":
         """The same, along the way in the opposite order of nodes."""
         strips = tuple(

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
@@ -18,6 +19,8 @@ from experiments.cli.scene import scene_text
 from experiments.figures.axes import to_png
 from experiments.figures.scene import plot_scene_plan, plot_scene_view
 from experiments.results.scenes import SceneResult
+from geometry.errors import InputError
+from geometry.junction import build_junction
 from geometry.scene_files import load_scene_folder, load_study_scene
 from placement import planning
 from placement.candidates import load_candidate_grid
@@ -366,6 +369,33 @@ def test_pictures_show_something():
     for figure in (plot_scene_plan(scene), plot_scene_view(scene)):
         picture = np.asarray(Image.open(io.BytesIO(to_png(figure))).convert("L"))
         assert picture.std() > 20.0
+
+
+def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkeypatch):
+    from experiments.jobs import placement
+
+    asked = []
+
+    def stop(question, **_):
+        asked.append(question)
+        raise InputError("here", "the question", "nothing more")
+
+    monkeypatch.setattr(placement, "run_placement", stop)
+    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
+    osm = OsmText()
+    crossing_streets(osm, bearings=[(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)], lanes="2")
+    city = str(osm.write(tmp_path))
+    for _ in range(2):
+        result = command("--scene", city, "--junction", "Street 2 / Street 0", "--budget", "2")
+        assert result.code == 2
+        assert "Left out, or assumed:" in result.err
+    assert len(list((tmp_path / "cache" / "scenes").iterdir())) == 1
+    assert {one.scene for one in asked} == {str(next((tmp_path / "cache" / "scenes").iterdir()))}
+    assert len(build_junction(load_scene_folder(Path(asked[0].scene))).arms) == 3
+    for wrong in ([], ["--scene", str(tmp_path)], ["--scene", asked[0].scene]):
+        result = command(*wrong, "--junction", "Street 0", "--budget", "2", "--quiet")
+        assert result.code == 2
+        assert "expected --scene FILE, a map with roads" in result.err
 
 
 def test_lists_that_are_long_are_cut(monkeypatch):

@@ -10,6 +10,7 @@ from experiments.report.failures import (
     failure_sentences,
     failure_table,
     failures_section,
+    site_table,
 )
 from experiments.results.numbers import NOTHING
 from geometry.poses import Pose
@@ -149,3 +150,28 @@ def test_the_part_has_a_table_of_pairs_where_it_says_something(build, rule, n_un
     assert "<b>" not in page
     assert page.count("<table>") == n_tables
     assert "&lt;b&gt;0" in page
+
+
+def test_a_pole_with_two_units_is_told_beside_the_units():
+    pole = Failure(
+        unit_ids=("A", "B"), apr=0.25, smallest_margin_s=0.1, lost_run_ids=("r1",), site_id="lamp 7"
+    )
+    alone = Failure(
+        unit_ids=("C",), apr=1.0, smallest_margin_s=0.1, lost_run_ids=(), site_id="lamp 8"
+    )
+    units = [left(name, 1.0) for name in "ABC"]
+    failures = Failures(
+        none_failed=left("", 1.0), one_failed=units, two_failed=(), site_failed=(pole, alone)
+    )
+    assert failure_sentences(failures, LABELS)[-1] == (
+        "A pole fails with all that hangs on it (power, a crash). If that of #1 and #2 does, 25.0 %"
+        " are left and 1 run is lost; no other pole leaves less."
+    )
+    assert [row[:3] for row in site_table(failures.site_failed, LABELS).rows] == [
+        ["lamp 7", "#1 and #2", "25.0 %"],
+        ["lamp 8", "#3", "100.0 %"],
+    ]
+    unshared = Failures(
+        none_failed=left("", 1.0), one_failed=units, two_failed=(), site_failed=(alone,)
+    )
+    assert "No two units hang on one pole" in failure_sentences(unshared, LABELS)[-1]

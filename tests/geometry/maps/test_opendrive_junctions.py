@@ -200,3 +200,45 @@ def test_paths_across_a_junction_are_crosswalks(tmp_path):
     )
     source = read_text(tmp_path, text)
     np.testing.assert_allclose(source.crosswalks_m, [[[12.0, -4.0], [12.0, 4.0]]], atol=1e-9)
+
+
+@pytest.mark.parametrize("length_m", [2.0e-7, 5.0e-4])
+def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, length_m):
+    def crossroads(*, joint):
+        leads = to_road("successor", "8", "start") if joint else to_junction("successor", "9")
+        parts = [
+            road("1", length=50.0, link=leads),
+            road(
+                "2",
+                plan=geometry(x=70.0, length=50.0),
+                length=50.0,
+                link=to_junction("predecessor", "9"),
+            ),
+            road(
+                "3",
+                plan=geometry(x=50.0, length=20.0),
+                length=20.0,
+                junction="9",
+                link=to_road("predecessor", "8" if joint else "1", "end")
+                + to_road("successor", "2", "start"),
+            ),
+        ]
+        if joint:
+            link = to_road("predecessor", "1", "end") + to_junction("successor", "9")
+            parts.insert(
+                1, road("8", plan=geometry(x=50.0, length=length_m), length=length_m, link=link)
+            )
+        incoming = "8" if joint else "1"
+        parts.append(
+            f'<junction id="9"><connection id="0" incomingRoad="{incoming}" connectingRoad="3" '
+            'contactPoint="start"/></junction>'
+        )
+        return read_text(tmp_path, document(*parts))
+
+    joined, plain = crossroads(joint=True), crossroads(joint=False)
+    assert [(one.id, one.to_junction, one.from_junction) for one in joined.lanes] == [
+        (one.id, one.to_junction, one.from_junction) for one in plain.lanes
+    ]
+    assert any(one.to_junction == "9" for one in joined.lanes)
+    (told,) = joined.skipped
+    assert (told.what, told.why) == ("road 8", "shorter than 1 mm: its neighbours are joined")

@@ -343,3 +343,11 @@ def test_bands_are_closed_and_face_outwards():
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert mesh.volume == pytest.approx(10.0 * 1.0 * 2.5, rel=1e-2)
+
+
+@pytest.mark.parametrize("names", [{"subtype": "crosswalk"}, {"name": "crossWalk"}])
+def test_a_crosswalk_may_be_written_as_a_road_mark(tmp_path, names):
+    text = _object("roadMark", t=0, length=3, width=8, **names)
+    (ends,) = _read(tmp_path, text).crosswalks_m
+    assert np.hypot(*(ends[1] - ends[0])) == pytest.approx(8.0)
+    assert not len(_read(tmp_path, _object("roadMark", t=0, length=3, width=8)).crosswalks_m)

@@ -11,7 +11,7 @@ from strategies import frame_axes
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.evaluation import Evaluation, Verdict, apr_one_failed
+from placement.evaluation import Evaluation, Verdict, apr_one_failed, apr_one_site_failed
 from placement.explain.failures import MAX_PAIR_UNITS, find_failures
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
@@ -107,6 +107,33 @@ def test_every_failure_is_as_brute_force_says(axis, n_units, data):
     assert failures.one_failed[0].apr == apr_one_failed(evaluation, rule)
     for items in (failures.one_failed, failures.two_failed):
         assert [item.apr for item in items] == sorted(item.apr for item in items)
+
+
+@pytest.mark.parametrize(
+    "sites", [("a", "a", "b"), ("a", "b", "c"), ("a", "a", "a"), ("", "", "b")]
+)
+def test_a_pole_takes_all_its_units_with_it(frame_axis, rule, sites):
+    rng = np.random.default_rng(4)
+    detected = rng.random((3, 10)) < 0.8
+    evaluation = evaluate(frame_axis, detected, [None] * 3)
+    units = tuple(
+        replace(unit, site_id=site)
+        for unit, site in zip(evaluation.layout.units, sites, strict=True)
+    )
+    evaluation = replace(evaluation, layout=Layout(name="mine", units=units))
+    found = find_failures(evaluation, rule).site_failed
+    together = {}
+    for index, site in enumerate(sites):
+        together.setdefault(site or f"unit U{index}", []).append(index)
+    assert {item.site_id: item.unit_ids for item in found} == {
+        site: tuple(f"U{index}" for index in failed) for site, failed in together.items()
+    }
+    latencies_s = [rule.latency_s] * 3
+    for item in found:
+        failed = together[item.site_id]
+        share, _, _ = brute_force(frame_axis, detected, latencies_s, rule, failed)
+        assert item.apr == pytest.approx(share)
+    assert apr_one_site_failed(evaluation, rule) == min(item.apr for item in found)
 
 
 def test_runs_without_weight_are_neither_lost_nor_a_margin(frame_axis, rule):
