@@ -272,19 +272,23 @@ def is_dominated(
 
 def _settled_frames(reduced: ReducedProblem, poses: IntArray) -> Callable[[int], WordArray]:
     """What finds the frames that only runs need which a pose avoids alone, (n_words,)."""
-    from .tree_kernels import first_live_windows
-
     chains = reduced.chains
     shortest = np.full(reduced.n_chains, np.iinfo(np.int64).max)
     np.minimum.at(shortest, reduced.run_chain, (reduced.margin_s > -np.inf).sum(axis=1))
     frames = chains.window_frames[chains.window]
     n_links, n_tails = np.diff(chains.start), np.diff(chains.tail_start)
-    first = np.empty((1, reduced.n_chains), dtype=np.int64)
+    number = np.arange(len(frames)) - np.repeat(chains.start[:-1], n_links)
+    is_for_all = number < np.repeat(shortest, n_links)
+    tail_chain = np.repeat(np.arange(reduced.n_chains), n_tails)
 
     def find(pose: int) -> WordArray:
-        row = poses[pose]
-        first_live_windows(reduced.words[row : row + 1], chains, first)
-        is_open = first[0] >= shortest
+        detected = unpack_words(reduced.words[poses[pose]], reduced.n_frames)
+        lost = np.where(detected[chains.tail_frame], 0, chains.tail_links)
+        n_lost = np.zeros(reduced.n_chains, dtype=np.int64)
+        np.maximum.at(n_lost, tail_chain, lost)
+        is_live = np.logical_and.reduce(detected[frames], axis=1) & is_for_all
+        is_live &= number >= np.repeat(n_lost, n_links)
+        is_open = ~np.logical_or.reduceat(is_live, chains.start[:-1])
         is_settled = np.ones(reduced.n_frames, dtype=bool)
         is_settled[frames[np.repeat(is_open, n_links)]] = False
         is_settled[chains.tail_frame[np.repeat(is_open, n_tails)]] = False
