@@ -109,35 +109,10 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
     ) = UNSET
 
 
-class GreedyLayoutRecord(Record, frozen=True, kw_only=True):
+class GreedyLayoutRecord(EvaluationRecord, frozen=True, kw_only=True):
     """Units chosen one by one, by the evaluator."""
 
     layout: Annotated[tuple[UnitRecord, ...], says("The units.", min_length=1)]
-    vut: Annotated[PartyAprRecord, says("The vehicle under test by itself.")]
-    rsu_all: Annotated[
-        PartyAprRecord, says("All units together: in each frame, any of them may detect.")
-    ]
-    vut_and_rsus: Annotated[
-        PartyAprRecord, says("All units and the vehicle's own sensors together.")
-    ]
-    units: Annotated[dict[str, PartyAprRecord], says("Each unit by itself, by its id.")]
-    vam: (
-        Annotated[
-            PartyAprRecord,
-            says("Road users that announce themselves; only where there are such messages."),
-        ]
-        | UnsetType
-    ) = UNSET
-    all_sources: (
-        Annotated[
-            PartyAprRecord,
-            says("Units, vehicle and announcements together; only where there are such messages."),
-        ]
-        | UnsetType
-    ) = UNSET
-    apr_without_worst_unit: Annotated[
-        Share | None, says("APR of all units together if the one that is needed most fails.")
-    ]
 
 
 class DisagreementRecord(Record, frozen=True, kw_only=True):
