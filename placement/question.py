@@ -166,7 +166,6 @@ class Question:
             help="Areas that no camera may have in its picture; of a layout that is given, the "
             "share of them in each picture is told. Polygons in GeoJSON, GeoPackage or Shapefile.",
             metavar="FILE",
-            is_common=True,
             is_path=True,
         ),
     ] = ""
@@ -195,7 +194,7 @@ class Question:
             name="time-limit",
             is_common=True,
         ),
-    ] = 20.0
+    ] = 60.0
     gap: Annotated[
         Annotated[float, _share("a relative gap")],
         Option(section=SOUGHT, help="Relative gap at which an objective counts as settled."),
@@ -301,7 +300,6 @@ class Question:
             section=DRIVEN,
             help="VUT speeds: 30,50 or 20-40 (the case's own speeds in that range); default: all.",
             metavar="KMH",
-            is_common=True,
         ),
     ] = ""
     approaches: Annotated[

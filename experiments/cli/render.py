@@ -7,7 +7,6 @@ from typing import Any
 import click
 
 from placement.compute import Compute
-from scenarios.positions import AT_ZERO
 
 from ..progress import StageProgress
 from .options import (
@@ -114,6 +113,8 @@ def render(
 
 
 def _default_path(run: Any, unit_id: str, frame_index: int, suffix: str) -> Path:
+    from scenarios.positions import AT_ZERO
+
     place = run.approach if run.position == AT_ZERO.name else f"{run.approach}{run.position}"
     parts = [*run.case.name.split("/"), place, f"{run.vut_speed_kmh:g}", run.weather]
     name = "_".join([*parts, f"frame-{frame_index}", unit_id])

@@ -13,7 +13,6 @@ import msgspec
 from placement.question import Question
 
 from ..progress import StageProgress
-from ..results.drives import describe_places
 from ..results.numbers import several
 from .options import (
     ONLY_DRIVEN,
@@ -134,6 +133,8 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
         if entry.reason is not None:
             of_reason = refused.setdefault((entry.case, entry.reason), {})
             of_reason.setdefault(entry.approach, []).append(entry.position)
+    from ..results.drives import describe_places
+
     for (case, reason), where in refused.items():
         lines += sentences(f"{case} from {describe_places(where)} not driven: {reason}", hanging=2)
     n_runs = sum(entry.n_runs for entry in rows)

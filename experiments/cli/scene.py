@@ -108,7 +108,7 @@ def scene() -> None:
     epilog="""\b
 Examples:
   place-rsus scene import city.osm -o scene
-  place-rsus scene import city.osm --junction "Mill Lane / High Street" -o scene
+  place-rsus scene import city.osm --junction "Mill Lane / High St" -o scene
   place-rsus scene import town.xodr --junction 189 -o scene.zip
   place-rsus scene import city.osm.pbf --at 13.4412,52.4771 -o scene
   place-rsus scene import roads.xodr houses.gml --sites poles.csv -o scene

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geometry.errors import InputError, Unquoted
 from geometry.files import MAX_TEXT_BYTES, check_file
@@ -18,7 +18,9 @@ from placement.verification.verify import verify_certificate
 from ..progress import StageProgress
 from ..results.folders import LAYOUT_FILE, MARKER
 from ..results.solutions import CheckRecord, VerificationResult, VerifiedStageRecord
-from .folder_checks import FolderChecks, check_folder_files
+
+if TYPE_CHECKING:
+    from .folder_checks import FolderChecks
 
 
 def run_verification(
@@ -40,6 +42,8 @@ def run_verification(
     InputError
         There is no such folder, or a file in it is missing, damaged or no such file at all.
     """
+    from .folder_checks import FolderChecks, check_folder_files  # loads pandas
+
     if not folder.is_dir():
         raise InputError(str(folder), Unquoted("no folder"), "a folder with results")
     progress("read", 0, 0)
@@ -132,7 +136,7 @@ def _check_scene(
     mounts: Mounts | None,
     layout: Layout | None,
     pose_ids: tuple[str, ...],
-    found: FolderChecks,
+    found: "FolderChecks",
 ) -> Scene | None:
     """Compare the scene that is said with the one at hand; returns it if it is the same one."""
     if mounts is None:

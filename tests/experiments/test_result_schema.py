@@ -229,7 +229,7 @@ def test_evaluations_and_comparisons_are_as_the_schema_says(
     assert {"compared", "differences", "sampled"} <= set(summary)
     result = load_result(tmp_path / "both")
     assert result.layout.name == "first-2"
-    assert set(result.runs["layout"]) == {"first-1", "first-2"}
+    assert set(result.runs["layout"]) == {"first-1", "first-2", "expert rule"}
 
 
 def test_what_is_changed_in_a_summary_is_noticed(small_study, without_figures, run, tmp_path):
@@ -239,6 +239,7 @@ def test_what_is_changed_in_a_summary_is_noticed(small_study, without_figures, r
     assert messages(summary) == []
     assert plain(load_result(tmp_path / "out").summary) == summary
     optional = {"front", "private_ground", "refinement", "sampled", "sensitivity"}
+    optional |= {"track_memory_s", "dangers", "next_unit", "baselines", "study_cases"}
     for key in summary:
         less = {name: value for name, value in summary.items() if name != key}
         assert bool(messages(less)) != (key in optional - {"sensitivity"}), key

@@ -183,7 +183,7 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(vut, ru
         assert distance_to_chain_m(run.vut_position_m[on_map], chain).max() < 0.7
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12)
 @given(
     name=st.sampled_from(FREE),
     metres=st.sampled_from([0.0, 15.0, 40.0]),
@@ -198,8 +198,9 @@ def test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line(
     scene, exit_lane = _scene_with_exit(aside_m, turned_deg)
     position = Position(is_behind=True, distance_m=metres)
     runs, refusals = laid(scene, name, position, vut, rule, speeds=(25.0,))
+    reasons = ("too fast for the change", "bends too sharply", "parked")
     for refusal in refusals:  # the rest may be too sharp, or parked cars on the road
-        assert "too fast for the change" in refusal.reason or "parked" in refusal.reason
+        assert any(reason in refusal.reason for reason in reasons)
     for run in runs:
         motion = run.encounter.vut_motion
         distance = np.linspace(0.0, float(motion.distance_m(0.0)), 400)

@@ -152,7 +152,7 @@ def test_options_that_are_left_out_do_not_reach_other_commands():
     names = {param.name for param in main.cli.params}
     assert {"budget", "target", "survive", "keep"} <= names
     (limit,) = (param for param in main.cli.params if param.name == "time_limit_s")
-    assert limit.default == 20.0
+    assert limit.default == 60.0
     assert "keep" in {param.name for param in pareto.params}
     assert "keep" not in {param.name for param in retrofit.params}
 

@@ -327,6 +327,7 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
         "case": "CPNCO-50",
         "source": "protocol-4.5.1",
         "approach": run.approach,
+        "position": "0",
         "weather": "night",
         "vut_speed_kmh": "40",
         "vru_speed_kmh": "5",

@@ -104,6 +104,7 @@ def test_the_most_columns_and_many_directions_fit(axis):
         last_brake_time_s=np.full(n, -0.5),
         run_start=np.arange(n + 1),
         time_s=np.zeros(n),
+        positions=("0",) * n,
     )
     never = verdict(wide, np.full(n, np.inf))
     panels = plot_margins([("x" * 40, never)] * MAX_COLUMNS, wide)
