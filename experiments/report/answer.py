@@ -51,7 +51,7 @@ def answer(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
     if result.evaluation.apr_without_worst_site is not UNSET:
         left = result.evaluation.apr_without_worst_site
         failed.append(
-            f"if any one pole fails with all that hangs on it, {_reach(left, 'the others')}"
+            f"If any one pole fails with all that hangs on it, {_reach(left, 'the others')}"
         )
     if result.stages:
         verb = "avoids" if len(subject.units) == 1 else "avoid"
