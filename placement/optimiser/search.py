@@ -125,7 +125,7 @@ def _cut(reduced: ReducedProblem, union: WordArray, fails: Fails, *, n_units: in
 # ---------- the search
 
 
-_START_SHARE = 0.2  # of the time left
+_START_SHARE = 0.1  # of the time left
 _SOLVER_TOLERANCE = 1.0e-6  # rows, whole numbers and gaps are met up to this
 
 
