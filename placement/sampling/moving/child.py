@@ -11,9 +11,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import libsumo
 import numpy as np
-from libsumo import constants
+
+if __name__ == "__main__":  # whoever else imports this file may lack SUMO
+    import libsumo
+    from libsumo import constants
 
 VUT = "vut"
 _EXACT_MAPPING = 2  # keepRoute: where it is put, on whichever lane lies there

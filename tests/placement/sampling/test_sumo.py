@@ -1,6 +1,8 @@
 """SUMO on a scene's own lanes; skipped where it is not installed, but for what is told then."""
 
 import importlib.util
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 
@@ -17,8 +19,20 @@ from placement.sampling.moving.network import build_network, missing_sumo
 from placement.sampling.moving.simulate import simulate_windows
 from placement.sampling.moving.source import load_traffic
 
-HAS_SUMO = importlib.util.find_spec("libsumo") is not None
-needs_sumo = pytest.mark.skipif(not HAS_SUMO, reason="SUMO is not installed: extra traffic")
+
+def _loads_sumo():
+    """Whether SUMO is installed, and finds the libraries of the system that it needs."""
+    if importlib.util.find_spec("libsumo") is None:
+        return False
+    return (
+        subprocess.run([sys.executable, "-c", "import libsumo"], capture_output=True).returncode
+        == 0
+    )
+
+
+needs_sumo = pytest.mark.skipif(
+    not _loads_sumo(), reason="SUMO is not installed (extra traffic), or a library of the system"
+)
 LANE_REACH_M = 2.0
 
 
