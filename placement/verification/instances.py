@@ -118,7 +118,7 @@ class StoredProblem(NamedTuple):
 
 
 def load_problem(path: Path) -> PlacementProblem:
-    """Read a problem without its mounts; see :func:`load_stored_problem`."""
+    """Read a problem from a file, without what its poses are."""
     return load_stored_problem(path).problem
 
 
