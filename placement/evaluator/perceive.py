@@ -87,6 +87,9 @@ def _perceive(
     vehicle_kind = vehicle_index[order][is_there]
     vehicle_start = np.concatenate([[0], np.cumsum(is_there.sum(axis=1))])
     trees, roots = join_trees([vehicle.meshes[0].tree for vehicle in surroundings.vehicles])
+    reach_m = np.array(
+        [np.linalg.norm(vehicle.hull_m, axis=1).max() for vehicle in surroundings.vehicles]
+    )
     seen = _blank(len(first), n_frames)
     image = Image(
         focal_px=camera.focal_length_px,
@@ -114,6 +117,7 @@ def _perceive(
             parked.tree,
             trees,
             roots,
+            reach_m,
             Sights(
                 vru=vru.take(sights),
                 static=static.take(sights),

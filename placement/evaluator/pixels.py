@@ -459,6 +459,25 @@ def hide(
     return False
 
 
+@kernel
+def _is_beside(
+    image: Image, box: Window, farthest_m: float, shift: FloatArray, reach_m: float
+) -> bool:
+    """Whether a body lies outside of the beam through a box: all of it is near its origin."""
+    x, y, z = shift[0], shift[1], shift[2]
+    if z - reach_m > farthest_m or z + reach_m < 0.0:
+        return True
+    half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
+    left, right = (box[0] - half_width) / image.focal_px, (box[2] - half_width) / image.focal_px
+    top, bottom = (box[1] - half_height) / image.focal_px, (box[3] - half_height) / image.focal_px
+    return bool(
+        left * z - x > reach_m * np.sqrt(1.0 + left * left)
+        or x - right * z > reach_m * np.sqrt(1.0 + right * right)
+        or top * z - y > reach_m * np.sqrt(1.0 + top * top)
+        or y - bottom * z > reach_m * np.sqrt(1.0 + bottom * bottom)
+    )
+
+
 # ---------- many sights
 
 
@@ -473,6 +492,7 @@ def see(
     parked: Tree,
     vehicles: Tree,
     roots: IntArray,
+    reach_m: FloatArray,
     sights: Sights,
     seen: Seen,
 ) -> None:
@@ -480,7 +500,8 @@ def see(
 
     The VRU's `vertices_m`, `triangles` and `hull_m` are in its body frame; what may hide it are the
     `standing` scene, what is `parked` in it, and `vehicles`, the trees of all kinds of which begin
-    at `roots`. Where the VRU's part of the image is not `min_height_px` high, boxes are zeros.
+    at `roots`; all of each kind is within `reach_m` of its origin. Where the VRU's part of the
+    image is not `min_height_px` high, boxes are zeros.
     """
     hull, points = np.empty((len(hull_m), 3)), np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
@@ -527,8 +548,11 @@ def see(
                 continue
             is_hidden = False
             for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
-                root = roots[sights.vehicle_kind[row]]
+                kind = sights.vehicle_kind[row]
+                root = roots[kind]
                 at, there = sights.vehicles.turn[row], sights.vehicles.shift[row]
+                if _is_beside(image, box, farthest_m, there, reach_m[kind]):
+                    continue
                 if not hide(
                     image, vehicles, root, at, there, box, farthest_m, low_m, high_m, nothing
                 ):
