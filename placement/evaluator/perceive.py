@@ -74,7 +74,6 @@ def _perceive(
 ) -> Evidence:
     """Evidence from poses relative to the frame in which the camera stands."""
     from .pixels import Image, see  # loads the compiler
-    from .trees import join_trees
 
     n_frames = len(vru_poses)
     order = np.argsort(sight_of_frame, kind="stable")
@@ -86,10 +85,6 @@ def _perceive(
     vehicles = _place(pose, vehicle_poses[order][is_there])
     vehicle_kind = vehicle_index[order][is_there]
     vehicle_start = np.concatenate([[0], np.cumsum(is_there.sum(axis=1))])
-    trees, roots = join_trees([vehicle.meshes[0].tree for vehicle in surroundings.vehicles])
-    reach_m = np.array(
-        [np.linalg.norm(vehicle.hull_m, axis=1).max() for vehicle in surroundings.vehicles]
-    )
     seen = _blank(len(first), n_frames)
     image = Image(
         focal_px=camera.focal_length_px,
@@ -110,14 +105,11 @@ def _perceive(
         see(
             image,
             min_height_px,
-            body.meshes[0].vertices_m,
-            body.meshes[0].scattered,
+            body.meshes[0].skin,
             body.hull_m,
             standing.tree,
             parked.tree,
-            trees,
-            roots,
-            reach_m,
+            surroundings.vehicle_trees,
             Sights(
                 vru=vru.take(sights),
                 static=static.take(sights),

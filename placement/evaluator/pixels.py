@@ -23,7 +23,7 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .sights import Seen, Sights, Tree
+from .sights import Seen, Sights, Skin, Tree, Vehicles
 from .trees import MAX_OPEN
 
 # Few numbers are tuples, which need no memory: passing arrays costs more than the arithmetic.
@@ -35,6 +35,7 @@ Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max. [px]
 _MIN_DEPTH_M = 1.0e-6
 _TOUCH_M = 1.0e-6  # what the VRU stands on does not hide it
 _SLACK_PX = 1.0e-6  # more than rounding moves an edge
+_ROUNDING = 1.0e-12  # more than such a product is wrong by, as a share of its terms
 _N_PLANES = 6
 
 
@@ -206,6 +207,47 @@ def _depth_at(
 
 
 @kernel
+def _find_columns(
+    image: Image, edges: Edges, least: float, down: float, x_min: int, x_max: int
+) -> tuple[int, int]:
+    """The first column of a row in which a triangle may be near enough, and that after the last.
+
+    There, with slack for rounding, no product of the direction and an edge's normal is negative,
+    and all together are at least `least`: large triangles cover few of the pixels around them.
+    """
+    low, high = float(x_min), float(x_max - 1)
+    for edge in edges:
+        low, high = _cut(image, edge, 0.0, down, low, high)
+    total = (
+        edges[0][0] + edges[1][0] + edges[2][0],
+        edges[0][1] + edges[1][1] + edges[2][1],
+        edges[0][2] + edges[1][2] + edges[2][2],
+    )
+    low, high = _cut(image, total, least, down, low, high)
+    return (int(low), int(high) + 1) if low <= high else (0, 0)
+
+
+@kernel
+def _cut(
+    image: Image, normal: Point, least: float, down: float, low: float, high: float
+) -> tuple[float, float]:
+    """Part of a row from `low` to `high` in which products with a normal are at least so large.
+
+    It ends before it begins where there is none.
+    """
+    middle_x, per_px = 0.5 * image.width_px - 0.5, 1.0 / image.focal_px
+    slope = normal[0] * per_px
+    at_middle = normal[1] * down + normal[2] - least
+    size = abs(slope) * image.width_px + abs(normal[1] * down) + abs(normal[2]) + abs(least)
+    at_middle += _ROUNDING * size
+    if slope > 0.0:
+        return max(low, middle_x - at_middle / slope), high
+    if slope < 0.0:
+        return low, min(high, middle_x - at_middle / slope)
+    return (low, high) if at_middle >= 0.0 else (1.0, 0.0)
+
+
+@kernel
 def _passes_by(
     image: Image, edges: Edges, volume: float, window: Window, farthest_m: float
 ) -> bool:
@@ -244,28 +286,71 @@ def _project(image: Image, points: FloatArray, least_depth: float, pixels: Float
 
 
 @kernel
+def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Window:
+    """Box around the pixels of a window that a body covers, zeros if there are none.
+
+    `points` are the vertices of its skin (camera frame). A triangle that makes the box larger has a
+    corner outside of it: few are drawn, with corners in an order without order.
+    """
+    least_depth = _least_depth(image, window)
+    pixels = np.empty((len(points), 2))
+    is_ahead = _project(image, points, least_depth, pixels)
+    middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
+    per_px = 1.0 / image.focal_px
+    x_low, y_low, x_high, y_high = image.width_px, image.height_px, 0, 0
+    # What lies within these bounds lies in the box already.
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    for vertex in range(len(points)):
+        if is_ahead:
+            column, line = pixels[vertex, 0], pixels[vertex, 1]
+            if left < column < right and top < line < bottom:
+                continue
+        for place in range(skin.fan_start[vertex], skin.fan_start[vertex + 1]):
+            row = skin.fans[place]
+            i, j, k = skin.triangles[row, 0], skin.triangles[row, 1], skin.triangles[row, 2]
+            a, b, c = _corner(points, i), _corner(points, j), _corner(points, k)
+            bounds = _find_span(image, least_depth, a, b, c)
+            x_min, y_min, x_max, y_max = _pixels_within(bounds, window)
+            if x_min >= x_max or y_min >= y_max:
+                continue
+            edges, volume = _find_edges(a, b, c)
+            is_near = min(min(a[2], b[2]), c[2]) < image.near_m
+            for y in range(y_min, y_max):
+                down = (y - middle_y) * per_px
+                for x in range(x_min, x_max):
+                    if x_low <= x < x_high and y_low <= y < y_high:
+                        continue
+                    across = (x - middle_x) * per_px
+                    if _depth_at(image, edges, volume, is_near, across, down) < np.inf:
+                        x_low, x_high = min(x_low, x), max(x_high, x + 1)
+                        y_low, y_high = min(y_low, y), max(y_high, y + 1)
+        if x_low < x_high:
+            left = x_low - 0.5 + _SLACK_PX if x_low > window[0] else -np.inf
+            right = x_high + 0.5 - _SLACK_PX if x_high < window[2] else np.inf
+            top = y_low - 0.5 + _SLACK_PX if y_low > window[1] else -np.inf
+            bottom = y_high + 0.5 - _SLACK_PX if y_high < window[3] else np.inf
+    if x_low >= x_high:
+        return 0, 0, 0, 0
+    return x_low, y_low, x_high, y_high
+
+
+@kernel
 def draw(
     image: Image, points: FloatArray, triangles: IntArray, window: Window, depth_m: FloatArray
-) -> Window:
+) -> None:
     """Draw a body's `points` (camera frame) and `triangles` in a window of the image.
 
-    With depths in the pixels of the window, row by row, they become those of the body where it is
-    nearer. Without (an empty array), it only gives the box around the pixels that the body covers,
-    zeros if there are none; then a triangle that cannot make the box larger is not drawn: few are,
-    in an order without order.
+    Depths in the pixels of the window, row by row, become those of the body where it is nearer.
     """
-    is_outline = len(depth_m) == 0
     least_depth = _least_depth(image, window)
     pixels = np.empty((len(points), 2))
     is_ahead = _project(image, points, least_depth, pixels)
     width = window[2] - window[0]
     middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
-    x_low, y_low, x_high, y_high = image.width_px, image.height_px, 0, 0
-    # What lies within these bounds lies in the box already.
-    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     for row in range(len(triangles)):
         i, j, k = triangles[row, 0], triangles[row, 1], triangles[row, 2]
+        a, b, c = _corner(points, i), _corner(points, j), _corner(points, k)
         if is_ahead:
             bounds = (
                 min(min(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
@@ -273,10 +358,7 @@ def draw(
                 max(max(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
                 max(max(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
             )
-            if bounds[0] > left and bounds[1] > top and bounds[2] < right and bounds[3] < bottom:
-                continue
-        a, b, c = _corner(points, i), _corner(points, j), _corner(points, k)
-        if not is_ahead:
+        else:
             bounds = _find_span(image, least_depth, a, b, c)
         x_min, y_min, x_max, y_max = _pixels_within(bounds, window)
         if x_min >= x_max or y_min >= y_max:
@@ -287,25 +369,9 @@ def draw(
             down = (y - middle_y) * per_px
             start = (y - window[1]) * width - window[0]
             for x in range(x_min, x_max):
-                if is_outline and x_low <= x < x_high and y_low <= y < y_high:
-                    continue
                 across = (x - middle_x) * per_px
                 depth = _depth_at(image, edges, volume, is_near, across, down)
-                if not depth < np.inf:
-                    continue
-                if is_outline:
-                    x_low, x_high = min(x_low, x), max(x_high, x + 1)
-                    y_low, y_high = min(y_low, y), max(y_high, y + 1)
-                else:
-                    depth_m[start + x] = min(depth_m[start + x], depth)
-        if is_outline and x_low < x_high:
-            left = x_low - 0.5 + _SLACK_PX if x_low > window[0] else -np.inf
-            right = x_high + 0.5 - _SLACK_PX if x_high < window[2] else np.inf
-            top = y_low - 0.5 + _SLACK_PX if y_low > window[1] else -np.inf
-            bottom = y_high + 0.5 - _SLACK_PX if y_high < window[3] else np.inf
-    if x_low >= x_high:
-        return 0, 0, 0, 0
-    return x_low, y_low, x_high, y_high
+                depth_m[start + x] = min(depth_m[start + x], depth)
 
 
 @kernel
@@ -443,10 +509,12 @@ def hide(
             if volume == 0.0 or _passes_by(image, edges, volume, box, farthest_m):
                 continue
             is_near = min(min(a[2], b[2]), c[2]) < image.near_m
+            least = volume / farthest_m if is_asked else 0.0
             for y in range(y_min, y_max):
                 down = (y - middle_y) * per_px
                 start = (y - box[1]) * width - box[0]
-                for x in range(x_min, x_max):
+                first, stop = _find_columns(image, edges, least, down, x_min, x_max)
+                for x in range(first, stop):
                     before_m = farthest_m if is_asked else depth_m[start + x]
                     if before_m == np.inf:
                         continue
@@ -485,24 +553,21 @@ def _is_beside(
 def see(
     image: Image,
     min_height_px: float,
-    vertices_m: FloatArray,
-    triangles: IntArray,
+    skin: Skin,
     hull_m: FloatArray,
     standing: Tree,
     parked: Tree,
-    vehicles: Tree,
-    roots: IntArray,
-    reach_m: FloatArray,
+    vehicles: Vehicles,
     sights: Sights,
     seen: Seen,
 ) -> None:
     """Fill `seen`, which is blank: boxes and shares of one VRU's body in one static world.
 
-    The VRU's `vertices_m`, `triangles` and `hull_m` are in its body frame; what may hide it are the
-    `standing` scene, what is `parked` in it, and `vehicles`, the trees of all kinds of which begin
-    at `roots`; all of each kind is within `reach_m` of its origin. Where the VRU's part of the
-    image is not `min_height_px` high, boxes are zeros.
+    The VRU's `skin` and `hull_m` are in its body frame; what may hide it are the `standing` scene,
+    what is `parked` in it, and `vehicles`. Where the VRU's part of the image is not
+    `min_height_px` high, boxes are zeros.
     """
+    vertices_m, triangles, trees = skin.vertices_m, skin.triangles, vehicles.tree
     hull, points = np.empty((len(hull_m), 3)), np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
     depth_m, left_m = nothing, nothing  # in the pixels of the box; infinite where it is not seen
@@ -518,7 +583,7 @@ def see(
         if crop[2] == 0:
             continue
         _to_camera(turn, shift, vertices_m, points)
-        box = draw(image, points, triangles, crop, nothing)
+        box = find_box(image, points, skin, crop)
         if box[2] == 0:
             continue
         for side, edge_px in enumerate(box):
@@ -549,13 +614,11 @@ def see(
             is_hidden = False
             for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
                 kind = sights.vehicle_kind[row]
-                root = roots[kind]
+                root = vehicles.roots[kind]
                 at, there = sights.vehicles.turn[row], sights.vehicles.shift[row]
-                if _is_beside(image, box, farthest_m, there, reach_m[kind]):
+                if _is_beside(image, box, farthest_m, there, vehicles.reach_m[kind]):
                     continue
-                if not hide(
-                    image, vehicles, root, at, there, box, farthest_m, low_m, high_m, nothing
-                ):
+                if not hide(image, trees, root, at, there, box, farthest_m, low_m, high_m, nothing):
                     continue
                 if n_pixels == 0:
                     n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
@@ -563,7 +626,7 @@ def see(
                     left_m[pixel] = depth_m[pixel]
                 is_hidden = True
                 hide(
-                    *(image, vehicles, root, at, there),
+                    *(image, trees, root, at, there),
                     *(box, farthest_m, low_m, high_m, left_m[:area]),
                 )
             if is_hidden:

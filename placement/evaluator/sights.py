@@ -28,6 +28,33 @@ class Tree(NamedTuple):
     end: IntArray
 
 
+class Vehicles(NamedTuple):
+    """Trees of all kinds of bodies that move."""
+
+    tree: Tree  # one after the other
+    roots: IntArray  # (n_kinds,): the node at which each begins
+    reach_m: FloatArray  # (n_kinds,): all of it is so near its origin
+
+
+class Skin(NamedTuple):
+    """Triangles to draw, in an order without order: neighbours do not follow one another.
+
+    Attributes
+    ----------
+    vertices_m : (n_vertices, 3) float
+        In the body frame, without order, too.
+    triangles : (n_triangles, 3) int
+        Rows of vertices.
+    fan_start, fans : (n_vertices + 1,), (3 * n_triangles,) int
+        Rows of the triangles at each vertex, one vertex after the other.
+    """
+
+    vertices_m: FloatArray
+    triangles: IntArray
+    fan_start: IntArray
+    fans: IntArray
+
+
 class Placed(NamedTuple):
     """Where bodies are, seen from a camera: ``turn @ point + shift`` is right, down, ahead."""
 

@@ -18,14 +18,14 @@ from geometry.poses import to_world
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
 
-from .sights import Tree
+from .sights import Skin, Tree
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
     """Triangles (n_triangles, 3), rows of vertices (n_vertices, 3) in metres.
 
-    The tree is built when it is first asked for: only LiDARs do without.
+    Tree and skin are built when they are first asked for: only LiDARs do without.
     """
 
     vertices_m: FloatArray
@@ -39,10 +39,20 @@ class Mesh:
         return corners
 
     @cached_property
-    def scattered(self) -> IntArray:
-        """The triangles in an order without order: neighbours do not follow one another."""
-        order = np.random.default_rng(0).permutation(len(self.triangles))
-        return np.ascontiguousarray(self.triangles[order])
+    def skin(self) -> Skin:
+        """The same for drawing."""
+        rng, n_vertices = np.random.default_rng(0), len(self.vertices_m)
+        order = rng.permutation(n_vertices)
+        place = np.empty(n_vertices, dtype=np.int64)
+        place[order] = np.arange(n_vertices)
+        triangles = place[rng.permutation(self.triangles)]
+        corners = triangles.ravel()
+        return Skin(
+            vertices_m=np.ascontiguousarray(self.vertices_m[order]),
+            triangles=triangles,
+            fan_start=np.append(0, np.cumsum(np.bincount(corners, minlength=n_vertices))),
+            fans=np.argsort(corners, kind="stable") // 3,
+        )
 
     @property
     def tree(self) -> Tree:

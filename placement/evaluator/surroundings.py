@@ -20,6 +20,7 @@ from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
 from ..detectors import VRU_CLASSES, vru_class
+from .sights import Vehicles
 from .solids import Solid, build_body, build_scene_mesh, build_static
 
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
@@ -35,6 +36,7 @@ class Surroundings:
     statics: tuple[Solid, ...]
     vrus: tuple[Solid, ...]
     vehicles: tuple[Solid, ...]  # distinct bodies that move: the VUT first
+    vehicle_trees: Vehicles  # the same for drawing
     vut_actor: Actor
     # static_index, vru_index: (n_frames,): which of them is there
     static_index: IntArray
@@ -89,6 +91,8 @@ def build_surroundings(
     vuts = {run.encounter.vut.name: run.encounter.vut for run in runs}
     if len(vuts) != 1:
         raise InputError("runs: VUT", sorted(vuts), "the same vehicle in all runs")
+    from .trees import join_vehicles  # loads the compiler
+
     vut_actor = next(iter(vuts.values()))
     vru_of_frame = [(run.encounter.vru, int(index)) for run in runs for index in run.vru_shape]
     vrus = {key: number for number, key in enumerate(dict.fromkeys(vru_of_frame))}
@@ -105,6 +109,7 @@ def build_surroundings(
     vru_index = np.array([vrus[key] for key in vru_of_frame])
     static_poses = np.tile([*middle_m, 0.0], (sum(n_frames), 1))
     vehicles = list(dict.fromkeys([vut_actor, *(b.actor for run in runs for b in run.traffic)]))
+    solids = tuple(build_body(actor.shapes[0], library=library) for actor in vehicles)
     traffic_index, traffic_poses = _lay_traffic(runs, vehicles)
     return Surroundings(
         statics=tuple(
@@ -112,7 +117,8 @@ def build_surroundings(
             for obstruction in obstructions.values()
         ),
         vrus=tuple(build_body(vru.shapes[index], library=library) for vru, index in vrus),
-        vehicles=tuple(build_body(actor.shapes[0], library=library) for actor in vehicles),
+        vehicles=solids,
+        vehicle_trees=join_vehicles(solids),
         vut_actor=vut_actor,
         static_index=static_index,
         vru_index=vru_index,

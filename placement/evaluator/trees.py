@@ -7,7 +7,8 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .sights import Tree
+from .sights import Tree, Vehicles
+from .solids import Solid
 
 _LEAF_SIZE = 4
 MAX_OPEN = 512  # nodes that wait for their turn: one per level
@@ -38,24 +39,24 @@ def build_tree(corners_m: FloatArray) -> Tree:
     )
 
 
-def join_trees(trees: Sequence[Tree]) -> tuple[Tree, IntArray]:
-    """Trees one after the other, and the node at which each begins, (n_trees,)."""
-    roots = np.cumsum([0, *(len(tree.second) for tree in trees)])
-    firsts = np.cumsum([0, *(len(tree.corners_m) for tree in trees)])
-    joined = Tree(
-        corners_m=np.concatenate([tree.corners_m for tree in trees]),
-        low_m=np.concatenate([tree.low_m for tree in trees]),
-        high_m=np.concatenate([tree.high_m for tree in trees]),
-        second=np.concatenate(
-            [
-                np.where(tree.second < 0, -1, tree.second + root)
-                for tree, root in zip(trees, roots, strict=False)
-            ]
-        ),
-        start=np.concatenate([t.start + first for t, first in zip(trees, firsts, strict=False)]),
-        end=np.concatenate([t.end + first for t, first in zip(trees, firsts, strict=False)]),
+def join_vehicles(bodies: Sequence[Solid]) -> Vehicles:
+    """Trees of bodies, one after the other."""
+    trees = [body.meshes[0].tree for body in bodies]
+    roots = np.cumsum([0, *(len(tree.second) for tree in trees)])[:-1]
+    firsts = np.cumsum([0, *(len(tree.corners_m) for tree in trees)])[:-1]
+    moved = [
+        tree._replace(
+            second=np.where(tree.second < 0, -1, tree.second + root),
+            start=tree.start + first,
+            end=tree.end + first,
+        )
+        for tree, root, first in zip(trees, roots, firsts, strict=True)
+    ]
+    return Vehicles(
+        tree=Tree(*(np.concatenate(parts) for parts in zip(*moved, strict=True))),
+        roots=roots,
+        reach_m=np.array([np.linalg.norm(body.hull_m, axis=1).max() for body in bodies]),
     )
-    return joined, roots[:-1]
 
 
 @kernel

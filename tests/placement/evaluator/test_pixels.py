@@ -12,7 +12,7 @@ from geometry.poses import Pose
 from geometry.raycast import build_caster
 from geometry.sensors import CameraModel, pixel_rays
 from placement.evaluator.perceive import _place, perceive_from_roadside
-from placement.evaluator.pixels import Image, draw, find_crop, hide
+from placement.evaluator.pixels import Image, draw, find_box, find_crop, hide
 from placement.evaluator.solids import Mesh, build_body, build_scene_mesh, build_static
 from placement.evaluator.surroundings import build_surroundings
 from placement.evaluator.trees import build_tree
@@ -151,7 +151,8 @@ def _drawn(corners_m, camera, window):
     triangles = np.arange(len(points)).reshape(-1, 3)
     depth = np.full((window[3] - window[1], window[2] - window[0]), np.inf)
     draw(image, points, triangles, window, depth.reshape(-1))
-    return depth, draw(image, points, triangles, window, np.empty(0))
+    skin = Mesh(vertices_m=points, triangles=triangles).skin
+    return depth, find_box(image, skin.vertices_m, skin, window)
 
 
 def _image(camera, up_m=0.0):
@@ -319,9 +320,9 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
     n_differ, n_hit = 0, 0
     for yaw_deg in np.linspace(-170.0, 170.0, 7):
         road_pose = np.array([distance_m, 0.3, yaw_deg])
-        points = _in_camera(mesh.vertices_m, pose, road_pose)
+        points = _in_camera(mesh.skin.vertices_m, pose, road_pose)
         depth = np.full(camera.width_px * camera.height_px, np.inf)
-        draw(_image(camera, 1.4), points, mesh.scattered, window, depth)
+        draw(_image(camera, 1.4), points, mesh.skin.triangles, window, depth)
         cast = cast_crops(build_lens(pose, camera), body, road_pose[None], np.array([window]))[0]
         n_differ += (np.isfinite(depth) != np.isfinite(cast)).sum()
         n_hit += np.isfinite(cast).sum()
