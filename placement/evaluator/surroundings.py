@@ -118,7 +118,10 @@ def build_surroundings(
         ),
         vrus=tuple(build_body(vru.shapes[index], library=library) for vru, index in vrus),
         vehicles=solids,
-        vehicle_trees=join_vehicles(solids),
+        vehicle_trees=join_vehicles(
+            [solid.meshes[0].tree for solid in solids],
+            np.array([np.linalg.norm(solid.hull_m, axis=1).max() for solid in solids]),
+        ),
         vut_actor=vut_actor,
         static_index=static_index,
         vru_index=vru_index,

@@ -8,7 +8,6 @@ from geometry.arrays import FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .sights import Tree, Vehicles
-from .solids import Solid
 
 _LEAF_SIZE = 4
 MAX_OPEN = 512  # nodes that wait for their turn: one per level
@@ -39,9 +38,8 @@ def build_tree(corners_m: FloatArray) -> Tree:
     )
 
 
-def join_vehicles(bodies: Sequence[Solid]) -> Vehicles:
-    """Trees of bodies, one after the other."""
-    trees = [body.meshes[0].tree for body in bodies]
+def join_vehicles(trees: Sequence[Tree], reach_m: FloatArray) -> Vehicles:
+    """Trees of bodies, one after the other, each of which reaches so far from its origin."""
     roots = np.cumsum([0, *(len(tree.second) for tree in trees)])[:-1]
     firsts = np.cumsum([0, *(len(tree.corners_m) for tree in trees)])[:-1]
     moved = [
@@ -55,7 +53,7 @@ def join_vehicles(bodies: Sequence[Solid]) -> Vehicles:
     return Vehicles(
         tree=Tree(*(np.concatenate(parts) for parts in zip(*moved, strict=True))),
         roots=roots,
-        reach_m=np.array([np.linalg.norm(body.hull_m, axis=1).max() for body in bodies]),
+        reach_m=reach_m,
     )
 
 
