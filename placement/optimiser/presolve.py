@@ -11,7 +11,6 @@ frame of the reduced problem here: a *tail*. A window whose tails are all seen i
 window has fewer tails, one that is not seen ends all windows of the run up to some number.
 """
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -28,10 +27,9 @@ from scenarios.runs import FrameAxis
 from .limits import Limits
 from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
 from .problem import Measure, PlacementProblem, Requirement
+from .threads import WORKERS
 
 WordArray = NDArray[np.uint64]
-
-WORKERS = os.cpu_count() or 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

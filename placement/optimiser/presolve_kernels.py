@@ -180,9 +180,11 @@ def thin_out(
             # Windows before this one need a tail that this one neither needs nor ensures.
             first = 0
             for tail in range(tail_start[run], tail_start[run + 1]):
-                if first < n_links[tail] <= window - begin:
-                    if not has_entry(sets[window], tail_frame[tail]):
-                        first = n_links[tail]
+                n_before = n_links[tail]
+                if first < n_before <= window - begin and not has_entry(
+                    sets[window], tail_frame[tail]
+                ):
+                    first = n_before
             is_kept[window] = True
             for earlier in range(begin + first, window):
                 is_part = True
@@ -201,7 +203,7 @@ def thin_out(
 @kernel
 def has_entry(entries: IntArray, entry: int) -> bool:
     """Whether a number is among others."""
+    is_there = False
     for other in entries:
-        if other == entry:
-            return True
-    return False
+        is_there |= other == entry
+    return is_there
