@@ -12,39 +12,68 @@ from .presolve import Chains, WordArray
 
 
 @kernel
-def has_frame(union: WordArray, frame: int) -> bool:
-    """Whether a union has a merged frame."""
-    return bool((union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) != 0)
+def look_through(
+    union: WordArray,
+    window_frames: IntArray,
+    window: IntArray,
+    start: IntArray,
+    tail_frame: IntArray,
+    tail_links: IntArray,
+    tail_start: IntArray,
+    order: IntArray,
+    lost: FloatArray,
+    most_lost: float,
+    first: IntArray,
+) -> int:
+    """First live windows of chains in some order, until too much is lost: how many that took.
 
-
-@kernel
-def first_live_link(union: WordArray, chains: Chains, chain: int) -> int:
-    """First live window of a chain that a union of merged frames sees; their number if none."""
-    begin, end = chains.start[chain], chains.start[chain + 1]
-    place = begin
-    for tail in range(chains.tail_start[chain], chains.tail_start[chain + 1]):
-        if not has_frame(union, chains.tail_frame[tail]):
-            place += chains.tail_links[tail]
-            break
-    while place < end:
-        is_seen = True
-        for frame in chains.window_frames[chains.window[place]]:
-            is_seen &= has_frame(union, frame)
-        if is_seen:
-            break
-        place += 1
-    return int(place - begin)
+    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one of a
+    union of merged frames; it has no rows if nothing can be lost. ``first[g]`` is the number of the
+    chain's windows where none is live.
+    """
+    total = 0.0
+    for rank in range(len(order)):
+        chain = order[rank]
+        place, end = start[chain], start[chain + 1]
+        for tail in range(tail_start[chain], tail_start[chain + 1]):
+            frame = tail_frame[tail]
+            if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) == 0:
+                place += tail_links[tail]
+                break
+        while place < end:
+            is_seen = np.uint64(1)
+            for number in range(window_frames.shape[1]):
+                frame = window_frames[window[place], number]
+                is_seen &= union[frame >> 6] >> np.uint64(frame & 63)
+            if is_seen:
+                break
+            place += 1
+        first[chain] = place - start[chain]
+        if len(lost):
+            total += lost[chain, first[chain]]
+            if total > most_lost:
+                return rank
+    return len(order)
 
 
 @kernel
 def first_live_windows(unions: WordArray, chains: Chains, first: IntArray) -> None:
-    """First live window of each chain for each union of merged frames, (n_unions, n_chains).
-
-    The number of the chain's windows where none is live.
-    """
+    """First live window of each chain for each union of merged frames, (n_unions, n_chains)."""
+    order, nothing = np.arange(len(chains.start) - 1), np.empty((0, 0))
     for row in range(len(unions)):
-        for chain in range(len(chains.start) - 1):
-            first[row, chain] = first_live_link(unions[row], chains, chain)
+        look_through(
+            unions[row],
+            chains.window_frames,
+            chains.window,
+            chains.start,
+            chains.tail_frame,
+            chains.tail_links,
+            chains.tail_start,
+            order,
+            nothing,
+            0.0,
+            first[row],
+        )
 
 
 @kernel
@@ -77,7 +106,7 @@ def lose_little(
     sets are looked at as a whole: the chains at which others before failed come first.
     """
     n_chains = len(chains.start) - 1
-    order = np.arange(n_chains)
+    order, first = np.arange(n_chains), np.empty(n_chains, dtype=np.int64)
     union = np.empty(words.shape[1], dtype=np.uint64)
     for row in range(len(sets)):
         kept[row] = most_lost >= 0.0
@@ -90,14 +119,22 @@ def lose_little(
                     of_unit = words[sets[row, unit]]
                     for word in range(len(union)):
                         union[word] |= of_unit[word]
-            total = 0.0
-            for rank in range(n_chains):
-                chain = order[rank]
-                total += lost[chain, first_live_link(union, chains, chain)]
-                if total > most_lost:
-                    kept[row] = False
-                    before = rank // 2  # nearer to the front, not all the way: some fail by chance
-                    order[rank], order[before] = order[before], chain
-                    break
+            rank = look_through(
+                union,
+                chains.window_frames,
+                chains.window,
+                chains.start,
+                chains.tail_frame,
+                chains.tail_links,
+                chains.tail_start,
+                order,
+                lost,
+                most_lost,
+                first,
+            )
+            if rank < n_chains:
+                kept[row] = False
+                before = rank // 2  # nearer to the front, not all the way: some fail by chance
+                order[rank], order[before] = order[before], order[rank]
             if not kept[row]:
                 break
