@@ -394,7 +394,7 @@ class _Windows:
         is_pose[poses] = True
         mask = pack_words(is_pose)
         columns = np.concatenate([self.columns, self.tail_columns])
-        first, frame = _number_rows(columns, mask)
+        first, frame = distinct_rows(columns, mask)
         frames, tail_frame = frame[: len(self.columns)][self.frames], frame[len(self.columns) :]
         is_seen: BoolArray = np.logical_or.reduce((columns[first] & mask) != 0, axis=1)
 
@@ -419,7 +419,7 @@ class _Windows:
         order = _once_in_each_run(of_tail, tail_frame, n_links)
         tail_frame, n_links, of_tail = tail_frame[order], n_links[order], of_tail[order]
 
-        first_set, window = _number_rows(sets.astype(np.uint64))
+        first_set, window = distinct_rows(sets.astype(np.uint64))
         kept = np.unique(np.concatenate([sets.ravel(), tail_frame]))
         begin = np.searchsorted(of_run, np.arange(len(run_index) + 1))
         tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
@@ -476,7 +476,7 @@ class _Windows:
         return is_needless
 
 
-def _number_rows(rows: WordArray, mask: WordArray | None = None) -> tuple[IntArray, IntArray]:
+def distinct_rows(rows: WordArray, mask: WordArray | None = None) -> tuple[IntArray, IntArray]:
     """First of the rows that are equal within a mask, and the number among them of each row."""
     from .presolve_kernels import number_rows
 

@@ -12,33 +12,6 @@ from .presolve import WordArray
 
 
 @kernel
-def lay_out(
-    words: WordArray,
-    frames: IntArray,
-    place: IntArray,
-    row: int,
-    begin: int,
-    end: int,
-    bits: WordArray,
-) -> None:
-    """Detections in some frames to ascending places of a row: (n_poses, n_words, n_rows).
-
-    Poses begin .. end - 1 are looked at.
-    """
-    for pose in range(begin, end):
-        word, value = 0, bits[pose, 0, row]
-        for number in range(len(place)):
-            frame, bit = frames[number], place[number]
-            if bit >> 6 != word:
-                bits[pose, word, row] = value
-                word = bit >> 6
-                value = bits[pose, word, row]
-            seen = (words[pose, frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1)
-            value |= seen << np.uint64(bit & 63)
-        bits[pose, word, row] = value
-
-
-@kernel
 def first_windows(
     bits: WordArray,
     n_phases: int,
@@ -49,14 +22,17 @@ def first_windows(
     part_links: WordArray,
     none: int,
     first: IntArray,
+    begin: int,
+    end: int,
 ) -> None:
     """First window of each chain of which each pose sees what is asked for, (n_poses, n_chains).
 
-    `asked`, (n_phases, n_words), has a bit where a window is asked for a phase: seen is the window
-    if a pose sees that. Others are asked for tails: parts of words, those of word w from
-    ``part_start[w]`` on, whose windows, ``part_links``, all need the tail at ``part_place``.
+    Poses begin .. end - 1 are looked at. `asked`, (n_phases, n_words), has a bit where a window is
+    asked for a phase: seen is the window if a pose sees that. Others are asked for tails: parts of
+    words, those of word w from ``part_start[w]`` on, whose windows, ``part_links``, all need the
+    tail at ``part_place``.
     """
-    for pose in range(bits.shape[0]):
+    for pose in range(begin, end):
         for chain in range(len(start) - 1):
             first[pose, chain] = none
             for word in range(start[chain], start[chain + 1]):
@@ -74,6 +50,22 @@ def first_windows(
                         link += 1
                     first[pose, chain] = link
                     break
+
+
+@kernel
+def add_up(bits: WordArray, row: int, poses: IntArray, share: FloatArray, seen: FloatArray) -> None:
+    """How often some poses see each bit of a row, at most once, (64 n_words,), by their shares."""
+    seen[:] = 0.0
+    for number in range(len(poses)):
+        for word in range(bits.shape[1]):
+            left, place = bits[poses[number], word, row], 64 * word
+            while left:
+                if left & np.uint64(1):
+                    seen[place] += share[number]
+                left >>= np.uint64(1)
+                place += 1
+    for place in range(len(seen)):
+        seen[place] = min(seen[place], 1.0)
 
 
 @kernel

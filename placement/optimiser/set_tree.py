@@ -23,6 +23,7 @@ Sets that remain are valued on the windows themselves. A walk that ends has met 
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from functools import partial
 from math import comb
 from typing import TYPE_CHECKING
 
@@ -32,7 +33,14 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
 from .limits import Limits
-from .presolve import Chains, ReducedProblem, WordArray, pack_words, unpack_words
+from .presolve import (
+    Chains,
+    ReducedProblem,
+    WordArray,
+    distinct_rows,
+    pack_words,
+    unpack_words,
+)
 from .threads import WORKERS, share_out
 
 if TYPE_CHECKING:
@@ -88,30 +96,33 @@ class Links:
 
 def build_links(reduced: ReducedProblem) -> Links:
     """Lay out the detections of a reduced problem by chains."""
-    from .root_kernels import lay_out
+    from .presolve_kernels import turn_round
     from .tree_kernels import Layout
 
     chains = reduced.chains
     start = _word_starts(chains)
     frames = chains.window_frames[chains.window]
     has_tails = len(chains.tail_frame) > 0
-    n_phases = frames.shape[1]
-    bits = np.zeros((reduced.n_poses, start[-1], n_phases + has_tails), dtype=np.uint64)
+    n_phases, n_words = frames.shape[1], int(start[-1])
     place = _places(start, chains.start)
-    rows = [(np.ascontiguousarray(of_phase), place) for of_phase in frames.T]
+    rows = [(of_phase, place) for of_phase in frames.T]
     if has_tails:
-        place = _places(start, chains.tail_start)
-        is_tail = np.zeros(64 * start[-1], dtype=bool)
-        is_tail[place] = True
-        bits[:, :, n_phases] = ~pack_words(is_tail)
-        rows.append((chains.tail_frame, place))
+        rows.append((chains.tail_frame, _places(start, chains.tail_start)))
+    bits = np.empty((reduced.n_poses, n_words, len(rows)), dtype=np.uint64)
+    n_pose_words = -(-reduced.n_poses // 64)
+    columns = np.empty((64 * reduced.words.shape[1], n_pose_words), dtype=np.uint64)
+    turn_round(reduced.words.view(np.uint8), columns)
 
-    def work(begin: int, end: int) -> None:
-        for row, (of_row, places) in enumerate(rows):
-            if len(places):
-                lay_out(reduced.words, of_row, places, row, begin, end, bits)
+    def lay_out(begin: int, end: int) -> None:
+        turned = np.empty((64 * n_pose_words, n_words), dtype=np.uint64)
+        for row in range(begin, end):
+            of_row, places = rows[row]
+            seen = np.full((64 * n_words, n_pose_words), -int(row == n_phases)).view(np.uint64)
+            seen[places] = columns[of_row]
+            turn_round(seen.view(np.uint8), turned)
+            bits[:, :, row] = turned[: reduced.n_poses]
 
-    share_out(work, reduced.n_poses)
+    share_out(lay_out, len(rows))
     return Links(
         layout=Layout(
             bits=bits,
@@ -185,7 +196,7 @@ def find_root(
     `weight`, (n_runs,), is what runs are worth. Windows are asked for the frame, or the tail, that
     the poses picked so far see least, again and again, and the best round is kept.
     """
-    from .root_kernels import first_windows
+    from .root_kernels import add_up, first_windows
 
     layout = links.layout
     n_poses, n_words, _ = layout.bits.shape
@@ -201,11 +212,13 @@ def find_root(
     price = 0.3 * weight
     best: Root | None = None
     for number in range(_ROUNDS):
-        first_windows(layout.bits, n_phases, layout.start, asked, *parts, links.longest, first)
-        columns = np.packbits(avoided_runs(links, first), axis=0).T
-        _, index, row = np.unique(columns, axis=0, return_index=True, return_inverse=True)
-        covers = pack_words(avoided_runs(links, first)[:, index])
-        row = row.ravel()
+        look_for = partial(
+            first_windows, layout.bits, n_phases, layout.start, asked, *parts, links.longest, first
+        )
+        share_out(look_for, n_poses)
+        avoided = avoided_runs(links, first)
+        index, row = distinct_rows(pack_words(avoided.T))
+        covers = pack_words(avoided[:, index])
         row_weight, row_price = np.zeros(len(index)), np.zeros(len(index))
         np.add.at(row_weight, row, weight)
         np.add.at(row_price, row, price)
@@ -226,10 +239,11 @@ def find_root(
         part = np.divide(weight, row_weight[row], out=np.zeros(len(weight)), where=weight > 0.0)
         price = root.price[row] * part
         used = np.flatnonzero(root.share > _SMALL_SHARE)
+        share, seen = root.share[used], np.empty(64 * n_words)
         for phase in range(n_phases):
-            seen = root.share[used] @ unpack_words(layout.bits[used, :, phase], 64 * n_words)
-            seen_sum[phase] += np.minimum(seen, 1.0)
-        tails.look(root.share, used)
+            add_up(layout.bits, phase, used, share, seen)
+            seen_sum[phase] += seen
+        tails.look(share, used)
         sums = np.concatenate([seen_sum, tails.seen_sum[None, :]])
         rounded = np.round(sums / max(float(seen_sum.max()), 1.0e-300), _SHARE_DIGITS)
         least = rounded.argmin(axis=0)
@@ -255,14 +269,14 @@ class _Tails:
 
     def look(self, share: FloatArray, used: IntArray) -> None:
         """Add up how much poses see of the tails, and ask for the others then."""
-        from .root_kernels import ask_for_tails
+        from .root_kernels import add_up, ask_for_tails
 
         if not self.has_any:
             return
         layout = self.layout
-        n_bits = 64 * layout.bits.shape[1]
-        seen = share[used] @ unpack_words(layout.bits[used, :, layout.n_phases], n_bits)
-        self._of_tail += np.minimum(seen[self.place], 1.0)
+        seen = np.empty(64 * layout.bits.shape[1])
+        add_up(layout.bits, layout.n_phases, used, share, seen)
+        self._of_tail += seen[self.place]
         ask_for_tails(
             layout.start,
             layout.tail_links,

@@ -38,7 +38,6 @@ _MAX_TIED = 100_000
 _BLOCK_SETS = 1 << 12
 _MAX_PARTNERS = 32  # that are valued in all objectives
 _N_RESTARTS = 12
-_PATIENCE = 5  # restarts without a better set
 _SEED = 1
 _WORLD_ROUNDS = 12
 _STEP_UP = 2.0 * TOLERANCE
@@ -194,7 +193,7 @@ class SetSearch:
         begin = [*starts, none]
         chance, idle = self.root.share + 1.0e-9, 0
         for number in range(len(begin) + _N_RESTARTS):
-            if best.units is not None and (idle > _PATIENCE or now_s() > end_s):
+            if best.units is not None and (idle > self.n_units or now_s() > end_s):
                 break
             if number < len(begin):
                 units = begin[number]
