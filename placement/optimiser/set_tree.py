@@ -44,7 +44,7 @@ from .presolve import (
 from .threads import WORKERS, share_out
 
 if TYPE_CHECKING:
-    from .tree_kernels import Layout
+    from .chain_kernels import Layout
 
 _ROUNDS = 8
 _ROOT_STEPS = 250
@@ -96,8 +96,8 @@ class Links:
 
 def build_links(reduced: ReducedProblem) -> Links:
     """Lay out the detections of a reduced problem by chains."""
+    from .chain_kernels import Layout
     from .presolve_kernels import turn_round
-    from .tree_kernels import Layout
 
     chains = reduced.chains
     start = _word_starts(chains)
@@ -160,7 +160,7 @@ def first_seen(links: Links, sets: IntArray, *, left_out: int = -1) -> IntArray:
 
     `left_out` is the place of that unit in each set; negative: none.
     """
-    from .tree_kernels import set_links
+    from .chain_kernels import set_links
 
     first = np.empty((len(sets), len(links.n_links)), dtype=np.int64)
     nothing = np.zeros((len(links.n_links), links.longest + 1))

@@ -88,7 +88,7 @@ class SetSearch:
         self, tables: FloatArray, units: IntArray, poses: IntArray | None = None
     ) -> FloatArray:
         """What a set is worth with each of some poses by tables of chains, (n_poses, n_tables)."""
-        from .tree_kernels import totals_with_each
+        from .chain_kernels import totals_with_each
 
         some = np.arange(self.reduced.n_poses) if poses is None else poses
         total = np.empty((len(some), len(tables)))
