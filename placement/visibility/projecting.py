@@ -1,224 +1,264 @@
-"""Loops over views and cameras: who is in the field of view, and the boxes around what is seen."""
+"""Loops over bodies and cameras: the boxes around bodies in the images of all cameras of a mount.
+
+Most bodies are seen whole, and inside the image: the corners of their convex hulls say all. Many
+cameras are projected into at once, side by side in lanes. The others are looked at one by one,
+point by point, many points at once.
+"""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.arrays import FloatArray
 from geometry.kernels import kernel
 
 Array = NDArray[Any]
 
-_SLACK = 1.0e-6  # of a cosine: nobody at the edge is left out
+LANES = 16  # cameras, or points, that are handled at once
+# Where each number of the cameras in the lanes begins: the rotation's, by rows, and the others.
+_FOCAL, _HALF_WIDTH, _HALF_HEIGHT = (LANES * number for number in range(9, 12))
+_COS_ACROSS, _SIN_ACROSS, _COS_UP, _SIN_UP = (LANES * number for number in range(12, 16))
+_X0, _X1, _X2, _Y0, _Y1, _Y2, _Z0, _Z1, _Z2 = (LANES * number for number in range(9))
+_LEFT, _TOP, _RIGHT, _BOTTOM, _DEPTH = (LANES * number for number in range(5))
+_SEEN = 4 * LANES  # where the limits of what is seen follow those of all
+_FAR = np.float32(3.0e38)
+_NEARLY = 0.999  # for the rounding of single precision
+_SLACK_M = np.float32(1.0e-3)  # of a sphere in single precision: nobody at the edge is left out
+
+
+def pack_lenses(rotation: FloatArray, focal_px: FloatArray, size_px: FloatArray) -> Array:
+    """Cameras side by side for :func:`box_bodies`, (n_blocks, 16 * LANES), in single precision.
+
+    `rotation` (k, 3, 3) takes offsets into the cameras; `focal_px` (k,), `size_px` (k, 2).
+    """
+    half = 0.5 * size_px
+    numbers = np.zeros((-(-len(focal_px) // LANES) * LANES, 16), dtype=np.float32)
+    numbers[: len(focal_px), :9] = rotation.reshape(-1, 9)
+    numbers[: len(focal_px), 9] = focal_px
+    numbers[: len(focal_px), 10:12] = half
+    angle = np.arctan2(half, focal_px[:, None])
+    numbers[: len(focal_px), 12::2] = np.cos(angle)
+    numbers[: len(focal_px), 13::2] = np.sin(angle)
+    return np.ascontiguousarray(numbers.reshape(-1, LANES, 16).swapaxes(1, 2)).reshape(
+        -1, 16 * LANES
+    )
 
 
 @kernel
-def pairs_in_cones(
-    middle: Array, distance: Array, half_angle: Array, ahead: Array, half_fov: Array
-) -> tuple[Array, Array]:
-    """Sensors and bodies of which some part may be in the sensor's field of view, as index pairs.
-
-    `middle` (n, 3), `distance` (n,), `half_angle` (n,): spheres around bodies from the mount;
-    `ahead` (k, 3), `half_fov` (k,): axes of the sensors' cones, and their half angles in radians.
-    """
-    n, k = len(middle), len(ahead)
-    cos_body, sin_body = np.cos(half_angle), np.sin(half_angle)
-    cos_fov, sin_fov = np.cos(half_fov), np.sin(half_fov)
-    row = np.empty(n * k, np.int32)
-    entry = np.empty(n * k, np.int32)
-    count = 0
-    for sensor in range(k):
-        ax, ay, az = ahead[sensor]
-        for body in range(n):
-            along = middle[body, 0] * ax + middle[body, 1] * ay + middle[body, 2] * az
-            least = cos_fov[sensor] * cos_body[body] - sin_fov[sensor] * sin_body[body] - _SLACK
-            is_all_round = half_fov[sensor] + half_angle[body] >= np.pi
-            row[count] = sensor
-            entry[count] = body
-            count += is_all_round or along >= least * distance[body]
-    return row[:count].copy(), entry[:count].copy()
-
-
-_SEEN, _ALL = 0, 4  # where the box of what is visible and that of all begin
-_LOWEST, _HIGHEST = np.int32(-(2**31)), np.int32(2**31 - 1)
-_SIGN, _REST = np.int32(31), np.int32(0x7FFFFFFF)
-
-
-@kernel
-def _limits(bits: Array, n: int, limits: Array) -> None:
-    """Least and greatest of `n` numbers in single precision, all by their bits; limits (2,).
-
-    Bits are in the order of the numbers but for negative ones, where they are turned round: the
-    least and greatest of whole numbers are found for many at once.
-    """
-    low, high = _HIGHEST, _LOWEST
+def _is_any_near(x: Any, y: Any, z: Any, radius: Any, lens: Array, n: int, is_near: Array) -> bool:
+    """Set `is_near` (LANES,) where a sphere reaches between the sides of a camera's image."""
+    for j in range(LANES):
+        right = x * lens[_X0 + j] + y * lens[_Y0 + j] + z * lens[_Z0 + j]
+        down = x * lens[_X1 + j] + y * lens[_Y1 + j] + z * lens[_Z1 + j]
+        ahead = x * lens[_X2 + j] + y * lens[_Y2 + j] + z * lens[_Z2 + j]
+        across = abs(right) * lens[_COS_ACROSS + j] - ahead * lens[_SIN_ACROSS + j]
+        up = abs(down) * lens[_COS_UP + j] - ahead * lens[_SIN_UP + j]
+        is_near[j] = (across <= radius) & (up <= radius)
+    found = False
     for j in range(n):
-        key = np.int32(bits[j] ^ np.int32(np.int32(bits[j] >> _SIGN) & _REST))
-        low = key if key < low else low
-        high = key if key > high else high
-    limits[0] = np.int32(low ^ np.int32(np.int32(low >> _SIGN) & _REST))
-    limits[1] = np.int32(high ^ np.int32(np.int32(high >> _SIGN) & _REST))
+        found |= is_near[j]
+    return found
 
 
 @kernel
-def _project(
-    axes: Array,
-    view: int,
-    eye: Array,
-    rotation: Array,
-    camera: int,
-    focal: Any,
-    half_width: Any,
-    half_height: Any,
-    min_depth: Any,
-    columns: Array,
-    rows: Array,
-    depths: Array,
-    scale: Array,
+def _project_into_all(
+    points: Array, view: int, eye: Array, lens: Array, min_depth: Any, limits: Array
 ) -> None:
-    """Columns, rows and depths of a view's points (n_views, 3, n) in a camera.
+    """Least and greatest column and row of a view's points in every camera, and the least depth.
 
-    One number after the other: a loop that writes one array does many at once. Nor are parts of
-    arrays handed about, which would take as long as some ten points.
+    Into `limits` (5 * LANES,). Each number is computed as in :func:`_box_points`.
     """
     ex, ey, ez = eye[0], eye[1], eye[2]
-    x0, x1, x2 = rotation[camera, 0, 0], rotation[camera, 0, 1], rotation[camera, 0, 2]
-    y0, y1, y2 = rotation[camera, 1, 0], rotation[camera, 1, 1], rotation[camera, 1, 2]
-    z0, z1, z2 = rotation[camera, 2, 0], rotation[camera, 2, 1], rotation[camera, 2, 2]
-    n = axes.shape[2]
-    for j in range(n):
-        x, y, z = axes[view, 0, j] - ex, axes[view, 1, j] - ey, axes[view, 2, j] - ez
-        depths[j] = x * x2 + y * y2 + z * z2
-    for j in range(n):
-        depth = depths[j]
-        scale[j] = focal / (depth if depth > min_depth else min_depth)
-    for j in range(n):
-        x, y, z = axes[view, 0, j] - ex, axes[view, 1, j] - ey, axes[view, 2, j] - ez
-        columns[j] = (x * x0 + y * y0 + z * z0) * scale[j] + half_width
-    for j in range(n):
-        x, y, z = axes[view, 0, j] - ex, axes[view, 1, j] - ey, axes[view, 2, j] - ez
-        rows[j] = (x * x1 + y * y1 + z * z1) * scale[j] + half_height
+    for j in range(LANES):
+        limits[_LEFT + j] = limits[_TOP + j] = limits[_DEPTH + j] = _FAR
+        limits[_RIGHT + j] = limits[_BOTTOM + j] = -_FAR
+    for point in range(points.shape[2]):
+        x = points[view, 0, point] - ex
+        y = points[view, 1, point] - ey
+        z = points[view, 2, point] - ez
+        for j in range(LANES):
+            depth = x * lens[_X2 + j] + y * lens[_Y2 + j] + z * lens[_Z2 + j]
+            scale = lens[_FOCAL + j] / (depth if depth > min_depth else min_depth)
+            across = x * lens[_X0 + j] + y * lens[_Y0 + j] + z * lens[_Z0 + j]
+            down = x * lens[_X1 + j] + y * lens[_Y1 + j] + z * lens[_Z1 + j]
+            column = across * scale + lens[_HALF_WIDTH + j]
+            row = down * scale + lens[_HALF_HEIGHT + j]
+            left, top = limits[_LEFT + j], limits[_TOP + j]
+            right, bottom = limits[_RIGHT + j], limits[_BOTTOM + j]
+            least = limits[_DEPTH + j]
+            limits[_LEFT + j] = column if column < left else left
+            limits[_TOP + j] = row if row < top else top
+            limits[_RIGHT + j] = column if column > right else right
+            limits[_BOTTOM + j] = row if row > bottom else bottom
+            limits[_DEPTH + j] = depth if depth < least else least
 
 
 @kernel
-def box_pairs(
+def _box_points(
+    points: Array,
+    view: int,
+    eye: Array,
+    lens: Array,
+    camera: int,
+    min_depth: Any,
+    is_cut: bool,
+    is_visible: Array,
+    is_whole: bool,
+    entry: int,
+    limits: Array,
+    box: Array,
+) -> None:
+    """Boxes of the visible points, all of a whole body, and of all, (8,); zeros without any.
+
+    If the image cuts the body off, only points inside the image count.
+    """
+    ex, ey, ez = eye[0], eye[1], eye[2]
+    x0, x1, x2 = lens[_X0 + camera], lens[_X1 + camera], lens[_X2 + camera]
+    y0, y1, y2 = lens[_Y0 + camera], lens[_Y1 + camera], lens[_Y2 + camera]
+    z0, z1, z2 = lens[_Z0 + camera], lens[_Z1 + camera], lens[_Z2 + camera]
+    focal = lens[_FOCAL + camera]
+    half_width, half_height = lens[_HALF_WIDTH + camera], lens[_HALF_HEIGHT + camera]
+    n_points = points.shape[2]
+    for j in range(LANES):
+        limits[_LEFT + j] = limits[_TOP + j] = _FAR
+        limits[_RIGHT + j] = limits[_BOTTOM + j] = -_FAR
+        limits[_SEEN + _LEFT + j] = limits[_SEEN + _TOP + j] = _FAR
+        limits[_SEEN + _RIGHT + j] = limits[_SEEN + _BOTTOM + j] = -_FAR
+    for some in range(0, n_points, LANES):
+        first = min(some, n_points - LANES)  # the last points may be taken twice
+        for j in range(LANES):
+            x = points[view, 0, first + j] - ex
+            y = points[view, 1, first + j] - ey
+            z = points[view, 2, first + j] - ez
+            depth = x * x2 + y * y2 + z * z2
+            scale = focal / (depth if depth > min_depth else min_depth)
+            column = (x * x0 + y * y0 + z * z0) * scale + half_width
+            row = (x * x1 + y * y1 + z * z1) * scale + half_height
+            is_inside = (
+                (depth > min_depth)
+                & (abs(column - half_width) <= half_width)
+                & (abs(row - half_height) <= half_height)
+            )
+            is_counted = (not is_cut) | is_inside
+            is_seen = is_counted & (is_whole | is_visible[entry, first + j])
+            left, top = limits[_LEFT + j], limits[_TOP + j]
+            right, bottom = limits[_RIGHT + j], limits[_BOTTOM + j]
+            limits[_LEFT + j] = column if is_counted & (column < left) else left
+            limits[_TOP + j] = row if is_counted & (row < top) else top
+            limits[_RIGHT + j] = column if is_counted & (column > right) else right
+            limits[_BOTTOM + j] = row if is_counted & (row > bottom) else bottom
+            left, top = limits[_SEEN + _LEFT + j], limits[_SEEN + _TOP + j]
+            right, bottom = limits[_SEEN + _RIGHT + j], limits[_SEEN + _BOTTOM + j]
+            limits[_SEEN + _LEFT + j] = column if is_seen & (column < left) else left
+            limits[_SEEN + _TOP + j] = row if is_seen & (row < top) else top
+            limits[_SEEN + _RIGHT + j] = column if is_seen & (column > right) else right
+            limits[_SEEN + _BOTTOM + j] = row if is_seen & (row > bottom) else bottom
+    for side, start in ((0, _SEEN), (4, 0)):
+        left, top, right, bottom = _FAR, _FAR, -_FAR, -_FAR
+        for j in range(LANES):
+            left = min(left, limits[start + _LEFT + j])
+            top = min(top, limits[start + _TOP + j])
+            right = max(right, limits[start + _RIGHT + j])
+            bottom = max(bottom, limits[start + _BOTTOM + j])
+        is_there = left <= right
+        box[side] = left if is_there else np.float32(0.0)
+        box[side + 1] = top if is_there else np.float32(0.0)
+        box[side + 2] = right if is_there else np.float32(0.0)
+        box[side + 3] = bottom if is_there else np.float32(0.0)
+
+
+@kernel
+def box_bodies(
     points: Array,
     hull: Array,
+    middle: Array,
+    radius: Array,
     eye: Array,
     view_of_entry: Array,
     is_visible: Array,
     is_whole: Array,
-    rotation: Array,
-    focal_px: Array,
-    size_px: Array,
+    lenses: Array,
+    n_cameras: int,
     min_depth_m: Any,
-    min_height_px: Any,
-    row: Array,
-    entry: Array,
-    boxes_px: Array,
+    min_height_px: float,
+    plain: Array,
+    plain_px: Array,
+    part: Array,
+    part_px: Array,
     inside_share: Array,
-) -> None:
-    """Boxes of the visible points and of all, (n, 8), and the share of the body inside the image.
+) -> tuple[int, int]:
+    """Boxes of bodies in cameras, those of whole bodies inside the image apart from the others.
 
-    For each pair of a camera `row` (n,) and an `entry` (n,). `points` (n_views, 3, n_points) and
-    `hull` (n_views, 3, n_hull), the corners of their convex hull, are in single precision, and so
-    is `eye` (3,). `rotation` (k, 3, 3) takes offsets into the cameras, `focal_px` (k,), `size_px`
-    (k, 2). Of a body that the image cuts off, only the points inside the image count; boxes are
-    zeros where there are none, or where no box would be `min_height_px` high.
+    `points` (n_views, 3, n_points), at least `LANES` of them, and `hull` (n_views, 3, n_corners),
+    the corners of their convex hull, are in single precision, and so is `eye` (3,); `middle`
+    (n_views, 3) and `radius` (n_views,) are spheres around them. `lenses` are as
+    :func:`pack_lenses` has them.
+
+    Returns how many of each kind there are. Pairs of a camera and an entry go to `plain` and
+    `part` (n, 2); of plain ones, the one box of all that is visible goes to `plain_px` (n, 4), of
+    the others those of the visible points and of all go to `part_px` (n, 8), and the share of the
+    body inside the image to `inside_share` (n,). Of a body that the image cuts off, only the points
+    inside the image count. Pairs whose visible box is not `min_height_px` high are left out.
     """
-    n_points, n_hull = points.shape[2], hull.shape[2]
-    columns = np.empty(n_points, np.float32)
-    rows, depths = np.empty_like(columns), np.empty_like(columns)
-    scale, some = np.empty_like(columns), np.empty_like(columns)
-    column_bits, row_bits = columns.view(np.int32), rows.view(np.int32)
-    depth_bits, some_bits = depths.view(np.int32), some.view(np.int32)
-    limits = np.empty(2, np.float32)
-    limit_bits = limits.view(np.int32)
-    is_counted = np.empty(n_points, np.bool_)
-    zero, half = np.float32(0.0), np.float32(0.5)
-    for pair in range(len(row)):
-        camera, item = row[pair], entry[pair]
-        view = view_of_entry[item]
-        width, height, focal = size_px[camera, 0], size_px[camera, 1], focal_px[camera]
-        half_width, half_height = half * width, half * height
-        _project(
-            *(hull, view, eye, rotation, camera, focal, half_width, half_height, min_depth_m),
-            *(columns, rows, depths, scale),
-        )
-        _limits(depth_bits, n_hull, limit_bits)
-        is_behind = limits[0] <= min_depth_m
-        _limits(column_bits, n_hull, limit_bits)
-        left, right = limits[0], limits[1]
-        _limits(row_bits, n_hull, limit_bits)
-        top, bottom = limits[0], limits[1]
-        is_low = min(bottom, height) - max(top, zero) < min_height_px
-        if not is_behind and (
-            is_low
-            or right - half_width < -half_width
-            or left - half_width > half_width
-            or bottom - half_height < -half_height
-            or top - half_height > half_height
-        ):
-            for k in range(8):
-                boxes_px[pair, k] = zero
-            inside_share[pair] = 0.0
-            continue
-        is_cut = is_behind or left < zero or top < zero or right > width or bottom > height
-        if is_cut or not is_whole[item]:
-            _project(
-                *(points, view, eye, rotation, camera, focal, half_width, half_height, min_depth_m),
-                *(columns, rows, depths, scale),
-            )
-        if is_behind:  # beside and behind the lens points are not projected as bodies are
-            _limits(column_bits, n_points, limit_bits)
-            left, right = limits[0], limits[1]
-            _limits(row_bits, n_points, limit_bits)
-            top, bottom = limits[0], limits[1]
-        inside_share[pair] = 1.0
-        if is_cut:
-            area = (np.float64(right) - left) * (np.float64(bottom) - top)
-            wide = np.float64(max(zero, min(right, width))) - max(zero, min(left, width))
-            high = np.float64(max(zero, min(bottom, height))) - max(zero, min(top, height))
-            inside_share[pair] = wide * high / max(area, 1.0e-9)
-        boxes_px[pair, _ALL], boxes_px[pair, _ALL + 1] = left, top
-        boxes_px[pair, _ALL + 2], boxes_px[pair, _ALL + 3] = right, bottom
-        for j in range(n_points if is_cut else 0):
-            is_counted[j] = (
-                (depths[j] > min_depth_m)
-                & (abs(columns[j] - half_width) <= half_width)
-                & (abs(rows[j] - half_height) <= half_height)
-            )
-        # First the box of all that is in the image, then that of what is visible of it.
-        for side in (_ALL, _SEEN):
-            if side == _ALL and not is_cut:
+    limits, some = np.empty(5 * LANES, np.float32), np.empty(8 * LANES, np.float32)
+    is_near, box = np.empty(LANES, np.bool_), np.empty(8, np.float32)
+    zero = np.float32(0.0)
+    n_plain = n_part = 0
+    for entry in range(len(view_of_entry)):
+        view = view_of_entry[entry]
+        x = np.float32(middle[view, 0] - eye[0])
+        y = np.float32(middle[view, 1] - eye[1])
+        z = np.float32(middle[view, 2] - eye[2])
+        reach = np.float32(radius[view]) + _SLACK_M
+        for block in range(len(lenses)):
+            lens = lenses[block]
+            n = min(LANES, n_cameras - block * LANES)
+            if not _is_any_near(x, y, z, reach, lens, n, is_near):
                 continue
-            if side == _SEEN and is_whole[item]:
-                for k in range(4):
-                    boxes_px[pair, _SEEN + k] = boxes_px[pair, _ALL + k]
-                continue
-            if side == _SEEN and is_cut:
-                for j in range(n_points):
-                    is_counted[j] &= is_visible[item, j]
-            elif side == _SEEN:
-                for j in range(n_points):
-                    is_counted[j] = is_visible[item, j]
-            first = 0
-            while first < n_points and not is_counted[first]:
-                first += 1
-            if first == n_points:
-                for k in range(4):
-                    boxes_px[pair, side + k] = zero
-                continue
-            one = columns[first]  # the first one stands in for those that do not count
-            for j in range(n_points):
-                some[j] = columns[j] if is_counted[j] else one
-            _limits(some_bits, n_points, limit_bits)
-            boxes_px[pair, side], boxes_px[pair, side + 2] = limits[0], limits[1]
-            one = rows[first]
-            for j in range(n_points):
-                some[j] = rows[j] if is_counted[j] else one
-            _limits(some_bits, n_points, limit_bits)
-            boxes_px[pair, side + 1], boxes_px[pair, side + 3] = limits[0], limits[1]
+            _project_into_all(hull, view, eye, lens, min_depth_m, limits)
+            for j in range(n):
+                if not is_near[j]:
+                    continue
+                left, top = limits[_LEFT + j], limits[_TOP + j]
+                right, bottom = limits[_RIGHT + j], limits[_BOTTOM + j]
+                width = lens[_HALF_WIDTH + j] + lens[_HALF_WIDTH + j]
+                height = lens[_HALF_HEIGHT + j] + lens[_HALF_HEIGHT + j]
+                is_behind = limits[_DEPTH + j] <= min_depth_m
+                high = np.float64(min(bottom, height)) - np.float64(max(top, zero))
+                is_out = high < _NEARLY * min_height_px or high < 0.0
+                if not is_behind and (is_out or right < zero or left > width):
+                    continue
+                is_cut = is_behind or left < zero or top < zero or right > width or bottom > height
+                if is_whole[entry] and not is_cut:
+                    if high >= min_height_px and high > 0.0:
+                        plain[n_plain, 0], plain[n_plain, 1] = block * LANES + j, entry
+                        plain_px[n_plain, 0], plain_px[n_plain, 1] = left, top
+                        plain_px[n_plain, 2], plain_px[n_plain, 3] = right, bottom
+                        n_plain += 1
+                    continue
+                _box_points(
+                    *(points, view, eye, lens, j, min_depth_m),
+                    *(is_cut, is_visible, is_whole[entry], entry, some, box),
+                )
+                high = np.float64(box[3]) - np.float64(box[1])
+                if not (high >= min_height_px and high > 0.0):
+                    continue
+                part[n_part, 0], part[n_part, 1] = block * LANES + j, entry
+                for side in range(8):
+                    part_px[n_part, side] = box[side]
+                if is_behind:  # beside and behind the lens points are not projected as bodies are
+                    _project_into_all(points, view, eye, lens, min_depth_m, some)
+                    left, top = some[_LEFT + j], some[_TOP + j]
+                    right, bottom = some[_RIGHT + j], some[_BOTTOM + j]
+                inside_share[n_part] = 1.0
+                if is_cut:
+                    area = (np.float64(right) - left) * (np.float64(bottom) - top)
+                    across = np.float64(max(zero, min(right, width))) - max(zero, min(left, width))
+                    up = np.float64(max(zero, min(bottom, height))) - max(zero, min(top, height))
+                    inside_share[n_part] = across * up / max(area, 1.0e-9)
+                n_part += 1
+    return n_plain, n_part
 
 
 @kernel
