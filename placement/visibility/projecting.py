@@ -21,7 +21,7 @@ _FOCAL, _HALF_WIDTH, _HALF_HEIGHT = (LANES * number for number in range(9, 12))
 _COS_ACROSS, _SIN_ACROSS, _COS_UP, _SIN_UP = (LANES * number for number in range(12, 16))
 _X0, _X1, _X2, _Y0, _Y1, _Y2, _Z0, _Z1, _Z2 = (LANES * number for number in range(9))
 _LEFT, _TOP, _RIGHT, _BOTTOM, _DEPTH = (LANES * number for number in range(5))
-_SEEN = 4 * LANES  # where the limits of what is seen follow those of all
+_SEEN, _ALL = 0, 4  # where the box of what is visible and that of all begin
 _FAR = np.float32(3.0e38)
 _NEARLY = 0.999  # for the rounding of single precision
 _SLACK_M = np.float32(1.0e-3)  # of a sphere in single precision: nobody at the edge is left out
@@ -73,99 +73,109 @@ def _project_into_all(
     for j in range(LANES):
         limits[_LEFT + j] = limits[_TOP + j] = limits[_DEPTH + j] = _FAR
         limits[_RIGHT + j] = limits[_BOTTOM + j] = -_FAR
-    for point in range(points.shape[2]):
-        x = points[view, 0, point] - ex
-        y = points[view, 1, point] - ey
-        z = points[view, 2, point] - ez
+    for point in range(0, points.shape[2], 2):
+        other_point = min(point + 1, points.shape[2] - 1)
+        x, a = points[view, 0, point] - ex, points[view, 0, other_point] - ex
+        y, b = points[view, 1, point] - ey, points[view, 1, other_point] - ey
+        z, c = points[view, 2, point] - ez, points[view, 2, other_point] - ez
         for j in range(LANES):
-            depth = x * lens[_X2 + j] + y * lens[_Y2 + j] + z * lens[_Z2 + j]
-            scale = lens[_FOCAL + j] / (depth if depth > min_depth else min_depth)
-            across = x * lens[_X0 + j] + y * lens[_Y0 + j] + z * lens[_Z0 + j]
-            down = x * lens[_X1 + j] + y * lens[_Y1 + j] + z * lens[_Z1 + j]
-            column = across * scale + lens[_HALF_WIDTH + j]
-            row = down * scale + lens[_HALF_HEIGHT + j]
-            left, top = limits[_LEFT + j], limits[_TOP + j]
-            right, bottom = limits[_RIGHT + j], limits[_BOTTOM + j]
-            least = limits[_DEPTH + j]
-            limits[_LEFT + j] = column if column < left else left
-            limits[_TOP + j] = row if row < top else top
-            limits[_RIGHT + j] = column if column > right else right
-            limits[_BOTTOM + j] = row if row > bottom else bottom
-            limits[_DEPTH + j] = depth if depth < least else least
+            x2, y2, z2 = lens[_X2 + j], lens[_Y2 + j], lens[_Z2 + j]
+            depth, other = x * x2 + y * y2 + z * z2, a * x2 + b * y2 + c * z2
+            focal = lens[_FOCAL + j]
+            scale = focal / (depth if depth > min_depth else min_depth)
+            other_scale = focal / (other if other > min_depth else min_depth)
+            low, least = (other if other < depth else depth), limits[_DEPTH + j]
+            limits[_DEPTH + j] = low if low < least else least
+            x0, y0, z0 = lens[_X0 + j], lens[_Y0 + j], lens[_Z0 + j]
+            one, two = (x * x0 + y * y0 + z * z0) * scale, (a * x0 + b * y0 + c * z0) * other_scale
+            low, high = (one if one < two else two), (two if one < two else one)
+            left, right = limits[_LEFT + j], limits[_RIGHT + j]
+            limits[_LEFT + j] = low if low < left else left
+            limits[_RIGHT + j] = high if high > right else right
+            x1, y1, z1 = lens[_X1 + j], lens[_Y1 + j], lens[_Z1 + j]
+            one, two = (x * x1 + y * y1 + z * z1) * scale, (a * x1 + b * y1 + c * z1) * other_scale
+            low, high = (one if one < two else two), (two if one < two else one)
+            top, bottom = limits[_TOP + j], limits[_BOTTOM + j]
+            limits[_TOP + j] = low if low < top else top
+            limits[_BOTTOM + j] = high if high > bottom else bottom
+    for j in range(LANES):  # rounding leaves the order of numbers as it is
+        limits[_LEFT + j] += lens[_HALF_WIDTH + j]
+        limits[_RIGHT + j] += lens[_HALF_WIDTH + j]
+        limits[_TOP + j] += lens[_HALF_HEIGHT + j]
+        limits[_BOTTOM + j] += lens[_HALF_HEIGHT + j]
+
+
+@kernel
+def _set_out(points: Array, view: int, eye: Array, offsets: Array) -> None:
+    """Offsets of a view's points from the eye, by axis, into lanes, (n_blocks, 3 * LANES)."""
+    last = points.shape[2] - 1
+    for block in range(len(offsets)):
+        for j in range(LANES):
+            point = min(block * LANES + j, last)  # the last one fills what is left of the lanes
+            for axis in range(3):
+                offsets[block, axis * LANES + j] = points[view, axis, point] - eye[axis]
 
 
 @kernel
 def _box_points(
-    points: Array,
-    view: int,
-    eye: Array,
+    offsets: Array,
+    is_counted: Array,
     lens: Array,
     camera: int,
     min_depth: Any,
     is_cut: bool,
-    is_visible: Array,
-    is_whole: bool,
-    entry: int,
     limits: Array,
     box: Array,
+    side: int,
 ) -> None:
-    """Boxes of the visible points, all of a whole body, and of all, (8,); zeros without any.
+    """Box of the points that count, (n_blocks, LANES), in one camera of the lanes.
 
-    If the image cuts the body off, only points inside the image count.
+    Into `box` (8,), from `side` on; zeros if there is no such point. If the image cuts the body
+    off, only points inside the image count.
     """
-    ex, ey, ez = eye[0], eye[1], eye[2]
     x0, x1, x2 = lens[_X0 + camera], lens[_X1 + camera], lens[_X2 + camera]
     y0, y1, y2 = lens[_Y0 + camera], lens[_Y1 + camera], lens[_Y2 + camera]
     z0, z1, z2 = lens[_Z0 + camera], lens[_Z1 + camera], lens[_Z2 + camera]
     focal = lens[_FOCAL + camera]
     half_width, half_height = lens[_HALF_WIDTH + camera], lens[_HALF_HEIGHT + camera]
-    n_points = points.shape[2]
+    widest = half_width if is_cut else _FAR
+    highest = half_height if is_cut else _FAR
+    nearest = min_depth if is_cut else -_FAR
     for j in range(LANES):
         limits[_LEFT + j] = limits[_TOP + j] = _FAR
         limits[_RIGHT + j] = limits[_BOTTOM + j] = -_FAR
-        limits[_SEEN + _LEFT + j] = limits[_SEEN + _TOP + j] = _FAR
-        limits[_SEEN + _RIGHT + j] = limits[_SEEN + _BOTTOM + j] = -_FAR
-    for some in range(0, n_points, LANES):
-        first = min(some, n_points - LANES)  # the last points may be taken twice
+    for block in range(len(offsets)):
+        offset, counted = offsets[block], is_counted[block]
         for j in range(LANES):
-            x = points[view, 0, first + j] - ex
-            y = points[view, 1, first + j] - ey
-            z = points[view, 2, first + j] - ez
+            x, y, z = offset[j], offset[LANES + j], offset[2 * LANES + j]
             depth = x * x2 + y * y2 + z * z2
             scale = focal / (depth if depth > min_depth else min_depth)
             column = (x * x0 + y * y0 + z * z0) * scale + half_width
             row = (x * x1 + y * y1 + z * z1) * scale + half_height
-            is_inside = (
-                (depth > min_depth)
-                & (abs(column - half_width) <= half_width)
-                & (abs(row - half_height) <= half_height)
+            counts = (
+                counted[j]
+                & (depth > nearest)
+                & (abs(column - half_width) <= widest)
+                & (abs(row - half_height) <= highest)
             )
-            is_counted = (not is_cut) | is_inside
-            is_seen = is_counted & (is_whole | is_visible[entry, first + j])
-            left, top = limits[_LEFT + j], limits[_TOP + j]
-            right, bottom = limits[_RIGHT + j], limits[_BOTTOM + j]
-            limits[_LEFT + j] = column if is_counted & (column < left) else left
-            limits[_TOP + j] = row if is_counted & (row < top) else top
-            limits[_RIGHT + j] = column if is_counted & (column > right) else right
-            limits[_BOTTOM + j] = row if is_counted & (row > bottom) else bottom
-            left, top = limits[_SEEN + _LEFT + j], limits[_SEEN + _TOP + j]
-            right, bottom = limits[_SEEN + _RIGHT + j], limits[_SEEN + _BOTTOM + j]
-            limits[_SEEN + _LEFT + j] = column if is_seen & (column < left) else left
-            limits[_SEEN + _TOP + j] = row if is_seen & (row < top) else top
-            limits[_SEEN + _RIGHT + j] = column if is_seen & (column > right) else right
-            limits[_SEEN + _BOTTOM + j] = row if is_seen & (row > bottom) else bottom
-    for side, start in ((0, _SEEN), (4, 0)):
-        left, top, right, bottom = _FAR, _FAR, -_FAR, -_FAR
-        for j in range(LANES):
-            left = min(left, limits[start + _LEFT + j])
-            top = min(top, limits[start + _TOP + j])
-            right = max(right, limits[start + _RIGHT + j])
-            bottom = max(bottom, limits[start + _BOTTOM + j])
-        is_there = left <= right
-        box[side] = left if is_there else np.float32(0.0)
-        box[side + 1] = top if is_there else np.float32(0.0)
-        box[side + 2] = right if is_there else np.float32(0.0)
-        box[side + 3] = bottom if is_there else np.float32(0.0)
+            low, high = (column if counts else _FAR), (column if counts else -_FAR)
+            left, right = limits[_LEFT + j], limits[_RIGHT + j]
+            limits[_LEFT + j] = low if low < left else left
+            limits[_RIGHT + j] = high if high > right else right
+            low, high = (row if counts else _FAR), (row if counts else -_FAR)
+            top, bottom = limits[_TOP + j], limits[_BOTTOM + j]
+            limits[_TOP + j] = low if low < top else top
+            limits[_BOTTOM + j] = high if high > bottom else bottom
+    left, top, right, bottom = _FAR, _FAR, -_FAR, -_FAR
+    for j in range(LANES):
+        left = limits[_LEFT + j] if limits[_LEFT + j] < left else left
+        top = limits[_TOP + j] if limits[_TOP + j] < top else top
+        right = limits[_RIGHT + j] if limits[_RIGHT + j] > right else right
+        bottom = limits[_BOTTOM + j] if limits[_BOTTOM + j] > bottom else bottom
+    is_there = left <= right
+    zero = np.float32(0.0)
+    box[side], box[side + 1] = left if is_there else zero, top if is_there else zero
+    box[side + 2], box[side + 3] = right if is_there else zero, bottom if is_there else zero
 
 
 @kernel
@@ -190,7 +200,7 @@ def box_bodies(
 ) -> tuple[int, int]:
     """Boxes of bodies in cameras, those of whole bodies inside the image apart from the others.
 
-    `points` (n_views, 3, n_points), at least `LANES` of them, and `hull` (n_views, 3, n_corners),
+    `points` (n_views, 3, n_points) and `hull` (n_views, 3, n_corners),
     the corners of their convex hull, are in single precision, and so is `eye` (3,); `middle`
     (n_views, 3) and `radius` (n_views,) are spheres around them. `lenses` are as
     :func:`pack_lenses` has them.
@@ -201,8 +211,12 @@ def box_bodies(
     body inside the image to `inside_share` (n,). Of a body that the image cuts off, only the points
     inside the image count. Pairs whose visible box is not `min_height_px` high are left out.
     """
-    limits, some = np.empty(5 * LANES, np.float32), np.empty(8 * LANES, np.float32)
+    limits, some = np.empty(5 * LANES, np.float32), np.empty(5 * LANES, np.float32)
     is_near, box = np.empty(LANES, np.bool_), np.empty(8, np.float32)
+    n_points = points.shape[2]
+    offsets = np.empty((-(-n_points // LANES), 3 * LANES), np.float32)
+    every = np.ones((len(offsets), LANES), np.bool_)
+    shown = np.zeros_like(every)
     zero = np.float32(0.0)
     n_plain = n_part = 0
     for entry in range(len(view_of_entry)):
@@ -211,6 +225,7 @@ def box_bodies(
         y = np.float32(middle[view, 1] - eye[1])
         z = np.float32(middle[view, 2] - eye[2])
         reach = np.float32(radius[view]) + _SLACK_M
+        is_set_out = False
         for block in range(len(lenses)):
             lens = lenses[block]
             n = min(LANES, n_cameras - block * LANES)
@@ -237,13 +252,27 @@ def box_bodies(
                         plain_px[n_plain, 2], plain_px[n_plain, 3] = right, bottom
                         n_plain += 1
                     continue
-                _box_points(
-                    *(points, view, eye, lens, j, min_depth_m),
-                    *(is_cut, is_visible, is_whole[entry], entry, some, box),
-                )
+                if not is_set_out:
+                    _set_out(points, view, eye, offsets)
+                    for point in range(n_points):
+                        shown[point // LANES, point % LANES] = is_visible[entry, point]
+                    is_set_out = True
+                shot = (lens, j, min_depth_m, is_cut, some, box)
+                if not is_whole[entry]:
+                    _box_points(offsets, shown, *shot, _SEEN)
+                    high = np.float64(box[3]) - np.float64(box[1])
+                    if not (high >= min_height_px and high > 0.0):
+                        continue
+                if is_cut:
+                    _box_points(offsets, every, *shot, _ALL)
+                if is_whole[entry]:
+                    for k in range(4):
+                        box[_SEEN + k] = box[_ALL + k]
                 high = np.float64(box[3]) - np.float64(box[1])
                 if not (high >= min_height_px and high > 0.0):
                     continue
+                for k in range(4 if not is_cut else 0):
+                    box[_ALL + k] = limits[k * LANES + j]
                 part[n_part, 0], part[n_part, 1] = block * LANES + j, entry
                 for side in range(8):
                     part_px[n_part, side] = box[side]

@@ -229,9 +229,7 @@ def _box(sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray) 
     )
 
 
-def _evidence(
-    sensing: Sensing, boxes: _Boxes, *, is_plain: bool
-) -> tuple[IntArray, Evidence]:
+def _evidence(sensing: Sensing, boxes: _Boxes, *, is_plain: bool) -> tuple[IntArray, Evidence]:
     """Index of the candidate, and the evidence, of one kind of boxes."""
     rows, entries = (boxes.plain if is_plain else boxes.part).T
     return rows, Evidence(
