@@ -38,14 +38,19 @@ def few_runs(small_setting, tables, monkeypatch):
 
 
 @pytest.fixture
-def small_study(few_runs, with_blank_pictures, monkeypatch):
+def small_study(few_runs, with_blank_pictures, one_assumption, monkeypatch):
     """As `few_runs`; compares with two units only, varies one assumption, and draws nothing."""
     monkeypatch.setattr(placement, "find_baseline", build_small_baseline)
+    return few_runs
+
+
+@pytest.fixture
+def one_assumption(monkeypatch):
+    """Varies the one that needs no rays."""
     few = [item for item in load_assumptions() if item.name == "latency_s"]
     monkeypatch.setattr(
         placement, "find_sensitivity", partial(placement.find_sensitivity, assumptions=few)
     )
-    return few_runs
 
 
 @pytest.fixture
