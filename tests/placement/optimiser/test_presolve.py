@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser import (
@@ -24,7 +24,6 @@ BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=300)
 def test_presolve_changes_no_best_value(problem: PlacementProblem, best_value: BestValue) -> None:
     reduced = presolve(problem)
     everywhere = best_value(problem, range(problem.table.n_poses))
@@ -32,7 +31,6 @@ def test_presolve_changes_no_best_value(problem: PlacementProblem, best_value: B
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=200)
 def test_reduced_problem_values_every_set_as_the_table_does(problem: PlacementProblem) -> None:
     reduced = presolve(problem)
     n_units = min(problem.limits.max_units, reduced.n_poses)
