@@ -153,11 +153,12 @@ def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, 
 def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrain:
     """Terrain of a square around the origin from points (n, 3) of the ground.
 
-    Linear between the points, by their Delaunay triangulation; beyond them as the nearest one.
-    Lines are `step_m` apart, or farther where there would be too many. In metres.
+    Linear between the points, by their Delaunay triangulation; beyond them as high as the nearest
+    place between them.
+    Lines are `step_m` apart, or farther where there would be too many. At least one point must
+    lie in the square. In metres.
     """
-    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-    from scipy.spatial import QhullError
+    from scipy.ndimage import distance_transform_edt
 
     n_cells = min(int(np.ceil(2.0 * half_m / step_m)), _MAX_CELLS)
     line = np.linspace(-half_m, half_m, n_cells + 1).round(_GRID_DECIMALS)
@@ -167,10 +168,24 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
     _, member, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
     thin = np.stack([np.bincount(member.ravel(), column) for column in points_m.T], axis=1)
     thin /= count[:, None]
-    height = NearestNDInterpolator(thin[:, :2], thin[:, 2])(nodes)
+    height = _between(thin, nodes)
+    if np.isnan(height).all():  # points on a line, or a few: the ground beside them is as high
+        aside = (
+            0.5 * (line[1] - line[0]) * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
+        )
+        height = _between((thin[:, None] + 1.5 * aside).reshape(-1, 3), nodes)
+    _, nearest = distance_transform_edt(np.isnan(height), return_indices=True)
+    filled = height[tuple(nearest)]
+    return Terrain(east_m=line, north_m=line, height_m=filled.round(_GRID_DECIMALS))
+
+
+def _between(points_m: FloatArray, nodes_m: FloatArray) -> FloatArray:
+    """Heights at nodes (..., 2) between points (n, 3); NaN beyond them."""
+    from scipy.interpolate import LinearNDInterpolator
+    from scipy.spatial import QhullError
+
     try:
-        between = LinearNDInterpolator(thin[:, :2], thin[:, 2])(nodes)
-        height = np.where(np.isnan(between), height, between)
+        height: FloatArray = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])(nodes_m)
     except (QhullError, ValueError):  # fewer than three points, or all on a line
-        pass
-    return Terrain(east_m=line, north_m=line, height_m=height.round(_GRID_DECIMALS))
+        return np.full(nodes_m.shape[:-1], np.nan)
+    return height
