@@ -24,6 +24,7 @@ from geometry.lidar import (
 from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
+from geometry.terrain import on_ground
 from geometry.weather import Weather
 from scenarios.runs import Run
 
@@ -101,7 +102,7 @@ def build_frame_mesh(
             f"driving-{number}",
             body.actor,
             body.actor.shapes[0],
-            _road_pose(body.position_m[frame_index], body.yaw_deg[frame_index]),
+            _road_pose(run, body.position_m[frame_index], body.yaw_deg[frame_index]),
         )
         for number, body in enumerate(run.traffic, start=1)
         if body.is_there[frame_index]
@@ -126,16 +127,16 @@ def build_frame_mesh(
 
 def vut_pose(run: Run, frame_index: int) -> Pose:
     """Body frame of the VUT in a frame."""
-    return _road_pose(run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index])
+    return _road_pose(run, run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index])
 
 
 def vru_pose(run: Run, frame_index: int) -> Pose:
     """Body frame of the VRU in a frame."""
-    return _road_pose(run.vru_position_m[frame_index], run.vru_yaw_deg[frame_index])
+    return _road_pose(run, run.vru_position_m[frame_index], run.vru_yaw_deg[frame_index])
 
 
-def _road_pose(position_m: FloatArray, yaw_deg: float) -> Pose:
-    return Pose(position_m=np.append(position_m, 0.0), yaw_deg=float(yaw_deg))
+def _road_pose(run: Run, position_m: FloatArray, yaw_deg: float) -> Pose:
+    return Pose(position_m=on_ground(position_m, run.terrain), yaw_deg=float(yaw_deg))
 
 
 def _scene_thing(scene: Scene, index: int) -> Thing:
