@@ -92,7 +92,7 @@ def _curve(shoulder: float) -> NDArray[np.uint8]:
 
 
 @kernel
-def _mark_edges(radiance, contrast, is_edge):  # type: ignore[no-untyped-def]
+def _mark_edges(radiance: FloatRays, contrast: np.float32, is_edge: BoolArray) -> None:
     """Mark neighbours whose green differs by more than a share of their sum."""
     height, width = is_edge.shape
     for row in range(height):
@@ -109,7 +109,15 @@ def _mark_edges(radiance, contrast, is_edge):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _expose(radiance, noise, scale, per_electron, read, curve, rgb):  # type: ignore[no-untyped-def]
+def _expose(
+    radiance: FloatRays,
+    noise: FloatRays,
+    scale: np.float32,
+    per_electron: np.float32,
+    read: np.float32,
+    curve: NDArray[np.uint8],
+    rgb: NDArray[np.uint8],
+) -> None:
     """Photon noise (variance = mean), that of the amplifier, and the curve to sRGB."""
     steps = np.float32(_STEPS / _BRIGHTEST)
     last = np.float32(_STEPS - 1)

@@ -346,6 +346,19 @@ def scan_cloud(
     """
     static = build_static_mesh(scene, run.obstruction)
     mesh = build_frame_mesh(static, run, frame_index, pose.position_m, with_vut=with_vut)
+    return scan_mesh(mesh, run, pose, lidar, weather=weather, seed=seed)
+
+
+def scan_mesh(
+    mesh: FrameMesh,
+    run: Run,
+    pose: Pose,
+    lidar: LidarModel,
+    *,
+    weather: Weather,
+    seed: int | Sequence[int] = 0,
+) -> PointCloud:
+    """Scan a frame's mesh, whose origin is at the LiDAR; see :func:`scan_cloud`."""
     beams = beam_directions(lidar).reshape(-1, 3)
     ways = beams @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
     starts = lidar.near_m * ways

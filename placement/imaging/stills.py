@@ -15,6 +15,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
+from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.raycast import FloatRays
 from geometry.sensors import CameraModel
@@ -25,7 +26,14 @@ from ..compute import DEFAULT_COMPUTE, Compute
 from .exposure import find_edges
 from .light import HeadLamp, add_headlights
 from .materials import Hits
-from .mesh import Mesh, add_moving_meshes, build_moving_meshes, place_mesh
+from .mesh import (
+    Mesh,
+    PointCloud,
+    add_moving_meshes,
+    build_moving_meshes,
+    place_mesh,
+    scan_mesh,
+)
 from .picture import (
     Backdrop,
     Picture,
@@ -90,6 +98,21 @@ def draw_still(
         smooth=smooth,
         mirrors=mirrors,
         mirrored=mirrored[mirrors],
+    )
+
+
+def scan_onto(
+    still: Still, run: Run, frame_index: int, lidar: LidarModel, *, seed: int
+) -> PointCloud:
+    """Scan a frame of a run by a LiDAR that hangs where a still's camera does."""
+    moving = build_moving_meshes(run, frame_index, with_vut=True)
+    return scan_mesh(
+        add_moving_meshes(still.shot.mesh, moving),
+        run,
+        still.pose,
+        lidar,
+        weather=still.shot.weather,
+        seed=[seed, frame_index],
     )
 
 
@@ -256,7 +279,16 @@ def _box(mesh: Mesh, origin_m: FloatArray) -> FloatArray:
 
 
 @kernel
-def _meets(box, px, py, pz, vx, vy, vz, most):  # type: ignore[no-untyped-def]
+def _meets(
+    box: FloatArray,
+    px: float,
+    py: float,
+    pz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    most: float,
+) -> bool:
     """Whether a ray from p along v meets a box before `most` times v."""
     dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
     # First the sphere around the box.
@@ -288,7 +320,15 @@ def _meets(box, px, py, pz, vx, vy, vz, most):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _mark(changed, depth_m, right, ahead, boxes, to_sun, lamps):  # type: ignore[no-untyped-def]
+def _mark(
+    changed: BoolArray,
+    depth_m: FloatRays,
+    right: FloatRays,
+    ahead: FloatRays,
+    boxes: FloatArray,
+    to_sun: FloatArray,
+    lamps: FloatArray,
+) -> None:
     """Mark pixels where a box is seen, or throws a shadow of sun or lamp."""
     n_boxes = len(boxes)
     has_sun = to_sun[2] > 0.0
@@ -320,7 +360,14 @@ def _mark(changed, depth_m, right, ahead, boxes, to_sun, lamps):  # type: ignore
 
 
 @kernel
-def _mark_lit(lit, changed, depth_m, right, ahead, heads):  # type: ignore[no-untyped-def]
+def _mark_lit(
+    lit: BoolArray,
+    changed: BoolArray,
+    depth_m: FloatRays,
+    right: FloatRays,
+    ahead: FloatRays,
+    heads: FloatArray,
+) -> None:
     """Mark pixels that are not changed and lie before a headlight, in its reach."""
     for row in range(lit.shape[0]):
         for column in range(lit.shape[1]):
@@ -338,7 +385,15 @@ def _mark_lit(lit, changed, depth_m, right, ahead, heads):  # type: ignore[no-un
 
 
 @kernel
-def _mark_mirrored(changed, depth_m, right, ahead, boxes, mirrors, mirrored):  # type: ignore[no-untyped-def]
+def _mark_mirrored(
+    changed: BoolArray,
+    depth_m: FloatRays,
+    right: FloatRays,
+    ahead: FloatRays,
+    boxes: FloatArray,
+    mirrors: IntArray,
+    mirrored: FloatRays,
+) -> None:
     """Mark pixels whose mirrored ray meets a box."""
     width = len(right)
     for number in range(len(mirrors)):
