@@ -137,7 +137,8 @@ def draw_onto(
     )
     right, ahead = ray_parts(shot, slice(0, base.camera.height_px), slice(0, base.camera.width_px))
     changed = _find_changed(still, shot, moving, right, ahead)
-    image = Shades(*(array.copy() for array in still.raw))
+    raw = still.raw
+    image = Shades(raw.radiance.copy(), raw.instance.copy(), raw.depth_m.copy())
     radiance, smooth = image.radiance.reshape(-1, 3), still.smooth.copy()
 
     def rays(part: IntArray) -> FloatRays:
