@@ -460,9 +460,7 @@ def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> B
         rows = np.flatnonzero(surface == index)
         asked = np.ones((len(rows), points.shape[1]), dtype=bool)
         starts, vectors = (np.empty((asked.size, 3), np.float32) for _ in range(2))
-        fill_own_rays(
-            points, surface[rows], eye_body[rows], asked, _OFF_SURFACE_M, starts, vectors
-        )
+        fill_own_rays(points, surface[rows], eye_body[rows], asked, _OFF_SURFACE_M, starts, vectors)
         visible[rows] = ~body.is_blocked(starts, vectors).reshape(asked.shape)
     return visible
 
