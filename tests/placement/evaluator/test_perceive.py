@@ -97,7 +97,7 @@ def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(surroundings,
     boxes = perceive_from_vut(surroundings, vut_camera)
     mount = vut_camera.pose_on(vut)
     n_seen = 0
-    for frame, (x, y, yaw) in enumerate(surroundings.vut_poses):
+    for frame, (x, y, yaw, _) in enumerate(surroundings.vut_poses):
         pose = _rotated(mount, yaw, (x, y))
         view = render_frame(surroundings, frame, pose, camera, with_vut=False)
         assert np.abs(boxes.amodal_px[frame] - view.amodal_box_px).max() <= 1.0
