@@ -357,12 +357,13 @@ class SetSearch:
             return block[self.shares(block) >= least_apr - TOLERANCE]
 
         best = float(value_of(np.sort(units)[None, :])[0])
-        limit = self._rounded_down(walk_from(best).root_limit)
-        # Where values are so far apart, it takes much less to prove the best than to meet all ties.
+        # Where values are so far apart, it takes much less to prove the best than to meet all ties,
+        # but hardly less when units fail.
         step = (1.0 - 1.0e-6) * self._unit()
-        is_proven = False
-        if step:
-            walk = walk_from(best + step)
+        proves_first, is_proven = step > 0.0 and n_failures == 0, False
+        walk = walk_from(best + step if proves_first else best)
+        limit = self._rounded_down(walk.root_limit)
+        if proves_first:
             for block in walk.blocks(end_s):
                 block = within(block)
                 value = value_of(block)
@@ -373,7 +374,8 @@ class SetSearch:
             is_proven = walk.is_finished
             if not is_proven:
                 return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
-        walk, tied, has_all = walk_from(best), [np.empty((0, self.n_units), dtype=np.int64)], True
+            walk = walk_from(best)
+        tied, has_all = [np.empty((0, self.n_units), dtype=np.int64)], True
         for block in walk.blocks(end_s):
             block = within(block)
             value = value_of(block)
@@ -388,7 +390,7 @@ class SetSearch:
                 if not has_all:
                     if is_proven:
                         break
-                    need = best + _STEP_UP
+                    need = best + max(step, _STEP_UP)
                     walk.raise_needs(need if least_apr is None else least_apr, need)
         is_proven |= walk.is_finished
         sets = np.unique(np.sort(np.concatenate(tied), axis=1), axis=0)
