@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser import (
@@ -24,7 +24,6 @@ BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=300)
 def test_presolve_changes_no_best_value(problem: PlacementProblem, best_value: BestValue) -> None:
     reduced = presolve(problem)
     everywhere = best_value(problem, range(problem.table.n_poses))
@@ -32,7 +31,6 @@ def test_presolve_changes_no_best_value(problem: PlacementProblem, best_value: B
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=200)
 def test_reduced_problem_values_every_set_as_the_table_does(problem: PlacementProblem) -> None:
     reduced = presolve(problem)
     n_units = min(problem.limits.max_units, reduced.n_poses)
@@ -50,7 +48,6 @@ def test_packing_words_loses_nothing(n_bits: int, seed: int) -> None:
 
 
 @given(st.integers(0, 150), st.integers(0, 20), st.integers(0, 2**32 - 1))
-@settings(max_examples=50)
 def test_a_table_turned_round_has_the_same_bits(n_rows: int, n_bytes: int, seed: int) -> None:
     rows = np.random.default_rng(seed).integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
     columns = np.empty((8 * n_bytes, -(-n_rows // 64)), dtype=np.uint64)
@@ -60,7 +57,6 @@ def test_a_table_turned_round_has_the_same_bits(n_rows: int, n_bytes: int, seed:
 
 
 @given(st.integers(0, 60), st.integers(1, 3), st.integers(0, 2**32 - 1))
-@settings(max_examples=50)
 def test_rows_are_numbered_by_their_first_appearance(n_rows: int, n_words: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows = rng.integers(0, 4, (n_rows, n_words)).astype(np.uint64)
@@ -75,7 +71,6 @@ def test_rows_are_numbered_by_their_first_appearance(n_rows: int, n_words: int, 
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
-@settings(max_examples=50)
 def test_poses_are_dominated_as_one_by_one(seed: int, max_units: int) -> None:
     rng = np.random.default_rng(seed)
     n_poses, n_sites = 30, 8
