@@ -8,8 +8,8 @@ from geometry.errors import InputError, Unquoted
 
 _PROGRAM_BYTES = 400 * 2**20
 """Of the program itself: libraries, scene, runs, report."""
-_BYTES_PER_ENTRY = 0.125 + 2.0
-"""Of the table: a bit in it; the optimiser's presolve spreads it into bytes and copies them."""
+_BYTES_PER_ENTRY = 0.125 + 1.0
+"""Of the table: a bit in it; the optimiser's presolve has up to seven copies, measured."""
 _LIMIT_FILES = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
@@ -33,9 +33,9 @@ def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
     Examples
     --------
     >>> round(needed_bytes(5772, 18311) / 2**30, 1)
-    0.6
+    0.5
     >>> round(needed_bytes(5772, 18311, n_worlds=64) / 2**30, 1)
-    13.8
+    7.5
     """
     return _PROGRAM_BYTES + int(_BYTES_PER_ENTRY * n_poses * n_frames * n_worlds)
 

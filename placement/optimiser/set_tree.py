@@ -122,7 +122,7 @@ def build_links(reduced: ReducedProblem) -> Links:
             turn_round(seen.view(np.uint8), turned)
             bits[:, :, row] = turned[: reduced.n_poses]
 
-    share_out(lay_out, len(rows))
+    share_out(lay_out, len(rows), few=1)
     return Links(
         layout=Layout(
             bits=bits,

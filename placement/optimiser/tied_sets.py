@@ -37,7 +37,7 @@ _MAX_BYTES = 3 << 28  # of detections by chains
 _MAX_TIED = 100_000
 _BLOCK_SETS = 1 << 12
 _MAX_PARTNERS = 32  # that are valued in all objectives
-_N_RESTARTS = 12
+_N_RESTARTS = 40
 _SEED = 1
 _WORLD_ROUNDS = 12
 _STEP_UP = 2.0 * TOLERANCE
@@ -164,6 +164,27 @@ class SetSearch:
             place = (place + 1) % len(units)
         return units
 
+    def _spread(self, units: IntArray, *, end_s: float) -> IntArray:
+        """Exchange units while the APR and what is left of it after a failure grow together.
+
+        Where many sets have the best APR, the way to those that lose little leads through others.
+        """
+        value, idle, place = -np.inf, 0, 0
+        while idle < len(units) and now_s() < end_s:
+            rest = np.delete(units, place)
+            fits = np.flatnonzero(fitting(self.reduced.limits, rest))
+            share = self.shares_with_each(rest, fits)
+            fits, share = fits[2.0 * share > value], share[2.0 * share > value]
+            idle += 1
+            if len(fits):
+                total = share + self.left_with_each(rest, 1, fits)
+                best = int(total.argmax())
+                if total[best] > value + TOLERANCE:
+                    units, value, idle = np.append(rest, fits[best]), total[best], 0
+                    place -= 1  # those behind have moved up
+            place = (place + 1) % len(units)
+        return units
+
     def _best_partners(self, rest: IntArray) -> IntArray:
         """Poses that make the best sets with others, by the first stages."""
         best = np.flatnonzero(fitting(self.reduced.limits, rest))
@@ -205,6 +226,8 @@ class SetSearch:
             units = self.fill(units)
             if not is_allowed(self.reduced.limits, units):
                 continue
+            if best.values is not None and best.values.first >= limit.first - TOLERANCE:
+                units = self._spread(units, end_s=end_s)
             units = self.climb(units, end_s=end_s)
             before = best.units
             best.offer(units[None, :], set_values(self.reduced, units[None, :]))
@@ -334,12 +357,13 @@ class SetSearch:
             return block[self.shares(block) >= least_apr - TOLERANCE]
 
         best = float(value_of(np.sort(units)[None, :])[0])
-        limit = self._rounded_down(walk_from(best).root_limit)
-        # Where values are so far apart, it takes much less to prove the best than to meet all ties.
+        # Where values are so far apart, it takes much less to prove the best than to meet all ties,
+        # but hardly less when units fail.
         step = (1.0 - 1.0e-6) * self._unit()
-        is_proven = False
-        if step:
-            walk = walk_from(best + step)
+        proves_first, is_proven = step > 0.0 and n_failures == 0, False
+        walk = walk_from(best + step if proves_first else best)
+        limit = self._rounded_down(walk.root_limit)
+        if proves_first:
             for block in walk.blocks(end_s):
                 block = within(block)
                 value = value_of(block)
@@ -350,7 +374,8 @@ class SetSearch:
             is_proven = walk.is_finished
             if not is_proven:
                 return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
-        walk, tied, has_all = walk_from(best), [np.empty((0, self.n_units), dtype=np.int64)], True
+            walk = walk_from(best)
+        tied, has_all = [np.empty((0, self.n_units), dtype=np.int64)], True
         for block in walk.blocks(end_s):
             block = within(block)
             value = value_of(block)
@@ -365,7 +390,7 @@ class SetSearch:
                 if not has_all:
                     if is_proven:
                         break
-                    need = best + _STEP_UP
+                    need = best + max(step, _STEP_UP)
                     walk.raise_needs(need if least_apr is None else least_apr, need)
         is_proven |= walk.is_finished
         sets = np.unique(np.sort(np.concatenate(tied), axis=1), axis=0)

@@ -45,7 +45,7 @@ def test_the_message_says_what_is_needed_and_how_to_shrink_it(monkeypatch):
     with pytest.raises(InputError) as caught:
         check_memory(5772, 18_311, n_worlds=64)
     assert str(caught.value) == (
-        "memory: got 5,772 poses x 18,311 frames in 64 sampled worlds, which need 13.8 GiB, where "
+        "memory: got 5,772 poses x 18,311 frames in 64 sampled worlds, which need 7.5 GiB, where "
         "there are 1.0 GiB; expected a smaller question: fewer --samples, fewer --cases, --speeds, "
         "--approaches or --weather, fewer --sensors, or only the poles of --within"
     )
