@@ -10,6 +10,7 @@ from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene, road_area
 from geometry.sensors import CameraModel, project_points
+from geometry.terrain import on_ground, terrain_of
 
 from .candidates import CandidatePose
 
@@ -91,7 +92,7 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
     steps = np.arange(-REACH_M + 0.5 * _SPACING_M, REACH_M, _SPACING_M)
     east, north = middle[0] + steps, middle[1] + steps
     grid = np.stack(np.meshgrid(east, north), axis=-1)
-    points = np.column_stack([grid.reshape(-1, 2), np.full(len(steps) ** 2, LOOK_AT_M)])
+    points = on_ground(grid.reshape(-1, 2), terrain_of(scene)) + [0.0, 0.0, LOOK_AT_M]
     origin = np.append(middle, 0.0)
     caster = build_caster(scene.vertices_m - origin, scene.triangles)
     density = np.zeros(len(points))

@@ -14,6 +14,7 @@ from geometry.maps.gis_files import read_features
 from geometry.raycast import build_caster
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, project_points
+from geometry.terrain import ground_height_m
 
 from .candidates import CandidatePose
 from .ground_coverage import is_in_sight
@@ -128,15 +129,17 @@ def private_shares(
     n_areas = len(ground.names)
     counts = np.bincount(ground.area_index, minlength=n_areas)
     share = np.zeros((len(candidates), n_areas))
+    points_m = ground.points_m.copy()
+    points_m[:, 2] += ground_height_m(scene, points_m[:, :2])
     for position, indices in mounts.items():
         is_open = is_in_sight(
             caster,
             np.array(position) - origin,
-            ground.points_m - origin,
+            points_m - origin,
             near_m=candidates[indices[0]].sensor.near_m,
         )
         for index in indices:
-            seen = is_open & _in_picture(ground.points_m, candidates[index])
+            seen = is_open & _in_picture(points_m, candidates[index])
             share[index] = np.bincount(ground.area_index[seen], minlength=n_areas) / counts
     return share
 

@@ -12,6 +12,7 @@ from geometry.arrays import FloatArray, freeze
 from geometry.footprints import footprint_corners
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene, thing_footprint
+from geometry.terrain import GROUND, on_ground, terrain_of
 
 from .laying import load_obstruction_rules
 from .obstructions import moved
@@ -153,21 +154,24 @@ class _Solid:
 
 def _is_free(solid: _Solid, segments_m: FloatArray) -> bool:
     caster, origin = _caster(solid)
-    return not _is_blocked(caster, *_lifted(segments_m, origin))
+    return not _is_blocked(caster, *_lifted(segments_m, origin, solid.scene))
 
 
 def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
     if not _is_free(solid, segments_m):
         origin = _caster(solid)[1]
-        blocker = _blocker(solid, *_lifted(segments_m, origin), origin)
+        blocker = _blocker(solid, *_lifted(segments_m, origin, solid.scene), origin)
         raise CannotCarryError(f"{blocker} stands in {what}")
 
 
-def _lifted(segments_m: FloatArray, origin_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Starts and ends (n, 3) of segments at each height."""
+def _lifted(
+    segments_m: FloatArray, origin_m: FloatArray, scene: Scene
+) -> tuple[FloatArray, FloatArray]:
+    """Starts and ends (n, 3) of segments at each height above the ground."""
+    origin = np.append(origin_m, 0.0)
     starts, ends = (
-        np.concatenate([_lift(segments_m[:, end] - origin_m, height) for height in _HEIGHTS_M])
-        for end in (0, 1)
+        np.concatenate([on_road + [0.0, 0.0, height_m] for height_m in _HEIGHTS_M])
+        for on_road in np.swapaxes(on_ground(segments_m, terrain_of(scene)) - origin, 0, 1)
     )
     return starts, ends
 
@@ -184,7 +188,7 @@ def _counting(solid: _Solid) -> list[int]:
     return [
         index
         for index, instance in enumerate(solid.scene.instances)
-        if solid.has_poles or instance.class_name not in _POLES
+        if instance.class_name != GROUND and (solid.has_poles or instance.class_name not in _POLES)
     ]
 
 
@@ -253,7 +257,3 @@ def _sides(corners_m: FloatArray) -> FloatArray:
     other = corners_m[:, 3] + share * (corners_m[:, 2] - corners_m[:, 3])
     across = np.stack([one, other], axis=-2).reshape(-1, 2, 2)
     return np.concatenate([around, across])
-
-
-def _lift(points_m: FloatArray, height_m: float) -> FloatArray:
-    return np.column_stack([points_m, np.full(len(points_m), height_m)])

@@ -16,6 +16,7 @@ from geometry.arrays import (
 from geometry.errors import InputError, Unquoted
 from geometry.junction import Junction, build_junction, mirrored
 from geometry.scene import Scene
+from geometry.terrain import Terrain, set_down, terrain_of
 from geometry.weather import load_weathers
 
 from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake_time_s
@@ -68,6 +69,8 @@ class Run:
         Latest onset of braking that avoids. [s]
     traffic : tuple of MovingActor
         Vehicles that drive by, frame by frame; nobody touches VUT or VRU before the impact.
+    terrain : Terrain or None
+        The ground on which all of them stand; None: the plane z = 0.
     """
 
     id: str
@@ -86,6 +89,7 @@ class Run:
     last_brake_time_s: float
     position: str = AT_ZERO.name
     traffic: tuple[MovingActor, ...] = ()
+    terrain: Terrain | None = None
 
     def __post_init__(self) -> None:
         for body in self.traffic:
@@ -421,7 +425,7 @@ def build_runs(
                         is_possible = not isinstance(error, NoRoadError)
                         reasons.setdefault((str(error), is_possible), []).append(speed_kmh)
                         continue
-                    run = _build_run(case, approach, position, speed_kmh, staging, rule=rule)
+                    run = _build_run(case, scene, approach, position, speed_kmh, staging, rule=rule)
                     runs += [_in_weather(run, weather) for weather in dict.fromkeys(weathers)]
                 refusals += [
                     Refusal(
@@ -458,6 +462,7 @@ def _stage(
 
 def _build_run(
     case: Case,
+    scene: Scene,
     approach: str,
     position: Position,
     speed_kmh: float,
@@ -488,7 +493,8 @@ def _build_run(
         vru_position_m=freeze(vru_position),
         vru_yaw_deg=freeze(vru_yaw),
         vru_shape=freeze(encounter.vru.shape_index(vru_distance)),
-        obstruction=staging.obstruction,
+        obstruction=set_down(staging.obstruction, scene),
+        terrain=terrain_of(scene),
         last_brake_time_s=last_brake_time_s(encounter, rule),
     )
 

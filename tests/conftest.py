@@ -14,7 +14,10 @@ from scenarios.cases import pick_cases
 from scenarios.published import load_placements
 from scenarios.runs import FrameAxis, build_runs
 
-settings.register_profile("place-rsus", deadline=None)  # how long an example takes is no test
+# How long an example takes is no test. Other examples are drawn each time; for more of them:
+# pytest --hypothesis-profile thorough
+settings.register_profile("place-rsus", deadline=None, max_examples=30)
+settings.register_profile("thorough", deadline=None, max_examples=200)
 settings.load_profile("place-rsus")
 # The first test that compiles is told so, on a new machine: whichever that is, and however quiet.
 logging.getLogger("geometry.kernels").setLevel(logging.ERROR)
@@ -23,7 +26,7 @@ logging.getLogger("geometry.kernels").setLevel(logging.ERROR)
 def pytest_addoption(parser):
     """Options of tests/faults/test_fuzz.py."""
     group = parser.getgroup("fuzz", "damaged files")
-    group.addoption("--fuzz-seconds", default=10.0, type=float, help="for all readers together")
+    group.addoption("--fuzz-seconds", default=5.0, type=float, help="for all readers together")
     group.addoption("--fuzz-seed", default=0, type=int, help="another one: other damages")
     group.addoption("--fuzz-keep", default="", help="folder for files that were found")
 

@@ -82,7 +82,7 @@ def render_view(
 ) -> View:
     """Render the image of a camera, or a part of it.
 
-    `static`, `vru`, `vut` and `traffic` come with their road poses (3,) in the lens's frame;
+    `static`, `vru`, `vut` and `traffic` come with their road poses (4,) in the lens's frame;
     without `vut` there is no VUT, as for the VUT's own camera. `crop_px` is x_min, y_min, x_max,
     y_max: columns x_min .. x_max - 1 and rows y_min .. y_max - 1; by default the whole image.
     """
@@ -145,7 +145,7 @@ def cast_crops(
     road_poses: FloatArray,
     crops_px: IntArray,
 ) -> list[FloatRays]:
-    """Depths of one solid at many road poses (n, 3), in a part of the image for each, in one go.
+    """Depths of one solid at many road poses (n, 4), in a part of the image for each, in one go.
 
     `crops_px` is (n, 4): x_min, y_min, x_max, y_max. Depths are float32, row by row, infinite where
     nothing is hit beyond the camera's nearest distance [m].
@@ -174,6 +174,6 @@ def _into_body(lens: Lens, road_poses: FloatArray) -> tuple[FloatArray, FloatArr
     """R_lens_body (rows @ it: into the body's frame), and where the lens is in that frame."""
     rotations = body_rotation(road_poses[:, 2])
     offsets = np.repeat(lens.pose.position_m[None], len(road_poses), axis=0)
-    offsets[:, :2] -= road_poses[:, :2]
+    offsets -= road_poses[:, [0, 1, 3]]
     origins: FloatArray = (offsets[:, None, :] @ rotations)[:, 0]
     return rotations, origins

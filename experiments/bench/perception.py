@@ -124,7 +124,7 @@ def _box_rays(
     columns, rows = np.meshgrid(np.arange(x_min, x_max), np.arange(y_min, y_max))
     to_world = body_rotation(vru_pose[2])
     ways = pixel_rays(columns.ravel(), rows.ravel(), pose, camera) @ to_world
-    origin = (pose.position_m - [*vru_pose[:2], 0.0]) @ to_world
+    origin = (pose.position_m - vru_pose[[0, 1, 3]]) @ to_world
     return np.tile(origin, (len(ways), 1)).astype(np.float32), ways.astype(np.float32)
 
 

@@ -179,7 +179,7 @@ def _from_mount(world: World, mount: CandidatePose) -> FloatArray:
     """Way from a mount to the middle of each view's footprint, (n_views, 3)."""
     offset_m = mount.pose.position_m - world.origin_m
     ground_m = world.views.position_m - offset_m[:2]
-    return np.column_stack([ground_m, np.full(len(ground_m), offset_m[2])])
+    return np.column_stack([ground_m, offset_m[2] - world.views.up_m])
 
 
 def _split(

@@ -146,6 +146,12 @@ Examples:
     "file; auto: map, and where it has none kerb:15.",
 )
 @option("--ground", "ground_m", type=float, help="Height of the road in city models and meshes.")
+@option(
+    "--terrain",
+    type=click.Path(path_type=Path),
+    metavar="DEM",
+    help="Heights of the ground: a GeoTIFF (extra: terrain). By default those of the maps.",
+)
 @option("--name", default="", metavar="NAME", help="Of the scene.")
 @option(
     "--bbox",
@@ -167,6 +173,7 @@ def import_(
     radius_m: float,
     sites: str,
     ground_m: float | None,
+    terrain: Path | None,
     name: str,
     bbox: str,
     reading: "ReadingOptions",
@@ -194,6 +201,7 @@ def import_(
             radius_m=radius_m,
             sites=sites,
             ground_m=ground_m,
+            terrain=terrain,
             name=name,
             reading=reading,
         ),

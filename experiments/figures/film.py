@@ -21,6 +21,7 @@ from geometry.footprints import footprint_corners
 from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
+from geometry.terrain import on_ground
 from placement.compute import Progress, silent
 from placement.evaluator import load_vut_camera
 from placement.visibility.casting import build_static_mesh
@@ -171,7 +172,7 @@ class _Sightlines:
         self.lens = self.vut_camera.pose_on(run.encounter.vut).position_m
 
     def eye(self, frame: int) -> FloatArray:
-        pose = _pose(self.run.vut_position_m[frame], self.run.vut_yaw_deg[frame])
+        pose = _pose(self.run, self.run.vut_position_m[frame], self.run.vut_yaw_deg[frame])
         (eye,) = to_world(self.lens[None], pose)
         return np.asarray(eye)
 
@@ -186,7 +187,7 @@ class _Sightlines:
                 for across in _LOOKS_ASIDE
             ]
         )
-        pose = _pose(self.run.vru_position_m[frame], self.run.vru_yaw_deg[frame])
+        pose = _pose(self.run, self.run.vru_position_m[frame], self.run.vru_yaw_deg[frame])
         targets = to_world(points, pose) - self.origin
         eye = self.eye(frame) - self.origin
         vectors = targets - eye
@@ -319,8 +320,8 @@ def _draw_body(
     axes.add_patch(Polygon(wedge, facecolor="white", edgecolor="black", linewidth=0.6, zorder=7.6))
 
 
-def _pose(position_m: FloatArray, yaw_deg: float) -> Pose:
-    return Pose(position_m=np.append(position_m, 0.0), yaw_deg=float(yaw_deg))
+def _pose(run: Run, position_m: FloatArray, yaw_deg: float) -> Pose:
+    return Pose(position_m=on_ground(position_m, run.terrain), yaw_deg=float(yaw_deg))
 
 
 def _window(run: Run, frames: list[int]) -> _Window:

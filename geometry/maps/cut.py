@@ -10,12 +10,14 @@ from ..arrays import FloatArray
 from ..errors import InputError, Unquoted
 from ..junction import LeadingRoad, distance_to_outline_m
 from ..scene import Instance, Lane, Scene, Site
+from ..terrain import GROUND, Terrain, on_ground
 from .georeferences import LocalFrame, frame_at
+from .relief import Elevation, find_relief
 from .solids import join
 from .source_map import MapJunction, Pole, Skipped, SourceMap, Thing
 from .thing_kinds import build_pole_body
 
-_LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
+LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
 _SAME_LEVEL_M = 3.0
 _AT_OUTLINE_M = 2.0  # other roads that end here would look like an arm
 _CROSSWALK_WITHIN_M = 25.0
@@ -32,11 +34,12 @@ class Surroundings:
     lanes: tuple[Lane, ...]  # to drive, park and cycle on
     outline_m: FloatArray  # (n, 2) of the junction's road surface
     crosswalks_m: FloatArray  # (n, 2, 2), those of its arms
-    things: tuple[Thing, ...]  # z counts from the road; ids are unique
-    poles: tuple[Pole, ...]  # feet on the road plane, z = 0; ids are unique
+    things: tuple[Thing, ...]  # z counts from the road in the junction's middle; ids are unique
+    poles: tuple[Pole, ...]  # feet at z = 0, whatever the ground; ids are unique
     keeps_left: bool
     skipped: tuple[Skipped, ...]
     roads: tuple[LeadingRoad, ...] = ()  # that lead to the junction
+    terrain: Terrain | None = None  # the ground, 0 in the junction's middle; None: a plane
 
 
 def cut_out(
@@ -45,17 +48,23 @@ def cut_out(
     *,
     radius_m: float,
     ground_m: float | None = None,
+    elevation: Elevation | None = None,
 ) -> Surroundings:
     """Surroundings of a junction of the first map, with buildings and more from the others.
 
-    Lanes are followed 70 m beyond `radius_m`. `ground_m` is the height of the road in the other
-    maps; by default 0 if a map counts heights above the ground, or else that of its lowest thing
-    within the radius. The road becomes a plane: heights in a map only tell levels apart. Raises
-    InputError if the coordinates of the maps do not fit together.
+    Lanes are followed 70 m beyond `radius_m`. The ground is that of `elevation`, or else of the
+    maps, see :func:`geometry.maps.relief.find_relief`; where they tell no heights, or all within a
+    few centimetres, it is a plane. `ground_m` is the height of the road in the middle of the
+    junction in the other maps; by default 0 if a map counts heights above the ground, or else that
+    of its lowest thing within the radius. Raises InputError if the coordinates of the maps do not
+    fit together.
     """
     roads, frame = maps[0], frame_at(maps[0], junction.position_m)
     outline = frame.take(junction.outline_m, roads)
     skipped = [skip for source in maps for skip in source.skipped]
+    half_m = radius_m + LANES_BEYOND_M
+    relief = find_relief(maps, junction, frame, half_m=half_m, elevation=elevation)
+    skipped += relief.told
     things: list[Thing] = []
     poles: list[Pole] = []
     taken: set[str] = set()
@@ -65,20 +74,25 @@ def cut_out(
         height_m = ground_m
         if source is roads:
             height_m = junction.height_m if source.heights == "absolute" else None
-        ground = _ground_m(source, near, height_m)
+        solid = [thing for thing in near if thing.class_name != "ground"]
+        skipped += [
+            Skipped(what=f"ground {thing.id}", why="the ground of a scene is that of its roads")
+            for thing in near
+            if thing.class_name == "ground"
+        ]
+        n_floating = 0
         low: Counter[str] = Counter()
-        for thing in near:
-            if thing.class_name == "ground":
-                skipped.append(
-                    Skipped(what=f"ground {thing.id}", why="the road of a scene is a plane")
-                )
-                continue
-            vertices = thing.vertices_m - [0.0, 0.0, ground]
-            if vertices[:, 2].max() < _LOWEST_M:
+        for thing, lowered in zip(solid, relief.lower(source, solid, height_m), strict=True):
+            vertices, is_set_down = lowered
+            n_floating += is_set_down
+            if relief.above_m(vertices).max() < _LOWEST_M:
                 low[thing.class_name] += 1
                 continue
             thing_id = _unique(thing.id, source, taken)
             things.append(replace(thing, id=thing_id, vertices_m=vertices))
+        if n_floating:
+            why = "they would float above the ground below them: set down on it"
+            skipped.append(Skipped(what=f"{n_floating} buildings in {source.name}", why=why))
         skipped += [
             Skipped(what=f"{count} x {name} in {source.name}", why="not above the road")
             for name, count in low.items()
@@ -91,7 +105,7 @@ def cut_out(
                     poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
     return Surroundings(
         frame=frame,
-        lanes=tuple(_lanes(roads, junction, frame, outline, radius_m + _LANES_BEYOND_M)),
+        lanes=tuple(_lanes(roads, junction, frame, outline, half_m)),
         outline_m=outline,
         crosswalks_m=_crosswalks(maps, frame, outline),
         things=tuple(things),
@@ -99,6 +113,7 @@ def cut_out(
         keeps_left=roads.keeps_left,
         skipped=tuple(skipped),
         roads=tuple(_taken(road, frame, roads) for road in junction.roads),
+        terrain=relief.terrain,
     )
 
 
@@ -115,19 +130,24 @@ def build_scene(
     sites: Sequence[Site],
     radius_m: float,
 ) -> Scene:
-    """A scene of the surroundings with a ground, bodies of poles, and sites.
+    """A scene of the surroundings with a ground, bodies of poles, and sites, all on the ground.
 
     `source_crs` is the reference system for results; empty: unknown.
     """
-    half = radius_m + _LANES_BEYOND_M
+    terrain = surroundings.terrain
+    half = radius_m + LANES_BEYOND_M
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    bodies = [("ground", "ground", (np.column_stack([corners, np.zeros(4)]), faces))]
+    plane = (np.column_stack([corners, np.zeros(4)]), faces)
+    bodies = [(GROUND, GROUND, plane if terrain is None else terrain.mesh())]
     bodies += [
         (thing.id, thing.class_name, (thing.vertices_m, thing.triangles))
         for thing in surroundings.things
     ]
-    bodies += [(pole.id, *build_pole_body(pole)) for pole in surroundings.poles]
+    for pole in surroundings.poles:
+        class_name, (body, body_faces) = build_pole_body(pole)
+        foot = on_ground(pole.position_m[:2], terrain)
+        bodies.append((pole.id, class_name, (body + [0.0, 0.0, foot[2]], body_faces)))
     vertices, triangles = join([mesh for _, _, mesh in bodies])
     n_triangles = [len(faces) for _, _, (_, faces) in bodies]
     return Scene(
@@ -136,7 +156,9 @@ def build_scene(
         triangles=triangles,
         triangle_instance=np.repeat(np.arange(len(bodies)), n_triangles),
         instances=tuple(Instance(id=id_, class_name=kind) for id_, kind, _ in bodies),
-        sites=tuple(sites),
+        sites=tuple(
+            replace(site, position_m=on_ground(site.position_m[:2], terrain)) for site in sites
+        ),
         outline_m=surroundings.outline_m,
         lanes=surroundings.lanes,
         crs=surroundings.frame.crs,
@@ -270,15 +292,6 @@ def _near_things(
             "them"
         )
     return near, [Skipped(what=f"{n_far} things in {source.name}", why=why)]
-
-
-def _ground_m(source: SourceMap, things: Sequence[Thing], given_m: float | None) -> float:
-    """The height in a map that becomes z = 0."""
-    if given_m is not None:
-        return given_m
-    if source.heights == "above ground":
-        return 0.0
-    return min((float(thing.vertices_m[:, 2].min()) for thing in things), default=0.0)
 
 
 def _unique(name: str, source: SourceMap, taken: set[str]) -> str:

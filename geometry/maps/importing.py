@@ -14,7 +14,7 @@ from ..files import check_file
 from ..junction import LeadingRoad
 from ..scene import Scene
 from ..untrusted_files import local_name, read_xml_root, unpacked
-from .cut import build_scene, cut_out
+from .cut import LANES_BEYOND_M, build_scene, cut_out
 from .junctions import Surveyed, choose_junction, survey_junctions
 from .site_places import settle_poles
 from .sites import choose_sites
@@ -212,6 +212,9 @@ class ImportOptions:
         radius; "map": poles of the map alone; "kerb:SPACING"; or a CSV or GeoJSON file.
     ground_m : float, optional
         Height of the road, see :func:`geometry.maps.cut.cut_out`. [m]
+    terrain : Path, optional
+        Raster with the heights of the ground, see :func:`geometry.maps.elevation.read_elevation`;
+        by default heights are those of the maps.
     name : str
         Name of the scene; empty: after the file and the junction.
     reading : ReadingOptions
@@ -223,6 +226,7 @@ class ImportOptions:
     radius_m: float = DEFAULT_RADIUS_M
     sites: str = "auto"
     ground_m: float | None = None
+    terrain: Path | None = None
     name: str = ""
     reading: ReadingOptions = field(default_factory=ReadingOptions)
 
@@ -331,8 +335,22 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
             Unquoted("no lane that leads into it"),
             "a junction that cars drive into",
         )
+    elevation = None
+    if options.terrain is not None:
+        from .elevation import read_elevation
+
+        elevation = read_elevation(
+            options.terrain,
+            crs=roads.crs,
+            middle_m=chosen.junction.position_m,
+            half_m=options.radius_m + LANES_BEYOND_M,
+        )
     surroundings = cut_out(
-        maps, chosen.junction, radius_m=options.radius_m, ground_m=options.ground_m
+        maps,
+        chosen.junction,
+        radius_m=options.radius_m,
+        ground_m=options.ground_m,
+        elevation=elevation,
     )
     surroundings, settled = settle_poles(surroundings)
     sites, told = choose_sites(options.sites, surroundings, roads, radius_m=options.radius_m)

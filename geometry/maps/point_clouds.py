@@ -166,7 +166,7 @@ def read_point_cloud(
         raise InputError(where, Unquoted("no points"), "points")
     heights, voxel_m, notes = _above_ground(scan)
     things, small = _things(heights, voxel_m, scan, class_name)
-    if not things:
+    if not things and not len(scan.lowest_ground):
         raise InputError(where, Unquoted("only ground"), "points on something above the ground")
     if scan.place.note is not None:
         notes.insert(0, scan.place.note)
@@ -183,6 +183,7 @@ def read_point_cloud(
         crs=scan.place.crs,
         source_crs=scan.place.source_crs,
         things=tuple(things),
+        ground_m=scan.ground_m(),
         skipped=tuple(notes),
     )
 
@@ -199,6 +200,19 @@ class _Scan:
     lowest: LowestPoints = field(default_factory=LowestPoints)
     lowest_ground: LowestPoints = field(default_factory=LowestPoints)
     left_out: Counter[str] = field(default_factory=Counter)
+
+    def ground_m(self) -> FloatArray:
+        """Lowest point of class 2 in every square metre, in the middle of it, (n, 3)."""
+        if not len(self.lowest_ground):
+            return np.empty((0, 3))
+        first, height_m = self.lowest_ground.grid(self.where)
+        cells = np.argwhere(~np.isnan(height_m))
+        east_north_m = (cells + first + 0.5) * CELL_M
+        assert self.origin_m is not None
+        points: FloatArray = self.origin_m + np.column_stack(
+            [east_north_m, height_m[tuple(cells.T)]]
+        )
+        return points
 
     def add(self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str) -> None:
         """Add a chunk of points."""

@@ -250,6 +250,9 @@ class SourceMap:
         The objects of the map.
     crosswalks_m : (n, 2, 2) float
         Lines on which pedestrians cross, from end to end. [m]
+    ground_m : (n, 3) float
+        Points of the ground: of roads' surfaces, nodes with a height, a scan's ground. Their
+        heights are absolute, whatever those of things are. [m]
     keeps_left : bool
         Traffic keeps left.
     skipped : tuple of Skipped
@@ -265,10 +268,14 @@ class SourceMap:
     things: tuple[Thing, ...] = ()
     poles: tuple[Pole, ...] = ()
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    ground_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     keeps_left: bool = False
     skipped: tuple[Skipped, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "ground_m", float_array(self.ground_m, (-1, 3), f"{self.name}: ground_m")
+        )
         object.__setattr__(
             self,
             "crosswalks_m",

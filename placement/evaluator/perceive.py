@@ -147,13 +147,13 @@ def _perceive(
 
 
 def _place(pose: Pose, road_poses: FloatArray) -> Placed:
-    """Bodies at road poses (n, 3), in the frame of a camera at a pose."""
+    """Bodies at road poses (n, 4), in the frame of a camera at a pose."""
     to_camera = camera_rotation(pose.yaw_deg, pose.pitch_deg).T
-    offsets = np.zeros((len(road_poses), 3))
-    offsets[:, :2] = road_poses[:, :2]
+    offsets = road_poses[:, [0, 1, 3]]
     return Placed(
         turn=np.ascontiguousarray(to_camera @ body_rotation(road_poses[:, 2])),
         shift=np.ascontiguousarray((offsets - pose.position_m) @ to_camera.T),
+        up_m=np.ascontiguousarray(road_poses[:, 3]),
     )
 
 
@@ -173,6 +173,6 @@ def distances_m(pose: Pose, vru_poses: FloatArray, hull_m: FloatArray) -> FloatA
     """From a sensor to the middle of the VRU, (n,), in metres."""
     offsets = np.empty((len(vru_poses), 3))
     offsets[:, :2] = vru_poses[:, :2] - pose.position_m[:2]
-    offsets[:, 2] = 0.5 * hull_m[:, 2].max() - pose.position_m[2]
+    offsets[:, 2] = 0.5 * hull_m[:, 2].max() + vru_poses[:, 3] - pose.position_m[2]
     distance: FloatArray = np.linalg.norm(offsets, axis=1)
     return distance

@@ -506,10 +506,9 @@ def see(
     hull, points = np.empty((len(hull_m), 3)), np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
     depth_m, left_m = nothing, nothing  # in the pixels of the box; infinite where it is not seen
-    low_m, high_m = image.up_m, image.up_m
+    foot_m, top_m = hull_m[0, 2], hull_m[0, 2]
     for row in range(len(hull_m)):
-        low_m, high_m = min(low_m, hull_m[row, 2]), max(high_m, hull_m[row, 2])
-    low_m += _TOUCH_M
+        foot_m, top_m = min(foot_m, hull_m[row, 2]), max(top_m, hull_m[row, 2])
     for sight in range(len(sights.vru.shift)):
         turn, shift = sights.vru.turn[sight], sights.vru.shift[sight]
         _to_camera(turn, shift, hull_m, hull)
@@ -531,6 +530,11 @@ def see(
         if len(depth_m) < area:
             depth_m, left_m = np.empty(area), np.empty(area)
         n_pixels, n_left = 0, -1  # not counted: the VRU's, and those that nothing static hides
+        # Between these heights is all that may hide it.
+        vru_m, base_m = sights.vru.up_m[sight], sights.static.up_m[sight]
+        lowest_m = min(image.up_m, foot_m + vru_m)
+        highest_m = max(image.up_m, top_m + vru_m)
+        low_m, high_m = lowest_m - base_m + _TOUCH_M, highest_m - base_m
         at, there = sights.static.turn[sight], sights.static.shift[sight]
         for tree in (standing, parked):
             if not hide(image, tree, 0, at, there, box, farthest_m, low_m, high_m, nothing):
@@ -551,6 +555,8 @@ def see(
                 kind = sights.vehicle_kind[row]
                 root = roots[kind]
                 at, there = sights.vehicles.turn[row], sights.vehicles.shift[row]
+                base_m = sights.vehicles.up_m[row]
+                low_m, high_m = lowest_m - base_m + _TOUCH_M, highest_m - base_m
                 if _is_beside(image, box, farthest_m, there, reach_m[kind]):
                     continue
                 if not hide(

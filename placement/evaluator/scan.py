@@ -24,6 +24,7 @@ from .surroundings import Surroundings, VutCamera, relative_road_poses
 
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
 _SIGHTS_AT_ONCE = 256
+_PLAN = [0, 1, 2, 4, 5, 6]  # of two road poses: who is at the same place is at the same height
 
 
 def scan_from_roadside(
@@ -97,7 +98,10 @@ def _scan(
         frames = np.flatnonzero((kinds == [static_index, vru_index]).all(axis=1))
         poses = np.concatenate([static_poses[frames], vru_poses[frames]], axis=1)
         _, first, sight_of_frame = np.unique(
-            poses.round(_POSE_DECIMALS) + 0.0, axis=0, return_index=True, return_inverse=True
+            poses[:, _PLAN].round(_POSE_DECIMALS) + 0.0,
+            axis=0,
+            return_index=True,
+            return_inverse=True,
         )
         static = surroundings.statics[static_index]
         vru = surroundings.vrus[vru_index]
@@ -125,12 +129,12 @@ def _look(
     pose: Pose, lidar: LidarModel, beams: FloatArray, static: Solid, vru: Solid, poses: FloatArray
 ) -> Iterator[_Echoes]:
     """Beams that reach the VRU before anything that stands still, sight by sight."""
-    vru_poses = poses[:, 3:]
+    vru_poses = poses[:, 4:]
     distance = distances_m(pose, vru_poses, vru.hull_m)
     radius_m = float(
         np.linalg.norm(vru.hull_m - [0.0, 0.0, 0.5 * vru.hull_m[:, 2].max()], axis=1).max()
     )
-    middle = np.column_stack([vru_poses[:, :2], np.full(len(poses), 0.5 * vru.hull_m[:, 2].max())])
+    middle = np.column_stack([vru_poses[:, :2], 0.5 * vru.hull_m[:, 2].max() + vru_poses[:, 3]])
     towards = (middle - pose.position_m) / distance[:, None]
     half_angle = np.arcsin(np.minimum(1.0, radius_m / distance))
     near = np.flatnonzero(distance - radius_m <= lidar.range_m)
@@ -143,7 +147,7 @@ def _look(
     depth, triangle = _cast(pose, lidar, vru, vru_poses[sight], directions)
     hits = np.isfinite(depth)
     sight, directions, depth, triangle = sight[hits], directions[hits], depth[hits], triangle[hits]
-    before, _ = _cast(pose, lidar, static, poses[sight, :3], directions)
+    before, _ = _cast(pose, lidar, static, poses[sight, :4], directions)
     free = depth < before
     sight, directions, depth, triangle = sight[free], directions[free], depth[free], triangle[free]
     normals = np.einsum("nij,nj->ni", body_rotation(vru_poses[sight, 2]), vru.normals[triangle])
@@ -196,7 +200,7 @@ def _cast(
     """Distance to a solid along each beam, and the triangle hit; infinite and -1 where none is."""
     rotations = body_rotation(road_poses[:, 2])
     offsets = np.repeat(pose.position_m[None], len(road_poses), axis=0)
-    offsets[:, :2] -= road_poses[:, :2]
+    offsets -= road_poses[:, [0, 1, 3]]
     origins = np.einsum("ni,nij->nj", offsets, rotations)
     turned = np.einsum("ni,nij->nj", directions, rotations)
     starts = origins + lidar.near_m * turned
@@ -210,7 +214,8 @@ def _before(
     echoes: _Echoes, pose: Pose, lidar: LidarModel, vehicle: Solid, road_pose: FloatArray
 ) -> _Echoes:
     """Beams that a vehicle does not stop on their way."""
-    middle = np.array([*road_pose[:2], 0.5 * vehicle.hull_m[:, 2].max()]) - pose.position_m
+    up_m = 0.5 * vehicle.hull_m[:, 2].max() + road_pose[3]
+    middle = np.array([*road_pose[:2], up_m]) - pose.position_m
     radius_m = float(np.linalg.norm(vehicle.hull_m, axis=1).max())
     along = echoes.directions @ middle
     aside_m = np.sqrt(np.maximum(middle @ middle - along**2, 0.0))

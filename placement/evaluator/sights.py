@@ -33,10 +33,11 @@ class Placed(NamedTuple):
 
     turn: FloatArray  # (n, 3, 3)
     shift: FloatArray  # (n, 3). [m]
+    up_m: FloatArray  # (n,): height of their origins in the frame in which the camera stands. [m]
 
     def take(self, rows: slice) -> "Placed":
         """Some of them."""
-        return Placed(self.turn[rows], self.shift[rows])
+        return Placed(self.turn[rows], self.shift[rows], self.up_m[rows])
 
 
 class Sights(NamedTuple):

@@ -1,7 +1,7 @@
 """Triangles of everything that can be seen, kept ready for pixels and for LiDAR beams.
 
-A *road pose* is a row of three numbers: east and north in metres, yaw in degrees. It places the
-frame of a :class:`Solid` in the frame in which a sensor stands.
+A *road pose* is a row of four numbers: east and north in metres, yaw in degrees, and height of the
+ground in metres. It places the frame of a :class:`Solid` in the frame in which a sensor stands.
 """
 
 from collections.abc import Sequence
@@ -116,7 +116,7 @@ def build_scene_mesh(scene: Scene, *, middle_m: FloatArray) -> Mesh:
     """The scene's triangles, with the origin at `middle_m`, (2,) in the world frame [m].
 
     So coordinates are small where rays are cast in single precision: its road pose in the world is
-    (*middle_m, 0).
+    (*middle_m, 0, 0).
     """
     return Mesh(
         vertices_m=scene.vertices_m - [*middle_m, 0.0],

@@ -16,6 +16,7 @@ from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose, body_rotation, wrap_deg
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
+from geometry.terrain import Terrain, on_ground, terrain_of
 from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
@@ -40,12 +41,12 @@ class Surroundings:
     static_index: IntArray
     vru_index: IntArray
     sight_index: IntArray  # (n_frames,): see :func:`find_sights`
-    # static_poses, vru_poses, vut_poses: (n_frames, 3): road poses: east, north, yaw. World frame.
-    # [m], [deg]
+    # static_poses, vru_poses, vut_poses: (n_frames, 4): road poses: east, north, yaw, height. World
+    # frame. [m], [m], [deg], [m]
     static_poses: FloatArray
     vru_poses: FloatArray
     vut_poses: FloatArray
-    # traffic_index, traffic_poses: (n_frames, n), (n_frames, n, 3): which of the vehicles drive by,
+    # traffic_index, traffic_poses: (n_frames, n), (n_frames, n, 4): which of the vehicles drive by,
     # -1 for none, and their road poses
     traffic_index: IntArray
     traffic_poses: FloatArray
@@ -93,7 +94,10 @@ def build_surroundings(
     vru_of_frame = [(run.encounter.vru, int(index)) for run in runs for index in run.vru_shape]
     vrus = {key: number for number, key in enumerate(dict.fromkeys(vru_of_frame))}
     obstructions = {_obstruction_key(run): run.obstruction for run in runs}
-    vru_poses = np.concatenate([_road_poses(run.vru_position_m, run.vru_yaw_deg) for run in runs])
+    terrain = terrain_of(scene)
+    vru_poses = np.concatenate(
+        [_road_poses(run.vru_position_m, run.vru_yaw_deg, terrain) for run in runs]
+    )
     middle_m = 0.5 * (vru_poses[:, :2].min(axis=0) + vru_poses[:, :2].max(axis=0))
     n_frames = [len(run.time_s) for run in runs]
     weathers = list(dict.fromkeys(run.weather for run in runs))
@@ -103,9 +107,9 @@ def build_surroundings(
         [list(obstructions).index(_obstruction_key(run)) for run in runs], n_frames
     )
     vru_index = np.array([vrus[key] for key in vru_of_frame])
-    static_poses = np.tile([*middle_m, 0.0], (sum(n_frames), 1))
+    static_poses = np.tile([*middle_m, 0.0, 0.0], (sum(n_frames), 1))
     vehicles = list(dict.fromkeys([vut_actor, *(b.actor for run in runs for b in run.traffic)]))
-    traffic_index, traffic_poses = _lay_traffic(runs, vehicles)
+    traffic_index, traffic_poses = _lay_traffic(runs, vehicles, terrain)
     return Surroundings(
         statics=tuple(
             build_static(standing, obstruction, middle_m=middle_m, library=library)
@@ -120,7 +124,7 @@ def build_surroundings(
         static_poses=static_poses,
         vru_poses=vru_poses,
         vut_poses=np.concatenate(
-            [_road_poses(run.vut_position_m, run.vut_yaw_deg) for run in runs]
+            [_road_poses(run.vut_position_m, run.vut_yaw_deg, terrain) for run in runs]
         ),
         traffic_index=traffic_index,
         traffic_poses=traffic_poses,
@@ -131,17 +135,19 @@ def build_surroundings(
     )
 
 
-def _lay_traffic(runs: Sequence[Run], vehicles: list[Actor]) -> tuple[IntArray, FloatArray]:
-    """What drives by in each frame, (n_frames, n), and its road poses, (n_frames, n, 3)."""
+def _lay_traffic(
+    runs: Sequence[Run], vehicles: list[Actor], terrain: Terrain | None
+) -> tuple[IntArray, FloatArray]:
+    """What drives by in each frame, (n_frames, n), and its road poses, (n_frames, n, 4)."""
     n_most = max(len(run.traffic) for run in runs)
     indices, poses = [], []
     for run in runs:
         index = np.full((len(run.time_s), n_most), -1)
-        pose = np.zeros((len(run.time_s), n_most, 3))
+        pose = np.zeros((len(run.time_s), n_most, 4))
         for place, body in enumerate(run.traffic):
             there = body.is_there
             index[there, place] = vehicles.index(body.actor)
-            pose[there, place] = _road_poses(body.position_m, body.yaw_deg)[there]
+            pose[there, place] = _road_poses(body.position_m[there], body.yaw_deg[there], terrain)
         indices.append(index)
         poses.append(pose)
     return np.concatenate(indices), np.concatenate(poses)
@@ -152,9 +158,10 @@ def find_sights(
 ) -> IntArray:
     """Numbers of sights, (n_frames,): equal where everything but the VUT is at the same place.
 
-    They grow with `static_index`, then with `vru_index`.
+    They grow with `static_index`, then with `vru_index`. Who is at the same place is at the same
+    height.
     """
-    poses = np.concatenate([static_poses, vru_poses], axis=1)
+    poses = np.concatenate([static_poses[:, :3], vru_poses[:, :3]], axis=1)
     columns = [static_index, vru_index, *(poses * 10**_POSE_DECIMALS).round().astype(np.int64).T]
     order = np.lexsort(columns[::-1])
     is_new = np.any([np.diff(column[order], prepend=0) != 0 for column in columns], axis=0)
@@ -164,20 +171,22 @@ def find_sights(
 
 
 def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> FloatArray:
-    """Road poses (n, ..., 3) - east, north, yaw - as ahead, left, yaw of carriers (n, 3).
+    """Road poses (n, ..., 4) - east, north, yaw, height - as ahead, left, ... of carriers (n, 4).
 
     In metres and degrees.
 
     Examples
     --------
-    >>> relative_road_poses(np.array([[0.0, 5.0, 90.0]]), np.array([[0.0, 2.0, 90.0]])).round(9)
-    array([[3., 0., 0.]])
+    >>> road, vut = np.array([[0.0, 5.0, 90.0, 0.5]]), np.array([[0.0, 2.0, 90.0, 0.0]])
+    >>> relative_road_poses(road, vut).round(9)
+    array([[3. , 0. , 0. , 0.5]])
     """
     rotations = body_rotation(carrier_poses[:, 2])[:, :2, :2]
     bodies = road_poses if road_poses.ndim == 3 else road_poses[:, None]
     relative = np.empty_like(bodies)
     relative[..., :2] = (bodies[..., :2] - carrier_poses[:, None, :2]) @ rotations
     relative[..., 2] = wrap_deg(bodies[..., 2] - carrier_poses[:, None, 2])
+    relative[..., 3] = bodies[..., 3] - carrier_poses[:, None, 3]
     return relative.reshape(road_poses.shape)
 
 
@@ -194,8 +203,9 @@ def draw_index(runs: Sequence[Run]) -> IntArray:
     return np.concatenate(numbers)
 
 
-def _road_poses(position_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
-    return np.concatenate([position_m, yaw_deg[:, None]], axis=1)
+def _road_poses(position_m: FloatArray, yaw_deg: FloatArray, terrain: Terrain | None) -> FloatArray:
+    """Road poses (n, 4) of bodies on the ground."""
+    return np.insert(on_ground(position_m, terrain), 2, yaw_deg, axis=1)
 
 
 def _obstruction_key(run: Run) -> tuple[object, ...]:

@@ -24,6 +24,7 @@ from geometry.lidar import LidarModel
 from geometry.poses import Pose, to_world
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
+from geometry.terrain import on_ground
 from geometry.weather import pick_weather
 from scenarios.runs import Run
 
@@ -113,7 +114,8 @@ def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
     """Where the VUT's camera is and looks in a frame of a run, world frame."""
     on_vut = mount.pose_on(run.encounter.vut)
     yaw_deg = float(run.vut_yaw_deg[frame_index])
-    vut = Pose(position_m=np.append(run.vut_position_m[frame_index], 0.0), yaw_deg=yaw_deg)
+    position_m = on_ground(run.vut_position_m[frame_index], run.terrain)
+    vut = Pose(position_m=position_m, yaw_deg=yaw_deg)
     return Pose(
         position_m=to_world(on_vut.position_m[None], vut)[0],
         yaw_deg=yaw_deg + on_vut.yaw_deg,

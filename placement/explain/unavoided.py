@@ -13,6 +13,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.poses import body_rotation
 from geometry.raycast import FloatRays, build_caster, ray_lengths_m
 from geometry.scene import Scene
+from geometry.terrain import on_ground
 from scenarios.aeb import confirmation_mask, is_in_time, live_confirmation_time_s
 from scenarios.runs import Run
 
@@ -184,7 +185,7 @@ def _vehicle_shares(
     for row in np.flatnonzero(vehicles.frame == frame).tolist():
         index = int(vehicles.actor_index[row])
         rotation = body_rotation(vehicles.yaw_deg[row])
-        position = np.append(vehicles.position_m[row], 0.0)
+        position = vehicles.position_m[row]
         name = THE_VUT if index == 0 else f"{vehicles.actors[index].name}, driving"
         yield (
             name,
@@ -400,9 +401,8 @@ def _who_should_see(run: Run, units: Sequence[CandidatePose], frames: IntArray) 
 
     If none has, the nearest of all: another one may look elsewhere on purpose.
     """
-    middle_m = np.column_stack(
-        [run.vru_position_m[frames], np.full(len(frames), 0.5 * run.encounter.vru.height_m)]
-    )
+    middle_m = on_ground(run.vru_position_m[frames], run.terrain)
+    middle_m[:, 2] += 0.5 * run.encounter.vru.height_m
     away_m = [np.hypot(*(unit.pose.position_m[:2] - middle_m[-1, :2])) for unit in units]
     looks_elsewhere = [not is_in_view(unit, middle_m).any() for unit in units]
     return int(np.lexsort((away_m, looks_elsewhere))[0])

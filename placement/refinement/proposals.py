@@ -19,6 +19,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site, containing_instance
 from geometry.sensors import CameraModel, with_fov
+from geometry.terrain import on_ground
 from scenarios.runs import FrameAxis, Run
 
 from ..candidates import CandidatePose
@@ -102,11 +103,11 @@ def _weak_runs(
 
 def _vru_positions_m(runs: Sequence[Run], axis: FrameAxis, frame_run: IntArray) -> FloatArray:
     """Middle of the VRU's body in every frame, (n_frames, 3)."""
-    ground = np.concatenate([run.vru_position_m for run in runs])
+    ground = np.concatenate([on_ground(run.vru_position_m, run.terrain) for run in runs])
     heights = [0.5 * run.encounter.vru.height_m for run in runs]
     height = np.repeat(heights, [len(run.time_s) for run in runs])
-    once = np.column_stack([ground, height])
-    return np.tile(once, (axis.n_frames // len(once), 1))
+    ground[:, 2] += height
+    return np.tile(ground, (axis.n_frames // len(ground), 1))
 
 
 # ---------- new poses: around the chosen ones, and aimed at what they see too late

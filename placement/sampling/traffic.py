@@ -12,6 +12,7 @@ from geometry.junction import Arm, build_junction, lane_length_m, lane_line
 from geometry.poses import Pose
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Lane, Scene
+from geometry.terrain import on_ground, set_down, terrain_of
 from scenarios.aeb import AebRule, braking_distance_m, standstill_time_s
 from scenarios.paths import Motion
 from scenarios.runs import Run
@@ -157,6 +158,7 @@ class Street:
     entries: tuple[Kerbside, ...]
     solid: RayCaster  # everything but the ground, relative to `origin_m`
     origin_m: FloatArray  # (3,): near the junction: rays are cast in single precision. [m]
+    scene: Scene
 
     def draw(self, rng: Rng) -> tuple[PlacedActor, ...]:
         """Vehicles of one sampled world, clear of the scene and of one another.
@@ -179,16 +181,14 @@ class Street:
             if not touches_any(corners, taken) and self._is_free(corners, placed.actor.height_m):
                 kept.append(placed)
                 taken.append(corners)
-        return tuple(kept)
+        return set_down(kept, self.scene)
 
     def _is_free(self, corners_m: FloatArray, height_m: float) -> bool:
         """Whether nothing of the scene is on the sides and diagonals of a footprint."""
         heights = [h for h in (*_HEIGHTS_M, height_m - _BELOW_ROOF_M) if h < height_m]
+        on_road = on_ground(corners_m, terrain_of(self.scene)) - self.origin_m
         starts, ends = (
-            np.concatenate(
-                [np.column_stack([corners_m[order], np.full(6, height)]) for height in heights]
-            )
-            - self.origin_m
+            np.concatenate([on_road[order] + [0.0, 0.0, height] for height in heights])
             for order in ([0, 1, 2, 3, 0, 1], [1, 2, 3, 0, 2, 3])
         )
         vectors = (ends - starts).astype(np.float32)
@@ -219,6 +219,7 @@ def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
         # Some hundred rays: not worth the second that Open3D takes to load.
         solid=build_caster(scene.vertices_m - origin, triangles, library="embree"),
         origin_m=origin,
+        scene=scene,
     )
 
 

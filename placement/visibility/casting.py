@@ -18,6 +18,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.poses import body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
+from geometry.terrain import Terrain, on_ground, terrain_of
 from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
@@ -172,6 +173,7 @@ class VruViews:
 
     # (n_views, 2): middle of the footprint, relative to the origin of `World`. [m]
     position_m: FloatArray
+    up_m: FloatArray  # (n_views,): height of the ground there. [m]
     yaw_deg: FloatArray  # (n_views,): heading. [deg]
     # surface_index, obstruction_index: (n_views,): into the surfaces and obstructions of `World`
     surface_index: IntArray
@@ -203,7 +205,7 @@ class Vehicles:
     casters: tuple[RayCaster, ...]  # of each, in its own frame
     actor_index: IntArray  # (n,): into `actors`
     frame: IntArray  # (n,): of the frame axis
-    position_m: FloatArray  # (n, 2): relative to the origin of `World`. [m]
+    position_m: FloatArray  # (n, 3): on the ground, relative to the origin of `World`. [m]
     yaw_deg: FloatArray  # (n,): heading. [deg]
 
 
@@ -230,7 +232,8 @@ class World:
     def height_limits_m(self) -> tuple[float, float]:
         """Heights of the lowest and the highest point of any VRU, in metres."""
         heights = [surface.points_m[:, 2] for surface in self.surfaces]
-        return float(np.min(heights)), float(np.max(heights))
+        ground = self.views.up_m
+        return float(np.min(heights) + ground.min()), float(np.max(heights) + ground.max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -255,6 +258,7 @@ def build_world(
     All runs have the same VUT. `rays` names the library that casts them.
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
+    terrain = terrain_of(scene)
     shapes = _find_shapes(runs)
     obstructions = find_obstructions(runs)
     surfaces = tuple(
@@ -269,12 +273,14 @@ def build_world(
         ),
         surfaces=surfaces,
         bodies=tuple(_shape_caster(actor.shapes[index], rays) for actor, index in shapes),
-        vehicles=_build_vehicles(runs, origin, rays),
-        views=_build_views(runs, surfaces, list(obstructions), origin),
+        vehicles=_build_vehicles(runs, origin, rays, terrain),
+        views=_build_views(runs, surfaces, list(obstructions), origin, terrain),
     )
 
 
-def _build_vehicles(runs: Sequence[Run], origin_m: FloatArray, rays: str) -> Vehicles:
+def _build_vehicles(
+    runs: Sequence[Run], origin_m: FloatArray, rays: str, terrain: Terrain | None
+) -> Vehicles:
     actors = {runs[0].encounter.vut: 0}
     index, frame, position, yaw = [], [], [], []
     first = 0
@@ -286,7 +292,7 @@ def _build_vehicles(runs: Sequence[Run], origin_m: FloatArray, rays: str) -> Veh
             there = np.flatnonzero(body.is_there)
             index.append(np.full(len(there), actors.setdefault(body.actor, len(actors))))
             frame.append(first + there)
-            position.append(body.position_m[there] - origin_m[:2])
+            position.append(on_ground(body.position_m[there], terrain) - origin_m)
             yaw.append(body.yaw_deg[there])
         first += len(run.time_s)
     return Vehicles(
@@ -314,6 +320,7 @@ def _build_views(
     surfaces: tuple[Surface, ...],
     obstructions: list[tuple[object, ...]],
     origin_m: FloatArray,
+    terrain: Terrain | None,
 ) -> VruViews:
     numbers = {
         (surface.actor, surface.shape_index): number for number, surface in enumerate(surfaces)
@@ -340,13 +347,16 @@ def _build_views(
     surface_index = unique[:, 3].astype(np.int64)
     body_points = np.stack([surface.points_m for surface in surfaces])[surface_index]
     points = body_points @ np.swapaxes(body_rotation(unique[:, 2]), 1, 2)
+    middle = on_ground(unique[:, :2] + origin_m[:2], terrain)
     points[..., :2] += unique[:, None, :2]
+    points[..., 2] += middle[:, None, 2]
     # As many numbers as machines handle at once divide the number of corners.
     n_corners = -(-max(len(surface.hull_index) for surface in surfaces) // 16) * 16
     corners = np.stack([np.resize(surface.hull_index, n_corners) for surface in surfaces])
     axes = np.ascontiguousarray(np.swapaxes(points, 1, 2), dtype=np.float32)
     return VruViews(
         position_m=unique[:, :2],
+        up_m=middle[:, 2],
         yaw_deg=unique[:, 2],
         surface_index=surface_index,
         obstruction_index=unique[:, 4].astype(np.int64),
@@ -382,7 +392,7 @@ def cast_sight(
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
     ground_distance = np.hypot(*(views.position_m - eye[:2]).T)
-    distance = np.hypot(ground_distance, eye[2])
+    distance = np.hypot(ground_distance, eye[2] - views.up_m)
     is_near = distance <= max_distance_m
     near_views = np.flatnonzero(is_near if is_asked is None else is_near & is_asked)
     farthest_m = float(distance[near_views].max(initial=0.0))
@@ -444,7 +454,7 @@ def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> B
     points = np.stack([surface.points_m for surface in world.surfaces]).astype(np.float32)
     visible = np.empty((len(view_index), points.shape[1]), dtype=bool)
     offset = np.column_stack(
-        [eye_m[:2] - views.position_m[view_index], np.full(len(view_index), eye_m[2])]
+        [eye_m[:2] - views.position_m[view_index], eye_m[2] - views.up_m[view_index]]
     )
     # Row vectors times R_world_body = coordinates in the body frame.
     eye_body = np.einsum("ni,nij->nj", offset, body_rotation(views.yaw_deg[view_index]))
@@ -524,8 +534,9 @@ def _rows_between(world: World, eye_m: FloatArray, row_of_frame: IntArray) -> In
     vehicles, views = world.vehicles, world.views
     rows = np.flatnonzero(row_of_frame[vehicles.frame] >= 0)
     actor = vehicles.actor_index[rows]
-    way = views.position_m[views.view_of_frame[vehicles.frame[rows]]] - eye_m[:2]
-    to_vehicle = vehicles.position_m[rows] - eye_m[:2]
+    view = views.view_of_frame[vehicles.frame[rows]]
+    way = views.position_m[view] - eye_m[:2]
+    to_vehicle = vehicles.position_m[rows, :2] - eye_m[:2]
     share = np.clip(
         (to_vehicle * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-9), 0.0, 1.0
     )
@@ -536,8 +547,11 @@ def _rows_between(world: World, eye_m: FloatArray, row_of_frame: IntArray) -> In
     )
     # Lowest ray over the far end of the vehicle: from the eye down to the road below the VRU.
     reach_share = reach_m / np.maximum(np.hypot(*way.T), 1e-9)
-    lowest_m = eye_m[2] * (1.0 - np.minimum(share + reach_share, 1.0))
+    drop_m = eye_m[2] - views.up_m[view]
+    low_end = np.clip(share + np.copysign(reach_share, drop_m), 0.0, 1.0)
+    lowest_m = views.up_m[view] + drop_m * (1.0 - low_end)
     height_m = np.array([body.height_m for body in vehicles.actors])[actor]
+    height_m = height_m + vehicles.position_m[rows, 2]
     kept: IntArray = rows[(beside_m <= reach_m) & (lowest_m <= height_m)]
     return kept
 

@@ -157,7 +157,8 @@ def cast_for(
     least_px: dict[float, list[CandidatePose]] = {}
     for candidate, detector in looks:
         if isinstance(candidate.sensor, LidarModel):
-            distance = np.hypot(np.hypot(*(views.position_m - eye[:2]).T), eye[2])
+            across = np.hypot(*(views.position_m - eye[:2]).T)
+            distance = np.hypot(across, eye[2] - views.up_m)
             is_asked |= distance <= 2.0 * world.radius_m + candidate.sensor.range_m
         else:
             least_px.setdefault(detector.min_box_height_px, []).append(candidate)

@@ -393,7 +393,7 @@ def find_rays_at_body(
     """Rays to points of some views that meet the box around a body, in the body's frame.
 
     Row n asks for the points of view `views[n]` that are not `hidden[n]`, while the body is at
-    `position[n]` (2,) with its heading's `cosine[n]` and `sine[n]`; its box reaches from `lowest`
+    `position[n]` (3,) with its heading's `cosine[n]` and `sine[n]`; its box reaches from `lowest`
     (3,) to `highest` (3,). Sets `asked` (n, n_points) and returns the number of rays; `starts` and
     `vectors` have room for all points of all rows.
     """
@@ -403,15 +403,15 @@ def find_rays_at_body(
     for row in range(len(views)):
         view = views[row]
         c, s = cosine[row], sine[row]
-        px, py = position[row, 0], position[row, 1]
+        px, py, pz = position[row, 0], position[row, 1], position[row, 2]
         wx, wy = eye[0] - px, eye[1] - py
-        ex, ey, ez = wx * c + wy * s, wy * c - wx * s, eye[2]
+        ex, ey, ez = wx * c + wy * s, wy * c - wx * s, eye[2] - pz
         for point in range(points.shape[2]):
             if hidden[row, point]:
                 continue
             wx, wy = points[view, 0, point] - px, points[view, 1, point] - py
             x, y = wx * c + wy * s, wy * c - wx * s
-            z = np.float64(points[view, 2, point])
+            z = points[view, 2, point] - pz
             if _misses(ex, ey, ez, x, y, z, least, most):
                 continue
             asked[row, point] = True

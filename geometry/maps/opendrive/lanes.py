@@ -45,13 +45,21 @@ class SampledSection:
     s_m: FloatArray  # (n,), stations from its begin to its end
     points_m: FloatArray  # (n, 3), of the reference line
     left: FloatArray  # (n, 2), unit vectors to the left of it
+    rise: FloatArray  # (n,), by which the surface rises towards it: sine of the superelevation
     lanes: dict[int, SampledLane]  # by number
 
     def beside(self, t_m: FloatArray) -> FloatArray:
-        """Points (n, 3) some metres to the left of the reference line."""
+        """Points (n, 3) of the surface some metres to the left of the reference line."""
         points = self.points_m.copy()
         points[:, :2] += t_m[:, None] * self.left
+        points[:, 2] += t_m * self.rise
         return points
+
+    def surface_m(self) -> FloatArray:
+        """Points (m, 3) of the surface: on the reference line and both edges."""
+        edges = [lane.outer_m for lane in self.lanes.values()] or [np.zeros(len(self.s_m))]
+        sides = (np.zeros(len(self.s_m)), np.min(edges, axis=0), np.max(edges, axis=0))
+        return np.concatenate([self.beside(t_m) for t_m in sides])
 
 
 def sample_road(road: Road) -> tuple[SampledSection, ...]:
@@ -112,6 +120,7 @@ def _sample_section(road: Road, section: LaneSection, bends: FloatArray) -> Samp
         s_m=s_m,
         points_m=np.column_stack([points, height]),
         left=np.stack([-np.sin(heading), np.cos(heading)], axis=1),
+        rise=np.sin(evaluate(road.bank.rebased(starts, inside)[interval], ds)),
         lanes={
             lane.number: SampledLane(
                 record=lane, inner_m=t_m[inner_of[lane.number]], outer_m=t_m[lane.number]
@@ -130,7 +139,7 @@ def _check_count(road: Road, n_points: float) -> None:
 
 def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray]:
     """Begins and lengths, (n,) each, of stretches in which line and cubics have one piece."""
-    cubics: list[PiecewiseCubic] = [road.offset, road.elevation]
+    cubics: list[PiecewiseCubic] = [road.offset, road.elevation, road.bank]
     for lane in (*section.left, *section.right):
         cubics += [lane.width, lane.border]
     inner = np.concatenate([road.line.starts_m, *(cubic.starts_m for cubic in cubics)])

@@ -27,7 +27,7 @@ def read_opendrive(path: Path) -> SourceMap:
 
     Roads outside junctions become lanes in driving direction; the surface of a junction's
     connecting roads becomes its outline; objects and signals become things, poles, crosswalks and
-    parking lanes. Heights are absolute, and roads are level across.
+    parking lanes. Heights are absolute; roads are lines across, banked by their superelevation.
 
     Raises InputError if the file cannot be read, is no OpenDRIVE, has no roads, lacks a number or
     has one out of range, or needs too many points.
@@ -78,6 +78,9 @@ def read_opendrive(path: Path) -> SourceMap:
         poles=tuple(merge_poles([*found.poles, *poles])),
         crosswalks_m=np.array(crosswalks).reshape(-1, 2, 2),
         keeps_left=_keeps_left(roads, omissions),
+        ground_m=np.concatenate(
+            [section.surface_m() for sections in sampled.values() for section in sections]
+        ),
         skipped=omissions.listed(),
     )
 
@@ -148,11 +151,11 @@ def _keeps_left(roads: Mapping[str, Road], omissions: Omissions) -> bool:
 
 def _note_ignored(root: Element, roads: Mapping[str, Road], omissions: Omissions) -> None:
     for road in roads.values():
-        if road.is_banked:
+        if road.has_shape:
             omissions.add(
-                "banked roads",
-                f"road {road.id}, superelevation",
-                "roads are level across: heights are those of the reference line",
+                "cross-sections",
+                f"road {road.id}, shape",
+                "across, roads are lines: banked by their superelevation alone",
             )
     for element in root.iter("include"):
         omissions.add(

@@ -1,4 +1,4 @@
-"""Roads as a file has them: reference line, elevation, lane sections, links."""
+"""Roads as a file has them: reference line, elevation, superelevation, lane sections, links."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -67,7 +67,8 @@ class Road:
     sections: tuple[LaneSection, ...]
     before: RoadLink  # at its begin
     after: RoadLink  # at its end
-    is_banked: bool  # it has a superelevation or a shape, which are ignored
+    bank: PiecewiseCubic  # roll around the reference line, its left side upwards. [rad]
+    has_shape: bool  # its cross-section is no line, which is ignored
     element: Element  # for objects and signals
 
     def height_at(self, s_m: FloatArray) -> FloatArray:
@@ -76,11 +77,12 @@ class Road:
         return heights
 
     def place(self, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points (n, 3) on the road's plane, and headings (n,) of its reference line there."""
+        """Points (n, 3) on the road's surface, and headings (n,) of its reference line there."""
         s_m = np.clip(s_m, 0.0, self.length_m)
         points, heading = self.line.at(s_m)
         left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
-        return np.column_stack([points + t_m[:, None] * left, self.height_at(s_m)]), heading
+        height_m = self.height_at(s_m) + t_m * np.sin(self.bank.at(s_m))
+        return np.column_stack([points + t_m[:, None] * left, height_m]), heading
 
     def listed(self, tag: str, names: Counter[str]) -> Iterator["RoadElement"]:
         """Its objects or signals; `names` counts names over all roads, to make them unique."""
@@ -135,16 +137,16 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
         sections=_read_sections(lanes, where, length_m),
         before=before,
         after=after,
-        is_banked=lateral is not None and _is_banked(lateral, where),
+        bank=read_cubics(lateral, "superelevation", where),
+        has_shape=lateral is not None and _has_shape(lateral, where),
         element=element,
     )
 
 
-def _is_banked(lateral: Element, where: str) -> bool:
+def _has_shape(lateral: Element, where: str) -> bool:
     return any(
         take_number(piece, key, here) != 0.0
-        for tag in ("superelevation", "shape")
-        for piece, here in numbered(lateral, tag, where)
+        for piece, here in numbered(lateral, "shape", where)
         for key in "abcd"
     )
 

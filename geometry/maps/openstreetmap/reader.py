@@ -14,7 +14,7 @@ from ...files import write_atomically
 from ..georeferences import WGS84, local_crs, transform
 from ..source_map import Omissions, Skipped, SourceMap
 from .crosswalks import find_crosswalks
-from .elements import DEFAULTS, Elements, Way, read_elements
+from .elements import DEFAULTS, Elements, Way, parse_length_m, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
 from .lanes import is_oneway, runs_backward
@@ -165,9 +165,20 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
         things=tuple(things),
         poles=poles,
         crosswalks_m=crosswalks_m,
+        ground_m=_heights(elements, rows, positions_m),
         keeps_left=keeps_left,
         skipped=skipped,
     )
+
+
+def _heights(elements: Elements, rows: np.ndarray, positions_m: FloatArray) -> FloatArray:
+    """Nodes of roads that say how high above the sea they lie, (n, 3), in metres."""
+    found = [
+        (*positions_m[row], height_m)
+        for row in rows.tolist()
+        if (height_m := parse_length_m(elements.node_tags.get(row, {}).get("ele", ""))) is not None
+    ]
+    return np.array(found).reshape(-1, 3)
 
 
 def _project(elements: Elements, rows: np.ndarray, path: Path) -> tuple[FloatArray, str]:

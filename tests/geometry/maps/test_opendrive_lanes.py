@@ -138,15 +138,28 @@ def test_heights_follow_the_elevation(tmp_path):
     np.testing.assert_allclose(z, expected, atol=1e-9)
 
 
-def test_superelevation_is_noted_once_and_only_where_there_is_some(tmp_path):
-    bank = cubic("superelevation", 0.0, 0.02)
-    level = cubic("superelevation", 0.0)
+def test_superelevation_raises_the_left_side_and_lowers_the_right(tmp_path):
+    roll = cubic("superelevation", 0.0, 0.02, 0.0005) + cubic("superelevation", 60.0, 0.05)
+    climb = cubic("elevation", 0.0, 10.0, 0.05)
+    sides = section(left=[lane(1, width=3.0)], right=[lane(-1, width=3.5)])
+    read = read_text(tmp_path, document(road("1", sections=sides, lateral=roll, elevation=climb)))
+    lines = [(one.centreline_m, {"1/1": 1.5, "1/-1": -1.75}[one.id]) for one in read.lanes]
+    edge = read.ground_m[np.abs(read.ground_m[:, 1] + 3.5) < 1e-9]
+    for (x, y, z), t_m in ((points.T, t_m) for points, t_m in [*lines, (edge, -3.5)]):
+        assert len(x) > 10
+        np.testing.assert_allclose(y, t_m, atol=1e-9)
+        angle = np.where(x < 60.0, 0.02 + 0.0005 * x, 0.05)
+        np.testing.assert_allclose(z, 10.0 + 0.05 * x + t_m * np.sin(angle), atol=1e-9)
+
+
+def test_cross_sections_are_noted_once_and_only_where_there_are_some(tmp_path):
+    shape = cubic("shape", 0.0, 0.02)
     read = read_text(
         tmp_path,
-        document(road("1", lateral=bank), road("2", lateral=bank), road("3", lateral=level)),
+        document(road("1", lateral=shape), road("2", lateral=shape), road("3")),
     )
     (note,) = read.skipped
-    assert note.what == "2 banked roads, such as road 1, superelevation and road 2, superelevation"
+    assert note.what == "2 cross-sections, such as road 1, shape and road 2, shape"
 
 
 def test_a_last_section_without_length_does_not_hide_the_end(tmp_path):

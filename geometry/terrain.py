@@ -1,0 +1,193 @@
+"""Ground that is not flat: heights on a regular grid, kept as the mesh of the scene's ground.
+
+The mesh is what rays meet, and heights are those of its triangles: bodies stand on it exactly. In
+plan everything stays as it is: paths, lanes and braking are those of the plane.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .actors import PlacedActor
+from .arrays import FloatArray, float_array
+from .errors import InputError, Unquoted
+from .scene import Scene
+
+GROUND = "ground"
+"""Id and class of the ground of a scene."""
+_GRID_DECIMALS = 3
+_MAX_CELLS = 150  # along each side
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Terrain:
+    """Heights of the ground on a grid.
+
+    Attributes
+    ----------
+    east_m, north_m : (n_columns,), (n_rows,) float
+        Lines of the grid, in rising order. World frame. [m]
+    height_m : (n_rows, n_columns) float
+        Of its nodes; the ground between them is two triangles per cell. [m]
+    """
+
+    east_m: FloatArray
+    north_m: FloatArray
+    height_m: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("east_m", "north_m"):
+            line = float_array(getattr(self, name), (-1,), f"terrain.{name}")
+            if len(line) < 2 or (np.diff(line) <= 0.0).any():
+                raise InputError(f"terrain.{name}", len(line), "at least two, in rising order")
+            object.__setattr__(self, name, line)
+        shape = (len(self.north_m), len(self.east_m))
+        object.__setattr__(self, "height_m", float_array(self.height_m, shape, "terrain.height_m"))
+
+    def at(self, points_m: ArrayLike) -> FloatArray:
+        """Height of the ground at points (..., 2), in metres; beyond the grid that of its edge.
+
+        Examples
+        --------
+        >>> slope = Terrain(east_m=[0, 10], north_m=[0, 10], height_m=[[0, 1], [0, 1]])
+        >>> slope.at([[5.0, 2.0], [20.0, 0.0]])
+        array([0.5, 1. ])
+        """
+        points = np.asarray(points_m, dtype=np.float64)
+        column, u = _cell(self.east_m, points[..., 0])
+        row, v = _cell(self.north_m, points[..., 1])
+        z = self.height_m
+        south_west, north_east = z[row, column], z[row + 1, column + 1]
+        south_east, north_west = z[row, column + 1], z[row + 1, column]
+        height: FloatArray = np.where(
+            u >= v,
+            south_west + u * (south_east - south_west) + v * (north_east - south_east),
+            south_west + v * (north_west - south_west) + u * (north_east - north_west),
+        )
+        return height
+
+    def mesh(self) -> tuple[FloatArray, NDArray[np.int32]]:
+        """Vertices (n, 3) and triangles (m, 3), seen from above counter-clockwise."""
+        east, north = np.meshgrid(self.east_m, self.north_m)
+        vertices = np.stack([east, north, self.height_m], axis=-1).reshape(-1, 3)
+        n_rows, n_columns = self.height_m.shape
+        node = np.arange(n_rows * n_columns, dtype=np.int32).reshape(n_rows, n_columns)
+        south_west, south_east = node[:-1, :-1].ravel(), node[:-1, 1:].ravel()
+        north_west, north_east = node[1:, :-1].ravel(), node[1:, 1:].ravel()
+        triangles = np.stack(
+            [south_west, south_east, north_east, south_west, north_east, north_west], axis=1
+        )
+        return vertices, triangles.reshape(-1, 3)
+
+
+def _cell(lines_m: FloatArray, values_m: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+    """Cell of each value between lines, and how far it lies in it, 0 .. 1."""
+    inside = np.clip(values_m, lines_m[0], lines_m[-1])
+    index = np.clip(np.searchsorted(lines_m, inside, side="right") - 1, 0, len(lines_m) - 2)
+    return index, (inside - lines_m[index]) / (lines_m[index + 1] - lines_m[index])
+
+
+@lru_cache(maxsize=64)
+def terrain_of(scene: Scene) -> Terrain | None:
+    """The terrain of a scene, from the mesh of its ground; None where that is the plane z = 0.
+
+    Raises
+    ------
+    InputError
+        The ground is neither flat nor a grid.
+    """
+    index = [number for number, one in enumerate(scene.instances) if one.class_name == GROUND]
+    used = np.unique(scene.triangles[np.isin(scene.triangle_instance, index)])
+    nodes = scene.vertices_m[used]
+    if not nodes[:, 2].any():
+        return None
+    east_m, column = np.unique(nodes[:, 0].round(_GRID_DECIMALS), return_inverse=True)
+    north_m, row = np.unique(nodes[:, 1].round(_GRID_DECIMALS), return_inverse=True)
+    order = np.lexsort((column, row))
+    is_grid = len(nodes) == len(east_m) * len(north_m) and np.array_equal(
+        row[order] * len(east_m) + column[order], np.arange(len(nodes))
+    )
+    if not is_grid:
+        raise InputError(
+            f"{scene.name}: ground",
+            Unquoted(f"{len(nodes)} nodes that are no grid"),
+            "a plane z = 0, or heights on a grid as place-rsus scene import writes them",
+        )
+    height_m = nodes[order, 2].reshape(len(north_m), len(east_m))
+    return Terrain(east_m=east_m, north_m=north_m, height_m=height_m)
+
+
+def ground_height_m(scene: Scene, points_m: ArrayLike) -> FloatArray:
+    """Height of a scene's ground at points (..., 2), in metres; zeros on the plane."""
+    terrain = terrain_of(scene)
+    if terrain is None:
+        return np.zeros(np.shape(points_m)[:-1])
+    return terrain.at(points_m)
+
+
+def on_ground(points_m: ArrayLike, terrain: Terrain | None) -> FloatArray:
+    """Points (..., 2) with the height of the ground there, (..., 3)."""
+    points = np.asarray(points_m, dtype=np.float64)
+    height = np.zeros(points.shape[:-1]) if terrain is None else terrain.at(points)
+    placed: FloatArray = np.concatenate([points, height[..., None]], axis=-1)
+    return placed
+
+
+def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, ...]:
+    """Bodies that stand on the ground under their middles, upright; the same ones on the plane."""
+    terrain = terrain_of(scene)
+    if terrain is None:
+        return tuple(bodies)
+    return tuple(
+        replace(
+            body,
+            pose=replace(body.pose, position_m=on_ground(body.pose.position_m[:2], terrain)),
+        )
+        for body in bodies
+    )
+
+
+def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrain:
+    """Terrain of a square around the origin from points (n, 3) of the ground.
+
+    Linear between the points, by their Delaunay triangulation; beyond them as high as the nearest
+    place between them.
+    Lines are `step_m` apart, or farther where there would be too many. In metres.
+    """
+    from scipy.interpolate import NearestNDInterpolator
+    from scipy.ndimage import distance_transform_edt
+
+    n_cells = min(int(np.ceil(2.0 * half_m / step_m)), _MAX_CELLS)
+    line = np.linspace(-half_m, half_m, n_cells + 1).round(_GRID_DECIMALS)
+    nodes = np.stack(np.meshgrid(line, line), axis=-1)
+    # One point per cell of a grid twice as fine: the mean of those in it.
+    cell = np.floor(points_m[:, :2] / (0.5 * step_m)).astype(np.int64)
+    _, member, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    sums = [np.bincount(member.ravel(), column) for column in points_m.T]
+    thin: FloatArray = np.stack(sums, axis=1) / count[:, None]
+    height = _between(thin, nodes)
+    if np.isnan(height).all():  # points on a line, or a few: the ground beside them is as high
+        aside = (
+            0.5 * (line[1] - line[0]) * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
+        )
+        height = _between((thin[:, None] + 1.5 * aside).reshape(-1, 3), nodes)
+    if np.isnan(height).all():  # and none of them in the square
+        height = NearestNDInterpolator(thin[:, :2], thin[:, 2])(nodes)
+    _, nearest = distance_transform_edt(np.isnan(height), return_indices=True)
+    filled = height[tuple(nearest)]
+    return Terrain(east_m=line, north_m=line, height_m=filled.round(_GRID_DECIMALS))
+
+
+def _between(points_m: FloatArray, nodes_m: FloatArray) -> FloatArray:
+    """Heights at nodes (..., 2) between points (n, 3); NaN beyond them."""
+    from scipy.interpolate import LinearNDInterpolator
+    from scipy.spatial import QhullError
+
+    try:
+        height: FloatArray = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])(nodes_m)
+    except (QhullError, ValueError):  # fewer than three points, or all on a line
+        return np.full(nodes_m.shape[:-1], np.nan)
+    return height

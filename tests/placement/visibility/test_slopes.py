@@ -1,0 +1,223 @@
+"""Ground that is not flat, in the detection table and in the evaluator."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geometry.actors import MovingActor, PlacedActor, pick_actor
+from geometry.poses import Pose, to_world
+from geometry.raycast import build_caster
+from geometry.terrain import Terrain, ground_height_m, on_ground, set_down
+from placement.detectors import load_planning_detector
+from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
+from placement.evaluator.scan import scan_from_roadside
+from placement.evaluator.surroundings import build_surroundings, load_vut_camera, load_vut_lidar
+from placement.visibility.build import build_detection_table
+from placement.visibility.casting import build_world, cast_sight
+
+LINES_M = np.arange(-80.0, 81.0, 4.0)
+WALL = ((3.0, 8.0, 0.0), (12.0, 8.3, 1.1))
+NEAR_M, FAR_M = 0.35, 1000.0
+
+
+def with_ground(scene, height_of):
+    """A scene of boxes on a ground of heights; boxes stand on it by their middles."""
+    east, north = np.meshgrid(LINES_M, LINES_M)
+    terrain = Terrain(east_m=LINES_M, north_m=LINES_M, height_m=height_of(east, north))
+    vertices, triangles = terrain.mesh()
+    solid = scene.triangle_instance > 0
+    lifted = scene.vertices_m.copy()
+    for index in range(1, len(scene.instances)):
+        own = np.unique(scene.triangles[scene.triangle_instance == index])
+        lifted[own, 2] += terrain.at(lifted[own, :2].mean(axis=0))
+    return replace(
+        scene,
+        vertices_m=np.concatenate([vertices, lifted]),
+        triangles=np.concatenate([triangles, scene.triangles[solid] + len(vertices)]),
+        triangle_instance=np.concatenate(
+            [np.zeros(len(triangles), dtype=int), scene.triangle_instance[solid]]
+        ),
+    )
+
+
+def some_runs(build_run, seed, n_frames=12):
+    rng = np.random.default_rng(seed)
+    runs = []
+    for name in ("adult", "cyclist"):
+        vru, vut = (
+            np.column_stack([rng.uniform(-25, 25, (n_frames, 2)), rng.uniform(-180, 180, n_frames)])
+            for _ in range(2)
+        )
+        car = PlacedActor(
+            actor=pick_actor("parked-car-small", "test"),
+            pose=Pose(position_m=np.append(rng.uniform(-20, 20, 2), 0.0), yaw_deg=30.0),
+        )
+        van = MovingActor(
+            actor=pick_actor("parked-van", "test"),
+            position_m=rng.uniform(-20.0, 20.0, (n_frames, 2)),
+            yaw_deg=rng.uniform(-180.0, 180.0, n_frames),
+        )
+        run = build_run(vru, vut, vru=name, obstruction=(car,), name=name)
+        runs.append(replace(run, traffic=(van,)))
+    return runs
+
+
+def on(scene, runs):
+    return [replace(run, obstruction=set_down(run.obstruction, scene)) for run in runs]
+
+
+def ridge(east, north):
+    """4 m high along east = 20 m, level beyond 20 m to both sides."""
+    return np.maximum(0.0, 4.0 - 0.2 * np.abs(east - 20.0)) + 0.0 * north
+
+
+@pytest.fixture
+def behind_the_ridge(build_scene, build_run):
+    """People in the level beyond a ridge, ever farther from it."""
+    places = [[x, y, 90.0] for x in np.arange(41.0, 66.0, 1.5) for y in (-6.0, 5.0)]
+    return with_ground(build_scene(), ridge), [build_run(places, shapes=0)]
+
+
+EYE_M = np.array([0.0, 0.0, 6.0])
+
+
+def over_ridge_m(points_m):
+    """How high lines from the eye to points (..., 3) pass over the ridge's edge."""
+    share = (20.0 - EYE_M[0]) / (points_m[..., 0] - EYE_M[0])
+    return EYE_M[2] + share * (points_m[..., 2] - EYE_M[2]) - 4.0
+
+
+def test_a_ridge_hides_in_the_table_what_lies_in_its_shadow(behind_the_ridge):
+    scene, runs = behind_the_ridge
+    world = build_world(scene, runs, n_points=120, seed=0)
+    sight = cast_sight(world, EYE_M, near_m=NEAR_M, max_distance_m=FAR_M)
+    flat = build_world(
+        replace(scene, vertices_m=scene.vertices_m * [1, 1, 0]), runs, n_points=120, seed=0
+    )
+    free = cast_sight(flat, EYE_M, near_m=NEAR_M, max_distance_m=FAR_M)
+    over_m = over_ridge_m(world.views.points_m + world.origin_m)
+    assert (free.view_index == np.arange(len(over_m))).all()
+    visible = np.zeros_like(free.is_visible)
+    visible[sight.view_index] = sight.is_visible
+    is_sure = np.abs(over_m) > 1.0e-3
+    np.testing.assert_array_equal(visible[is_sure], (free.is_visible & (over_m > 0.0))[is_sure])
+    shares = visible.sum(axis=1) / free.is_visible.sum(axis=1)
+    assert shares.min() < 0.05
+    assert shares.max() == 1.0
+
+
+def test_a_ridge_hides_in_the_evaluator_what_lies_in_its_shadow(behind_the_ridge, camera):
+    scene, runs = behind_the_ridge
+    pose = Pose(position_m=EYE_M, yaw_deg=0.0, pitch_deg=-5.0)
+    seen = perceive_from_roadside(build_surroundings(scene, runs), pose, camera)
+    flat = replace(scene, vertices_m=scene.vertices_m * [1, 1, 0])
+    free = perceive_from_roadside(build_surroundings(flat, runs), pose, camera)
+    np.testing.assert_array_equal(seen.amodal_px, free.amodal_px)
+    (run,) = runs
+    n_cut = 0
+    for frame, (visible, amodal) in enumerate(zip(seen.visible_px, free.amodal_px, strict=True)):
+        body = run.encounter.vru.shapes[0].vertices_m
+        points = to_world(
+            body, Pose(position_m=np.append(run.vru_position_m[frame], 0.0), yaw_deg=90.0)
+        )
+        if (over_ridge_m(points) < -0.01).all():
+            assert not visible.any()
+            continue
+        # Rows of a camera that looks along the ridge's normal: its edge is the same in each column.
+        down = np.radians(5.0)
+        depth, rise = 20.0, 4.0 - EYE_M[2]
+        row = 0.5 * camera.height_px + camera.focal_length_px * (
+            -(depth * np.sin(down) + rise * np.cos(down))
+            / (depth * np.cos(down) - rise * np.sin(down))
+        )
+        bottom = min(amodal[3], row)
+        if bottom - amodal[1] > 3.0:
+            assert visible[3] == pytest.approx(bottom, abs=1.01)
+            n_cut += row < amodal[3] - 1.0
+    assert n_cut >= 4
+
+
+def test_a_lifted_world_looks_as_one_at_zero(build_scene, build_run, mount, camera, axis_of):
+    flat = build_scene(WALL)
+    high = with_ground(flat, lambda east, north: 0.0 * east + 37.5)
+    runs = some_runs(build_run, 3)
+    axis = axis_of(runs)
+    tables, evidence, scans, own = [], [], [], []
+    for scene, up_m in ((flat, 0.0), (high, 37.5)):
+        here = on(scene, runs)
+        candidates = [
+            mount(f"{x}/{yaw}", [x, -6.0, 6.0 + up_m], yaw_deg=yaw, pitch_deg=-15.0, camera=camera)
+            for x in (-12.0, 14.0)
+            for yaw in (0.0, 90.0, 180.0)
+        ]
+        tables.append(
+            build_detection_table(
+                scene, candidates, here, axis, detector=load_planning_detector()
+            ).packed
+        )
+        surroundings = build_surroundings(scene, here)
+        evidence.append([perceive_from_roadside(surroundings, c.pose, camera) for c in candidates])
+        own.append(perceive_from_vut(surroundings, load_vut_camera()))
+        rng = np.random.default_rng(0)
+        scans.append(scan_from_roadside(surroundings, candidates[0].pose, load_vut_lidar(), rng))
+    assert tables[0].any()
+    np.testing.assert_array_equal(*tables)
+    np.testing.assert_array_equal(*scans)
+    for low, lifted in [*zip(*evidence, strict=True), own]:
+        np.testing.assert_allclose(lifted.amodal_px, low.amodal_px, atol=1.0)
+        np.testing.assert_allclose(lifted.visible_px, low.visible_px, atol=1.0)
+    assert sum(one.visible_px.any(axis=1).sum() for one in evidence[0]) >= 10
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, seed):
+    rng = np.random.default_rng(seed)
+    a, b = rng.uniform(0.05, 0.2, 2)
+    scene = with_ground(
+        build_scene(WALL), lambda east, north: 2.0 * np.sin(a * east) + 1.5 * np.cos(b * north)
+    )
+    runs = on(scene, some_runs(build_run, seed))
+    world = build_world(scene, runs, n_points=40, seed=0)
+    eye = on_ground(rng.uniform(-20.0, 20.0, 2), None) + [0.0, 0.0, 5.0]
+    eye[2] += ground_height_m(scene, eye[:2])
+    sight = cast_sight(world, eye, near_m=NEAR_M, max_distance_m=FAR_M)
+    frame = 0
+    for run in runs:
+        for index in range(len(run.time_s)):
+            bodies = [
+                (run.encounter.vut.shapes[0], run.vut_position_m, run.vut_yaw_deg),
+                (run.traffic[0].actor.shapes[0], run.traffic[0].position_m, run.traffic[0].yaw_deg),
+                (
+                    run.encounter.vru.shapes[run.vru_shape[index]],
+                    run.vru_position_m,
+                    run.vru_yaw_deg,
+                ),
+            ]
+            parts = [(scene.vertices_m, scene.triangles)]
+            parts += [
+                (to_world(one.actor.shapes[0].vertices_m, one.pose), one.actor.shapes[0].triangles)
+                for one in run.obstruction
+            ]
+            for shape, position, yaw in bodies:
+                height = ground_height_m(scene, position[index])
+                pose = Pose(position_m=np.append(position[index], height), yaw_deg=yaw[index])
+                parts.append((to_world(shape.vertices_m, pose), shape.triangles))
+            first = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+            caster = build_caster(
+                np.concatenate([vertices for vertices, _ in parts]) - world.origin_m,
+                np.concatenate([faces + n for (_, faces), n in zip(parts, first, strict=False)]),
+            )
+            view = world.views.view_of_frame[frame]
+            ways = world.views.points_m[view] - (eye - world.origin_m)
+            length = np.linalg.norm(ways, axis=1)[:, None]
+            starts = (eye - world.origin_m) + NEAR_M * ways / length
+            vectors = ways * (1.0 - (NEAR_M + 1.0e-3) / length)
+            reached = ~caster.is_blocked(starts.astype(np.float32), vectors.astype(np.float32))
+            entry = sight.entry_of_frame[frame]
+            visible = sight.is_visible[entry] if entry >= 0 else np.zeros(len(reached), dtype=bool)
+            assert (visible == reached).mean() >= 0.9  # rays along edges may go either way
+            frame += 1
