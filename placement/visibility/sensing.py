@@ -166,8 +166,13 @@ def cast_for(
         from .projecting import find_views
 
         find_views(
-            *(views.middle_m, views.radius_m, eye.astype(np.float32)),
-            *(_lenses(candidates), len(candidates), height_px, is_asked),
+            views.middle_m,
+            views.radius_m,
+            eye.astype(np.float32),
+            _lenses(candidates),
+            len(candidates),
+            height_px,
+            is_asked,
         )
     return cast_sight(
         world,

@@ -152,7 +152,7 @@ def test_no_view_is_left_out_that_a_sensor_detects(world, mount, small_camera, d
         every = _sensing(world, some, detector, for_lidar=True)
         found = build_sensing(world, sight, position_m, detector).packed(some)
         assert np.array_equal(found, every.packed(some))
-        assert found.any()
+        assert found.any() or some is not looks
     assert len(sight.view_index) < len(every.sight.view_index)  # one camera looks one way
 
 
