@@ -16,6 +16,7 @@ from .scene import (
     road_area,
     thing_footprint,
 )
+from .terrain import ground_height_m
 
 _FLOATING_M = 0.5
 _SUNK_M = 3.0
@@ -157,6 +158,11 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
                 why = f"its mount at {height_m:g} m is inside {around.class_name} {around.id}"
                 yield Finding(level="error", what=f"site {site.id}", why=why)
                 break
+    for site in scene.sites:
+        off_m = float(site.position_m[2] - ground_height_m(scene, site.position_m[:2]))
+        if abs(off_m) > _FLOATING_M:
+            why = f"its foot is {abs(off_m):.1f} m {'above' if off_m > 0.0 else 'below'} the ground"
+            yield Finding(level="error", what=f"site {site.id}", why=why)
     standing = [site for site in scene.sites if site.kind not in HANGING_KINDS]
     if standing:
         yield from _check_feet(scene, standing)
@@ -198,9 +204,10 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
         mesh = trimesh.Trimesh(scene.vertices_m[used], local.reshape(-1, 3), process=False)
         mesh.merge_vertices()
         low, high = mesh.bounds[:, 2]
-        if low > _FLOATING_M and thing.class_name != "vegetation":
+        ground_m = ground_height_m(scene, mesh.vertices[:, :2])
+        if low - ground_m.min() > _FLOATING_M and thing.class_name != "vegetation":
             floating.append(thing.id)
-        if high < 0.0 or low < -_SUNK_M:
+        if high < ground_m.min() or (mesh.vertices[:, 2] - ground_m).min() < -_SUNK_M:
             sunk.append(thing.id)
         # A hole in the floor, which stands on the ground, lets nothing be seen through.
         if _has_open_edges_above(mesh, low):

@@ -155,9 +155,9 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
 
     Linear between the points, by their Delaunay triangulation; beyond them as high as the nearest
     place between them.
-    Lines are `step_m` apart, or farther where there would be too many. At least one point must
-    lie in the square. In metres.
+    Lines are `step_m` apart, or farther where there would be too many. In metres.
     """
+    from scipy.interpolate import NearestNDInterpolator
     from scipy.ndimage import distance_transform_edt
 
     n_cells = min(int(np.ceil(2.0 * half_m / step_m)), _MAX_CELLS)
@@ -166,14 +166,16 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
     # One point per cell of a grid twice as fine: the mean of those in it.
     cell = np.floor(points_m[:, :2] / (0.5 * step_m)).astype(np.int64)
     _, member, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-    thin = np.stack([np.bincount(member.ravel(), column) for column in points_m.T], axis=1)
-    thin /= count[:, None]
+    sums = [np.bincount(member.ravel(), column) for column in points_m.T]
+    thin: FloatArray = np.stack(sums, axis=1) / count[:, None]
     height = _between(thin, nodes)
     if np.isnan(height).all():  # points on a line, or a few: the ground beside them is as high
         aside = (
             0.5 * (line[1] - line[0]) * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
         )
         height = _between((thin[:, None] + 1.5 * aside).reshape(-1, 3), nodes)
+    if np.isnan(height).all():  # and none of them in the square
+        height = NearestNDInterpolator(thin[:, :2], thin[:, 2])(nodes)
     _, nearest = distance_transform_edt(np.isnan(height), return_indices=True)
     filled = height[tuple(nearest)]
     return Terrain(east_m=line, north_m=line, height_m=filled.round(_GRID_DECIMALS))

@@ -13,7 +13,7 @@ from .source_map import MapJunction, Skipped, SourceMap, Thing
 
 _STEP_M = 2.0  # of the grid
 _FLAT_M = 0.1  # ground that is nowhere higher or lower than this is a plane
-_BEYOND_M = 30.0  # points farther outside have no say
+_BEYOND_M = 50.0  # points farther outside have no say
 _SAME_LEVEL_M, _STEEPEST = 2.0, 0.08  # more than this above the arms' roads is a bridge
 _OTHER_ZERO_M = 3.0  # a map whose things are this far off counts heights from another zero
 _FLOATS_M = 3.0  # at most: what is higher above the ground is meant to be there

@@ -9,8 +9,11 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from geometry.scene import Instance, Scene
+from geometry.scene_checks import check_scene
 from geometry.scene_files import load_scene
 from geometry.terrain import Terrain, fit_terrain, ground_height_m, terrain_of
+from scenarios.cases import select_cases
+from scenarios.runs import build_runs
 
 
 def on_terrain(scene: Scene, terrain: Terrain) -> Scene:
@@ -22,7 +25,7 @@ def on_terrain(scene: Scene, terrain: Terrain) -> Scene:
         own = scene.triangles[scene.triangle_instance == index]
         used, place = np.unique(own, return_inverse=True)
         points = scene.vertices_m[used].copy()
-        points[:, 2] += terrain.at(points[:, :2].mean(axis=0))
+        points[:, 2] += terrain.at(points[:, :2]).min()
         parts.append(points)
         faces.append(place.reshape(-1, 3) + start)
         owner.append(np.full(len(own), number))
@@ -115,3 +118,35 @@ def test_fit_of_points_on_a_line_is_that_of_the_nearest():
     points = np.column_stack([np.arange(-50.0, 51.0), np.zeros(101), 0.1 * np.arange(-50.0, 51.0)])
     terrain = fit_terrain(points, half_m=20.0, step_m=2.0)
     assert terrain.at([10.0, 15.0]) == pytest.approx(1.0, abs=0.06)
+    beyond = fit_terrain(np.array([[30.0, 0.0, 4.0]]), half_m=20.0, step_m=2.0)
+    assert (beyond.height_m == 4.0).all()
+
+
+def test_a_check_on_a_slope_finds_what_does_not_stand_on_it():
+    scene = on_terrain(load_scene(), grid(lambda east, north: 0.02 * east))
+    known = check_scene(load_scene())
+    assert check_scene(scene) == known
+    first, *others = scene.sites
+    high = replace(first, position_m=first.position_m + [0.0, 0.0, 1.4])
+    (found,) = [
+        one for one in check_scene(replace(scene, sites=(high, *others))) if one not in known
+    ]
+    assert (found.level, found.what) == ("error", f"site {first.id}")
+    assert found.why == "its foot is 1.4 m above the ground"
+
+
+def test_runs_on_a_slope_are_those_of_the_plane_with_parked_cars_on_the_ground(actors, rule):
+    scene = load_scene()
+    slope = on_terrain(scene, grid(lambda east, north: 0.04 * (east - 100.0), half_m=400.0))
+    cases = select_cases("CPNCO-50,CBNA").cases
+    flat, sloped = (
+        build_runs(one, cases, vut=actors["vut"], rule=rule)[0] for one in (scene, slope)
+    )
+    assert [run.id for run in sloped] == [run.id for run in flat]
+    for one, other in zip(flat, sloped, strict=True):
+        assert other.last_brake_time_s == one.last_brake_time_s
+        np.testing.assert_array_equal(other.vru_position_m, one.vru_position_m)
+        for body, raised in zip(one.obstruction, other.obstruction, strict=True):
+            expected = body.pose.position_m + [0.0, 0.0, 0.04 * (body.pose.position_m[0] - 100.0)]
+            np.testing.assert_allclose(raised.pose.position_m, expected, atol=1e-9)
+    assert any(run.obstruction for run in sloped)
