@@ -47,9 +47,10 @@ def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_where_it_
         assert twin.last_brake_time_s == pytest.approx(run.last_brake_time_s, abs=1e-6)
         for who in ("vut", "vru"):
             position = getattr(run, f"{who}_position_m") * [1.0, -1.0]
-            assert getattr(twin, f"{who}_position_m") == pytest.approx(position, abs=1e-6)
+            found = getattr(twin, f"{who}_position_m")
+            np.testing.assert_allclose(found, position, rtol=0.0, atol=1e-6)
             turn = getattr(twin, f"{who}_yaw_deg") + getattr(run, f"{who}_yaw_deg")
-            assert np.cos(np.radians(turn)) == pytest.approx(1.0)
+            np.testing.assert_allclose(np.cos(np.radians(turn)), 1.0, rtol=0.0, atol=1e-6)
         for one, other in zip(run.obstruction, twin.obstruction, strict=True):
             assert other.actor is one.actor
             assert other.pose.position_m == pytest.approx(
