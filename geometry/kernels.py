@@ -31,8 +31,9 @@ _log = logging.getLogger(__name__)
 def kernel(function: F) -> F:
     """Compile a function of numbers and arrays when it is first called; it then runs in any thread.
 
-    Kernels may call kernels of the same file. Division by zero gives infinity or NaN, as in numpy.
-    The machine code is kept for the next process; where that cannot be, each process compiles.
+    Kernels may call kernels of the same file, and of files ``*_kernels.py`` beside it. Division by
+    zero gives infinity or NaN, as in numpy. The machine code is kept for the next process; where
+    that cannot be, each process compiles.
     """
     compiled = numba.njit(nogil=True, error_model="numpy")(function)
     trouble = _trouble(compiled_folder())
@@ -96,7 +97,7 @@ class _Kept(FunctionCache):  # type: ignore[misc]
         self._cache_file: IndexDataCacheFile = _CheckedFile(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
-            source_stamp=self._impl.locator.get_source_stamp(),
+            source_stamp=(self._impl.locator.get_source_stamp(), *_stamps_beside(function)),
         )
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
@@ -121,6 +122,13 @@ class _Kept(FunctionCache):  # type: ignore[misc]
         except Exception as error:  # a disk that is full, a folder that went, a damaged index
             reason = getattr(error, "strerror", None) or error
             _tell_once(f"machine code not kept: {compiled_folder()}: {reason}")
+
+
+def _stamps_beside(function: Callable[..., Any]) -> list[tuple[str, int, int]]:
+    """What tells that kernels have changed which a function may call."""
+    files = sorted(Path(function.__code__.co_filename).parent.glob("*_kernels.py"))
+    status = [(file.name, file.stat()) for file in files]
+    return [(name, of_file.st_mtime_ns, of_file.st_size) for name, of_file in status]
 
 
 class _Unkept(NullCache):  # type: ignore[misc]

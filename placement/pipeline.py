@@ -18,6 +18,7 @@ from .optimiser import (
     Effort,
     PlacementProblem,
     PresolveStatistics,
+    ReducedProblem,
     Solution,
     UnmetError,
     presolve,
@@ -49,6 +50,8 @@ class Placement:
         What was left of the problem before any solver started.
     problem : PlacementProblem
         The problem, with the detection table.
+    reduced : ReducedProblem, optional
+        What presolve left of it; None: layouts were moved since.
     pose_index : tuple of int
         Rows of the table that make `layout`.
     nominal : PlacementProblem
@@ -70,6 +73,7 @@ class Placement:
     nominal: PlacementProblem
     nominal_index: tuple[int, ...]
     seconds: Mapping[str, float]
+    reduced: ReducedProblem | None = None
     next_unit: NextUnit | None = None
 
     def __repr__(self) -> str:
@@ -175,6 +179,7 @@ def place(
         certificate=solution.certificate,
         presolve=solution.presolve,
         problem=problem,
+        reduced=reduced,
         pose_index=solution.pose_index,
         nominal=nominal,
         nominal_index=nominal_index,

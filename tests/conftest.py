@@ -14,7 +14,10 @@ from scenarios.cases import pick_cases
 from scenarios.published import load_placements
 from scenarios.runs import FrameAxis, build_runs
 
-settings.register_profile("place-rsus", deadline=None)  # how long an example takes is no test
+# How long an example takes is no test. Other examples are drawn each time; for more of them:
+# pytest --hypothesis-profile thorough
+settings.register_profile("place-rsus", deadline=None, max_examples=30)
+settings.register_profile("thorough", deadline=None, max_examples=200)
 settings.load_profile("place-rsus")
 # The first test that compiles is told so, on a new machine: whichever that is, and however quiet.
 logging.getLogger("geometry.kernels").setLevel(logging.ERROR)

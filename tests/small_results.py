@@ -10,11 +10,13 @@ from experiments.jobs import placement, writing
 from experiments.progress import StageProgress
 from experiments.study.layout import load_carlancap_layout
 from geometry.actors import load_actors
+from geometry.scene import Scene
 from geometry.scene_files import load_study_scene
 from placement import planning
-from placement.candidates import load_candidate_grid
+from placement.candidates import CandidateGrid, load_candidate_grid
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
+from placement.layout import Layout
 from placement.question import Question
 from placement.setting import Setting
 from scenarios.aeb import load_aeb_rule
@@ -47,25 +49,32 @@ def build_small_setting() -> Setting:
     )
 
 
-def write_small_results(folder: Path, setting: Setting, question: Question | None = None) -> None:
-    """Choose two cameras of a coarse grid, and write everything but the report and its figures."""
-    grid = replace(
+def build_small_grid() -> CandidateGrid:
+    """One height, four directions."""
+    return replace(
         load_candidate_grid(),
         heights_m=np.array([6.0]),
         yaw_step_deg=90.0,
         pitches_deg=np.array([-20.0]),
     )
 
+
+def build_small_baseline(scene: Scene) -> Layout:
+    """The first two units of the study."""
     study = load_carlancap_layout()
-    two_of_study = replace(study, units=study.units[:2])
+    return replace(study, units=study.units[:2])
+
+
+def write_small_results(folder: Path, setting: Setting, question: Question | None = None) -> None:
+    """Choose two cameras of a coarse grid, and write everything but the report and its figures."""
 
     def write_blank_report(folder: Path, *given: object, **options: object) -> None:
         (folder / "report.html").write_text("<p>no figures</p>")
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(placement, "build_setting", lambda question, scene: setting)
-        patch.setattr(planning, "load_candidate_grid", lambda: grid)
-        patch.setattr(placement, "find_baseline", lambda scene: two_of_study)
+        patch.setattr(planning, "load_candidate_grid", build_small_grid)
+        patch.setattr(placement, "find_baseline", build_small_baseline)
         patch.setattr(writing, "write_report", write_blank_report)
         placement.run_placement(
             question or Question(budget=2, time_limit_s=60.0),

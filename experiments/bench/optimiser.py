@@ -35,8 +35,8 @@ from placement.optimiser.covering.instance import build_covering_instance
 from placement.optimiser.covering.solve import solve_lscp, solve_mclp
 from placement.optimiser.front import pareto_front
 from placement.optimiser.greedy import lazy_greedy, swap
+from placement.optimiser.promises import build_coverage, cover_windows
 from placement.optimiser.relaxation import first_multipliers, polish, tighten
-from placement.optimiser.stages import build_coverage, cover_windows
 from placement.setting import Setting
 from placement.visibility.build import build_detection_table
 from placement.wishes import Wishes, build_problem

@@ -11,6 +11,7 @@ from click.shell_completion import get_completion_class
 
 from ..progress import Interrupted, StageProgress, StderrLog, ending_on_signals
 from .compare import compare
+from .dataset import dataset
 from .doctor import doctor
 from .evaluate import evaluate
 from .export import export
@@ -75,7 +76,7 @@ def completion(context: click.Context, *, shell: str) -> None:
 
 
 for _command in (
-    *(compare, completion, doctor, evaluate, export, latency, pareto, render, retrofit),
+    *(compare, completion, dataset, doctor, evaluate, export, latency, pareto, render, retrofit),
     *(scenarios, scene, sheet, solve, verify),
 ):
     cli.add_command(_command)

@@ -208,6 +208,7 @@ def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> F
         min_units=len(plan.wishes.kept),
         effort=plan.effort,
         on_point=lambda point: progress(f"fewer units: {point.units}", 0, 0),
+        reduced=placement.reduced,
     )
 
 

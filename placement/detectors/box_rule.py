@@ -56,6 +56,11 @@ class GeometricDetector:
         )
         return expected
 
+    def least_height_px(self, evidence: Evidence) -> FloatArray:
+        """The least height where the contrast is enough, infinite elsewhere, (n,)."""
+        is_clear = np.broadcast_to(evidence.contrast >= self.min_contrast, len(evidence))
+        return np.where(is_clear, self.min_box_height_px, np.inf)
+
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """The visible boxes of what it detects; `rng` is not used."""
         rows = np.flatnonzero(self.is_expected(evidence))

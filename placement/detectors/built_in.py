@@ -91,13 +91,8 @@ class ResponseDetector:
     def probability(self, evidence: Evidence) -> FloatArray:
         """Probability of a correct detection, (n,); 0 where nothing is seen."""
         height = box_height_px(evidence.visible_px)
-        seen = evidence.visible_share * evidence.inside_share
-        probability: FloatArray = (
-            np.interp(seen, self.seen_share, self.recall)
-            * _rising(height, half=self.height_half_px, steepness=self.height_steepness)
-            * self.class_factor[evidence.vru_class]
-            * self._aspect_factor(evidence.aspect_deg, evidence.vru_class)
-            * self._contrast_factor(evidence.contrast)
+        probability = self._most(evidence) * _rising(
+            height, half=self.height_half_px, steepness=self.height_steepness
         )
         return np.where(height >= max(self.min_box_height_px, 1.0e-9), probability, 0.0)
 
@@ -105,6 +100,16 @@ class ResponseDetector:
         """Rows that are detected with at least `plan_probability`, (n,)."""
         expected: BoolArray = self.probability(evidence) >= self.plan_probability
         return expected
+
+    def least_height_px(self, evidence: Evidence) -> FloatArray:
+        """Height at which the probability reaches `plan_probability`, (n,)."""
+        most, least = self._most(evidence), max(self.min_box_height_px, 1.0e-9)
+        if self.plan_probability == 0.0:
+            return np.zeros(len(evidence))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            odds = np.where(most > self.plan_probability, most / self.plan_probability - 1.0, 0.0)
+            height: FloatArray = self.height_half_px * odds ** (-1.0 / self.height_steepness)
+        return np.maximum(height, least)
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """Draw which rows are detected, and the errors of their boxes."""
@@ -130,6 +135,17 @@ class ResponseDetector:
             *(getattr(self, name).tobytes() for name in ("seen_share", "recall", "class_factor")),
             *(getattr(self, name) for name in (*_POSITIVES, "cyclist_end_on", "plan_probability")),
         )
+
+    def _most(self, evidence: Evidence) -> FloatArray:
+        """Probability of a correct detection of a box of any height, (n,)."""
+        seen = evidence.visible_share * evidence.inside_share
+        most: FloatArray = (
+            np.interp(seen, self.seen_share, self.recall)
+            * self.class_factor[evidence.vru_class]
+            * self._aspect_factor(evidence.aspect_deg, evidence.vru_class)
+            * self._contrast_factor(evidence.contrast)
+        )
+        return most
 
     def _aspect_factor(self, aspect_deg: FloatArray, vru_class: IntArray) -> FloatArray:
         end_on = np.cos(np.radians(aspect_deg)) ** 2

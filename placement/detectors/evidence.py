@@ -106,5 +106,11 @@ class PlanningDetector(Detector, Protocol):
     def is_expected(self, evidence: Evidence) -> BoolArray:
         """Rows in which a plan may count on a detection, (n,)."""
 
+    def least_height_px(self, evidence: Evidence) -> FloatArray:
+        """Height of the visible box from which on `is_expected` is true, (n,); infinite if none is.
+
+        Of VRUs whose visible box is that of the whole; the boxes of the evidence are not looked at.
+        """
+
     def fingerprint(self) -> tuple[Any, ...]:
         """Everything that `is_expected` depends on."""

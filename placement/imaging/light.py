@@ -312,9 +312,30 @@ def illuminance(
         lux += below[:, None] * level.astype(np.float32)
     if (sky.sun_lux > 0.0).any() and sky.to_sun[2] > 0.0:
         _add_sun(lux, hits, starts, caster, sky)
-    if lamps:
-        _add_lamps(lux, hits, starts, caster, lamps, below)
+    # Lamps that drive come last: pictures of what stands still are made without them.
+    for group in (
+        [lamp for lamp in lamps if not isinstance(lamp, HeadLamp)],
+        [lamp for lamp in lamps if isinstance(lamp, HeadLamp)],
+    ):
+        if group:
+            _add_lamps(lux, hits, starts, caster, group, below)
     return lux
+
+
+def add_headlights(
+    lux: FloatRays,
+    hits: Hits,
+    headlights: Sequence[HeadLamp],
+    *,
+    caster: RayCaster,
+    origin_m: FloatRays,
+    ground_albedo: float,
+) -> None:
+    """Add the light of headlights to what falls on surfaces without them, (n, 3), in place."""
+    starts: FloatRays = hits.points_m - origin_m
+    starts += np.float32(_OFF_SURFACE_M) * hits.normals
+    below = np.float32(ground_albedo) * (0.5 - 0.5 * hits.normals[:, 2])
+    _add_lamps(lux, hits, starts, caster, headlights, below)
 
 
 def _add_sun(lux: FloatRays, hits: Hits, starts: FloatRays, caster: RayCaster, sky: Sky) -> None:

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import ConvexHull, QhullError
 
 from geometry.actors import Actor, PlacedActor, Shape
-from geometry.arrays import FloatArray
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.lidar import (
     LidarModel,
     beam_directions,
@@ -97,6 +97,12 @@ def build_frame_mesh(
     What drives by is "driving-1" and so on; the last things are "vut", if it is to be seen, and
     "vru".
     """
+    moving = build_moving_meshes(run, frame_index, with_vut=with_vut)
+    return place_mesh(_join([static, *moving]), origin_m)
+
+
+def build_moving_meshes(run: Run, frame_index: int, *, with_vut: bool) -> tuple[Mesh, ...]:
+    """What moves in a frame, each thing in a mesh of its own; see :func:`build_frame_mesh`."""
     bodies = [
         _body_mesh(
             f"driving-{number}",
@@ -113,16 +119,65 @@ def build_frame_mesh(
     vru = run.encounter.vru
     shape = vru.shapes[int(run.vru_shape[frame_index])]
     bodies.append(_body_mesh("vru", vru, shape, vru_pose(run, frame_index)))
-    joined = _join([static, *bodies])
-    vertices = (joined.vertices_m - origin_m).astype(np.float32)
+    return tuple(bodies)
+
+
+def place_mesh(mesh: Mesh, origin_m: FloatArray) -> FrameMesh:
+    """A mesh in a frame of coordinates with its origin at `origin_m` (3,), ready for rays."""
+    vertices = (mesh.vertices_m - origin_m).astype(np.float32)
     return FrameMesh(
         origin_m=origin_m,
-        corners_m=vertices[joined.triangles],
-        normals=joined.normals,
-        triangle_thing=joined.triangle_thing,
-        things=joined.things,
-        caster=build_caster(vertices, joined.triangles),
+        corners_m=vertices[mesh.triangles],
+        normals=mesh.normals,
+        triangle_thing=mesh.triangle_thing,
+        things=mesh.things,
+        caster=build_caster(vertices, mesh.triangles),
     )
+
+
+def add_moving_meshes(still: FrameMesh, moving: Sequence[Mesh]) -> FrameMesh:
+    """What stands still and what moves, for rays; only what moves is prepared anew."""
+    bodies = place_mesh(_join(moving), still.origin_m)
+    return FrameMesh(
+        origin_m=still.origin_m,
+        corners_m=np.concatenate([still.corners_m, bodies.corners_m]),
+        normals=np.concatenate([still.normals, bodies.normals]),
+        triangle_thing=np.concatenate(
+            [still.triangle_thing, bodies.triangle_thing + np.int32(len(still.things))]
+        ),
+        things=still.things + bodies.things,
+        caster=_TwoCasters(still.caster, bodies.caster, len(still.corners_m)),
+    )
+
+
+class _TwoCasters:
+    """Rays against two sets of triangles, one behind the other."""
+
+    def __init__(self, first: RayCaster, second: RayCaster, n_first: int) -> None:
+        self._first, self._second, self._n_first = first, second, n_first
+
+    def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        """See :class:`geometry.raycast.RayCaster`."""
+        blocked = self._first.is_blocked(origins_m, vectors_m)
+        free = np.flatnonzero(~blocked)
+        blocked[free] = self._second.is_blocked(origins_m[free], vectors_m[free])
+        return blocked
+
+    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+        """See :class:`geometry.raycast.RayCaster`."""
+        return self.first_triangle(origins_m, vectors_m)[0]
+
+    def first_triangle(
+        self, origins_m: FloatRays, vectors_m: FloatRays
+    ) -> tuple[FloatRays, IntArray]:
+        """See :class:`geometry.raycast.RayCaster`."""
+        share, triangle = self._first.first_triangle(origins_m, vectors_m)
+        other_share, other = self._second.first_triangle(origins_m, vectors_m)
+        is_nearer = other_share < share
+        return (
+            np.where(is_nearer, other_share, share),
+            np.where(is_nearer, other + self._n_first, triangle),
+        )
 
 
 def vut_pose(run: Run, frame_index: int) -> Pose:
@@ -292,6 +347,19 @@ def scan_cloud(
     """
     static = build_static_mesh(scene, run.obstruction)
     mesh = build_frame_mesh(static, run, frame_index, pose.position_m, with_vut=with_vut)
+    return scan_mesh(mesh, run, pose, lidar, weather=weather, seed=seed)
+
+
+def scan_mesh(
+    mesh: FrameMesh,
+    run: Run,
+    pose: Pose,
+    lidar: LidarModel,
+    *,
+    weather: Weather,
+    seed: int | Sequence[int] = 0,
+) -> PointCloud:
+    """Scan a frame's mesh, whose origin is at the LiDAR; see :func:`scan_cloud`."""
     beams = beam_directions(lidar).reshape(-1, 3)
     ways = beams @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
     starts = lidar.near_m * ways

@@ -1,10 +1,11 @@
 """Pictures of a frame: colours, instances and depths, one ray per pixel."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, partial
-from importlib.resources import files
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray, IntArray
-from geometry.files import load_toml, read_table, take_number
+from geometry.files import take_number
 from geometry.poses import Pose, camera_rotation
 from geometry.raycast import FloatRays
 from geometry.scene import Scene
@@ -23,7 +24,6 @@ from scenarios.runs import Run
 from ..compute import DEFAULT_COMPUTE, Compute
 from .ground import GroundMap, build_ground_map
 from .light import (
-    LUMINANCE,
     Lamp,
     Sky,
     StreetLamp,
@@ -85,12 +85,25 @@ class Shot:
     weather: Weather
 
 
-def shade_rays(shot: Shot, ways: FloatRays) -> tuple[FloatRays, Index, FloatRays]:
-    """Radiance of rays (n, 3) in cd/m^2, index of the thing (n,), depth (n,) in metres.
+class Shades(NamedTuple):
+    """What rays see."""
 
-    The rays (n, 3) start at the camera, are one metre deep and have the world's axes. Where there
-    is sky the index is -1 and the depth infinite.
-    """
+    radiance: FloatRays  # (n, 3), cd/m^2
+    instance: Index  # (n,): index of the thing; -1 where there is sky
+    depth_m: FloatRays  # (n,); infinite where there is sky
+
+
+class Surfaces(NamedTuple):
+    """What rays meet, to add light to it later: arrays (n, 3), zeros where there is sky."""
+
+    albedo: FloatRays
+    lux: FloatRays  # the light that falls on it
+    normals: FloatRays
+    mirrored: FloatRays  # where the mirrored ray goes; zeros where none is cast
+
+
+def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
+    """What rays see that start at the camera, are one metre deep, have the world's axes, (n, 3)."""
     camera, mesh, sky = shot.camera, shot.mesh, shot.sky
     length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
     near = np.float32(camera.near_m) / length  # rays start where drawing starts
@@ -99,6 +112,7 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[FloatRays, Index, FloatRays
     is_hit = triangle >= 0
     instance = np.full(len(ways), -1, dtype=np.int32)
     radiance = np.empty((len(ways), 3), dtype=np.float32)
+    surfaces = Surfaces(*(np.zeros((len(ways), 3), dtype=np.float32) for _ in Surfaces._fields))
     nothing = np.flatnonzero(~is_hit)
     radiance[nothing] = sky.luminance(ways[nothing, 2] / length[nothing])
     met = np.flatnonzero(is_hit)
@@ -109,10 +123,12 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[FloatRays, Index, FloatRays
         ahead = ways[index] / length[index, None]
         distance = depth[index] * length[index]
         hits = _find_hits(shot, ahead, distance, triangle[index], is_round=_CLASSES[kind] in ROUND)
-        light = _shade(shot, _CLASSES[kind], hits, ahead)
+        light, met_there = _shade(shot, _CLASSES[kind], hits, ahead)
+        for whole, part in zip(surfaces, met_there, strict=True):
+            whole[index] = part
         sky.fade(light, distance)
         radiance[index] = light
-    return radiance, instance, depth
+    return Shades(radiance, instance, depth), surfaces
 
 
 def _kinds(shot: Shot) -> NDArray[np.int8]:
@@ -122,14 +138,21 @@ def _kinds(shot: Shot) -> NDArray[np.int8]:
 
 def tile_rays(shot: Shot, rows: slice, columns: slice) -> FloatRays:
     """Rays through the middles of a tile's pixels, one metre deep, (n, 3)."""
+    right, ahead = ray_parts(shot, rows, columns)
+    return (ahead[:, None] + right[None]).reshape(-1, 3)
+
+
+def ray_parts(shot: Shot, rows: slice, columns: slice) -> tuple[FloatRays, FloatRays]:
+    """Parts (n, 3) by column and by row whose sums are the rays of a tile's pixels."""
     camera = shot.camera
     focal = camera.focal_length_px
     across = (np.arange(columns.start, columns.stop) + 0.5 - 0.5 * camera.width_px) / focal
     down = (np.arange(rows.start, rows.stop) + 0.5 - 0.5 * camera.height_px) / focal
     rotation = shot.R_world_camera
-    right = (across[:, None] * rotation[:, 0]).astype(np.float32)
-    ahead = (down[:, None] * rotation[:, 1] + rotation[:, 2]).astype(np.float32)
-    return (ahead[:, None] + right[None]).reshape(-1, 3)
+    return (
+        (across[:, None] * rotation[:, 0]).astype(np.float32),
+        (down[:, None] * rotation[:, 1] + rotation[:, 2]).astype(np.float32),
+    )
 
 
 def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRays:
@@ -182,7 +205,7 @@ def _interpolated_normals(mesh: FrameMesh, triangle: IntArray, points: FloatRays
     return between
 
 
-def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> FloatRays:
+def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> tuple[FloatRays, Surfaces]:
     """Luminance of surfaces towards the camera, (n, 3), in cd/m^2."""
     sky_share = None
     if class_name == "ground":
@@ -191,20 +214,20 @@ def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> FloatRa
         )
     else:
         coat = _coat(shot, class_name, hits)
-    light = illuminance(
+    lux = illuminance(
         hits,
         caster=shot.mesh.caster,
         origin_m=shot.mesh.origin_m.astype(np.float32),
         sky=shot.sky,
         lamps=shot.lamps,
         sky_share=sky_share,
-        ground_albedo=_ground_albedo(),
+        ground_albedo=ground_albedo(),
     )
-    light *= coat.albedo
+    light: FloatRays = lux * coat.albedo
     light *= np.float32(1.0 / np.pi)
     light += coat.glow
-    _add_mirrored(shot, light, coat, hits, ahead)
-    return light
+    mirrored = _add_mirrored(shot, light, coat, hits, ahead)
+    return light, Surfaces(coat.albedo, lux, hits.normals, mirrored)
 
 
 def _coat(shot: Shot, class_name: str, hits: Hits) -> Coat:
@@ -223,17 +246,24 @@ def _coat(shot: Shot, class_name: str, hits: Hits) -> Coat:
     return coat_plain(hits, ground, materials.albedo[class_name.replace(" ", "-")])
 
 
-def _add_mirrored(shot: Shot, light: FloatRays, coat: Coat, hits: Hits, ahead: FloatRays) -> None:
-    """Add what glass, lacquer and water mirror: the sky, or things without their own shadows."""
+def _add_mirrored(
+    shot: Shot, light: FloatRays, coat: Coat, hits: Hits, ahead: FloatRays
+) -> FloatRays:
+    """Add what glass, lacquer and water mirror: the sky, or things without their own shadows.
+
+    Mirrored rays are given back, (n, 3); zeros where none is cast.
+    """
+    mirrored = np.zeros_like(light)
     cosine = np.einsum("ij,ij->i", hits.normals, ahead)  # negative
     away = 1.0 + cosine
     share = coat.mirror * (1.0 + _GRAZING_GAIN * away**5)
     mirrors = np.flatnonzero(share > _LEAST_MIRROR)
     if not len(mirrors):
-        return
+        return mirrored
     normals = hits.normals[mirrors]
     ways = ahead[mirrors] - 2.0 * cosine[mirrors, None] * normals
     ways[:, 2] += coat.rough[mirrors]
+    mirrored[mirrors] = ways
     starts = hits.points_m[mirrors] - shot.mesh.origin_m.astype(np.float32)
     starts += np.float32(_OFF_SURFACE_M) * normals
     distance, triangle = shot.mesh.caster.first_triangle(starts, ways)
@@ -244,17 +274,19 @@ def _add_mirrored(shot: Shot, light: FloatRays, coat: Coat, hits: Hits, ahead: F
     upness = facing[:, 2:]
     sun = np.maximum(facing @ shot.sky.to_sun.astype(np.float32), 0.0)[:, None]
     lux = (0.5 + 0.5 * upness) * shot.sky.sky_lux.astype(np.float32)
-    lux += _ground_albedo() * (0.5 - 0.5 * upness) * shot.sky.sky_lux.astype(np.float32)
+    lux += ground_albedo() * (0.5 - 0.5 * upness) * shot.sky.sky_lux.astype(np.float32)
     lux += sun * shot.sky.sun_lux.astype(np.float32)
     albedo = shot.things.mean_albedo[shot.mesh.triangle_thing[met]]
     lux *= albedo * np.float32(1.0 / np.pi)
     shot.sky.fade(lux, distance[things])
     seen[things] = lux
     light[mirrors] += np.minimum(share[mirrors], 0.9)[:, None] * seen
+    return mirrored
 
 
 @cache
-def _ground_albedo() -> float:
+def ground_albedo() -> float:
+    """Share of the light that comes back from below."""
     return take_number(load_lamp_table()["sky"], "ground_albedo", "lamps.toml: sky")
 
 
@@ -347,12 +379,39 @@ def draw_picture(
     seed is that of sensor noise and drops.
     """
     mesh = build_frame_mesh(backdrop.mesh, run, frame_index, pose.position_m, with_vut=with_vut)
+    shot = build_shot(backdrop, mesh, pose, camera, weather, run=run, frame_index=frame_index)
+    from .exposure import find_edges  # loads the compiler
+
+    with start_pool(compute) as pool:
+        image = shade_image(shot, pool)
+        smooth_image(shot, image.radiance, np.flatnonzero(find_edges(image.radiance)), pool)
+        rgb = expose_image(shot, image.radiance, pose, [compute.seed, frame_index], pool)
+    return Picture(rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh))
+
+
+def names_of(mesh: FrameMesh) -> tuple[str, ...]:
+    """Names of a mesh's things."""
+    return tuple(thing.name for thing in mesh.things)
+
+
+def build_shot(
+    backdrop: Backdrop,
+    mesh: FrameMesh,
+    pose: Pose,
+    camera: CameraModel,
+    weather: Weather,
+    *,
+    run: Run | None = None,
+    frame_index: int = 0,
+) -> Shot:
+    """What a picture of a mesh is made from; with the VUT's headlights in a frame of a run."""
     lamps: tuple[Lamp, ...] = ()
     if weather.has_lamps:
-        headlights = build_headlights(run.encounter.vut, vut_pose(run, frame_index))
-        lamps = (*backdrop.street_lamps, *headlights)
+        lamps = backdrop.street_lamps
+        if run is not None:
+            lamps += build_headlights(run.encounter.vut, vut_pose(run, frame_index))
     materials = load_materials()
-    shot = Shot(
+    return Shot(
         R_world_camera=camera_rotation(pose.yaw_deg, pose.pitch_deg),
         camera=camera,
         mesh=mesh,
@@ -363,12 +422,88 @@ def draw_picture(
         lamps=lamps,
         weather=weather,
     )
-    height, width = camera.height_px, camera.width_px
-    radiance = np.empty((height, width, 3), dtype=np.float32)
-    instance = np.empty((height, width), dtype=np.int32)
-    depth_m = np.empty((height, width), dtype=np.float32)
-    rgb = np.empty((height, width, 3), dtype=np.uint8)
-    tiles = [
+
+
+@contextmanager
+def start_pool(compute: Compute) -> Iterator[ThreadPoolExecutor]:
+    """Threads for the parts of a picture, one BLAS thread each: the matrices are small."""
+    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
+        yield pool
+
+
+def shade_image(shot: Shot, pool: ThreadPoolExecutor) -> Shades:
+    """What a camera sees through the middles of its pixels, before lens and noise, (h, w)."""
+    return _shade_tiles(shot, pool, None)
+
+
+def shade_surfaces(shot: Shot, pool: ThreadPoolExecutor) -> tuple[Shades, Surfaces]:
+    """As :func:`shade_image`, and what is met there, (h, w, 3)."""
+    size = (shot.camera.height_px, shot.camera.width_px)
+    surfaces = Surfaces(*(np.empty((*size, 3), dtype=np.float32) for _ in Surfaces._fields))
+    return _shade_tiles(shot, pool, surfaces), surfaces
+
+
+def _shade_tiles(shot: Shot, pool: ThreadPoolExecutor, surfaces: Surfaces | None) -> Shades:
+    size = (shot.camera.height_px, shot.camera.width_px)
+    image = Shades(
+        np.empty((*size, 3), dtype=np.float32),
+        np.empty(size, dtype=np.int32),
+        np.empty(size, dtype=np.float32),
+    )
+
+    def shade(tile: tuple[slice, slice]) -> None:
+        shades, met = shade_rays(shot, tile_rays(shot, *tile))
+        wholes, parts = (image, shades) if surfaces is None else (image + surfaces, shades + met)
+        for whole, part in zip(wholes, parts, strict=True):
+            whole[tile] = part.reshape(whole[tile].shape)
+
+    list(pool.map(shade, _tiles(size)))
+    return image
+
+
+def smooth_image(
+    shot: Shot, radiance: FloatRays, pixels: IntArray, pool: ThreadPoolExecutor
+) -> None:
+    """Replace pixels (n,), row * w + column, by means over several rays, in place."""
+    flat = radiance.reshape(-1, 3)
+
+    def smooth(part: IntArray) -> None:
+        flat[part] = smooth_pixels(shot, part, flat[part])
+
+    list(pool.map(smooth, np.array_split(pixels, 1 + len(pixels) // _EDGES)))
+
+
+def expose_image(
+    shot: Shot, radiance: FloatRays, pose: Pose, seed: list[int], pool: ThreadPoolExecutor
+) -> NDArray[np.uint8]:
+    """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
+    from .exposure import develop, load_imager, white_luminance  # loads the compiler
+
+    size = radiance.shape[:2]
+    add_glare(radiance, pose, shot.camera, shot.lamps, shot.mesh.caster)
+    add_rain(
+        radiance,
+        shot.camera,
+        shot.weather,
+        shot.sky,
+        pitch_deg=pose.pitch_deg,
+        exposure_s=load_imager()["rain_exposure_s"],
+        rng=np.random.default_rng([*seed, *size]),
+    )
+    white_cdpm2 = white_luminance(radiance, load_imager())
+    rgb = np.empty((*size, 3), dtype=np.uint8)
+
+    def expose(tile: tuple[slice, slice]) -> None:
+        rng = np.random.default_rng([*seed, tile[0].start, tile[1].start])
+        rgb[tile] = develop(radiance[tile], white_cdpm2, load_imager(), rng)
+
+    list(pool.map(expose, _tiles(size)))
+    return rgb
+
+
+def _tiles(size: tuple[int, ...]) -> list[tuple[slice, slice]]:
+    height, width = size
+    return [
         (
             slice(row, min(row + _TILE_PX[0], height)),
             slice(column, min(column + _TILE_PX[1], width)),
@@ -377,70 +512,12 @@ def draw_picture(
         for column in range(0, width, _TILE_PX[1])
     ]
 
-    def shade(tile: tuple[slice, slice]) -> None:
-        for image, values in zip(
-            (radiance, instance, depth_m), shade_rays(shot, tile_rays(shot, *tile)), strict=True
-        ):
-            image[tile] = values.reshape(image[tile].shape)
-
-    def smooth(part: IntArray) -> None:
-        flat = radiance.reshape(-1, 3)
-        flat[part] = smooth_pixels(shot, part, flat[part])
-
-    def expose(white_cdpm2: float, tile: tuple[slice, slice]) -> None:
-        rng = np.random.default_rng([compute.seed, frame_index, tile[0].start, tile[1].start])
-        rgb[tile] = develop(radiance[tile].copy(), white_cdpm2, load_imager(), rng)
-
-    # One BLAS thread each: the matrices are small.
-    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
-        list(pool.map(shade, tiles))
-        edges = find_edges(radiance, _TILE_PX)
-        list(pool.map(smooth, np.array_split(edges, 1 + len(edges) // _EDGES)))
-        add_glare(radiance, pose, camera, lamps, mesh.caster)
-        rng = np.random.default_rng([compute.seed, frame_index, height, width])
-        add_rain(
-            radiance,
-            camera,
-            weather,
-            shot.sky,
-            pitch_deg=pose.pitch_deg,
-            exposure_s=load_imager()["rain_exposure_s"],
-            rng=rng,
-        )
-        white_cdpm2 = white_luminance(radiance, load_imager())
-        list(pool.map(partial(expose, white_cdpm2), tiles))
-    return Picture(
-        rgb=rgb,
-        instance=instance,
-        depth_m=depth_m,
-        names=tuple(thing.name for thing in mesh.things),
-    )
-
 
 # ---------- smooth edges: several rays for pixels along kerbs, roofs and shadows
 
 
-_CONTRAST = 0.35  # between neighbours, of their mean: more is an edge
 # Four points of a square, turned so that no two share a row or a column.
 _OFFSETS_PX = ((0.125, 0.375), (-0.375, 0.125), (0.375, -0.125), (-0.125, -0.375))
-
-
-def find_edges(radiance: FloatRays, tile_px: tuple[int, int]) -> IntArray:
-    """Pixels that differ much from a neighbour, as row * w + column, tile by tile, (n,).
-
-    `radiance` is the image (h, w, 3), `tile_px` the rows and columns of a tile.
-    """
-    green = np.ascontiguousarray(radiance[..., 1])
-    is_edge = np.zeros(green.shape, dtype=bool)
-    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        a, b = green[one], green[other]
-        differs = np.abs(a - b) > np.float32(0.5 * _CONTRAST) * (a + b)
-        is_edge[one] |= differs
-        is_edge[other] |= differs
-    rows, columns = np.nonzero(is_edge)
-    order = np.lexsort((columns // tile_px[1], rows // tile_px[0]))
-    pixels: IntArray = (rows * green.shape[1] + columns)[order]
-    return pixels
 
 
 def smooth_pixels(shot: Shot, pixels: IntArray, radiance: FloatRays) -> FloatRays:
@@ -457,74 +534,6 @@ def smooth_pixels(shot: Shot, pixels: IntArray, radiance: FloatRays) -> FloatRay
         )
         for across, down in _OFFSETS_PX
     ]
-    more, _, _ = shade_rays(shot, np.concatenate(ways))
+    more = shade_rays(shot, np.concatenate(ways))[0].radiance
     mean: FloatRays = (radiance + more.reshape(len(ways), -1, 3).sum(axis=0)) / (1.0 + len(ways))
     return mean
-
-
-# ---------- exposure: from luminance to sRGB, with noise and highlights
-
-
-_SAMPLE = 4  # every so many pixels are looked at for the exposure
-_STEPS = 8192  # of the curve from linear light to sRGB, over 0 .. _BRIGHTEST
-_BRIGHTEST = 4.0
-
-
-@cache
-def load_imager() -> Mapping[str, float]:
-    """``data/imager.toml``."""
-    return read_table(
-        load_toml(files(__package__) / "data" / "imager.toml"), dict[str, float], "imager.toml"
-    )
-
-
-def white_luminance(radiance: FloatRays, imager: Mapping[str, float]) -> float:
-    """Luminance that the exposure of an image (h, w, 3) makes white, in cd/m^2.
-
-    The mean of logarithms over the key, but no less than the longest exposure allows.
-
-    References
-    ----------
-    .. [1] E. Reinhard et al., "Photographic tone reproduction for digital images", 2002: the key.
-    """
-    luminance = radiance[::_SAMPLE, ::_SAMPLE] @ LUMINANCE.astype(np.float32)
-    mean = float(np.exp(np.log(np.maximum(luminance, np.float32(1e-4))).mean()))
-    return max(mean / imager["key"], imager["white_cdpm2_least"])
-
-
-def develop(
-    radiance: FloatRays, white_cdpm2: float, imager: Mapping[str, float], rng: np.random.Generator
-) -> NDArray[np.uint8]:
-    """Pixels of an image or of some rows of it, (h, w, 3), sRGB.
-
-    `radiance` (h, w, 3) in cd/m^2 is written over; `white_cdpm2` is what becomes white.
-    """
-    radiance *= np.float32(1.0 / white_cdpm2)
-    gain = max(1.0, imager["white_cdpm2_base"] / white_cdpm2)
-    electrons = imager["full_well_e"] / gain  # at white
-    # Photon noise (variance = mean), and that of the amplifier.
-    spread = radiance * np.float32(1.0 / electrons)
-    spread += np.float32((imager["read_noise_e"] / electrons) ** 2)
-    np.sqrt(spread, out=spread)
-    spread *= rng.standard_normal(radiance.shape, dtype=np.float32)
-    radiance += spread
-    radiance *= np.float32(_STEPS / _BRIGHTEST)
-    np.clip(radiance, 0, _STEPS - 1, out=radiance)
-    rgb: NDArray[np.uint8] = _curve(imager["shoulder"]).take(radiance.astype(np.int16))
-    return rgb
-
-
-@cache
-def _curve(shoulder: float) -> NDArray[np.uint8]:
-    """Levels of sRGB by linear light in steps; beyond the shoulder highlights bend towards white.
-
-    References
-    ----------
-    .. [1] IEC 61966-2-1: the two branches of sRGB.
-    """
-    light = (np.arange(_STEPS) + 0.5) * (_BRIGHTEST / _STEPS)
-    rest = 1.0 - shoulder
-    bent = shoulder + rest * (1.0 - np.exp(-(light - shoulder) / rest))
-    light = np.where(light > shoulder, bent, light)
-    curved = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
-    return np.clip(np.rint(255.0 * curved), 0, 255).astype(np.uint8)

@@ -5,10 +5,11 @@ are compared, ``limits`` what may be mounted together.
 ``presolve`` drops what does not matter; ``bitsets`` values many sets at once. ``greedy`` finds good
 sets quickly, and ``enumeration`` goes through all sets that may be better. ``set_tree`` walks
 through all sets that reach an APR, also when units fail; ``tied_sets`` chooses among those that
-tie; ``tree_kernels`` is their machine code. Bounds come from ``bounds`` (Lagrangian),
+tie. Modules called ``.._kernels`` are machine code. Bounds come from ``bounds`` (Lagrangian),
 ``relaxation`` (subgradient steps and OSQP), ``window_cover`` (branch and bound) and ``model``
-(HiGHS). ``stages`` takes the objectives in order with ``search``. ``solve`` calls it all, says
-which wish cannot be met, and solves tables that are too large for models.
+(HiGHS), and ``promises`` says what they mean for sets. ``stages`` takes the objectives in order
+with ``search``. ``solve`` calls it all, says which wish cannot be met, and solves tables that are
+too large for models. ``threads`` shares work out.
 ``front`` and ``cost_front`` say what more units or more money buy.
 """
 

@@ -111,7 +111,7 @@ def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
 
     Minus infinity where a run is not avoided.
     """
-    from .tree_kernels import first_live_windows
+    from .frame_kernels import first_live_windows
 
     first = np.empty((len(unions), reduced.n_chains), dtype=np.int64)
     first_live_windows(np.ascontiguousarray(unions), reduced.chains, first)
@@ -188,7 +188,7 @@ def _lose_little(
     with_failures: bool,
 ) -> BoolArray:
     """Which sets lose no more than so much; `lost` is by run and first live window."""
-    from .tree_kernels import lose_little
+    from .frame_kernels import lose_little
 
     of_chain = np.zeros((reduced.n_chains, lost.shape[1]))
     np.add.at(of_chain, reduced.run_chain, lost)
@@ -356,7 +356,7 @@ def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
 
 def _windows_with_each(reduced: ReducedProblem, units: IntArray) -> WordArray:
     """Live windows of all chains for a set together with each pose, bits along the poses."""
-    from .tree_kernels import drop_lost_windows
+    from .frame_kernels import drop_lost_windows
 
     union = unpack_words(unions_of(reduced, units[None, :])[0], reduced.n_frames)
     frames = _columns(reduced).copy()

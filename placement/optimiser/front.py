@@ -235,10 +235,11 @@ def look_around(
         end_s=now_s() + effort.time_limit_s,
         uses_models=effort.solver in ("auto", "exact"),
     )
-    if len(start):
-        search.offer(_to_reduced(reduced, start))
+    starts = [_to_reduced(reduced, start)] if len(start) else []
+    for units in starts:
+        search.keep(units)
     if search.units is None or search.limit.exceeds(search.row):
-        search.start()
+        search.start(starts)
     return search
 
 
@@ -369,9 +370,11 @@ def pareto_front(
     stages: StageChoice = "first",
     effort: Effort | None = None,
     on_point: OnPoint | None = None,
+    reduced: ReducedProblem | None = None,
 ) -> Front:
     """Best layouts of so many units and all smaller numbers.
 
+    `reduced` is the problem presolved for no fewer units than `max_units`, where that is at hand.
     All limits and floors of the problem hold at every point but the number of units; kept units
     count, and no point has fewer units than are forced. `stages` "first" optimises the APR, then
     the APR when one unit fails; "all" margins and cost, too. The `effort` is that of all points
@@ -398,7 +401,8 @@ def pareto_front(
     # Poses that are dominated while many units are chosen are dominated while fewer are.
     widest = replace(problem, limits=replace(limits, budget_units=max_units))
     # Points of a large instance are solved one by one, each from a pool of promising poses.
-    reduced = None if effort.solver != "exact" and is_large(problem) else presolve(widest)
+    if reduced is None and (effort.solver == "exact" or not is_large(problem)):
+        reduced = presolve(widest)
     largest = None if reduced is None else largest_values(reduced, stages)
     full = replace(limits, budget_units=None).max_units
     points: list[FrontPoint] = []
@@ -448,6 +452,7 @@ def front_below(
     min_units: int = 1,
     effort: Effort | None = None,
     on_point: OnPoint | None = None,
+    reduced: ReducedProblem | None = None,
 ) -> Front:
     """A front that ends with a known layout, which was solved for the best, and its certificate.
 
@@ -475,6 +480,7 @@ def front_below(
             stages="all",
             effort=effort,
             on_point=on_point,
+            reduced=reduced,
         )
     except UnmetError:
         return alone

@@ -106,7 +106,7 @@ def solve_heuristically(
     forced = forced_units(reduced)
     begin = [*starts, forced]
     first = np.flatnonzero(fitting(reduced.limits, forced))
-    if len(first):
+    if len(first) and reduced.limits.max_units > 1:  # greedy choice of one looks at all
         begin += [np.append(forced, pose) for pose in rng.choice(first, size=_N_RESTARTS)]
     best = BestSet()
     for start in begin:

@@ -12,7 +12,9 @@ window has fewer tails, one that is not seen ends all windows of the run up to s
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +27,7 @@ from scenarios.runs import FrameAxis
 from .limits import Limits
 from .objectives import COST_TOLERANCE_EUR, Goal, Objective, objectives_in_order
 from .problem import Measure, PlacementProblem, Requirement
+from .threads import WORKERS
 
 WordArray = NDArray[np.uint64]
 
@@ -230,44 +233,42 @@ def is_dominated(
     replacement is replaced in turn, each time by a pose earlier in one fixed order (more seen,
     cheaper, index), which ends.
     """
+    from .presolve_kernels import find_dominated
+
+    n_poses, n_words = words.shape
     count = np.bitwise_count(words).sum(axis=1, dtype=np.int64)
     order = np.lexsort((limits.unit_cost_eur, -count))
-    columns = np.ascontiguousarray(~words[order].T)
-    sites = limits.site_index[order]
-    price = limits.unit_cost_eur[order]
+    sites, price = limits.site_index[order], limits.unit_cost_eur[order]
     is_bound_site = limits.is_forced_site.copy()
     is_bound_site[limits.rivals.ravel()] = True
     elsewhere = price + limits.site_cost_eur[sites]
     elsewhere[is_bound_site[sites]] = np.inf
-    result = np.zeros(len(words), dtype=bool)
-    for rank, pose in enumerate(order):
-        if limits.is_forced[pose]:
-            continue
-        own = limits.site_index[pose]
-        affordable = limits.unit_cost_eur[pose] + COST_TOLERANCE_EUR
-        if limits.is_plain:
-            dominators = np.arange(rank)
-        else:
-            is_cheaper = (sites[:rank] == own) & (price[:rank] <= affordable)
-            if not is_bound_site[own]:
-                is_cheaper |= elsewhere[:rank] <= affordable
-            dominators = np.flatnonzero(is_cheaper)
-        row = words[pose]
-        # The fullest words first: they leave the fewest.
-        fullest = np.argsort(-np.bitwise_count(row).astype(np.int64), kind="stable")
-        for word in fullest:
-            if len(dominators) == 0 or row[word] == 0:
-                break
-            dominators = dominators[(columns[word, dominators] & row[word]) == 0]
-        if may_add is not None and len(dominators):
-            beyond = words[order[dominators]] & ~(row | may_add(int(pose)))
-            dominators = dominators[~np.logical_or.reduce(beyond != 0, axis=1)]
-        at_site = np.bincount(sites[dominators], minlength=limits.n_sites)
-        result[pose] = (
-            at_site[own] >= limits.site_capacity[own]
-            or np.minimum(at_site, limits.site_capacity).sum() > max_units - 1
+    most = np.empty((0, n_words), dtype=np.uint64)
+    if may_add is not None and n_poses:
+        most = np.stack([words[pose] | may_add(int(pose)) for pose in order])
+    dominated = np.zeros(n_poses, dtype=bool)
+
+    def look_at(begin: int) -> None:
+        find_dominated(
+            words[order],
+            most,
+            sites,
+            price,
+            elsewhere,
+            price + COST_TOLERANCE_EUR,
+            ~is_bound_site[sites],
+            limits.site_capacity,
+            max_units,
+            begin,
+            WORKERS,
+            dominated,
         )
-    return result
+
+    with ThreadPoolExecutor(WORKERS) as threads:
+        list(threads.map(look_at, range(WORKERS)))
+    result = np.zeros(n_poses, dtype=bool)
+    result[order] = dominated
+    return result & ~limits.is_forced
 
 
 def _settled_frames(reduced: ReducedProblem, poses: IntArray) -> Callable[[int], WordArray]:
@@ -350,6 +351,8 @@ class _Windows:
     """Windows of a problem that end in time, and their tails, as columns over the poses."""
 
     def __init__(self, problem: PlacementProblem) -> None:
+        from .presolve_kernels import join_ranges, turn_round
+
         self.problem = problem
         self.measure = problem.measure()
         self.floor_measures = [problem.floor_measure(floor) for floor in problem.floors]
@@ -357,14 +360,15 @@ class _Windows:
         self.end, self.run, self.margin_s = timely_windows_end(axis, rule)
         frames = self.end[:, None] + np.arange(1 - rule.n_confirmations, 1)
         used, self.frames = np.unique(frames, return_inverse=True)
-        detected = problem.table.detected(slice(None))
-        self.columns = np.packbits(detected[:, used].T, axis=1, bitorder="little")
+        packed = problem.table.packed
+        # (8 n_bytes, n_words): who sees each frame
+        columns = np.empty((8 * packed.shape[1], -(-len(packed) // 64)), dtype=np.uint64)
+        turn_round(packed, columns)
+        self.columns = columns[used]
         self.tail_end, last = tails_behind(axis, rule, self.end, self.run)
         self.tail_run = _run_of_frames(axis)[self.tail_end]
-        # Behind the first window of a run, all frames that count are the last ones of windows.
-        self.tail_columns = _any_of_rows(
-            self.columns, np.searchsorted(used, self.tail_end) + 1, np.searchsorted(used, last) + 1
-        )
+        self.tail_columns = np.empty((len(last), columns.shape[1]), dtype=np.uint64)
+        join_ranges(columns, self.tail_end + 1, last + 1, self.tail_columns)
         if problem.fusion == "single":
             self._let_each_confirm_alone()
 
@@ -383,47 +387,51 @@ class _Windows:
 
     def reduce(self, poses: IntArray) -> ReducedProblem:
         """The problem on some poses, all of them kept."""
+        from .presolve_kernels import thin_out
+
         problem, axis = self.problem, self.problem.table.axis
-        is_pose = np.zeros(problem.table.n_poses, dtype=bool)
+        is_pose = np.zeros(64 * self.columns.shape[1], dtype=bool)
         is_pose[poses] = True
+        mask = pack_words(is_pose)
         columns = np.concatenate([self.columns, self.tail_columns])
-        merged, frame = _unique_rows(columns & np.packbits(is_pose, bitorder="little"))
+        first, frame = distinct_rows(columns, mask)
         frames, tail_frame = frame[: len(self.columns)][self.frames], frame[len(self.columns) :]
-        is_seen: BoolArray = np.logical_or.reduce(merged != 0, axis=1)
+        is_seen: BoolArray = np.logical_or.reduce((columns[first] & mask) != 0, axis=1)
 
         last_lost = np.full(axis.n_runs, -1)
         is_lost = ~is_seen[tail_frame]
         np.maximum.at(last_lost, self.tail_run[is_lost], self.tail_end[is_lost])
         alive = is_seen[frames].all(axis=1) & (self.end > last_lost[self.run])
-        needed = (self.tail_end > last_lost[self.tail_run]) & ~self._is_needless(merged, tail_frame)
-        every_window, every_tail = np.flatnonzero(alive), np.flatnonzero(needed)
-        run_index, begin = np.unique(self.run[alive], return_index=True)
-        tail_places = np.searchsorted(self.tail_run[needed], [run_index, run_index + 1]).T
-        sequences, tails, margins = [], [], []
-        for windows, place in zip(np.split(every_window, begin)[1:], tail_places, strict=True):
-            of_tails = every_tail[slice(*place)]
-            sets = _as_sets(frames[windows])
-            n_links = np.searchsorted(self.end[windows], self.tail_end[of_tails], side="right")
-            kept, tail = _thin_out(sets, tail_frame[of_tails], n_links)
-            sequences.append(sets[kept])
-            tails.append(tail)
-            margins.append(self.margin_s[windows[kept]])
-        size = problem.rule.n_confirmations if problem.fusion == "any" else 1
-        every = np.concatenate([np.empty((0, size), dtype=np.int64), *sequences])
-        sets, window = np.unique(every, axis=0, return_inverse=True)
-        of_tails = np.concatenate([np.empty(0, dtype=np.int64), *(tail[0] for tail in tails)])
-        kept = np.unique(np.concatenate([sets.ravel(), of_tails]))
-        bits = np.unpackbits(merged[kept], axis=1, count=len(is_pose), bitorder="little")
-        words = pack_words(np.ascontiguousarray(bits[:, poses].T).view(np.bool_))
-        n_windows = np.array([len(sequence) for sequence in sequences], dtype=np.int64)
+        needed = (self.tail_end > last_lost[self.tail_run]) & ~self._is_needless(mask)
+        needed &= np.isin(self.tail_run, self.run[alive])
+        windows, tails = np.flatnonzero(alive), np.flatnonzero(needed)
+        end, tail_frame = self.end[windows], tail_frame[tails]
+        run_index, of_run = np.unique(self.run[windows], return_inverse=True)
+        of_tail = np.searchsorted(run_index, self.tail_run[tails])
+        begin = np.searchsorted(of_run, np.arange(len(run_index) + 1))
+        sets = _as_sets(frames[windows])
+        # Frames grow from run to run: so do the ends of windows.
+        n_links = np.searchsorted(end, self.tail_end[tails], side="right") - begin[of_tail]
+        is_kept = np.empty(len(sets), dtype=bool)
+        tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
+        thin_out(sets, begin, tail_frame, tail_begin, n_links, is_kept)
+        windows, sets, of_run = windows[is_kept], sets[is_kept], of_run[is_kept]
+        order = _once_in_each_run(of_tail, tail_frame, n_links)
+        tail_frame, n_links, of_tail = tail_frame[order], n_links[order], of_tail[order]
+
+        first_set, window = distinct_rows(sets.astype(np.uint64))
+        kept = np.unique(np.concatenate([sets.ravel(), tail_frame]))
+        begin = np.searchsorted(of_run, np.arange(len(run_index) + 1))
+        tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
+        tail_frame = np.searchsorted(kept, tail_frame)
         chains, run_chain = _share_chains(
-            np.searchsorted(kept, sets),
-            np.split(window.ravel(), np.cumsum(n_windows)[:-1]) if len(n_windows) else [],
-            [(np.searchsorted(kept, tail[0]), tail[1]) for tail in tails],
+            np.searchsorted(kept, sets[first_set]),
+            [window[slice(*place)] for place in pairwise(begin)],
+            [(tail_frame[slice(*p)], n_links[slice(*p)]) for p in pairwise(tail_begin)],
         )
+        n_windows = np.diff(begin)
         margin_s = np.full((len(run_index), n_windows.max(initial=0) + 1), -np.inf)
-        for row, margin in enumerate(margins):
-            margin_s[row, : len(margin)] = margin
+        margin_s[of_run, np.arange(len(windows)) - begin[of_run]] = self.margin_s[windows]
         return ReducedProblem(
             pose_index=poses,
             limits=problem.limits.of_poses(poses),
@@ -440,7 +448,7 @@ class _Windows:
             objectives=problem.objectives,
             survive=problem.survive,
             n_frames=len(kept),
-            words=words,
+            words=_words_of(columns[first[kept]], poses),
             chains=chains,
             run_chain=run_chain,
             margin_s=margin_s,
@@ -453,35 +461,40 @@ class _Windows:
                             np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0
                         ).sum()
                     ),
-                    len(sets),
+                    len(first_set),
                 ),
                 n_runs=(axis.n_runs, len(run_index)),
             ),
         )
 
-    def _is_needless(self, merged: NDArray[np.uint8], tail_frame: IntArray) -> BoolArray:
+    def _is_needless(self, mask: WordArray) -> BoolArray:
         """Tails that are seen whenever the next one of their run is, which ends more windows."""
-        is_needless = np.zeros(len(tail_frame), dtype=bool)
-        beyond = merged[tail_frame[1:]] & ~merged[tail_frame[:-1]]
+        is_needless = np.zeros(len(self.tail_run), dtype=bool)
+        beyond = self.tail_columns[1:] & ~self.tail_columns[:-1] & mask
         is_needless[:-1] = ~np.logical_or.reduce(beyond != 0, axis=1)
         is_needless[:-1] &= self.tail_run[1:] == self.tail_run[:-1]
         return is_needless
 
 
-def _any_of_rows(rows: NDArray[np.uint8], begin: IntArray, end: IntArray) -> NDArray[np.uint8]:
-    """Bits that are set in one of the rows begin .. end - 1: (n_rows, n) -> (n_ranges, n)."""
-    result = np.zeros((len(begin), rows.shape[1]), dtype=np.uint8)
-    for offset in range(int((end - begin).max(initial=0))):
-        longer = np.flatnonzero(begin + offset < end)
-        result[longer] |= rows[begin[longer] + offset]
-    return result
+def distinct_rows(rows: WordArray, mask: WordArray | None = None) -> tuple[IntArray, IntArray]:
+    """First of the rows that are equal within a mask, and the number among them of each row."""
+    from .presolve_kernels import number_rows
+
+    if mask is None:
+        mask = np.full(rows.shape[1], ~np.uint64(0))
+    number = np.empty(len(rows), dtype=np.int64)
+    slots = np.full(1 << (2 * len(rows)).bit_length(), -1)
+    n_distinct = number_rows(rows, mask, slots, number)
+    return slots[:n_distinct].copy(), number
 
 
-def _unique_rows(rows: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], IntArray]:
-    """Distinct rows, and which of them each row is."""
-    whole = np.ascontiguousarray(rows).view(np.dtype((np.void, rows.shape[1])))[:, 0]
-    _, first, inverse = np.unique(whole, return_index=True, return_inverse=True)
-    return rows[first], inverse
+def _words_of(columns: WordArray, poses: IntArray) -> WordArray:
+    """Who sees each frame as what each of some poses sees, (n_poses, n_words)."""
+    from .presolve_kernels import turn_round
+
+    turned = np.empty((64 * columns.shape[1], -(-len(columns) // 64)), dtype=np.uint64)
+    turn_round(columns.view(np.uint8), turned)
+    return turned[poses]
 
 
 def _as_sets(frames: IntArray) -> IntArray:
@@ -492,30 +505,13 @@ def _as_sets(frames: IntArray) -> IntArray:
     return np.sort(np.where(repeated, frames[:, -1:], frames), axis=1)
 
 
-def _thin_out(
-    sets: IntArray, tail_frame: IntArray, n_links: IntArray
-) -> tuple[IntArray, tuple[IntArray, IntArray]]:
-    """Windows of a run that are not dominated, and the tails that are left for them.
-
-    `sets` are the frames of the windows, `n_links` says how many of the windows need each tail.
-    Returns indices of windows; and the frames of tails and how many of these windows need each.
-    """
-    number = np.arange(len(sets))
-    # A window that needs the very frame that a tail is, too, is never without the tail.
-    is_without: BoolArray = (sets[None, :, :] != tail_frame[:, None, None]).all(axis=2)
-    n_links = ((number < n_links[:, None]) * is_without * (number + 1)).max(axis=1, initial=0)
-    # Windows before this one need a tail that the later window neither needs nor ensures.
-    is_beyond = is_without & (n_links[:, None] <= number)
-    first = np.where(is_beyond, n_links[:, None], 0).max(axis=0, initial=0)
-    is_subset = (sets[:, None, :, None] == sets[None, :, None, :]).any(axis=3).all(axis=2)
-    is_subset &= number[:, None] >= first
-    kept = np.flatnonzero(~np.triu(is_subset, k=1).any(axis=0))
-    n_links = np.searchsorted(kept, n_links)
-    order = np.lexsort((tail_frame, -n_links))
-    _, first_of_frame = np.unique(tail_frame[order], return_index=True)
-    order = order[np.sort(first_of_frame)]
+def _once_in_each_run(of_tail: IntArray, tail_frame: IntArray, n_links: IntArray) -> IntArray:
+    """Order of tails run by run, those that more windows need first, each frame once in a run."""
+    order = np.lexsort((tail_frame, -n_links, of_tail))
     order = order[n_links[order] > 0]
-    return kept, (tail_frame[order], n_links[order])
+    key = of_tail[order] * (tail_frame.max(initial=0) + 1) + tail_frame[order]
+    _, first = np.unique(key, return_index=True)
+    return order[np.sort(first)]
 
 
 def _share_chains(

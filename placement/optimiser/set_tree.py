@@ -21,7 +21,9 @@ Sets that remain are valued on the windows themselves. A walk that ends has met 
 """
 
 from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from functools import partial
 from math import comb
 from typing import TYPE_CHECKING
 
@@ -31,10 +33,18 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
 from .limits import Limits
-from .presolve import Chains, ReducedProblem, WordArray, pack_words, unpack_words
+from .presolve import (
+    Chains,
+    ReducedProblem,
+    WordArray,
+    distinct_rows,
+    pack_words,
+    unpack_words,
+)
+from .threads import WORKERS, share_out
 
 if TYPE_CHECKING:
-    from .tree_kernels import Layout
+    from .chain_kernels import Layout
 
 _ROUNDS = 8
 _ROOT_STEPS = 250
@@ -44,6 +54,7 @@ _SHARE_DIGITS = 3
 _SLACK = 1.0e-9  # relative, of needs: rounding of sums
 _OUT_SETS = 1 << 16
 _WORK = 30_000  # candidates looked at between two looks at the clock
+_PARTS = 256  # of the candidates of the root
 _STEPS = (60, 30, 10, 6)  # of subgradient in nodes of depth 0, 1, ..
 _PRICES_OF_APR = (0.0, 0.3, 1.0, 3.0)
 
@@ -68,11 +79,11 @@ class Links:
     @property
     def n_poses(self) -> int:
         """Number of poses."""
-        return int(self.layout.bits.shape[1])
+        return int(self.layout.bits.shape[0])
 
     def union(self, units: IntArray) -> WordArray:
-        """What a set of poses sees, (n_phases, n_words)."""
-        union: WordArray = np.bitwise_or.reduce(self.layout.bits[:, units], axis=1)
+        """What a set of poses sees, (n_words, n_phases or one more)."""
+        union: WordArray = np.bitwise_or.reduce(self.layout.bits[units], axis=0)
         return union
 
     def chain_worth(self, weight: FloatArray) -> FloatArray:
@@ -85,23 +96,33 @@ class Links:
 
 def build_links(reduced: ReducedProblem) -> Links:
     """Lay out the detections of a reduced problem by chains."""
-    from .tree_kernels import Layout, lay_out
+    from .chain_kernels import Layout
+    from .presolve_kernels import turn_round
 
     chains = reduced.chains
     start = _word_starts(chains)
     frames = chains.window_frames[chains.window]
     has_tails = len(chains.tail_frame) > 0
-    n_phases = frames.shape[1]
-    bits = np.zeros((n_phases + has_tails, reduced.n_poses, start[-1]), dtype=np.uint64)
+    n_phases, n_words = frames.shape[1], int(start[-1])
     place = _places(start, chains.start)
-    for phase in range(n_phases):
-        lay_out(reduced.words, np.ascontiguousarray(frames[:, phase]), place, bits[phase])
+    rows = [(of_phase, place) for of_phase in frames.T]
     if has_tails:
-        place = _places(start, chains.tail_start)
-        is_tail = np.zeros(64 * start[-1], dtype=bool)
-        is_tail[place] = True
-        bits[n_phases] = ~pack_words(is_tail)
-        lay_out(reduced.words, chains.tail_frame, place, bits[n_phases])
+        rows.append((chains.tail_frame, _places(start, chains.tail_start)))
+    bits = np.empty((reduced.n_poses, n_words, len(rows)), dtype=np.uint64)
+    n_pose_words = -(-reduced.n_poses // 64)
+    columns = np.empty((64 * reduced.words.shape[1], n_pose_words), dtype=np.uint64)
+    turn_round(reduced.words.view(np.uint8), columns)
+
+    def lay_out(begin: int, end: int) -> None:
+        turned = np.empty((64 * n_pose_words, n_words), dtype=np.uint64)
+        for row in range(begin, end):
+            of_row, places = rows[row]
+            seen = np.full((64 * n_words, n_pose_words), -int(row == n_phases)).view(np.uint64)
+            seen[places] = columns[of_row]
+            turn_round(seen.view(np.uint8), turned)
+            bits[:, :, row] = turned[: reduced.n_poses]
+
+    share_out(lay_out, len(rows))
     return Links(
         layout=Layout(
             bits=bits,
@@ -139,10 +160,11 @@ def first_seen(links: Links, sets: IntArray, *, left_out: int = -1) -> IntArray:
 
     `left_out` is the place of that unit in each set; negative: none.
     """
-    from .tree_kernels import set_links
+    from .chain_kernels import set_links
 
     first = np.empty((len(sets), len(links.n_links)), dtype=np.int64)
-    set_links(links.layout, sets, left_out, links.longest, first)
+    nothing = np.zeros((len(links.n_links), links.longest + 1))
+    set_links(links.layout, nothing, np.ascontiguousarray(sets), left_out, first)
     return first
 
 
@@ -174,26 +196,29 @@ def find_root(
     `weight`, (n_runs,), is what runs are worth. Windows are asked for the frame, or the tail, that
     the poses picked so far see least, again and again, and the best round is kept.
     """
-    from .tree_kernels import first_windows
+    from .root_kernels import add_up, first_windows
 
     layout = links.layout
-    n_poses, n_words = layout.bits.shape[1:]
+    n_poses, n_words, _ = layout.bits.shape
     n_phases = layout.n_phases
     bits = np.zeros(64 * n_words, dtype=bool)
     bits[_places(layout.start, np.cumsum([0, *links.n_links]))] = True
-    asked = np.zeros((n_phases + 1, n_words), dtype=np.uint64)
+    asked = np.zeros((n_phases, n_words), dtype=np.uint64)
     asked[0] = pack_words(bits)
     first = np.empty((n_poses, len(links.n_links)), dtype=np.int64)
     seen_sum = np.zeros((n_phases, 64 * n_words))
     tails = _Tails(links)
+    parts = tails.parts(np.zeros_like(bits))
     price = 0.3 * weight
     best: Root | None = None
     for number in range(_ROUNDS):
-        first_windows(layout, tails.asked_bits, asked, links.longest, first)
-        columns = np.packbits(avoided_runs(links, first), axis=0).T
-        _, index, row = np.unique(columns, axis=0, return_index=True, return_inverse=True)
-        covers = pack_words(avoided_runs(links, first)[:, index])
-        row = row.ravel()
+        look_for = partial(
+            first_windows, layout.bits, n_phases, layout.start, asked, *parts, links.longest, first
+        )
+        share_out(look_for, n_poses)
+        avoided = avoided_runs(links, first)
+        index, row = distinct_rows(pack_words(avoided.T))
+        covers = pack_words(avoided[:, index])
         row_weight, row_price = np.zeros(len(index)), np.zeros(len(index))
         np.add.at(row_weight, row, weight)
         np.add.at(row_price, row, price)
@@ -214,15 +239,17 @@ def find_root(
         part = np.divide(weight, row_weight[row], out=np.zeros(len(weight)), where=weight > 0.0)
         price = root.price[row] * part
         used = np.flatnonzero(root.share > _SMALL_SHARE)
+        share, seen = root.share[used], np.empty(64 * n_words)
         for phase in range(n_phases):
-            seen = root.share[used] @ unpack_words(layout.bits[phase, used], 64 * n_words)
-            seen_sum[phase] += np.minimum(seen, 1.0)
-        tails.look(root.share, used)
+            add_up(layout.bits, phase, used, share, seen)
+            seen_sum[phase] += seen
+        tails.look(share, used)
         sums = np.concatenate([seen_sum, tails.seen_sum[None, :]])
         rounded = np.round(sums / max(float(seen_sum.max()), 1.0e-300), _SHARE_DIGITS)
         least = rounded.argmin(axis=0)
-        for phase in range(n_phases + 1):
+        for phase in range(n_phases):
             asked[phase] = pack_words((least == phase) & bits)
+        parts = tails.parts((least == n_phases) & bits)
     assert best is not None
     return best
 
@@ -232,26 +259,46 @@ class _Tails:
 
     def __init__(self, links: Links) -> None:
         self.layout = links.layout
-        _, n_poses, n_words = self.layout.bits.shape
+        n_words = self.layout.bits.shape[1]
         self.has_any = len(self.layout.tail_links) > 0
         self.place = _places(self.layout.start, self.layout.tail_start)
         # (64 n_words,): of the tail that each window is asked for; infinite: it needs none.
         self.seen_sum = np.full(64 * n_words, np.inf)
         self._of_tail = np.zeros(len(self.place))
-        # (n_poses, n_words): whether a pose sees the tail that each window is asked for
-        self.asked_bits = np.zeros((n_poses, n_words), dtype=np.uint64)
+        self._asked_place = np.zeros(64 * n_words, dtype=np.int64)  # bits of these tails
 
     def look(self, share: FloatArray, used: IntArray) -> None:
         """Add up how much poses see of the tails, and ask for the others then."""
-        from .tree_kernels import ask_for_tails
+        from .root_kernels import add_up, ask_for_tails
 
         if not self.has_any:
             return
         layout = self.layout
-        n_bits = 64 * layout.bits.shape[2]
-        seen = share[used] @ unpack_words(layout.bits[layout.n_phases, used], n_bits)
-        self._of_tail += np.minimum(seen[self.place], 1.0)
-        ask_for_tails(layout, self._of_tail, self.seen_sum, self.asked_bits)
+        seen = np.empty(64 * layout.bits.shape[1])
+        add_up(layout.bits, layout.n_phases, used, share, seen)
+        self._of_tail += seen[self.place]
+        ask_for_tails(
+            layout.start,
+            layout.tail_links,
+            layout.tail_start,
+            self._of_tail,
+            self.seen_sum,
+            self._asked_place,
+        )
+
+    def parts(self, is_asked: BoolArray) -> tuple[IntArray, IntArray, WordArray]:
+        """Windows of words that are asked for the same tail: first ones of words, tails, windows.
+
+        (n_words + 1,), (n_parts,), (n_parts,), for windows that are asked for tails at all.
+        """
+        link = np.flatnonzero(is_asked)
+        word, tail = link >> 6, self._asked_place[link]
+        begin = np.flatnonzero(np.diff(word, prepend=-1) | np.diff(tail, prepend=-1))
+        links = np.uint64(1) << (link & 63).astype(np.uint64)
+        if len(begin):
+            links = np.bitwise_or.reduceat(links, begin)
+        start = np.searchsorted(word[begin], np.arange(self.layout.bits.shape[1] + 1))
+        return start, tail[begin], links
 
 
 def _tighten(
@@ -341,7 +388,7 @@ class SetWalk:
         from .tree_kernels import Forest, Walk
 
         n_poses, n_rows = len(root.covers), len(root.weight)
-        n_rows_of_bits, _, n_words = links.layout.bits.shape
+        of_union = links.layout.bits.shape[1:]
         self.n_failures, self.n_units = n_failures, n_units
         self.total = float(weight.sum())
         rewards = _rewards(n_units, n_failures)
@@ -371,61 +418,110 @@ class SetWalk:
             rewards=rewards,
             steps=np.array(steps),
         )
-        self.walk = Walk(
-            needs=np.zeros(4),
-            where=np.array([0, 1, 0, 0]),
-            chosen=np.zeros(n_units, dtype=np.int64),
-            union=np.zeros((n_units + 1, n_rows_of_bits, n_words), dtype=np.uint64),
-            n_covering=np.zeros((n_units + 1, n_rows), dtype=np.uint8),
-            price=np.zeros((n_units + 1, n_units + 2, n_rows)),
-            room=np.zeros((n_units + 1, limits.n_sites), dtype=np.int64),
-            candidate=np.zeros((n_units, n_poses), dtype=np.int64),
-            gain=np.zeros((n_units, 2, n_poses)),
-            fixed=np.zeros((n_units, 2)),
-            n_candidates=np.zeros(n_units, dtype=np.int64),
-            position=np.zeros(n_units, dtype=np.int64),
-            group=np.zeros(n_units, dtype=np.int64),
-            cover=np.zeros((n_rows, n_poses), dtype=np.float32),
-            gain_now=np.zeros(n_poses),
-        )
+        self.needs = np.zeros(4)
+        self.walks = [
+            Walk(
+                needs=self.needs,
+                where=np.zeros(5, dtype=np.int64),
+                chosen=np.zeros(n_units, dtype=np.int64),
+                union=np.zeros((n_units + 1, *of_union), dtype=np.uint64),
+                n_covering=np.zeros((n_units + 1, n_rows), dtype=np.uint8),
+                price=np.zeros((n_units + 1, n_units + 2, n_rows)),
+                room=np.tile(limits.site_capacity, (n_units + 1, 1)),
+                candidate=np.zeros((n_units, n_poses), dtype=np.int64),
+                gain=np.zeros((n_units, 2, n_poses)),
+                fixed=np.zeros((n_units, 2)),
+                n_candidates=np.zeros(n_units, dtype=np.int64),
+                position=np.zeros(n_units, dtype=np.int64),
+                group=np.zeros(n_units, dtype=np.int64),
+                cover=np.zeros((n_rows, n_poses), dtype=np.float32),
+                gain_now=np.zeros(n_poses),
+            )
+            for _ in range(WORKERS)
+        ]
+        self.outs = [np.empty((n_poses + _OUT_SETS, n_units), dtype=np.int64) for _ in self.walks]
         usable = np.flatnonzero(
             ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
         )
-        self.walk.candidate[0, : len(usable)] = usable
-        self.walk.n_candidates[0] = len(usable)
-        self.walk.room[0] = limits.site_capacity
-        self.walk.price[0, 0], self.walk.price[0, 1] = prices
-        self.out = np.empty((n_poses + _OUT_SETS, n_units), dtype=np.int64)
+        first = self.walks[0]
+        first.candidate[0, : len(usable)] = usable
+        first.n_candidates[0] = len(usable)
+        first.price[0, 0], first.price[0, 1] = prices
+        self.is_finished = False  # whether all sets were gone through
         self.raise_needs(need, left)
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
         """Ask for more from here on."""
         slack = _SLACK * max(self.total, 1.0)
-        self.walk.needs[0] = need - slack
-        self.walk.needs[1] = left + self.price_of_apr * need - slack
-        self.walk.needs[2] = left - slack
-        self.walk.needs[3] = left - slack
+        self.needs[0] = need - slack
+        self.needs[1] = left + self.price_of_apr * need - slack
+        self.needs[2] = left - slack
+        self.needs[3] = left - slack
 
     def blocks(self, end_s: float) -> Iterator[IntArray]:
         """Sets that meet the needs, many at a time, until `end_s` on the monotonic clock.
 
-        An empty block says that nothing was found for a while.
+        An empty block says that nothing was found for a while. All processors walk, each behind
+        some candidates of the root at a time: the order of the sets is left to chance.
         """
-        from .tree_kernels import FINISHED, grow
+        from .tree_kernels import look_at_node
 
-        while not self.is_finished and now_s() < end_s:
-            self.walk.where[2] = 0
-            state = grow(
-                self.forest, self.walk, self.n_failures, self.n_failures == 1, _WORK, self.out
-            )
-            yield self.out[: self.walk.where[2]].copy()
-            if state == FINISHED:
-                break
+        if now_s() >= end_s:
+            return
+        with ThreadPoolExecutor(len(self.walks)) as threads:
+            while look_at_node(self.forest, self.walks[0], self.n_failures):
+                self._copy_root()
+                group = int(self.walks[0].group[0])
+                yield from self._walk_behind(group, threads, end_s)
+                if now_s() >= end_s:
+                    return
+                n_left = int(self.walks[0].n_candidates[0]) - group
+                if n_left < self.n_units:
+                    break
+                # Nothing covers the row of the group any more.
+                candidate = self.walks[0].candidate[0]
+                candidate[:n_left] = candidate[group : group + n_left].copy()
+                self.walks[0].n_candidates[0] = n_left
+        self.is_finished = True
 
-    @property
-    def is_finished(self) -> bool:
-        """Whether all sets were gone through."""
-        return bool(self.walk.where[0] < 0)
+    def _copy_root(self) -> None:
+        for name in ("candidate", "gain", "fixed", "n_candidates", "group", "price"):
+            for walk in self.walks[1:]:
+                getattr(walk, name)[0] = getattr(self.walks[0], name)[0]
+
+    def _walk_behind(
+        self, n_places: int, threads: ThreadPoolExecutor, end_s: float
+    ) -> Iterator[IntArray]:
+        """Sets with one of the first candidates of the root, and others behind that one."""
+        from .tree_kernels import DONE, grow
+
+        at_a_time = 1 + n_places // _PARTS
+        tasks = iter(range(0, n_places, at_a_time))
+
+        def begin(number: int) -> bool:
+            place = next(tasks, None)
+            if place is not None:
+                self.walks[number].position[0] = place
+                self.walks[number].where[:2] = 0
+                self.walks[number].where[4] = min(place + at_a_time, n_places)
+            return place is not None
+
+        def go_on(number: int) -> tuple[int, int]:
+            walk, out = self.walks[number], self.outs[number]
+            walk.where[2] = 0
+            exactly = self.n_failures == 1
+            return number, grow(self.forest, walk, self.n_failures, exactly, _WORK, out)
+
+        waiting = {
+            threads.submit(go_on, number) for number in range(len(self.walks)) if begin(number)
+        }
+        while waiting:
+            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for number, state in sorted(future.result() for future in done):
+                found = self.outs[number][: self.walks[number].where[2]].copy()
+                if now_s() < end_s and (state != DONE or begin(number)):
+                    waiting.add(threads.submit(go_on, number))
+                yield found
 
 
 def _hardest_first(links: Links, worth: FloatArray, root: Root) -> IntArray:

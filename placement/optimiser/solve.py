@@ -28,6 +28,7 @@ from .problem import Measure, PlacementProblem, objective_values, run_margins_s
 from .relaxation import Columns, generate_columns, polish, relaxation_text
 from .search import Search
 from .stages import Stages
+from .threads import WORKERS
 
 # ---------- wishes that cannot be met
 
@@ -154,7 +155,6 @@ def _rounded_down(share: float) -> str:
 MAX_BITS = 1_000_000_000
 """Detections in a table that is still solved as a whole."""
 _POOL = 400
-_WORKERS = 2
 _BLOCK_POSES = 1 << 14
 
 
@@ -227,17 +227,15 @@ def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
 def _coverage(problem: PlacementProblem, windows: TimelyWindows, worth: FloatArray) -> Coverage:
     limits = problem.limits
     frames = slice(0, 1) if problem.fusion == "any" else slice(None)
-    values = first_seen_values(
-        problem.table.packed, windows, worth, frames=frames, workers=_WORKERS
-    )
+    values = first_seen_values(problem.table.packed, windows, worth, frames=frames, workers=WORKERS)
     values[limits.is_forbidden] = 0.0
     return Coverage(values=values, supply=build_supply(limits))
 
 
 def _promise(coverage: Coverage) -> tuple[IntArray, Columns]:
     """A set that promises much, and the bound of all."""
-    chosen = lazy_greedy(coverage, workers=_WORKERS)
-    columns = generate_columns(coverage, chosen, improve=polish, workers=_WORKERS)
+    chosen = lazy_greedy(coverage, workers=WORKERS)
+    columns = generate_columns(coverage, chosen, improve=polish, workers=WORKERS)
     better = swap(coverage, chosen, pool=columns.pool)
     if coverage.value(better) <= coverage.value(chosen) + 1.0e-9:
         return chosen, columns
@@ -246,7 +244,7 @@ def _promise(coverage: Coverage) -> tuple[IntArray, Columns]:
         better,
         multipliers=columns.bound.multipliers.astype(np.float64),
         improve=polish,
-        workers=_WORKERS,
+        workers=WORKERS,
     )
     return better, columns
 

@@ -30,6 +30,7 @@ from .set_tree import (
     first_seen,
     link_bytes,
 )
+from .threads import share_out
 
 MAX_WALK_UNITS = 16
 _MAX_BYTES = 3 << 28  # of detections by chains
@@ -37,7 +38,6 @@ _MAX_TIED = 100_000
 _BLOCK_SETS = 1 << 12
 _MAX_PARTNERS = 32  # that are valued in all objectives
 _N_RESTARTS = 12
-_PATIENCE = 5  # restarts without a better set
 _SEED = 1
 _WORLD_ROUNDS = 12
 _STEP_UP = 2.0 * TOLERANCE
@@ -80,22 +80,33 @@ class SetSearch:
 
     # ---------- values
 
-    def shares_with_each(self, units: IntArray) -> FloatArray:
-        """APR of a set together with each pose, (n_poses,)."""
-        from .tree_kernels import totals_with_each
+    def shares_with_each(self, units: IntArray, poses: IntArray | None = None) -> FloatArray:
+        """APR of a set together with each of some poses, by default of all, (n_poses,)."""
+        return self.reduced.measure.of_worlds(self._totals(self._tables, units, poses))
 
-        total = np.empty((self.reduced.n_poses, len(self._tables)))
+    def _totals(
+        self, tables: FloatArray, units: IntArray, poses: IntArray | None = None
+    ) -> FloatArray:
+        """What a set is worth with each of some poses by tables of chains, (n_poses, n_tables)."""
+        from .chain_kernels import totals_with_each
+
+        some = np.arange(self.reduced.n_poses) if poses is None else poses
+        total = np.empty((len(some), len(tables)))
         union = self.links.union(np.asarray(units, dtype=np.int64))
-        totals_with_each(self.links.layout, self._tables, union, total)
-        return self.reduced.measure.of_worlds(total)
 
-    def left_with_each(self, units: IntArray, n_failures: int) -> FloatArray:
-        """APR that a set together with each pose keeps when its worst units fail, (n_poses,)."""
+        def work(begin: int, end: int) -> None:
+            totals_with_each(self.links.layout, tables, union, some, begin, end, total)
+
+        share_out(work, len(some))
+        return total
+
+    def left_with_each(self, units: IntArray, n_failures: int, poses: IntArray) -> FloatArray:
+        """APR that a set with each of some poses keeps when its worst units fail, (n_poses,)."""
         if n_failures > len(units):
-            return np.zeros(self.reduced.n_poses)
-        left = np.full(self.reduced.n_poses, np.inf)
+            return np.zeros(len(poses))
+        left = np.full(len(poses), np.inf)
         for failed in combinations(range(len(units)), n_failures):
-            left = np.minimum(left, self.shares_with_each(np.delete(units, failed)))
+            left = np.minimum(left, self.shares_with_each(np.delete(units, failed), poses))
         if n_failures:
             for failed in combinations(range(len(units)), n_failures - 1):
                 left = np.minimum(left, self.shares(np.delete(units, failed)[None, :])[0])
@@ -157,14 +168,14 @@ class SetSearch:
         """Poses that make the best sets with others, by the first stages."""
         best = np.flatnonzero(fitting(self.reduced.limits, rest))
         first: list[Callable[[], FloatArray]] = [
-            lambda: self.shares_with_each(rest),
-            lambda: self.left_with_each(rest, 1),
+            lambda: self.shares_with_each(rest, best),
+            lambda: self.left_with_each(rest, 1, best),
         ]
         if self.survive:
-            first = [lambda: self.left_with_each(rest, self.survive), *first]
+            first = [lambda: self.left_with_each(rest, self.survive, best), *first]
         for find in first:
             if len(best) > 1:
-                value = find()[best]
+                value = find()
                 best = best[value >= value.max() - TOLERANCE]
         return best[:_MAX_PARTNERS]
 
@@ -182,7 +193,7 @@ class SetSearch:
         begin = [*starts, none]
         chance, idle = self.root.share + 1.0e-9, 0
         for number in range(len(begin) + _N_RESTARTS):
-            if best.units is not None and (idle > _PATIENCE or now_s() > end_s):
+            if best.units is not None and (idle > self.n_units or now_s() > end_s):
                 break
             if number < len(begin):
                 units = begin[number]
@@ -259,30 +270,31 @@ class SetSearch:
         return result
 
     def _greedy_by(self, weight: FloatArray) -> IntArray:
-        from .tree_kernels import totals_with_each
-
         table = self.links.chain_worth(weight)[None, :, :]
-        total = np.empty((self.reduced.n_poses, 1))
         units = np.empty(0, dtype=np.int64)
         for _ in range(self.n_units):
             fits = fitting(self.reduced.limits, units)
             if not fits.any():
                 break
-            totals_with_each(self.links.layout, table, self.links.union(units), total)
-            units = np.append(units, np.where(fits, total[:, 0], -np.inf).argmax())
+            total = self._totals(table, units)[:, 0]
+            units = np.append(units, np.where(fits, total, -np.inf).argmax())
         return units
+
+    def _unit(self) -> float:
+        """What all shares are whole multiples of; 0 where that is not known."""
+        measure = self.reduced.measure
+        unit = float(measure.weight.min())
+        if not measure.is_mean or unit <= 0.0:
+            return 0.0
+        count = measure.weight / unit
+        return 0.0 if (np.abs(count - count.round()) > 1.0e-9 * count).any() else unit
 
     def _rounded_down(self, limit: float) -> float:
         """A limit of shares; where all runs weigh the same, a whole number of them."""
-        measure = self.reduced.measure
-        limit = min(limit, measure.limit)
-        unit = float(measure.weight.min())
-        if not measure.is_mean or unit <= 0.0:
-            return limit
-        count = measure.weight / unit
-        if (np.abs(count - count.round()) > 1.0e-9 * count).any():
-            return limit
-        return float(min(np.floor(limit / unit + 1.0e-6) * unit, measure.limit))
+        limit, unit = min(limit, self.reduced.measure.limit), self._unit()
+        if unit:
+            limit = min(float(np.floor(limit / unit + 1.0e-6) * unit), self.reduced.measure.limit)
+        return limit
 
     def tied(
         self,
@@ -322,28 +334,47 @@ class SetSearch:
             return block[self.shares(block) >= least_apr - TOLERANCE]
 
         best = float(value_of(np.sort(units)[None, :])[0])
-        walk = walk_from(best + _STEP_UP)
-        limit = self._rounded_down(walk.root_limit)
+        limit = self._rounded_down(walk_from(best).root_limit)
+        # Where values are so far apart, it takes much less to prove the best than to meet all ties.
+        step = (1.0 - 1.0e-6) * self._unit()
+        is_proven = False
+        if step:
+            walk = walk_from(best + step)
+            for block in walk.blocks(end_s):
+                block = within(block)
+                value = value_of(block)
+                if len(block) and value.max() > best + TOLERANCE:
+                    better = on_better(block[value.argmax()])
+                    best = max(float(value.max()), float(value_of(better[None, :])[0]))
+                    walk.raise_needs(best + step if least_apr is None else least_apr, best + step)
+            is_proven = walk.is_finished
+            if not is_proven:
+                return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
+        walk, tied, has_all = walk_from(best), [np.empty((0, self.n_units), dtype=np.int64)], True
         for block in walk.blocks(end_s):
             block = within(block)
             value = value_of(block)
             if len(block) and value.max() > best + TOLERANCE:
                 better = on_better(block[value.argmax()])
                 best = max(float(value.max()), float(value_of(better[None, :])[0]))
-                need = best + _STEP_UP
-                walk.raise_needs(need if least_apr is None else least_apr, need)
-        if not walk.is_finished:
-            return Tied(sets=None, value=best, limit=max(limit, best), is_finished=False)
-        walk = walk_from(best)
-        tied: list[IntArray] = []
-        for block in walk.blocks(end_s):
-            block = within(block)
-            tied.append(block[value_of(block) >= best - TOLERANCE])
-            if sum(map(len, tied)) > _MAX_TIED:
-                break
-        sets = np.concatenate([np.empty((0, self.n_units), dtype=np.int64), *tied])
-        has_all = walk.is_finished and len(sets) <= _MAX_TIED
-        return Tied(sets=sets if has_all else None, value=best, limit=best, is_finished=True)
+                walk.raise_needs(best if least_apr is None else least_apr, best)
+                tied, has_all = tied[:1], True
+            if has_all:
+                tied.append(block[value >= best - TOLERANCE])
+                has_all = sum(map(len, tied)) <= _MAX_TIED
+                if not has_all:
+                    if is_proven:
+                        break
+                    need = best + _STEP_UP
+                    walk.raise_needs(need if least_apr is None else least_apr, need)
+        is_proven |= walk.is_finished
+        sets = np.unique(np.sort(np.concatenate(tied), axis=1), axis=0)
+        return Tied(
+            sets=sets if walk.is_finished and has_all else None,
+            value=best,
+            limit=best if is_proven else max(limit, best),
+            is_finished=is_proven,
+        )
 
     def best_of(self, sets: IntArray, *, n_failures: int, value: float) -> IntArray | None:
         """Best of tied sets and of their parts that tie with them; None if there is none.

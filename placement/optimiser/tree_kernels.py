@@ -1,10 +1,4 @@
-"""Machine code of the tree of sets: what a set is worth, bounds of a node, the walk itself.
-
-Detections are laid out by chains: bit k of the words of chain g in phase i says whether a pose sees
-the i-th frame of the chain's k-th window. A set sees a window if every phase has its bit in the
-union. Behind the phases there is a row for tails, if there are any: bit t says whether a pose sees
-the chain's t-th tail. The first one that the union lacks ends most windows; the first of the others
-that is seen is the first live one. A chain is then worth ``worth[g, k]`` with k that window.
+"""Machine code of the tree of sets: bounds of a node, and the walk itself.
 
 Everything here works on plain arrays; :mod:`placement.optimiser.set_tree` says what they hold.
 """
@@ -14,31 +8,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .presolve import Chains, WordArray
+from .chain_kernels import Layout, join, lost_with, open_chains
+from .presolve import WordArray
 
 ByteArray = NDArray[np.uint8]
 Float32Array = NDArray[np.float32]
 
-FINISHED, PAUSED, FULL = 0, 1, 2
+DONE, PAUSED, FULL = 0, 1, 2
 _DEFLECTION = 0.7
 _CUT = 0.6
 _MEMORY = 0.97  # of the shares
 _PATIENCE = 6
-
-
-class Layout(NamedTuple):
-    """Detections by chains."""
-
-    # (n_phases, n_poses, n_words), and a row more if there are tails; padding behind the tails is
-    # set.
-    bits: WordArray
-    n_phases: int
-    start: IntArray  # (n_chains + 1,): first word of each chain
-    tail_links: IntArray  # (n_tails,): windows that need each tail, falling in each chain
-    tail_start: IntArray  # (n_chains + 1,): tails of each chain
 
 
 class Forest(NamedTuple):
@@ -60,9 +43,11 @@ class Walk(NamedTuple):
     """Where a walk stands."""
 
     needs: FloatArray  # (4,): of each reward; and what must be left, exactly, without any one unit
-    where: IntArray  # (4,): depth, whether its node is new, sets found, candidates looked at
+    # (5,): depth, whether its node is new, sets found, candidates looked at; and the candidate of
+    # the root before which the walk ends.
+    where: IntArray
     chosen: IntArray  # (n_units,)
-    union: WordArray  # (n_units + 1, n_phases or one more, n_words)
+    union: WordArray  # (n_units + 1, n_words, n_phases or one more)
     n_covering: ByteArray  # (n_units + 1, n_rows): units that cover each row
     price: FloatArray  # (n_units + 1, n_units + 2, n_rows)
     room: IntArray  # (n_units + 1, n_sites)
@@ -77,270 +62,9 @@ class Walk(NamedTuple):
 
 
 @kernel
-def lowest_bit(word: np.uint64) -> int:
-    """Place of the lowest bit of a word that is not 0."""
-    lowest = word & (~word + np.uint64(1))
-    place = 0
-    if lowest & np.uint64(0xFFFFFFFF00000000):
-        place += 32
-    if lowest & np.uint64(0xFFFF0000FFFF0000):
-        place += 16
-    if lowest & np.uint64(0xFF00FF00FF00FF00):
-        place += 8
-    if lowest & np.uint64(0xF0F0F0F0F0F0F0F0):
-        place += 4
-    if lowest & np.uint64(0xCCCCCCCCCCCCCCCC):
-        place += 2
-    if lowest & np.uint64(0xAAAAAAAAAAAAAAAA):
-        place += 1
-    return place
-
-
-@kernel
 def has_bit(words: WordArray, number: int) -> int:
     """One bit of words, 0 or 1."""
     return int((words[number >> 6] >> np.uint64(number & 63)) & np.uint64(1))
-
-
-@kernel
-def join(bits: WordArray, pose: int, union: WordArray, joined: WordArray) -> None:
-    """What a union and a pose see together."""
-    for row in range(bits.shape[0]):
-        for word in range(bits.shape[2]):
-            joined[row, word] = union[row, word] | bits[row, pose, word]
-
-
-@kernel
-def first_window(layout: Layout, pose: int, union: WordArray, chain: int, none: int) -> int:
-    """First live window of a chain that a union and a pose see together."""
-    bits, n_phases = layout.bits, layout.n_phases
-    begin, end = layout.start[chain], layout.start[chain + 1]
-    lowest = 0
-    tail, n_tails = layout.tail_start[chain], layout.tail_start[chain + 1]
-    if tail < n_tails:
-        for word in range(begin, end):
-            unseen = ~(bits[n_phases, pose, word] | union[n_phases, word])
-            if unseen != 0:
-                lowest = layout.tail_links[tail + 64 * (word - begin) + lowest_bit(unseen)]
-                break
-    mask = ~np.uint64(0) << np.uint64(lowest & 63)
-    for word in range(begin + (lowest >> 6), end):
-        seen = mask
-        for phase in range(n_phases):
-            seen &= bits[phase, pose, word] | union[phase, word]
-        if seen != 0:
-            return int(64 * (word - begin) + lowest_bit(seen))
-        mask = ~np.uint64(0)
-    return none
-
-
-@kernel
-def lay_out(words: WordArray, frames: IntArray, place: IntArray, bits: WordArray) -> None:
-    """Detections in some frames to the places of these in words, (n_poses, n_words)."""
-    for pose in range(len(words)):
-        for number in range(len(place)):
-            frame, bit = frames[number], place[number]
-            seen = (words[pose, frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1)
-            bits[pose, bit >> 6] |= seen << np.uint64(bit & 63)
-
-
-@kernel
-def first_windows(
-    layout: Layout, tails: WordArray, asked: WordArray, none: int, first: IntArray
-) -> None:
-    """First window of each chain of which each pose sees what is asked for, (n_poses, n_chains).
-
-    `asked` has a bit for every phase of a window, and one for its tail in `tails`: seen is the
-    window if one of those is.
-    """
-    for pose in range(layout.bits.shape[1]):
-        for chain in range(len(layout.start) - 1):
-            first[pose, chain] = none
-            for word in range(layout.start[chain], layout.start[chain + 1]):
-                seen = tails[pose, word] & asked[layout.n_phases, word]
-                for phase in range(layout.n_phases):
-                    seen |= layout.bits[phase, pose, word] & asked[phase, word]
-                if seen != 0:
-                    first[pose, chain] = 64 * (word - layout.start[chain]) + lowest_bit(seen)
-                    break
-
-
-@kernel
-def ask_for_tails(
-    layout: Layout, seen_of_tail: FloatArray, seen: FloatArray, asked_bits: WordArray
-) -> None:
-    """Ask every window for the tail that is seen least of those that it needs.
-
-    `seen_of_tail`, (n_tails,), is how much of each is seen; `seen`, (64 n_words,), becomes that of
-    the tail that a window is asked for, and `asked_bits`, (n_poses, n_words), who sees that.
-    """
-    asked_bits[:] = 0
-    for chain in range(len(layout.start) - 1):
-        first, last = layout.tail_start[chain], layout.tail_start[chain + 1]
-        begin = layout.start[chain]
-        least, tail = first, first
-        while tail < last:
-            if seen_of_tail[tail] < seen_of_tail[least]:
-                least = tail
-            n_links = layout.tail_links[tail]
-            tail += 1
-            fewer = layout.tail_links[tail] if tail < last else 0
-            if fewer == n_links:
-                continue
-            word, bit = begin + ((least - first) >> 6), np.uint64((least - first) & 63)
-            for link in range(fewer, n_links):
-                place = begin + (link >> 6)
-                seen[64 * begin + link] = seen_of_tail[least]
-                for pose in range(layout.bits.shape[1]):
-                    has = (layout.bits[layout.n_phases, pose, word] >> bit) & np.uint64(1)
-                    asked_bits[pose, place] |= has << np.uint64(link & 63)
-
-
-@kernel
-def set_links(layout: Layout, sets: IntArray, left_out: int, none: int, first: IntArray) -> None:
-    """First live window of each chain for each set, one unit left out, (n_sets, n_chains).
-
-    A negative number leaves none out.
-    """
-    nothing = np.zeros((layout.bits.shape[0], layout.bits.shape[2]), dtype=np.uint64)
-    union = nothing.copy()
-    for row in range(len(sets)):
-        union[:] = nothing
-        last = -1
-        for unit in range(sets.shape[1]):
-            if unit != left_out:
-                if last >= 0:
-                    join(layout.bits, sets[row, last], union, union)
-                last = unit
-        for chain in range(len(layout.start) - 1):
-            if last < 0:
-                first[row, chain] = none
-            else:
-                first[row, chain] = first_window(layout, sets[row, last], union, chain, none)
-
-
-@kernel
-def has_frame(union: WordArray, frame: int) -> bool:
-    """Whether a union has a merged frame."""
-    return bool((union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) != 0)
-
-
-@kernel
-def first_live_link(union: WordArray, chains: Chains, chain: int) -> int:
-    """First live window of a chain that a union of merged frames sees; their number if none."""
-    begin, end = chains.start[chain], chains.start[chain + 1]
-    place = begin
-    for tail in range(chains.tail_start[chain], chains.tail_start[chain + 1]):
-        if not has_frame(union, chains.tail_frame[tail]):
-            place += chains.tail_links[tail]
-            break
-    while place < end:
-        is_seen = True
-        for frame in chains.window_frames[chains.window[place]]:
-            is_seen &= has_frame(union, frame)
-        if is_seen:
-            break
-        place += 1
-    return int(place - begin)
-
-
-@kernel
-def first_live_windows(unions: WordArray, chains: Chains, first: IntArray) -> None:
-    """First live window of each chain for each union of merged frames, (n_unions, n_chains).
-
-    The number of the chain's windows where none is live.
-    """
-    for row in range(len(unions)):
-        for chain in range(len(chains.start) - 1):
-            first[row, chain] = first_live_link(unions[row], chains, chain)
-
-
-@kernel
-def drop_lost_windows(seen: WordArray, frames: WordArray, chains: Chains) -> None:
-    """Clear windows that are not live; bits along sets: (n_links, n_words), (n_frames, n_words)."""
-    held = np.empty(seen.shape[1], dtype=np.uint64)
-    for chain in range(len(chains.start) - 1):
-        held[:] = ~np.uint64(0)
-        tail, last = chains.tail_start[chain], chains.tail_start[chain + 1]
-        for number in range(chains.start[chain + 1] - chains.start[chain] - 1, -1, -1):
-            while tail < last and chains.tail_links[tail] > number:
-                held &= frames[chains.tail_frame[tail]]
-                tail += 1
-            seen[chains.start[chain] + number] &= held
-
-
-@kernel
-def lose_little(
-    words: WordArray,
-    sets: IntArray,
-    with_failures: bool,
-    chains: Chains,
-    lost: FloatArray,
-    most_lost: float,
-    kept: BoolArray,
-) -> None:
-    """Whether sets lose no more than so much: all their units, or whichever one of them fails.
-
-    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one. Few
-    sets are looked at as a whole: the chains at which others before failed come first.
-    """
-    n_chains = len(chains.start) - 1
-    order = np.arange(n_chains)
-    union = np.empty(words.shape[1], dtype=np.uint64)
-    for row in range(len(sets)):
-        kept[row] = most_lost >= 0.0
-        for case in range(sets.shape[1] if with_failures else 1):
-            failed = case if with_failures else -1
-            for word in range(len(union)):
-                union[word] = 0
-            for unit in range(sets.shape[1]):
-                if unit != failed:
-                    of_unit = words[sets[row, unit]]
-                    for word in range(len(union)):
-                        union[word] |= of_unit[word]
-            total = 0.0
-            for rank in range(n_chains):
-                chain = order[rank]
-                total += lost[chain, first_live_link(union, chains, chain)]
-                if total > most_lost:
-                    kept[row] = False
-                    before = rank // 2  # nearer to the front, not all the way: some fail by chance
-                    order[rank], order[before] = order[before], chain
-                    break
-            if not kept[row]:
-                break
-
-
-@kernel
-def totals_with_each(
-    layout: Layout, worth: FloatArray, union: WordArray, total: FloatArray
-) -> None:
-    """What a union is worth together with each pose, by several sums, (n_poses, n_sums).
-
-    `worth` has a table for each sum, (n_sums, n_chains, longest + 1).
-    """
-    none = worth.shape[2] - 1
-    n_sums = worth.shape[0]
-    for pose in range(layout.bits.shape[1]):
-        for number in range(n_sums):
-            total[pose, number] = 0.0
-        for chain in range(len(layout.start) - 1):
-            first = first_window(layout, pose, union, chain, none)
-            for number in range(n_sums):
-                total[pose, number] += worth[number, chain, first]
-
-
-@kernel
-def reaches(forest: Forest, largest: float, pose: int, union: WordArray, need: float) -> bool:
-    """Whether a union and a pose are worth a need; it is given up as soon as too much is lost."""
-    none = forest.worth.shape[1] - 1
-    left = largest - need
-    for chain in forest.chains:
-        first = first_window(forest.layout, pose, union, chain, none)
-        left -= forest.worth[chain, 0] - forest.worth[chain, first]
-        if left < 0.0:
-            return False
-    return True
 
 
 @kernel
@@ -626,20 +350,116 @@ def most_beside(gain: FloatArray, place: int, group: int, n: int, n_others: int)
 
 
 @kernel
-def keeps_without(forest: Forest, largest: float, walk: Walk, last: int, need: float) -> bool:
-    """Whether the chosen units and a last one keep a need when any one of them fails."""
+def loses_more(
+    forest: Forest,
+    pose: int,
+    union: WordArray,
+    chains: IntArray,
+    n: int,
+    most: float,
+    first: IntArray,
+) -> bool:
+    """Whether a union and a pose lose more in some chains."""
+    layout = forest.layout
+    lost = lost_with(
+        layout.bits[pose],
+        union,
+        layout.n_phases,
+        layout.start,
+        layout.tail_links,
+        layout.tail_start,
+        forest.worth,
+        chains,
+        n,
+        most,
+        first,
+    )
+    return lost > most
+
+
+@kernel
+def add_last(
+    forest: Forest, walk: Walk, n_failures: int, exact_failures: bool, largest: float, out: IntArray
+) -> None:
+    """Write to `out` the sets of the chosen units and one more that meet the needs."""
     n_units = len(walk.chosen)
-    if not reaches(forest, largest, walk.chosen[0], walk.union[n_units - 1], need):
-        return False  # without the last one
-    union = np.empty(walk.union[0].shape, dtype=np.uint64)
-    for failed in range(n_units - 1):
-        union[:] = 0
-        for unit in range(n_units - 1):
-            if unit != failed:
-                join(forest.layout.bits, walk.chosen[unit], union, union)
-        if not reaches(forest, largest, last, union, need):
-            return False
-    return True
+    depth = n_units - 2
+    place, n, group = walk.position[depth] - 1, walk.n_candidates[depth], walk.group[depth]
+    layout, union, gain = forest.layout, walk.union[n_units - 1], walk.gain[depth]
+    n_chains = len(forest.chains)
+    first = np.empty(n_chains, dtype=np.int64)
+    # Without one of the units each, the last row with all: what still is lost there.
+    still = np.empty((n_units, n_chains), dtype=np.int64)
+    n_still = np.full(n_units, -1)
+    without = np.zeros((n_units - 1 if exact_failures else 0, *union.shape), dtype=np.uint64)
+    order = np.arange(n_units - 1)
+    later = place
+    while later + 1 < n:
+        later += 1
+        if walk.fixed[depth, 0] + gain[0, place] + gain[0, later] < walk.needs[0]:
+            if later >= group:
+                break
+            later = group - 1  # the others may still gain more
+            continue
+        left_on_average = walk.fixed[depth, 1] + gain[1, place] + gain[1, later]
+        if n_failures > 0 and left_on_average < walk.needs[1]:
+            continue
+        other = walk.candidate[depth, later]
+        if walk.room[depth + 1, forest.site[other]] <= 0:
+            continue
+        if n_still[n_units - 1] < 0:
+            if exact_failures and loses_more(
+                forest,
+                walk.chosen[0],
+                union,
+                forest.chains,
+                n_chains,
+                largest - walk.needs[3],
+                first,
+            ):
+                return  # when the last one fails
+            n_still[n_units - 1] = open_chains(
+                layout, forest.worth, union, forest.chains, still[n_units - 1]
+            )
+        walk.where[3] += 1
+        if loses_more(
+            forest,
+            other,
+            union,
+            still[n_units - 1],
+            n_still[n_units - 1],
+            largest - walk.needs[0],
+            first,
+        ):
+            continue
+        is_kept = True
+        for rank in range(n_units - 1 if exact_failures else 0):
+            failed = order[rank]
+            if n_still[failed] < 0:
+                for unit in range(n_units - 1):
+                    if unit != failed:
+                        join(layout.bits, walk.chosen[unit], without[failed], without[failed])
+                n_still[failed] = open_chains(
+                    layout, forest.worth, without[failed], forest.chains, still[failed]
+                )
+            walk.where[3] += 1
+            if loses_more(
+                forest,
+                other,
+                without[failed],
+                still[failed],
+                n_still[failed],
+                largest - walk.needs[3],
+                first,
+            ):
+                is_kept = False
+                order[rank], order[0] = order[0], failed  # it tells the most
+                break
+        if is_kept:
+            for unit in range(n_units - 1):
+                out[walk.where[2], unit] = walk.chosen[unit]
+            out[walk.where[2], n_units - 1] = other
+            walk.where[2] += 1
 
 
 @kernel
@@ -648,24 +468,24 @@ def grow(
 ) -> int:
     """Go on with a walk through all sets that meet the needs, until `max_work` or `out` is full.
 
-    Sets are written to `out`, (n, n_units). Needs may be raised between calls.
+    Sets are written to `out`, (n, n_units). Needs may be raised at any time.
     """
     n_units = len(walk.chosen)
-    largest = 0.0
-    for chain in forest.chains:
-        largest += forest.worth[chain, 0]
+    largest = forest.worth[:, 0].sum()
     begun = walk.where[3]
     while walk.where[0] >= 0:
         depth = walk.where[0]
         left = n_units - depth
+        place, n, group = walk.position[depth], walk.n_candidates[depth], walk.group[depth]
+        if depth == 0 and place >= walk.where[4]:
+            return DONE
+        if walk.where[3] - begun > max_work:
+            return PAUSED
         if walk.where[1] == 1:
-            if walk.where[3] - begun > max_work:
-                return PAUSED
             walk.where[1] = 0
             if not look_at_node(forest, walk, n_failures):
                 walk.where[0] -= 1
             continue
-        place, n, group = walk.position[depth], walk.n_candidates[depth], walk.group[depth]
         if place + left > n:
             walk.where[0] -= 1
             continue
@@ -673,6 +493,7 @@ def grow(
             for later in range(group, n):
                 walk.candidate[depth, later - group] = walk.candidate[depth, later]
             walk.n_candidates[depth] = n - group
+            walk.position[depth] = 0
             walk.where[1] = 1
             continue
         of_first = walk.gain[depth, 0]
@@ -691,45 +512,23 @@ def grow(
         for site in range(walk.room.shape[1]):
             walk.room[depth + 1, site] = walk.room[depth, site]
         walk.room[depth + 1, forest.site[pose]] -= 1
-        if left > 2:
-            for row in range(len(forest.weight)):
-                covered = has_bit(forest.covers[pose], row)
-                walk.n_covering[depth + 1, row] = walk.n_covering[depth, row] + covered
-                for check in range(2 + depth):
-                    walk.price[depth + 1, check, row] = walk.price[depth, check, row]
-                walk.price[depth + 1, 2 + depth, row] = walk.price[depth, 0, row]
-            n_left = 0
-            for later in range(place + 1, n):
-                other = walk.candidate[depth, later]
-                if walk.room[depth + 1, forest.site[other]] > 0:
-                    walk.candidate[depth + 1, n_left] = other
-                    n_left += 1
-            walk.n_candidates[depth + 1] = n_left
-            walk.where[0] += 1
-            walk.where[1] = 1
+        if left == 2:
+            add_last(forest, walk, n_failures, exact_failures, largest, out)
             continue
-        later = place
-        while later + 1 < n:
-            later += 1
-            gain = walk.gain[depth]
-            if walk.fixed[depth, 0] + gain[0, place] + gain[0, later] < walk.needs[0]:
-                if later >= group:
-                    break
-                later = group - 1  # the others may still gain more
-                continue
-            left_on_average = walk.fixed[depth, 1] + gain[1, place] + gain[1, later]
-            if n_failures > 0 and left_on_average < walk.needs[1]:
-                continue
+        for row in range(len(forest.weight)):
+            covered = has_bit(forest.covers[pose], row)
+            walk.n_covering[depth + 1, row] = walk.n_covering[depth, row] + covered
+            for check in range(2 + depth):
+                walk.price[depth + 1, check, row] = walk.price[depth, check, row]
+            walk.price[depth + 1, 2 + depth, row] = walk.price[depth, 0, row]
+        n_left = 0
+        for later in range(place + 1, n):
             other = walk.candidate[depth, later]
-            if walk.room[depth + 1, forest.site[other]] <= 0:
-                continue
-            walk.where[3] += 1
-            if not reaches(forest, largest, other, walk.union[depth + 1], walk.needs[0]):
-                continue
-            if exact_failures and not keeps_without(forest, largest, walk, other, walk.needs[3]):
-                continue
-            for unit in range(n_units - 1):
-                out[walk.where[2], unit] = walk.chosen[unit]
-            out[walk.where[2], n_units - 1] = other
-            walk.where[2] += 1
-    return FINISHED
+            if walk.room[depth + 1, forest.site[other]] > 0:
+                walk.candidate[depth + 1, n_left] = other
+                n_left += 1
+        walk.n_candidates[depth + 1] = n_left
+        walk.position[depth + 1] = 0
+        walk.where[0] += 1
+        walk.where[1] = 1
+    return DONE

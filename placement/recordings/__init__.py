@@ -12,18 +12,21 @@ from .evaluate import (
     recorded_table,
     take_units,
 )
-from .files import WrittenDrive, write_recording
+from .files import FrameKey, WrittenDrive, load_format, write_folder, write_recording
 from .read import Drive, Recording, read_recording
 
 __all__ = [
     "Drive",
+    "FrameKey",
     "RecordedEvaluation",
     "Recording",
     "WrittenDrive",
     "evaluate_recording",
     "is_longitudinal",
+    "load_format",
     "read_recording",
     "recorded_table",
     "take_units",
+    "write_folder",
     "write_recording",
 ]

@@ -3,9 +3,10 @@
 Reading is strict: every error names file, line and field.
 """
 
+import itertools
 import math
 import shutil
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -284,14 +285,15 @@ def write_recording(
     bicycle_name: str = "bycicle",
     n_reset_frames: int | None = None,
     left_out: Collection[str] = (),
+    also: Mapping[str, str] | None = None,
 ) -> None:
     """Write drives (with the same units) as the study's generator does, whole or not at all.
 
     Frame numbers run on over all drives. After each drive there are `n_reset_frames` frames, by
     default as many as the generator's, with the bodies back at their starts, as in its first frame.
     `bicycle_name` is spelled as in the study's paper; `left_out` are files that shall be missing,
-    such as "3/0_17.txt". Raises InputError if units differ, or the folder is not empty or not
-    writable.
+    such as "3/0_17.txt", and `also` others that shall be there, with their text. Raises InputError
+    if units differ, or the folder is not empty or not writable.
     """
     form = load_format()
     if not drives:
@@ -301,15 +303,34 @@ def write_recording(
         if list(drive.labels_px) != units:
             raise InputError("units", list(drive.labels_px), f"those of the first drive: {units}")
     n_resets = form.n_reset_frames if n_reset_frames is None else n_reset_frames
+    texts = (
+        (name, text)
+        for name, text in _files(drives, form, bicycle_name, n_resets)
+        if name not in left_out
+    )
+    write_folder(
+        folder,
+        itertools.chain(texts, (also or {}).items()),
+        folders=(*units, form.world_folder, form.eval_folder),
+    )
+
+
+def write_folder(
+    folder: Path, texts: Iterable[tuple[str, str]], *, folders: Iterable[str] = ()
+) -> None:
+    """Write a new folder of text files, whole or not at all; `folders` are made in it before.
+
+    Raises InputError if the folder is not empty or not writable.
+    """
     temporary = folder.with_name(f".{folder.name}.{uuid4().hex}.tmp")
     try:
         if folder.exists() and any(folder.iterdir()):
             raise InputError(str(folder), Unquoted("a folder that is not empty"), "a new one")
-        for name in (*units, form.world_folder, form.eval_folder):
+        temporary.mkdir(parents=True)
+        for name in folders:
             (temporary / name).mkdir(parents=True)
-        for file_name, text in _files(drives, form, bicycle_name, n_resets):
-            if file_name not in left_out:
-                (temporary / file_name).write_text(text, encoding="utf-8")
+        for file_name, text in texts:
+            (temporary / file_name).write_text(text, encoding="utf-8")
         temporary.rename(folder)  # onto an empty folder, too
     except OSError as error:
         raise InputError(

@@ -445,23 +445,25 @@ def _is_close(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArra
 
 def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
     """Points that the VRU's own body does not hide, (n, n_points)."""
+    from .shadows import fill_own_rays
+
     views = world.views
-    n_points = views.axes_m.shape[2]
-    visible = np.empty((len(view_index), n_points), dtype=bool)
+    points = np.stack([surface.points_m for surface in world.surfaces]).astype(np.float32)
+    visible = np.empty((len(view_index), points.shape[1]), dtype=bool)
     offset = np.column_stack(
         [eye_m[:2] - views.position_m[view_index], eye_m[2] - views.up_m[view_index]]
     )
     # Row vectors times R_world_body = coordinates in the body frame.
     eye_body = np.einsum("ni,nij->nj", offset, body_rotation(views.yaw_deg[view_index]))
-    for index, (surface, body) in enumerate(zip(world.surfaces, world.bodies, strict=True)):
-        rows = np.flatnonzero(views.surface_index[view_index] == index)
-        eyes = eye_body[rows].astype(np.float32)[:, None, :]
-        end = (1.0 - _OFF_SURFACE_M / np.linalg.norm(eye_body[rows], axis=1)).astype(np.float32)
-        vectors = surface.points_m.astype(np.float32) - eyes
-        vectors *= end[:, None, None]
-        origins = np.broadcast_to(eyes, vectors.shape)
-        blocked = body.is_blocked(origins.reshape(-1, 3), vectors.reshape(-1, 3))
-        visible[rows] = ~blocked.reshape(len(rows), n_points)
+    surface = views.surface_index[view_index]
+    for index, body in enumerate(world.bodies):
+        rows = np.flatnonzero(surface == index)
+        asked = np.ones((len(rows), points.shape[1]), dtype=bool)
+        starts, vectors = (np.empty((asked.size, 3), np.float32) for _ in range(2))
+        fill_own_rays(
+            points, surface[rows], eye_body[rows], asked, _OFF_SURFACE_M, starts, vectors
+        )
+        visible[rows] = ~body.is_blocked(starts, vectors).reshape(asked.shape)
     return visible
 
 

@@ -1,224 +1,293 @@
-"""Loops over views and cameras: who is in the field of view, and the boxes around what is seen."""
+"""Loops over bodies and cameras: the boxes around bodies in the images of all cameras of a mount.
+
+Most bodies are seen whole, and inside the image: the corners of their convex hulls say all. Many
+cameras are projected into at once, side by side in lanes. The others are looked at one by one,
+point by point, many points at once.
+"""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.arrays import FloatArray
 from geometry.kernels import kernel
 
 Array = NDArray[Any]
 
-_SLACK = 1.0e-6  # of a cosine: nobody at the edge is left out
-
-
-@kernel
-def pairs_in_cones(
-    middle: Array, distance: Array, half_angle: Array, ahead: Array, half_fov: Array
-) -> tuple[Array, Array]:
-    """Sensors and bodies of which some part may be in the sensor's field of view, as index pairs.
-
-    `middle` (n, 3), `distance` (n,), `half_angle` (n,): spheres around bodies from the mount;
-    `ahead` (k, 3), `half_fov` (k,): axes of the sensors' cones, and their half angles in radians.
-    """
-    n, k = len(middle), len(ahead)
-    cos_body, sin_body = np.cos(half_angle), np.sin(half_angle)
-    cos_fov, sin_fov = np.cos(half_fov), np.sin(half_fov)
-    row = np.empty(n * k, np.int32)
-    entry = np.empty(n * k, np.int32)
-    count = 0
-    for sensor in range(k):
-        ax, ay, az = ahead[sensor]
-        for body in range(n):
-            along = middle[body, 0] * ax + middle[body, 1] * ay + middle[body, 2] * az
-            least = cos_fov[sensor] * cos_body[body] - sin_fov[sensor] * sin_body[body] - _SLACK
-            is_all_round = half_fov[sensor] + half_angle[body] >= np.pi
-            row[count] = sensor
-            entry[count] = body
-            count += is_all_round or along >= least * distance[body]
-    return row[:count].copy(), entry[:count].copy()
-
-
+LANES = 16  # cameras, or points, that are handled at once
+# Where each number of the cameras in the lanes begins: the rotation's, by rows, and the others.
+_FOCAL, _HALF_WIDTH, _HALF_HEIGHT = (LANES * number for number in range(9, 12))
+_COS_ACROSS, _SIN_ACROSS, _COS_UP, _SIN_UP = (LANES * number for number in range(12, 16))
+_X0, _X1, _X2, _Y0, _Y1, _Y2, _Z0, _Z1, _Z2 = (LANES * number for number in range(9))
+_LEFT, _TOP, _RIGHT, _BOTTOM, _DEPTH = (LANES * number for number in range(5))
 _SEEN, _ALL = 0, 4  # where the box of what is visible and that of all begin
-_LOWEST, _HIGHEST = np.int32(-(2**31)), np.int32(2**31 - 1)
-_SIGN, _REST = np.int32(31), np.int32(0x7FFFFFFF)
+_FAR = np.float32(3.0e38)
+_NEARLY = 0.999  # for the rounding of single precision
+_SLACK_M = np.float32(1.0e-3)  # of a sphere in single precision: nobody at the edge is left out
 
 
-@kernel
-def _limits(bits: Array, n: int, limits: Array) -> None:
-    """Least and greatest of `n` numbers in single precision, all by their bits; limits (2,).
+def pack_lenses(rotation: FloatArray, focal_px: FloatArray, size_px: FloatArray) -> Array:
+    """Cameras side by side for :func:`box_bodies`, (n_blocks, 16 * LANES), in single precision.
 
-    Bits are in the order of the numbers but for negative ones, where they are turned round: the
-    least and greatest of whole numbers are found for many at once.
+    `rotation` (k, 3, 3) takes offsets into the cameras; `focal_px` (k,), `size_px` (k, 2).
     """
-    low, high = _HIGHEST, _LOWEST
-    for j in range(n):
-        key = np.int32(bits[j] ^ np.int32(np.int32(bits[j] >> _SIGN) & _REST))
-        low = key if key < low else low
-        high = key if key > high else high
-    limits[0] = np.int32(low ^ np.int32(np.int32(low >> _SIGN) & _REST))
-    limits[1] = np.int32(high ^ np.int32(np.int32(high >> _SIGN) & _REST))
+    half = 0.5 * size_px
+    numbers = np.zeros((-(-len(focal_px) // LANES) * LANES, 16), dtype=np.float32)
+    numbers[: len(focal_px), :9] = rotation.reshape(-1, 9)
+    numbers[: len(focal_px), 9] = focal_px
+    numbers[: len(focal_px), 10:12] = half
+    angle = np.arctan2(half, focal_px[:, None])
+    numbers[: len(focal_px), 12::2] = np.cos(angle)
+    numbers[: len(focal_px), 13::2] = np.sin(angle)
+    return np.ascontiguousarray(numbers.reshape(-1, LANES, 16).swapaxes(1, 2)).reshape(
+        -1, 16 * LANES
+    )
 
 
 @kernel
-def _project(
-    axes: Array,
-    view: int,
-    eye: Array,
-    rotation: Array,
-    camera: int,
-    focal: Any,
-    half_width: Any,
-    half_height: Any,
-    min_depth: Any,
-    columns: Array,
-    rows: Array,
-    depths: Array,
-    scale: Array,
-) -> None:
-    """Columns, rows and depths of a view's points (n_views, 3, n) in a camera.
+def _is_any_near(x: Any, y: Any, z: Any, radius: Any, lens: Array, n: int, is_near: Array) -> bool:
+    """Set `is_near` (LANES,) where a sphere reaches between the sides of a camera's image."""
+    for j in range(LANES):
+        right = x * lens[_X0 + j] + y * lens[_Y0 + j] + z * lens[_Z0 + j]
+        down = x * lens[_X1 + j] + y * lens[_Y1 + j] + z * lens[_Z1 + j]
+        ahead = x * lens[_X2 + j] + y * lens[_Y2 + j] + z * lens[_Z2 + j]
+        across = abs(right) * lens[_COS_ACROSS + j] - ahead * lens[_SIN_ACROSS + j]
+        up = abs(down) * lens[_COS_UP + j] - ahead * lens[_SIN_UP + j]
+        is_near[j] = (across <= radius) & (up <= radius)
+    found = False
+    for j in range(n):
+        found |= is_near[j]
+    return found
 
-    One number after the other: a loop that writes one array does many at once. Nor are parts of
-    arrays handed about, which would take as long as some ten points.
+
+@kernel
+def _project_into_all(
+    points: Array, view: int, eye: Array, lens: Array, min_depth: Any, limits: Array
+) -> None:
+    """Least and greatest column and row of a view's points in every camera, and the least depth.
+
+    Into `limits` (5 * LANES,). Each number is computed as in :func:`_box_points`.
     """
     ex, ey, ez = eye[0], eye[1], eye[2]
-    x0, x1, x2 = rotation[camera, 0, 0], rotation[camera, 0, 1], rotation[camera, 0, 2]
-    y0, y1, y2 = rotation[camera, 1, 0], rotation[camera, 1, 1], rotation[camera, 1, 2]
-    z0, z1, z2 = rotation[camera, 2, 0], rotation[camera, 2, 1], rotation[camera, 2, 2]
-    n = axes.shape[2]
-    for j in range(n):
-        x, y, z = axes[view, 0, j] - ex, axes[view, 1, j] - ey, axes[view, 2, j] - ez
-        depths[j] = x * x2 + y * y2 + z * z2
-    for j in range(n):
-        depth = depths[j]
-        scale[j] = focal / (depth if depth > min_depth else min_depth)
-    for j in range(n):
-        x, y, z = axes[view, 0, j] - ex, axes[view, 1, j] - ey, axes[view, 2, j] - ez
-        columns[j] = (x * x0 + y * y0 + z * z0) * scale[j] + half_width
-    for j in range(n):
-        x, y, z = axes[view, 0, j] - ex, axes[view, 1, j] - ey, axes[view, 2, j] - ez
-        rows[j] = (x * x1 + y * y1 + z * z1) * scale[j] + half_height
+    for j in range(LANES):
+        limits[_LEFT + j] = limits[_TOP + j] = limits[_DEPTH + j] = _FAR
+        limits[_RIGHT + j] = limits[_BOTTOM + j] = -_FAR
+    for point in range(0, points.shape[2], 2):
+        other_point = min(point + 1, points.shape[2] - 1)
+        x, a = points[view, 0, point] - ex, points[view, 0, other_point] - ex
+        y, b = points[view, 1, point] - ey, points[view, 1, other_point] - ey
+        z, c = points[view, 2, point] - ez, points[view, 2, other_point] - ez
+        for j in range(LANES):
+            x2, y2, z2 = lens[_X2 + j], lens[_Y2 + j], lens[_Z2 + j]
+            depth, other = x * x2 + y * y2 + z * z2, a * x2 + b * y2 + c * z2
+            focal = lens[_FOCAL + j]
+            scale = focal / (depth if depth > min_depth else min_depth)
+            other_scale = focal / (other if other > min_depth else min_depth)
+            low, least = (other if other < depth else depth), limits[_DEPTH + j]
+            limits[_DEPTH + j] = low if low < least else least
+            x0, y0, z0 = lens[_X0 + j], lens[_Y0 + j], lens[_Z0 + j]
+            one, two = (x * x0 + y * y0 + z * z0) * scale, (a * x0 + b * y0 + c * z0) * other_scale
+            low, high = (one if one < two else two), (two if one < two else one)
+            left, right = limits[_LEFT + j], limits[_RIGHT + j]
+            limits[_LEFT + j] = low if low < left else left
+            limits[_RIGHT + j] = high if high > right else right
+            x1, y1, z1 = lens[_X1 + j], lens[_Y1 + j], lens[_Z1 + j]
+            one, two = (x * x1 + y * y1 + z * z1) * scale, (a * x1 + b * y1 + c * z1) * other_scale
+            low, high = (one if one < two else two), (two if one < two else one)
+            top, bottom = limits[_TOP + j], limits[_BOTTOM + j]
+            limits[_TOP + j] = low if low < top else top
+            limits[_BOTTOM + j] = high if high > bottom else bottom
+    for j in range(LANES):  # rounding leaves the order of numbers as it is
+        limits[_LEFT + j] += lens[_HALF_WIDTH + j]
+        limits[_RIGHT + j] += lens[_HALF_WIDTH + j]
+        limits[_TOP + j] += lens[_HALF_HEIGHT + j]
+        limits[_BOTTOM + j] += lens[_HALF_HEIGHT + j]
 
 
 @kernel
-def box_pairs(
+def _set_out(points: Array, view: int, eye: Array, offsets: Array) -> None:
+    """Offsets of a view's points from the eye, by axis, into lanes, (n_blocks, 3 * LANES)."""
+    last = points.shape[2] - 1
+    for block in range(len(offsets)):
+        for j in range(LANES):
+            point = min(block * LANES + j, last)  # the last one fills what is left of the lanes
+            for axis in range(3):
+                offsets[block, axis * LANES + j] = points[view, axis, point] - eye[axis]
+
+
+@kernel
+def _box_points(
+    offsets: Array,
+    is_counted: Array,
+    lens: Array,
+    camera: int,
+    min_depth: Any,
+    is_cut: bool,
+    limits: Array,
+    box: Array,
+    side: int,
+) -> None:
+    """Box of the points that count, (n_blocks, LANES), in one camera of the lanes.
+
+    Into `box` (8,), from `side` on; zeros if there is no such point. If the image cuts the body
+    off, only points inside the image count.
+    """
+    x0, x1, x2 = lens[_X0 + camera], lens[_X1 + camera], lens[_X2 + camera]
+    y0, y1, y2 = lens[_Y0 + camera], lens[_Y1 + camera], lens[_Y2 + camera]
+    z0, z1, z2 = lens[_Z0 + camera], lens[_Z1 + camera], lens[_Z2 + camera]
+    focal = lens[_FOCAL + camera]
+    half_width, half_height = lens[_HALF_WIDTH + camera], lens[_HALF_HEIGHT + camera]
+    widest = half_width if is_cut else _FAR
+    highest = half_height if is_cut else _FAR
+    nearest = min_depth if is_cut else -_FAR
+    for j in range(LANES):
+        limits[_LEFT + j] = limits[_TOP + j] = _FAR
+        limits[_RIGHT + j] = limits[_BOTTOM + j] = -_FAR
+    for block in range(len(offsets)):
+        offset, counted = offsets[block], is_counted[block]
+        for j in range(LANES):
+            x, y, z = offset[j], offset[LANES + j], offset[2 * LANES + j]
+            depth = x * x2 + y * y2 + z * z2
+            scale = focal / (depth if depth > min_depth else min_depth)
+            column = (x * x0 + y * y0 + z * z0) * scale + half_width
+            row = (x * x1 + y * y1 + z * z1) * scale + half_height
+            counts = (
+                counted[j]
+                & (depth > nearest)
+                & (abs(column - half_width) <= widest)
+                & (abs(row - half_height) <= highest)
+            )
+            low, high = (column if counts else _FAR), (column if counts else -_FAR)
+            left, right = limits[_LEFT + j], limits[_RIGHT + j]
+            limits[_LEFT + j] = low if low < left else left
+            limits[_RIGHT + j] = high if high > right else right
+            low, high = (row if counts else _FAR), (row if counts else -_FAR)
+            top, bottom = limits[_TOP + j], limits[_BOTTOM + j]
+            limits[_TOP + j] = low if low < top else top
+            limits[_BOTTOM + j] = high if high > bottom else bottom
+    left, top, right, bottom = _FAR, _FAR, -_FAR, -_FAR
+    for j in range(LANES):
+        left = limits[_LEFT + j] if limits[_LEFT + j] < left else left
+        top = limits[_TOP + j] if limits[_TOP + j] < top else top
+        right = limits[_RIGHT + j] if limits[_RIGHT + j] > right else right
+        bottom = limits[_BOTTOM + j] if limits[_BOTTOM + j] > bottom else bottom
+    is_there = left <= right
+    zero = np.float32(0.0)
+    box[side], box[side + 1] = left if is_there else zero, top if is_there else zero
+    box[side + 2], box[side + 3] = right if is_there else zero, bottom if is_there else zero
+
+
+@kernel
+def box_bodies(
     points: Array,
     hull: Array,
+    middle: Array,
+    radius: Array,
     eye: Array,
     view_of_entry: Array,
     is_visible: Array,
     is_whole: Array,
-    rotation: Array,
-    focal_px: Array,
-    size_px: Array,
+    lenses: Array,
+    n_cameras: int,
     min_depth_m: Any,
-    min_height_px: Any,
-    row: Array,
-    entry: Array,
-    boxes_px: Array,
+    min_height_px: float,
+    plain: Array,
+    plain_px: Array,
+    part: Array,
+    part_px: Array,
     inside_share: Array,
-) -> None:
-    """Boxes of the visible points and of all, (n, 8), and the share of the body inside the image.
+) -> tuple[int, int]:
+    """Boxes of bodies in cameras, those of whole bodies inside the image apart from the others.
 
-    For each pair of a camera `row` (n,) and an `entry` (n,). `points` (n_views, 3, n_points) and
-    `hull` (n_views, 3, n_hull), the corners of their convex hull, are in single precision, and so
-    is `eye` (3,). `rotation` (k, 3, 3) takes offsets into the cameras, `focal_px` (k,), `size_px`
-    (k, 2). Of a body that the image cuts off, only the points inside the image count; boxes are
-    zeros where there are none, or where no box would be `min_height_px` high.
+    `points` (n_views, 3, n_points) and `hull` (n_views, 3, n_corners),
+    the corners of their convex hull, are in single precision, and so is `eye` (3,); `middle`
+    (n_views, 3) and `radius` (n_views,) are spheres around them. `lenses` are as
+    :func:`pack_lenses` has them.
+
+    Returns how many of each kind there are. Pairs of a camera and an entry go to `plain` and
+    `part` (n, 2); of plain ones, the one box of all that is visible goes to `plain_px` (n, 4), of
+    the others those of the visible points and of all go to `part_px` (n, 8), and the share of the
+    body inside the image to `inside_share` (n,). Of a body that the image cuts off, only the points
+    inside the image count. Pairs whose visible box is not `min_height_px` high are left out.
     """
-    n_points, n_hull = points.shape[2], hull.shape[2]
-    columns = np.empty(n_points, np.float32)
-    rows, depths = np.empty_like(columns), np.empty_like(columns)
-    scale, some = np.empty_like(columns), np.empty_like(columns)
-    column_bits, row_bits = columns.view(np.int32), rows.view(np.int32)
-    depth_bits, some_bits = depths.view(np.int32), some.view(np.int32)
-    limits = np.empty(2, np.float32)
-    limit_bits = limits.view(np.int32)
-    is_counted = np.empty(n_points, np.bool_)
-    zero, half = np.float32(0.0), np.float32(0.5)
-    for pair in range(len(row)):
-        camera, item = row[pair], entry[pair]
-        view = view_of_entry[item]
-        width, height, focal = size_px[camera, 0], size_px[camera, 1], focal_px[camera]
-        half_width, half_height = half * width, half * height
-        _project(
-            *(hull, view, eye, rotation, camera, focal, half_width, half_height, min_depth_m),
-            *(columns, rows, depths, scale),
-        )
-        _limits(depth_bits, n_hull, limit_bits)
-        is_behind = limits[0] <= min_depth_m
-        _limits(column_bits, n_hull, limit_bits)
-        left, right = limits[0], limits[1]
-        _limits(row_bits, n_hull, limit_bits)
-        top, bottom = limits[0], limits[1]
-        is_low = min(bottom, height) - max(top, zero) < min_height_px
-        if not is_behind and (
-            is_low
-            or right - half_width < -half_width
-            or left - half_width > half_width
-            or bottom - half_height < -half_height
-            or top - half_height > half_height
-        ):
-            for k in range(8):
-                boxes_px[pair, k] = zero
-            inside_share[pair] = 0.0
-            continue
-        is_cut = is_behind or left < zero or top < zero or right > width or bottom > height
-        if is_cut or not is_whole[item]:
-            _project(
-                *(points, view, eye, rotation, camera, focal, half_width, half_height, min_depth_m),
-                *(columns, rows, depths, scale),
-            )
-        if is_behind:  # beside and behind the lens points are not projected as bodies are
-            _limits(column_bits, n_points, limit_bits)
-            left, right = limits[0], limits[1]
-            _limits(row_bits, n_points, limit_bits)
-            top, bottom = limits[0], limits[1]
-        inside_share[pair] = 1.0
-        if is_cut:
-            area = (np.float64(right) - left) * (np.float64(bottom) - top)
-            wide = np.float64(max(zero, min(right, width))) - max(zero, min(left, width))
-            high = np.float64(max(zero, min(bottom, height))) - max(zero, min(top, height))
-            inside_share[pair] = wide * high / max(area, 1.0e-9)
-        boxes_px[pair, _ALL], boxes_px[pair, _ALL + 1] = left, top
-        boxes_px[pair, _ALL + 2], boxes_px[pair, _ALL + 3] = right, bottom
-        for j in range(n_points if is_cut else 0):
-            is_counted[j] = (
-                (depths[j] > min_depth_m)
-                & (abs(columns[j] - half_width) <= half_width)
-                & (abs(rows[j] - half_height) <= half_height)
-            )
-        # First the box of all that is in the image, then that of what is visible of it.
-        for side in (_ALL, _SEEN):
-            if side == _ALL and not is_cut:
+    limits, some = np.empty(5 * LANES, np.float32), np.empty(5 * LANES, np.float32)
+    is_near, box = np.empty(LANES, np.bool_), np.empty(8, np.float32)
+    n_points = points.shape[2]
+    offsets = np.empty((-(-n_points // LANES), 3 * LANES), np.float32)
+    every = np.ones((len(offsets), LANES), np.bool_)
+    shown = np.zeros_like(every)
+    zero = np.float32(0.0)
+    n_plain = n_part = 0
+    for entry in range(len(view_of_entry)):
+        view = view_of_entry[entry]
+        x = np.float32(middle[view, 0] - eye[0])
+        y = np.float32(middle[view, 1] - eye[1])
+        z = np.float32(middle[view, 2] - eye[2])
+        reach = np.float32(radius[view]) + _SLACK_M
+        is_set_out = False
+        for block in range(len(lenses)):
+            lens = lenses[block]
+            n = min(LANES, n_cameras - block * LANES)
+            if not _is_any_near(x, y, z, reach, lens, n, is_near):
                 continue
-            if side == _SEEN and is_whole[item]:
-                for k in range(4):
-                    boxes_px[pair, _SEEN + k] = boxes_px[pair, _ALL + k]
-                continue
-            if side == _SEEN and is_cut:
-                for j in range(n_points):
-                    is_counted[j] &= is_visible[item, j]
-            elif side == _SEEN:
-                for j in range(n_points):
-                    is_counted[j] = is_visible[item, j]
-            first = 0
-            while first < n_points and not is_counted[first]:
-                first += 1
-            if first == n_points:
-                for k in range(4):
-                    boxes_px[pair, side + k] = zero
-                continue
-            one = columns[first]  # the first one stands in for those that do not count
-            for j in range(n_points):
-                some[j] = columns[j] if is_counted[j] else one
-            _limits(some_bits, n_points, limit_bits)
-            boxes_px[pair, side], boxes_px[pair, side + 2] = limits[0], limits[1]
-            one = rows[first]
-            for j in range(n_points):
-                some[j] = rows[j] if is_counted[j] else one
-            _limits(some_bits, n_points, limit_bits)
-            boxes_px[pair, side + 1], boxes_px[pair, side + 3] = limits[0], limits[1]
+            _project_into_all(hull, view, eye, lens, min_depth_m, limits)
+            for j in range(n):
+                if not is_near[j]:
+                    continue
+                left, top = limits[_LEFT + j], limits[_TOP + j]
+                right, bottom = limits[_RIGHT + j], limits[_BOTTOM + j]
+                width = lens[_HALF_WIDTH + j] + lens[_HALF_WIDTH + j]
+                height = lens[_HALF_HEIGHT + j] + lens[_HALF_HEIGHT + j]
+                is_behind = limits[_DEPTH + j] <= min_depth_m
+                high = np.float64(min(bottom, height)) - np.float64(max(top, zero))
+                is_out = high < _NEARLY * min_height_px or high < 0.0
+                if not is_behind and (is_out or right < zero or left > width):
+                    continue
+                is_cut = is_behind or left < zero or top < zero or right > width or bottom > height
+                if is_whole[entry] and not is_cut:
+                    if high >= min_height_px and high > 0.0:
+                        plain[n_plain, 0], plain[n_plain, 1] = block * LANES + j, entry
+                        plain_px[n_plain, 0], plain_px[n_plain, 1] = left, top
+                        plain_px[n_plain, 2], plain_px[n_plain, 3] = right, bottom
+                        n_plain += 1
+                    continue
+                if not is_set_out:
+                    _set_out(points, view, eye, offsets)
+                    for point in range(n_points):
+                        shown[point // LANES, point % LANES] = is_visible[entry, point]
+                    is_set_out = True
+                shot = (lens, j, min_depth_m, is_cut, some, box)
+                if not is_whole[entry]:
+                    _box_points(offsets, shown, *shot, _SEEN)
+                    high = np.float64(box[3]) - np.float64(box[1])
+                    if not (high >= min_height_px and high > 0.0):
+                        continue
+                if is_cut:
+                    _box_points(offsets, every, *shot, _ALL)
+                if is_whole[entry]:
+                    for k in range(4):
+                        box[_SEEN + k] = box[_ALL + k]
+                high = np.float64(box[3]) - np.float64(box[1])
+                if not (high >= min_height_px and high > 0.0):
+                    continue
+                for k in range(4 if not is_cut else 0):
+                    box[_ALL + k] = limits[k * LANES + j]
+                part[n_part, 0], part[n_part, 1] = block * LANES + j, entry
+                for side in range(8):
+                    part_px[n_part, side] = box[side]
+                if is_behind:  # beside and behind the lens points are not projected as bodies are
+                    _project_into_all(points, view, eye, lens, min_depth_m, some)
+                    left, top = some[_LEFT + j], some[_TOP + j]
+                    right, bottom = some[_RIGHT + j], some[_BOTTOM + j]
+                inside_share[n_part] = 1.0
+                if is_cut:
+                    area = (np.float64(right) - left) * (np.float64(bottom) - top)
+                    across = np.float64(max(zero, min(right, width))) - max(zero, min(left, width))
+                    up = np.float64(max(zero, min(bottom, height))) - max(zero, min(top, height))
+                    inside_share[n_part] = across * up / max(area, 1.0e-9)
+                n_part += 1
+    return n_plain, n_part
 
 
 @kernel

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.catalogue import Sensor
+from geometry.image_boxes import box_height_px
 from geometry.lidar import LidarModel, beams_per_steradian, load_lidar_detection, return_probability
 from geometry.poses import body_rotation, camera_rotation
 from geometry.sensors import CameraModel
@@ -17,7 +18,7 @@ from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vr
 from .casting import Sight, World
 
 _MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outside the image
-_NEARLY = 0.999  # for the rounding of single precision
+_SLACK = 1.0e-6  # of a cosine: nobody at the edge is left out
 _PAIRS = 1 << 21  # of sensors and entries that are looked at together
 
 
@@ -46,14 +47,20 @@ class Sensing:
         detected = np.zeros((len(candidates), *self.contrast.shape), dtype=bool)
         for row, candidate in enumerate(candidates):
             if isinstance(candidate.sensor, LidarModel):
-                _, entries = self._pairs([candidate])
+                entries = self._in_cone(candidate)
                 rotation = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)
                 detected[row][:, entries] = _count(self, entries, rotation, candidate.sensor)
-        for rows, evidence in self.evidence(candidates):
+        least_px = self._least_height_px()
+        for boxes in self._boxes(candidates):
+            high_px = box_height_px(boxes.plain_px)
+            plain, entry = boxes.plain.T
+            part, evidence = _evidence(self, boxes, is_plain=False)
             for weather, contrast in enumerate(self.contrast):
+                is_high = high_px >= least_px[weather, entry]
+                detected[plain[is_high], weather, entry[is_high]] = True
                 seen = replace(evidence, contrast=contrast[evidence.draw_index])
                 is_expected = self.detector.is_expected(seen)
-                detected[rows[is_expected], weather, evidence.draw_index[is_expected]] = True
+                detected[part[is_expected], weather, evidence.draw_index[is_expected]] = True
         return detected
 
     def packed(self, candidates: Sequence[CandidatePose]) -> NDArray[np.uint8]:
@@ -75,29 +82,43 @@ class Sensing:
         That is a box as high as the detector asks for. In parts: the index of each row's candidate,
         and the evidence, whose `draw_index` is the entry. LiDARs are left out.
         """
+        for boxes in self._boxes(candidates):
+            for is_plain in (True, False):
+                yield _evidence(self, boxes, is_plain=is_plain)
+
+    def _boxes(self, candidates: Sequence[CandidatePose]) -> Iterator["_Boxes"]:
+        """Boxes in the cameras among the candidates, some of these at a time."""
         rows = [i for i, c in enumerate(candidates) if not isinstance(c.sensor, LidarModel)]
         step = max(1, _PAIRS // max(1, len(self.distance_m)))
         for first in range(0, len(rows), step):
-            some = np.array(rows[first : first + step])
-            part, entries = self._pairs([candidates[row] for row in some])
-            row_index, evidence = _project(self, [candidates[row] for row in some], part, entries)
-            yield some[row_index], evidence
+            yield _box(self, candidates, np.array(rows[first : first + step]))
 
-    def _pairs(self, candidates: Sequence[CandidatePose]) -> tuple[IntArray, IntArray]:
-        """Index of the sensor and entry wherever one may be in the other's field of view."""
-        from .projecting import pairs_in_cones
+    def _least_height_px(self) -> FloatArray:
+        """Height of the box of each entry from which on it is detected, if nothing hides any of it.
 
-        poses = [candidate.pose for candidate in candidates]
-        ahead = body_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses])[:, :, 0]
-        half_fov = np.radians([0.5 * c.sensor.diagonal_fov_deg for c in candidates])
-        row, entry = pairs_in_cones(
-            self.middle_m,
-            self.distance_m,
-            self.half_angle_rad,
-            np.ascontiguousarray(ahead),
-            half_fov,
+        In each weather, (n_weathers, n).
+        """
+        whole = Evidence(
+            visible_px=np.empty((len(self.distance_m), 0)),
+            amodal_px=np.empty((len(self.distance_m), 0)),
+            contrast=np.ones(1),
+            visible_share=np.ones(1),
+            inside_share=np.ones(1),
+            aspect_deg=self.aspect_deg,
+            vru_class=self.vru_class,
+            draw_index=np.arange(len(self.distance_m)),
         )
-        return row, entry
+        return np.stack(
+            [self.detector.least_height_px(replace(whole, contrast=c)) for c in self.contrast]
+        )
+
+    def _in_cone(self, candidate: CandidatePose) -> IntArray:
+        """Entries of which some part may be in a sensor's field of view."""
+        ahead = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)[:, 0]
+        half_angle = np.radians(0.5 * candidate.sensor.diagonal_fov_deg) + self.half_angle_rad
+        along = self.middle_m @ ahead + _SLACK * self.distance_m
+        is_in = along >= np.cos(np.minimum(half_angle, np.pi)) * self.distance_m
+        return np.flatnonzero(is_in)
 
 
 def build_sensing(
@@ -159,46 +180,64 @@ def max_distance_m(
     return float(vru_height_m * camera.focal_length_px * stretch / detector.min_box_height_px)
 
 
-def _project(
-    sensing: Sensing, candidates: Sequence[CandidatePose], row: IntArray, entry: IntArray
-) -> tuple[IntArray, Evidence]:
-    """Pairs of a camera and an entry in which something is seen: the camera, and the evidence."""
-    from .projecting import box_pairs
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Boxes:
+    """Boxes in cameras, as ``projecting.box_bodies`` finds them."""
 
-    least_px = sensing.detector.min_box_height_px
+    # plain, part: (n, 2): the camera's index among the candidates, and the entry
+    plain: IntArray
+    part: IntArray
+    plain_px: FloatArray  # (n, 4): of a whole body inside the image. [px]
+    visible_px: FloatArray  # (n, 4): of the visible points of other bodies. [px]
+    amodal_px: FloatArray  # (n, 4): of all of their points. [px]
+    inside_share: FloatArray  # (n,): how much of their boxes is inside the image
+
+
+def _box(sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray) -> _Boxes:
+    """Boxes in some of the candidates, all of them cameras."""
+    from .projecting import box_bodies, pack_lenses
+
     views, sight = sensing.world.views, sensing.sight
-    cameras = [c.sensor for c in candidates if isinstance(c.sensor, CameraModel)]
-    poses = [candidate.pose for candidate in candidates]
-    rotation = camera_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses])
-    boxes = np.empty((len(row), 8), dtype=np.float32)
-    inside_share = np.empty(len(row))
-    box_pairs(
-        views.axes_m,
-        views.hull_m,
-        sensing.eye_m.astype(np.float32),
-        sight.view_index,
-        sight.is_visible,
-        sight.is_whole,
-        rotation.astype(np.float32),
-        np.array([camera.focal_length_px for camera in cameras], dtype=np.float32),
-        np.array([(camera.width_px, camera.height_px) for camera in cameras], dtype=np.float32),
+    chosen = [candidates[row] for row in rows.tolist()]
+    cameras = [c.sensor for c in chosen if isinstance(c.sensor, CameraModel)]
+    poses = [candidate.pose for candidate in chosen]
+    n = len(chosen) * len(sight.view_index)
+    plain, part = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
+    plain_px, part_px = np.empty((n, 4), np.float32), np.empty((n, 8), np.float32)
+    inside_share = np.empty(n)
+    n_plain, n_part = box_bodies(
+        *(views.axes_m, views.hull_m, views.middle_m, views.radius_m),
+        *(sensing.eye_m.astype(np.float32), sight.view_index, sight.is_visible, sight.is_whole),
+        pack_lenses(
+            camera_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]),
+            np.array([camera.focal_length_px for camera in cameras]),
+            np.array([(camera.width_px, camera.height_px) for camera in cameras]),
+        ),
+        len(chosen),
         np.float32(_MIN_DEPTH_M),
-        np.float32(_NEARLY * least_px),
-        row,
-        entry,
-        boxes,
-        inside_share,
+        sensing.detector.min_box_height_px,
+        *(plain, plain_px, part, part_px, inside_share),
     )
-    height_px = boxes[:, 3].astype(np.float64) - boxes[:, 1]
-    seen = np.flatnonzero((height_px >= least_px) & (height_px > 0.0))
-    visible, amodal = np.split(boxes[seen].astype(np.float64), 2, axis=1)
-    entries = entry[seen]
-    return row[seen], Evidence(
-        visible_px=visible,
-        amodal_px=amodal,
-        contrast=np.ones(len(seen)),
-        visible_share=sight.visible_share[entries],
-        inside_share=inside_share[seen],
+    # Copies: what was set aside for the most that there could be is given back.
+    return _Boxes(
+        plain=np.column_stack([rows[plain[:n_plain, 0]], plain[:n_plain, 1]]),
+        part=np.column_stack([rows[part[:n_part, 0]], part[:n_part, 1]]),
+        plain_px=plain_px[:n_plain].astype(np.float64),
+        visible_px=part_px[:n_part, :4].astype(np.float64),
+        amodal_px=part_px[:n_part, 4:].astype(np.float64),
+        inside_share=inside_share[:n_part].copy(),
+    )
+
+
+def _evidence(sensing: Sensing, boxes: _Boxes, *, is_plain: bool) -> tuple[IntArray, Evidence]:
+    """Index of the candidate, and the evidence, of one kind of boxes."""
+    rows, entries = (boxes.plain if is_plain else boxes.part).T
+    return rows, Evidence(
+        visible_px=boxes.plain_px if is_plain else boxes.visible_px,
+        amodal_px=boxes.plain_px if is_plain else boxes.amodal_px,
+        contrast=np.ones(1),
+        visible_share=sensing.sight.visible_share[entries],
+        inside_share=np.ones(len(entries)) if is_plain else boxes.inside_share,
         aspect_deg=sensing.aspect_deg[entries],
         vru_class=sensing.vru_class[entries],
         draw_index=entries,

@@ -2,7 +2,7 @@
 
 All directions from the eye are sorted into cells: azimuth by the diamond angle, elevation by its
 sine, so that no trigonometric function is needed. Each cell knows how near the nearest thing in it
-may be. Triangles are cut into pieces of a degree, and each piece counts in all cells between its
+may be. Triangles are cut into pieces of some degrees, and each piece counts in all cells between its
 least and greatest azimuth and elevation: a cell never knows too little, and where it knows nothing
 nearer than a point, the ray to that point would meet nothing.
 """
@@ -18,11 +18,12 @@ Array = NDArray[Any]
 
 N_AROUND = 1024  # cells of azimuth
 N_UP = 512  # cells of elevation
-_PIECE_SIN = 0.02  # sine of the angle within which a piece lies around its middle
+_PIECE_SIN = 0.04  # sine of the angle within which a piece lies around its middle
 _SMALLEST_M = 0.005  # pieces are not cut any smaller
 _SLACK_M = 1.0e-3  # for rays in single precision
 _SLACK_SIN = 1.0e-5
 _MOST_CUTS = 64
+_BLOCK = 8  # cells along either side of a block whose nearest thing is looked at first
 
 
 @kernel
@@ -179,6 +180,18 @@ def mark_nearest(
 
 
 @kernel
+def _is_clear(nearest: Array, size: int, window: tuple[int, int, int, int], far: Any) -> bool:
+    """Whether all blocks of `size` x `size` cells in a window know of nothing as near as `far`."""
+    low, high, begin, end = window
+    for up in range(low // size, high // size + 1):
+        for around in range(begin // size, end // size + 1):
+            column = around if around < N_AROUND // size else around - N_AROUND // size
+            if nearest[up, column] <= far:
+                return False
+    return True
+
+
+@kernel
 def find_unclear_points(
     nearest: Array,
     points: Array,
@@ -194,25 +207,21 @@ def find_unclear_points(
     and a sphere around them; `views` (n,): which of them are asked for.
     """
     ex, ey, ez = eye[0], eye[1], eye[2]
+    blocks = np.full((N_UP // _BLOCK, N_AROUND // _BLOCK), np.inf, np.float32)
+    for up in range(N_UP):
+        for column in range(N_AROUND):
+            block = blocks[up // _BLOCK, column // _BLOCK]
+            blocks[up // _BLOCK, column // _BLOCK] = min(block, nearest[up, column])
     for row in range(len(views)):
         view = views[row]
         x, y, z = middle[view, 0] - ex, middle[view, 1] - ey, middle[view, 2] - ez
         distance = np.sqrt(x * x + y * y + z * z)
         wide = radius[view] + _SLACK_M
-        is_clear = distance > wide
-        if is_clear:
+        if distance > wide:
+            window = _window(x, y, z, wide)
             far = np.float32(distance + wide)
-            low, high, begin, end = _window(x, y, z, wide)
-            for up in range(low, high + 1):
-                for around in range(begin, end + 1):
-                    column = around if around < N_AROUND else around - N_AROUND
-                    if nearest[up, column] <= far:
-                        is_clear = False
-                        break
-                if not is_clear:
-                    break
-        if is_clear:
-            continue
+            if _is_clear(blocks, _BLOCK, window, far) or _is_clear(nearest, 1, window, far):
+                continue
         for point in range(points.shape[2]):
             x = points[view, 0, point] - ex
             y = points[view, 1, point] - ey
@@ -411,3 +420,33 @@ def find_rays_at_body(
             shorten((ox, oy, oz), (vx, vy, vz), near, cut, starts[ray], vectors[ray])
             ray += 1
     return ray
+
+
+@kernel
+def fill_own_rays(
+    points: Array,
+    surfaces: Array,
+    eyes: Array,
+    asked: Array,
+    off_surface_m: float,
+    starts: Array,
+    vectors: Array,
+) -> None:
+    """Rays to points of a body in its own frame that are asked for (n, n_points), row by row.
+
+    `points` (n_surfaces, n_points, 3), of which row n has those of `surfaces[n]`; `eyes` (n, 3).
+    They end `off_surface_m` before the point, as seen from the body's origin.
+    """
+    ray = 0
+    for row in range(len(eyes)):
+        x, y, z = eyes[row, 0], eyes[row, 1], eyes[row, 2]
+        share = np.float32(1.0 - off_surface_m / np.sqrt(x * x + y * y + z * z))
+        ex, ey, ez = np.float32(x), np.float32(y), np.float32(z)
+        for point in range(asked.shape[1]):
+            if not asked[row, point]:
+                continue
+            starts[ray, 0], starts[ray, 1], starts[ray, 2] = ex, ey, ez
+            vectors[ray, 0] = (points[surfaces[row], point, 0] - ex) * share
+            vectors[ray, 1] = (points[surfaces[row], point, 1] - ey) * share
+            vectors[ray, 2] = (points[surfaces[row], point, 2] - ez) * share
+            ray += 1

@@ -1,60 +1,63 @@
 """A small version of the study: the same steps in a second or two."""
 
-from dataclasses import replace
+from functools import partial
 from io import BytesIO
 
-import numpy as np
 import pytest
 from PIL import Image
+from small_results import build_small_baseline, build_small_grid, build_small_setting
 
 from experiments.cli import main
 from experiments.jobs import placement, writing
 from experiments.report import section
 from geometry.poses import Pose
-from geometry.scene_files import load_study_scene
 from placement import planning
-from placement.candidates import CandidatePose, load_candidate_grid
-from placement.detectors import load_detector, load_planning_detector
+from placement.candidates import CandidatePose
+from placement.explain.sensitivity import load_assumptions
 from placement.layout import Layout
-from placement.setting import Setting
-from scenarios.exposure import weight_per_run
-from scenarios.runs import build_frame_axis
-
-SMALL_RUNS = (
-    "CPNC-50/east/55",
-    "CBNA/east/60",
-    "CBLA/east/50",
-    "CPNC-50/west/30",
-    "CBNA/north/20",
-    "CBLA/east/25",
-)
 
 
 @pytest.fixture(scope="session")
-def small_setting(runs, rule):
-    few = tuple(run for run in runs if run.id in SMALL_RUNS)
-    return Setting(
-        scene=load_study_scene(),
-        runs=few,
-        axis=build_frame_axis(few, weight_per_run(few)),
-        rule=rule,
-        detector=load_detector(),
-        planner=load_planning_detector(),
+def small_setting():
+    return build_small_setting()
+
+
+@pytest.fixture(scope="session")
+def tables(tmp_path_factory):
+    """The cache of detection tables, which most tests share."""
+    return tmp_path_factory.mktemp("tables")
+
+
+@pytest.fixture
+def few_runs(small_setting, tables, monkeypatch):
+    """Makes every command work on a few runs and a few poses."""
+    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tables))
+    monkeypatch.setattr(placement, "build_setting", lambda question, scene: small_setting)
+    monkeypatch.setattr(planning, "load_candidate_grid", build_small_grid)
+    return small_setting
+
+
+@pytest.fixture
+def small_study(few_runs, with_blank_pictures, one_assumption, monkeypatch):
+    """As `few_runs`; compares with two units only, varies one assumption, and draws nothing."""
+    monkeypatch.setattr(placement, "find_baseline", build_small_baseline)
+    return few_runs
+
+
+@pytest.fixture
+def one_assumption(monkeypatch):
+    """Varies the one that needs no rays."""
+    few = [item for item in load_assumptions() if item.name == "latency_s"]
+    monkeypatch.setattr(
+        placement, "find_sensitivity", partial(placement.find_sensitivity, assumptions=few)
     )
 
 
 @pytest.fixture
-def small_study(small_setting, monkeypatch):
-    """Makes every command work on a few runs and a few poses."""
-    grid = replace(
-        load_candidate_grid(),
-        heights_m=np.array([6.0]),
-        yaw_step_deg=90.0,
-        pitches_deg=np.array([-20.0]),
-    )
-    monkeypatch.setattr(placement, "build_setting", lambda question, scene: small_setting)
-    monkeypatch.setattr(planning, "load_candidate_grid", lambda: grid)
-    return small_setting
+def own_cache(run, few_runs, tmp_path, monkeypatch):
+    """An empty cache, for commands that are run."""
+    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
 
 
 @pytest.fixture
@@ -72,11 +75,11 @@ def with_blank_pictures(monkeypatch):
 
 
 @pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
+def run(capsys, tables, tmp_path, monkeypatch):
     """Runs a command in an empty folder: exit code, stdout, stderr."""
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
-    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tables))
 
     def run_command(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()

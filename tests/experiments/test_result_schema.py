@@ -109,14 +109,9 @@ def test_every_key_of_the_schema_is_in_the_documentation_and_no_other():
 # ---------------------------------------------------------------- results of every kind
 
 
-@pytest.fixture(autouse=True)
-def short(monkeypatch):
-    """Few worlds, assumptions and units to compare with: whether a layout is good is no matter."""
-    study = load_carlancap_layout()
-    monkeypatch.setattr(
-        placement, "find_baseline", lambda scene: replace(study, units=study.units[:2])
-    )
-    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
+@pytest.fixture
+def two_assumptions(small_study, monkeypatch):
+    """One of them needs rays of its own."""
     few = [item for item in load_assumptions() if item.name in ("latency_s", "height_m")]
     monkeypatch.setattr(
         placement, "find_sensitivity", partial(placement.find_sensitivity, assumptions=few)
@@ -214,9 +209,8 @@ def test_weights_weathers_and_announcements_are_in_the_schema(
     assert set(result.runs["weather"]) == {"day", "fog"}
 
 
-def test_evaluations_and_comparisons_are_as_the_schema_says(
-    small_study, without_figures, run, tmp_path, layout_files
-):
+@pytest.mark.usefixtures("without_figures", "two_assumptions")
+def test_evaluations_and_comparisons_are_as_the_schema_says(run, tmp_path, layout_files):
     one, two = layout_files
     summary = written(run, tmp_path / "one", "evaluate", "--layout", one)
     assert messages(summary) == []
@@ -232,8 +226,10 @@ def test_evaluations_and_comparisons_are_as_the_schema_says(
     assert set(result.runs["layout"]) == {"first-1", "first-2", "expert rule"}
 
 
-def test_what_is_changed_in_a_summary_is_noticed(small_study, without_figures, run, tmp_path):
+@pytest.mark.usefixtures("without_figures", "two_assumptions")
+def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     """Every key of it is needed or known, and every number is a number."""
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
     options = ("--budget", 2, "--samples", 2, "--pool", 2)
     summary = written(run, tmp_path / "out", *options)
     assert messages(summary) == []

@@ -114,7 +114,7 @@ def test_what_is_no_archive_is_refused(tmp_path, data):
         pass
 
 
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_archives_are_opened_or_refused(tmp_path, data):
     sound = pack(tmp_path, [("a/b.shp", "shape" * 50), ("a/b.dbf", "table" * 50)]).read_bytes()

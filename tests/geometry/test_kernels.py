@@ -90,6 +90,18 @@ def test_damaged_code_is_compiled_anew(start, tmp_path, pattern, harm):
     assert _end(start(folder)) == (1, [])
 
 
+def test_code_is_compiled_anew_when_kernels_beside_it_change(start, tmp_path):
+    twice, total = _MODULE.split("@kernel\ndef total")
+    (tmp_path / "doubling_kernels.py").write_text(twice)
+    (tmp_path / "summing.py").write_text(
+        f"from geometry.kernels import kernel\nfrom doubling_kernels import twice\n\n"
+        f"@kernel\ndef total{total}"
+    )
+    assert [_end(start(tmp_path / "cache"))[0] for _ in range(2)] == [0, 1]
+    (tmp_path / "doubling_kernels.py").write_text(twice.replace("x + x", "2.0 * x"))
+    assert [_end(start(tmp_path / "cache"))[0] for _ in range(2)] == [0, 1]
+
+
 def test_where_no_folder_can_be_made_each_process_compiles(start, tmp_path):
     (tmp_path / "file").touch()
     folder = tmp_path / "file" / "below"

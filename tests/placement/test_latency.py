@@ -3,7 +3,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import numbers
 
@@ -88,7 +88,6 @@ def test_budgets_differ_by_the_wait_alone():
 # Totals
 
 
-@settings(max_examples=60)
 @given(budgets())
 def test_best_mean_and_worst_are_in_order_and_add_up(budget):
     assert budget.best_s <= budget.mean_s <= budget.worst_s
@@ -121,7 +120,6 @@ def test_draws_depend_on_the_generator_alone():
 # Distribution
 
 
-@settings(max_examples=60)
 @given(budgets(max_parts=3), st.lists(numbers(-0.1, 1.1), min_size=1, max_size=2))
 def test_share_within_is_what_quadrature_finds(budget, places):
     """Places from a bit before the least to a bit after the most."""
@@ -133,7 +131,6 @@ def test_share_within_is_what_quadrature_finds(budget, places):
     assert budget.share_within(limits) == pytest.approx(np.array(expected), abs=1e-9)
 
 
-@settings(max_examples=60)
 @given(budgets(), numbers(0.0, 1.0))
 def test_share_within_is_symmetric_and_rises(budget, place):
     step = place * (budget.worst_s - budget.best_s)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import frame_axes, numbers
 
@@ -110,7 +110,6 @@ def cases(draw):
     return axis, draw(frames), units, own_s
 
 
-@settings(max_examples=150)
 @given(
     cases(),
     st.integers(0, 1200).map(lambda ms: ms / 1000.0),
@@ -163,7 +162,6 @@ def test_what_is_just_in_time_with_no_latency_has_a_step_at_zero(last_s):
     assert (until.tolist(), apr.tolist()) == ([0.0, math.inf], [0.5, 0.0])
 
 
-@settings(max_examples=60)
 @given(cases(), st.lists(numbers(0.0, 1.5), min_size=1, max_size=5))
 def test_steps_are_the_whole_curve(case, latencies_s):
     axis, vut, units, own_s = case
@@ -182,7 +180,6 @@ def test_steps_are_the_whole_curve(case, latencies_s):
             assert float(curve.apr(latency_s)) == pytest.approx(apr[step])
 
 
-@settings(max_examples=60)
 @given(cases(), st.sampled_from([1.0, 0.95, 0.9, 0.5, 0.1]))
 def test_the_longest_latency_is_the_last_that_holds(case, level):
     axis, vut, units, own_s = case
@@ -254,7 +251,6 @@ def test_a_run_may_be_avoided_with_a_longer_latency_alone():
 MORTAL = replace(RULE, track_memory_s=0.2)
 
 
-@settings(max_examples=100)
 @given(cases(), st.lists(numbers(0.0, 1.5), min_size=1, max_size=5))
 def test_steps_are_the_whole_curve_also_where_tracks_are_lost(case, latencies_s):
     axis, vut, units, own_s = case
@@ -282,7 +278,6 @@ def test_steps_are_the_whole_curve_also_where_tracks_are_lost(case, latencies_s)
                 assert (curve.apr([0.0, *below]) >= level - 1e-9).all()
 
 
-@settings(max_examples=40)
 @given(cases(), st.integers(0, 300).map(lambda ms: ms / 1000.0), st.integers(0, 1))
 def test_the_expectation_is_the_mean_over_draws_also_where_tracks_are_lost(case, fixed_s, which):
     axis, vut, units, own_s = case
@@ -308,7 +303,6 @@ def test_a_unit_with_its_own_latency_keeps_it(frame_axis):
     assert fixed["U0"].apr([0.0, 5.0]).tolist() == [0.75, 0.0]
 
 
-@settings(max_examples=60)
 @given(cases(), st.integers(0, 1))
 def test_the_expected_apr_is_the_mean_over_draws(case, which):
     axis, vut, units, own_s = case
@@ -322,7 +316,6 @@ def test_the_expected_apr_is_the_mean_over_draws(case, which):
     assert expected <= float(curve.apr(budget.best_s)) + 1e-12
 
 
-@settings(max_examples=60)
 @given(cases(), st.integers(0, 300).map(lambda ms: ms / 1000.0))
 def test_of_a_fixed_budget_expected_and_worst_are_one(case, latency_s):
     axis, vut, units, own_s = case

@@ -5,7 +5,7 @@ from itertools import chain, combinations, product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems
 from small_tables import avoiding_problem
@@ -149,7 +149,6 @@ def check_change(problem: PlacementProblem, poses: RetrofitPoses, change: Change
 
 
 @given(retrofit=retrofits(), budget_eur=st.sampled_from([None, 0.0, 3.0, 6.0]))
-@settings(max_examples=80)
 def test_the_best_change_of_each_kind_is_that_of_brute_force(
     retrofit: tuple[PlacementProblem, RetrofitPoses], budget_eur: float | None
 ) -> None:
@@ -218,7 +217,6 @@ def value_of(change: Change | None, before: PlacementValue) -> PlacementValue:
 
 
 @given(retrofit=retrofits())
-@settings(max_examples=40)
 def test_combined_limits_have_a_pose_for_every_unit_and_room_for_what_is_left(
     retrofit: tuple[PlacementProblem, RetrofitPoses],
 ) -> None:
@@ -313,7 +311,6 @@ def test_ids_that_clash_are_refused(grid, camera) -> None:  # type: ignore[no-un
 
 
 @given(problem=problems(), n_kept=st.integers(0, 3))
-@settings(max_examples=60)
 def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(
     problem: PlacementProblem, n_kept: int
 ) -> None:

@@ -196,7 +196,6 @@ def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
 # Last brake time: closed forms
 
 
-@settings(max_examples=60)
 @given(vut_speeds, vru_speeds, bodies, build_ups_s, angles_deg, coordinates_m, coordinates_m)
 def test_last_brake_time_behind_one_who_goes_ahead_is_that_to_brake_away_the_closing_speed(
     v, u, body, build_up_s, turn_deg, east_m, north_m
@@ -217,7 +216,6 @@ def test_last_brake_time_behind_one_who_goes_ahead_is_that_to_brake_away_the_clo
     )
 
 
-@settings(max_examples=60)
 @given(
     vut_speeds,
     vru_speeds,
@@ -252,7 +250,6 @@ def test_last_brake_time_before_one_who_crosses_is_to_stop_or_to_pass_behind(
     )
 
 
-@settings(max_examples=40)
 @given(vut_speeds, vru_speeds, build_ups_s, angles_deg)
 def test_last_brake_time_towards_one_who_comes_closer_lets_the_vut_stand_first(
     v, u, build_up_s, turn_deg
@@ -317,7 +314,6 @@ def test_last_brake_time_does_not_fall_between_two_time_steps(vut_speed_kmh, ons
 # Last brake time: properties and the fine-step simulation
 
 
-@settings(max_examples=100)
 @given(st.one_of(encounters(), turning_encounters()), build_ups_s, numbers(0.0, 1.0))
 def test_braking_avoids_up_to_the_last_brake_time_and_not_after(encounter, build_up_s, share):
     rule = _rule(build_up_s=build_up_s)
@@ -340,7 +336,6 @@ def test_no_onset_before_the_last_brake_time_leads_to_contact(encounter):
     assert (smallest_separation_m(encounter, [last_s + 0.002, 0.0], rule=RULE) <= 0.0).all()
 
 
-@settings(max_examples=40)
 @given(encounters(), numbers(0.0, 1.0))
 def test_last_brake_time_matches_a_simulation_in_small_steps(encounter, share):
     last_s = last_brake_time_s(encounter, RULE)
@@ -371,7 +366,6 @@ def test_braking_on_a_turn_counts_until_the_vut_stands_and_not_beyond():
     assert last_s > -_stop_tau_s(encounter.vut_motion.speed_mps, 0.0)
 
 
-@settings(max_examples=40)
 @given(encounters(), numbers(1.0, 6.0), numbers(0.1, 5.0))
 def test_harder_braking_may_begin_later(encounter, weak_mps2, more_mps2):
     weak = last_brake_time_s(encounter, _rule(deceleration_mps2=weak_mps2))
@@ -379,7 +373,6 @@ def test_harder_braking_may_begin_later(encounter, weak_mps2, more_mps2):
     assert hard >= weak - TOLERANCE_S
 
 
-@settings(max_examples=40)
 @given(encounters(), numbers(0.0, 1.0), numbers(0.0, 1.0))
 def test_slower_build_up_must_begin_earlier(encounter, build_up_s, more_s):
     fast = last_brake_time_s(encounter, _rule(build_up_s=build_up_s))
@@ -387,7 +380,6 @@ def test_slower_build_up_must_begin_earlier(encounter, build_up_s, more_s):
     assert slow <= fast + TOLERANCE_S
 
 
-@settings(max_examples=40)
 @given(st.one_of(encounters(), turning_encounters()), angles_deg)
 def test_last_brake_time_does_not_depend_on_where_north_is(encounter, turn_deg):
     turn = np.radians(turn_deg)
@@ -409,7 +401,6 @@ def test_last_brake_time_does_not_depend_on_where_north_is(encounter, turn_deg):
     assert _tau_s(other) == pytest.approx(_tau_s(encounter), abs=TOLERANCE_S)
 
 
-@settings(max_examples=40)
 @given(turning_encounters())
 def test_last_brake_time_of_a_left_turn_is_that_of_its_mirror_image(encounter):
     def mirrored(motion):
@@ -532,7 +523,6 @@ def test_one_more_detected_frame_never_delays_the_confirmation(detected, n, memo
 # Tracks that live
 
 
-@settings(max_examples=300)
 @given(detections, st.integers(1, 4), memories_s, untils_s)
 def test_the_live_track_is_that_of_a_simulation_frame_by_frame(detected, n, memory_s, until_s):
     time_s = np.arange(1 - len(detected), 1) / 10.0

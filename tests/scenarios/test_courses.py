@@ -133,7 +133,6 @@ def lanes(draw):
 
 
 @given(lane=lanes(), is_in=st.booleans(), body=st.sampled_from(["vru", "vut"]))
-@settings(max_examples=60, deadline=None)
 def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     course = follow_lane(lane, is_in=is_in)
     length_m = np.hypot(*np.diff(lane, axis=0).T).sum()
@@ -157,7 +156,7 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
 
 
 @given(lane=lanes(), left_m=st.floats(-4.0, 4.0))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_the_course_beside_another_keeps_its_distance_and_direction(lane, left_m):
     course = follow_lane(lane, is_in=True)
     beside = course.beside(left_m)

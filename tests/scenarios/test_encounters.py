@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import build_encounter, encounters, numbers
 
@@ -134,7 +134,6 @@ def test_bodies_built_to_touch_at_time_0_first_touch_then(encounter, later_s):
     assert first_contact_s(_later(encounter, later_s, later_s)) == pytest.approx(later_s, abs=1e-6)
 
 
-@settings(max_examples=30)
 @given(together, numbers(-0.3, 0.3))
 def test_first_contact_is_the_first_of_many_looks(encounter, later_s):
     encounter = _later(encounter, 0.0, later_s)
@@ -246,7 +245,6 @@ def test_a_contact_before_the_later_one_sets_off_counts():
 # The search
 
 
-@settings(max_examples=60)
 @given(
     st.lists(
         st.tuples(numbers(0.0, 10.0), numbers(0.0, 3.0), numbers(1e-4, 1.0)),

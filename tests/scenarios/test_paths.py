@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.constants import kmh
 from strategies import angles_deg, coordinates_m, numbers
@@ -196,7 +196,6 @@ def test_a_turn_does_not_depend_on_where_it_is_and_where_north_is(path, distance
     assert yaw_deg == pytest.approx(path.yaw_deg + plain_deg, abs=1e-9)
 
 
-@settings(max_examples=30)
 @given(turn_paths())
 def test_paths_keep_the_bounds_that_they_declare(path):
     step_m = 0.05

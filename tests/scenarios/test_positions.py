@@ -133,7 +133,7 @@ def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(defau
 # Where
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     name=st.sampled_from(FREE),
     metres=st.floats(0.5, 120.0),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from junctions import ARMS, build_scene, lanes_of, protocol_scene, turned
 from oracles import distance_to_chain_m
@@ -303,7 +303,6 @@ def test_a_wall_hides_the_studys_cyclist_until_17_m_before_where_no_starts_are_p
     vru_speed_kmh=st.floats(2.0, 20.0),
     name=st.sampled_from(["CPNA-25", "CPNCO-50", "CPFA-50"]),
 )
-@settings(max_examples=40)
 def test_from_the_other_side_a_run_is_the_mirror_image(
     golf, percent, speed_kmh, vru_speed_kmh, name
 ):

@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from junctions import ARMS, LANE_M, protocol_scene, turned
 from oracles import separation_m, simulated_track_s
@@ -108,7 +108,6 @@ def test_frames_hold_the_motions_and_the_gait(all_runs):
         assert (run.vru_shape[standing] == 0).all()
 
 
-@settings(max_examples=50)
 @given(
     name=st.sampled_from(sorted(load_cases())),
     angle_deg=st.floats(-180.0, 180.0),
@@ -441,7 +440,6 @@ def _windows(axis, run, arrival_s, n):
     ]
 
 
-@settings(max_examples=200)
 @given(frame_axes(), st.integers(1, 3), memories_s, st.data())
 def test_the_vut_brakes_for_the_live_window_that_it_knows_first(rule, axis, n, memory_s, data):
     """Window by window: known by the last brake time, and no gap until the last moment."""

@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.constants import kmh
 from scipy.integrate import cumulative_simpson
@@ -141,7 +141,6 @@ def test_turns_of_the_protocol_have_the_lengths_and_places_computed_elsewhere(na
     )
 
 
-@settings(max_examples=40)
 @given(turns())
 def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn):
     clothoid_m, arc_m = turn.clothoid_length_m, turn.arc_length_m

@@ -309,7 +309,7 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
 # Results
 
 
-def test_placement_prints_one_object_and_writes_a_report(run, small_study):
+def test_placement_prints_one_object_and_writes_a_report(run, few_runs):
     code, out, err = run("--budget", 2, "--json", "--workers", 2)
     assert code == 0
     assert err.splitlines()[0] == "setting ..."
@@ -317,7 +317,7 @@ def test_placement_prints_one_object_and_writes_a_report(run, small_study):
     assert set(summary) >= KEYS
     assert [list(unit) for unit in summary["layout"]] == [list(UNIT)] * 2
     assert (summary["budget"], summary["fusion"]) == (2, "any")
-    assert summary["runs"] == len(small_study.runs)
+    assert summary["runs"] == len(few_runs.runs)
     assert set(summary["evaluation"]) == {
         "vut",
         "rsu_all",
@@ -393,7 +393,6 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         assert "100.0 %" in out
 
 
-@pytest.mark.usefixtures("with_blank_pictures")
 def test_comparison_of_a_layout_with_itself_finds_no_difference(run, small_study, layout_file):
     path = layout_file()
     code, out, err = run(
@@ -480,10 +479,10 @@ def interrupt_at(monkeypatch):
     return arm
 
 
-def test_a_damaged_cache_file_is_made_anew(run, small_study, tmp_path, caplog, interrupt_at):
+def test_a_damaged_cache_file_is_made_anew(run, small_study, own_cache, caplog, interrupt_at):
     interrupt_at("optimise")
     run("--budget", 1)
-    (table,) = (tmp_path / "cache").iterdir()
+    (table,) = own_cache.iterdir()
     good = np.load(table)["packed"]
     table.write_bytes(b"no table")
     code, _, err = run("--budget", 1)
@@ -514,8 +513,10 @@ def test_a_cache_that_cannot_be_written_to_is_done_without(
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_an_interruption_says_what_was_kept_and_leaves_nothing(
-    run, small_study, interrupt_at, stage
+    run, small_study, interrupt_at, stage, request
 ):
+    if stage in STAGES[:2]:
+        request.getfixturevalue("own_cache")
     interrupt_at(stage)
     code, out, err = run("--budget", 1)
     assert (code, out) == (130, "")
@@ -526,7 +527,6 @@ def test_an_interruption_says_what_was_kept_and_leaves_nothing(
     assert os.listdir() == []  # noqa: PTH208
 
 
-@pytest.mark.usefixtures("with_blank_pictures")
 def test_an_interruption_leaves_earlier_results_as_they_were(run, small_study, interrupt_at):
     out = Path("out")
     run("evaluate", "--layout", "carlancap-12", "--out", out, "--quiet")

@@ -25,7 +25,6 @@ def vans(tmp_path):
     return path
 
 
-@pytest.mark.usefixtures("with_blank_pictures")
 def test_a_file_of_traffic_drives_by_in_sampled_worlds(run, small_study, monkeypatch, vans):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
     asked = ("--budget", 1, "--samples", 1, "--traffic", vans, "--quiet")

@@ -2,17 +2,16 @@
 
 import json
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
+from experiments.cli.options import cache_folder
 from experiments.export.json import to_json_text
 from experiments.jobs import baselines, placement
 from experiments.progress import StageProgress
 from experiments.study.layout import load_carlancap_layout
 from placement.compute import Compute
-from placement.explain.sensitivity import load_assumptions
 from placement.layout import Layout, layout_from_records
 from placement.question import Question
 
@@ -20,12 +19,8 @@ pytestmark = pytest.mark.usefixtures("without_figures")
 
 
 @pytest.fixture(autouse=True)
-def short(monkeypatch):
-    """One assumption is varied, and no study's layout compared: neither matters here."""
-    few = [item for item in load_assumptions() if item.name == "latency_s"]
-    monkeypatch.setattr(
-        placement, "find_sensitivity", partial(placement.find_sensitivity, assumptions=few)
-    )
+def alone(small_study, monkeypatch):
+    """No study's layout is compared: it does not matter here."""
     monkeypatch.setattr(placement, "find_baseline", lambda scene: None)
 
 
@@ -33,7 +28,7 @@ def place(out, seed=0, **asked):
     result = placement.run_placement(
         Question(**({"budget": 2, "time_limit_s": 60.0} | asked)),
         out=out,
-        compute=Compute(workers=2, seed=seed),
+        compute=Compute(workers=2, seed=seed, cache_folder=cache_folder()),
         command="place-rsus",
         progress=StageProgress(),
     )

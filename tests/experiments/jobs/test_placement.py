@@ -4,6 +4,7 @@ from dataclasses import fields, replace
 
 import pytest
 
+from experiments.cli.options import cache_folder
 from experiments.export.formats import export_layout
 from experiments.export.json import to_json_text
 from experiments.jobs import placement
@@ -20,9 +21,7 @@ def place(out, **options):
     progress = options.get("progress", StageProgress())
     given = {
         "out": out,
-        "compute": Compute(
-            workers=2, cache_folder=options.pop("cache_folder", None), progress=progress
-        ),
+        "compute": Compute(workers=2, cache_folder=cache_folder(), progress=progress),
         "command": "place-rsus --budget 1 <&>",
         "progress": progress,
     }
@@ -64,6 +63,7 @@ def named(name: str, n_units: int = 1) -> Layout:
     return Layout(name=name, units=load_carlancap_layout().units[:n_units])
 
 
+@pytest.mark.usefixtures("own_cache")
 def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
     progress = StageProgress()
     summary = place(tmp_path / "out", progress=progress)
@@ -90,7 +90,6 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
     assert progress.kept == f"the results are in {tmp_path}/out"
 
 
-@pytest.mark.usefixtures("with_blank_pictures")
 def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(
     small_study, tmp_path, monkeypatch
 ):
@@ -107,7 +106,6 @@ def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(
     assert "Other layouts as good" in page
 
 
-@pytest.mark.usefixtures("with_blank_pictures")
 def test_a_layout_brings_its_own_sensors_along(small_study, tmp_path, monkeypatch):
     monkeypatch.setattr(
         placement, "build_plan", lambda asked, scene, study: build_plan(asked, scene)
@@ -155,7 +153,6 @@ def test_an_evaluation_of_one_unit_is_that_of_all(small_study):
     assert evaluation["vut_and_rsus"]["all"] >= evaluation["rsu_all"]["all"]
 
 
-@pytest.mark.usefixtures("with_blank_pictures")
 def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     layouts = [named("twin", 2), named("twin", 1), named("other", 3)]
     summary = compare(layouts, tmp_path / "out")
@@ -171,7 +168,6 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     assert all(name in page for name in names)
 
 
-@pytest.mark.usefixtures("with_blank_pictures")
 def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(small_study, tmp_path):
     summary = compare([named("two", 2), named("one", 1)], tmp_path / "out", samples=3)
     gains = {gain["over"]: gain for gain in summary["sampled"]["gains"]}
@@ -184,7 +180,6 @@ def test_a_layout_may_be_called_greedy(small_study):
     assert evaluate(named("greedy"))["name"] == "greedy (2)"
 
 
-@pytest.mark.usefixtures("with_blank_pictures")
 def test_names_with_markup_are_escaped_in_the_report(small_study, tmp_path):
     evaluate(named("<script>alert(1)</script>"), tmp_path / "out")
     page = (tmp_path / "out/report.html").read_text()
@@ -198,7 +193,6 @@ def test_every_export_names_every_unit(name):
     assert all(unit.id in text for unit in load_carlancap_layout().units)
 
 
-@pytest.mark.usefixtures("with_blank_pictures")
 def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
     small_study, tmp_path, monkeypatch
 ):

@@ -263,7 +263,7 @@ def test_references_in_a_circle_are_refused(tmp_path):
         read(tmp_path, city(ring))
 
 
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_files_are_read_or_refused(tmp_path, data):
     wounded = data.draw(damaged(city(REFERRED).encode()))

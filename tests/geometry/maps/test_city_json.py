@@ -239,7 +239,7 @@ def test_what_is_no_text_is_refused(tmp_path):
         read_cityjson(tmp_path / "none.json")
 
 
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_files_are_read_or_refused(tmp_path, data):
     wounded = data.draw(damaged(json.dumps(CITY).encode()))

@@ -262,7 +262,7 @@ def test_too_many_features_are_refused(tmp_path, monkeypatch):
         read_footprints(path)
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), name=st.sampled_from(list(DRIVERS)))
 def test_damaged_files_are_read_or_refused(tmp_path, data, name):
     for file in tmp_path.glob("a.*"):

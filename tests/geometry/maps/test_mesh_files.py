@@ -245,7 +245,7 @@ def test_too_many_triangles_are_refused(tmp_path, monkeypatch):
         read_mesh(tmp_path / "a.glb")
 
 
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), suffix=st.sampled_from([*FORMATS, "glb", "gltf"]))
 def test_damaged_files_are_read_or_refused(tmp_path, data, suffix):
     path = tmp_path / f"a.{suffix}"

@@ -302,7 +302,7 @@ _VALUES = st.sampled_from(
 
 
 @given(data=st.data())
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_changed_attributes_give_a_map_or_one_line(tmp_path, data):
     attributes = list(re.finditer(r'([A-Za-z]+)="([^"]*)"', _WHOLE))
     text, chosen = (
@@ -320,7 +320,7 @@ def test_changed_attributes_give_a_map_or_one_line(tmp_path, data):
 
 
 @given(seed=st.integers(0, 2**32), n_changes=st.integers(1, 4))
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_dropped_doubled_and_moved_elements_give_a_map_or_one_line(tmp_path, seed, n_changes):
     from xml.etree import ElementTree as ET
 
@@ -342,7 +342,7 @@ def test_dropped_doubled_and_moved_elements_give_a_map_or_one_line(tmp_path, see
 
 
 @given(position=st.floats(0.0, 1.0), junk=st.binary(min_size=1, max_size=4))
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_changed_bytes_give_a_map_or_one_line(tmp_path, position, junk):
     raw = bytearray(_WHOLE.encode())
     start = int(position * (len(raw) - len(junk)))

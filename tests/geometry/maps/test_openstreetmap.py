@@ -237,10 +237,7 @@ def test_lengths_are_understood_as_people_write_them() -> None:
 
 # ---------------------------------------------------------------- fuzzing
 
-_FUZZ = settings(
-    max_examples=50,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+_FUZZ = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 _ODD = ["", "0", "-1", "yes", "no", "1e308", "NaN", "3|4|", "🙂", "12'3\"", "99999999999", "left"]
 
 

@@ -301,7 +301,7 @@ def test_too_many_voxels_are_refused(tmp_path, monkeypatch):
         read_point_cloud(write_pcd(tmp_path, house()))
 
 
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), name=st.sampled_from(["s.las", "s.laz", "a.pcd", "b.pcd"]))
 def test_damaged_files_are_read_or_refused(tmp_path, data, name):
     path = tmp_path / name

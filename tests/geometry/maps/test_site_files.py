@@ -140,7 +140,7 @@ def test_other_files_are_refused(tmp_path):
         read_sites(tmp_path / "sites.csv", crs=UTM)
 
 
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), name=st.sampled_from(["sites.csv", "sites.geojson"]))
 def test_damaged_files_are_read_or_refused(tmp_path, data, name):
     path = write(tmp_path, FULL)

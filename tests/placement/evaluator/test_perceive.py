@@ -85,11 +85,11 @@ def test_roadside_boxes_equal_the_plain_render_of_every_frame(surroundings, came
     assert (boxes.amodal_px == [view.amodal_box_px for view in views]).all()
     assert (boxes.visible_px == [view.visible_box_px for view in views]).all()
     # Worth its while only if the VUT hides something somewhere.
-    without_vut = [
-        render_frame(surroundings, frame, mount, camera, with_vut=False)
+    assert any(
+        (boxes.visible_px[frame] != view.visible_box_px).any()
         for frame in range(N_FRAMES)
-    ]
-    assert (boxes.visible_px != [view.visible_box_px for view in without_vut]).any()
+        for view in [render_frame(surroundings, frame, mount, camera, with_vut=False)]
+    )
 
 
 def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(surroundings, camera, vut):

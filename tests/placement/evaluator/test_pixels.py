@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from ray_renderer import STATIC, VUT, build_lens, cast_crops, render_frame, render_view
@@ -189,7 +189,6 @@ def _cast(corners_m, camera, window):
     return nearest, is_sure
 
 
-@settings(max_examples=150, deadline=None)
 @given(
     corners_m=POINTS,
     window=st.sampled_from([(0, 0, 64, 48), (10, 5, 40, 30), (63, 47, 64, 48)]),
@@ -211,7 +210,6 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
         )
 
 
-@settings(max_examples=150, deadline=None)
 @given(
     corners_m=POINTS,
     plate_m=st.floats(0.4, 4.0),
@@ -237,7 +235,6 @@ def test_what_reaches_into_the_beam_hides_what_rays_find_hidden(corners_m, plate
     assert is_before == np.isinf(depth).any()
 
 
-@settings(max_examples=100, deadline=None)
 @given(corners_m=POINTS, n_copies=st.integers(1, 40))
 def test_tree_holds_every_triangle_once_and_each_box_its_own(corners_m, n_copies):
     tree = build_tree(np.tile(corners_m, (n_copies, 1, 1)))
@@ -283,7 +280,6 @@ def test_body_beside_the_lens_is_not_drawn_though_it_reaches_behind(camera, bloc
         assert find_crop(_image(camera), hull, 0.0) == (expected, 0.0)
 
 
-@settings(max_examples=100, deadline=None)
 @given(
     ahead_m=st.floats(-2.0, 6.0),
     left_m=st.floats(-4.0, 4.0),

@@ -213,19 +213,16 @@ def nearest(limits, separation, poses, used):
 
 
 @given(wish=wishes())
-@settings(max_examples=70)
 def test_conflicts_are_smallest_and_relaxations_are_least(wish):
     check_conflicts(*wish)
 
 
 @given(wish=wishes())
-@settings(max_examples=40)
 def test_models_find_the_same_conflicts_without_enumeration(wish):
     check_conflicts(*wish, max_sets=0)
 
 
 @given(wish=wishes())
-@settings(max_examples=50)
 def test_what_is_forced_is_a_fact_where_that_is_asked(wish):
     problem, separation = wish
     given = [demand for demand in Wish(problem, separation).demands if demand.kind == "forced"]
@@ -244,13 +241,11 @@ def test_what_is_forced_is_a_fact_where_that_is_asked(wish):
 
 
 @given(problem=problems())
-@settings(max_examples=30)
 def test_what_can_be_met_has_no_conflict(problem):
     assert find_conflicts(problem) == ()
 
 
 @given(wish=wishes())
-@settings(max_examples=30)
 def test_the_whole_is_the_sum_of_its_demands(wish):
     problem, separation = wish
     whole = Wish(problem, separation)

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems
 
@@ -25,7 +25,6 @@ def some_poses(problem: PlacementProblem, data: st.DataObject) -> list[int]:
 
 
 @given(problem=PROBLEMS, data=st.data())
-@settings(max_examples=100)
 def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
     poses = some_poses(problem, data)
     whole = run_margins_s(problem, poses)
@@ -58,7 +57,6 @@ def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
 
 
 @given(problem=PROBLEMS, data=st.data())
-@settings(max_examples=100)
 def test_first_confirmations_are_shared_out_in_full(problem, data):
     poses = some_poses(problem, data)
     shares = first_shares(problem, poses)
@@ -68,7 +66,6 @@ def test_first_confirmations_are_shared_out_in_full(problem, data):
 
 
 @given(problem=PROBLEMS, data=st.data())
-@settings(max_examples=100)
 def test_a_unit_that_detects_nothing_contributes_nothing(problem, data):
     first, *others = some_poses(problem, data)
     detected = problem.table.detected(slice(None))

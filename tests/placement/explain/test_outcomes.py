@@ -39,7 +39,6 @@ def watched_of(problem, chosen, fusion):
     )
 
 
-@settings(max_examples=60)
 @given(problem=problems(), fusion=st.sampled_from(["any", "single"]), seed=st.integers(0, 99))
 def test_the_outcome_is_what_the_optimiser_says(problem, fusion, seed):
     rng = np.random.default_rng(seed)

@@ -89,7 +89,6 @@ def check_complete(problem, n_sets):
 
 
 @given(problem=questions(), data=st.data())
-@settings(max_examples=100)
 def test_poses_that_are_left_out_change_no_run(problem, data):
     assume(not (problem.limits.is_forced & problem.limits.is_forbidden).any())
     limits = problem.limits
@@ -103,19 +102,16 @@ def test_poses_that_are_left_out_change_no_run(problem, data):
 
 
 @given(problem=PROBLEMS, n_sets=st.sampled_from([1, 5, 1000]))
-@settings(max_examples=100)
 def test_the_pool_is_complete_where_all_sets_are_gone_through(problem, n_sets):
     check_complete(problem, n_sets)
 
 
 @given(problem=questions())
-@settings(max_examples=100)
 def test_the_pool_answers_every_question(problem):
     check_complete(problem, 6)
 
 
 @given(problem=questions())
-@settings(max_examples=100)
 def test_what_exchanges_find_is_as_good_and_in_order(problem):
     try:
         solution = solve_placement(problem)
@@ -137,7 +133,6 @@ def test_what_exchanges_find_is_as_good_and_in_order(problem):
 
 
 @given(problem=PROBLEMS, data=st.data())
-@settings(max_examples=50)
 def test_a_poor_start_is_left_behind(problem, data):
     sets = all_sets(problem)
     assume(len(sets) > 0)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from junctions import build_scene
 
@@ -229,7 +229,6 @@ def tables(draw):
 
 
 @given(given_=tables())
-@settings(max_examples=80)
 def test_outcome_and_rescue_match_brute_force(given_):
     setting, problem, candidates, chosen = given_
     with pytest.MonkeyPatch.context() as patch:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from coverages import best_value, coverages, feasible_sets, value_of
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.arrays import IntArray
@@ -12,7 +12,6 @@ NOTHING: IntArray = np.empty(0, dtype=np.int64)
 
 
 @given(coverages(), st.sampled_from([0.0, 0.1]))
-@settings(max_examples=40)
 def test_search_finds_the_best_set_from_nothing(coverage: Coverage, gap: float) -> None:
     search = branch_and_bound(coverage, NOTHING, np.ones(coverage.n_rows), gap=gap)
     best = best_value(coverage)
@@ -24,7 +23,6 @@ def test_search_finds_the_best_set_from_nothing(coverage: Coverage, gap: float) 
 
 
 @given(coverages(max_poses=7, has_money=False), st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
 def test_search_finds_the_truly_best_set_where_values_are_limits(
     coverage: Coverage, seed: int
 ) -> None:
@@ -43,7 +41,6 @@ def test_search_finds_the_truly_best_set_where_values_are_limits(
 
 
 @given(coverages())
-@settings(max_examples=30)
 def test_stopped_search_says_what_is_proven(coverage: Coverage) -> None:
     search = branch_and_bound(coverage, NOTHING, np.ones(coverage.n_rows), max_nodes=1)
     assert search.n_nodes <= 1

@@ -63,7 +63,6 @@ def asked_for_nothing_but_the_best(problem: PlacementProblem) -> PlacementProble
 
 
 @given(problem=questions().map(asked_for_nothing_but_the_best), stages=ANY_STAGES)
-@settings(max_examples=60)
 def test_steps_are_those_of_brute_force(problem: PlacementProblem, stages: str) -> None:
     check_steps(problem, stages)
 
@@ -103,7 +102,6 @@ def check_steps(problem: PlacementProblem, stages: str) -> None:
     problem=questions().map(asked_for_nothing_but_the_best),
     seconds=st.sampled_from([1e-9, 60.0]),
 )
-@settings(max_examples=35)
 def test_more_money_never_buys_less_and_no_bound_is_beaten(
     problem: PlacementProblem, seconds: float
 ) -> None:

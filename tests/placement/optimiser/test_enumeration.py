@@ -1,7 +1,7 @@
 from itertools import combinations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser import PlacementProblem, is_feasible, presolve
@@ -13,7 +13,6 @@ ANY_PROBLEM = st.from_type(PlacementProblem)
 
 
 @given(problem=ANY_PROBLEM, data=st.data())
-@settings(max_examples=200)
 def test_nothing_beats_the_best_of_all(problem: PlacementProblem, data: st.DataObject) -> None:
     reduced = presolve(problem)
     sets = [
@@ -39,7 +38,6 @@ def test_nothing_beats_the_best_of_all(problem: PlacementProblem, data: st.DataO
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=50)
 def test_too_many_sets_are_not_begun(problem: PlacementProblem) -> None:
     reduced = presolve(problem)
     units = np.arange(problem.limits.max_units)

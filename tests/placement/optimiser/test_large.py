@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser import (
@@ -19,7 +19,6 @@ from placement.optimiser.solve import look_out, margin_limits_s
 
 
 @given(problem=st.from_type(PlacementProblem))
-@settings(max_examples=80)
 def test_all_poses_are_bounded_by_what_they_promise(problem: PlacementProblem) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.solve.MAX_BITS", 0)
@@ -44,7 +43,6 @@ def test_all_poses_are_bounded_by_what_they_promise(problem: PlacementProblem) -
 
 
 @given(problem=st.from_type(PlacementProblem))
-@settings(max_examples=50)
 def test_forced_poses_are_in_the_pool_and_forbidden_ones_are_not(problem: PlacementProblem) -> None:
     n_poses = problem.table.n_poses
     is_forced, is_forbidden = np.arange(n_poses) == 0, np.arange(n_poses) == n_poses - 1
@@ -57,7 +55,6 @@ def test_forced_poses_are_in_the_pool_and_forbidden_ones_are_not(problem: Placem
 
 
 @given(problem=st.from_type(PlacementProblem))
-@settings(max_examples=50)
 def test_no_pose_has_more_to_spare_than_all_together(problem: PlacementProblem) -> None:
     limit = margin_limits_s(problem)
     for pose in range(problem.table.n_poses):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from coverages import best_value, coverages, value_of
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.arrays import IntArray
@@ -98,7 +98,6 @@ def test_no_exchange_helps_after_exchanging(coverage: Coverage) -> None:
 
 
 @given(coverages(), SEED)
-@settings(max_examples=50)
 def test_swap_gains_are_differences_of_values(coverage: Coverage, seed: int) -> None:
     random = np.random.default_rng(seed)
     n_units = int(random.integers(1, coverage.n_poses + 1))
@@ -121,7 +120,6 @@ def test_rounding_begins_with_the_largest_shares() -> None:
 
 
 @given(coverages(has_money=True))
-@settings(max_examples=30)
 def test_with_money_the_better_greedy_choice_is_taken(coverage: Coverage) -> None:
     chosen = choose_greedily(coverage)
     assert coverage.supply.allows(chosen)

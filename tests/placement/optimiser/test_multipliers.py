@@ -33,7 +33,6 @@ def draw_coverage(seed: int, n_poses: int, n_rows: int = 12) -> Coverage:
 
 
 @given(coverages(), SEED)
-@settings(max_examples=50)
 def test_steps_only_lower_a_limit_that_stays_one(coverage: Coverage, seed: int) -> None:
     start = np.random.default_rng(seed).random(coverage.n_rows)
     best = best_value(coverage)
@@ -76,7 +75,6 @@ def test_column_generation_reaches_the_bound_of_all_poses_at_once(seed: int) -> 
 
 
 @given(coverages())
-@settings(max_examples=30)
 def test_column_generation_is_never_below_the_best(coverage: Coverage) -> None:
     columns = generate_columns(
         coverage, lazy_greedy(coverage), sizes=PoolSizes(n_first=2, n_more=2, n_most=4)

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser import (
@@ -17,13 +17,13 @@ from placement.optimiser import (
 )
 from placement.optimiser.bitsets import set_values
 from placement.optimiser.presolve import is_dominated, pack_words, unpack_words
+from placement.optimiser.presolve_kernels import number_rows, turn_round
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=300)
 def test_presolve_changes_no_best_value(problem: PlacementProblem, best_value: BestValue) -> None:
     reduced = presolve(problem)
     everywhere = best_value(problem, range(problem.table.n_poses))
@@ -31,7 +31,6 @@ def test_presolve_changes_no_best_value(problem: PlacementProblem, best_value: B
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=200)
 def test_reduced_problem_values_every_set_as_the_table_does(problem: PlacementProblem) -> None:
     reduced = presolve(problem)
     n_units = min(problem.limits.max_units, reduced.n_poses)
@@ -46,6 +45,63 @@ def test_reduced_problem_values_every_set_as_the_table_does(problem: PlacementPr
 def test_packing_words_loses_nothing(n_bits: int, seed: int) -> None:
     bits = np.random.default_rng(seed).random((3, n_bits)) < 0.5
     np.testing.assert_array_equal(unpack_words(pack_words(bits), n_bits), bits)
+
+
+@given(st.integers(0, 150), st.integers(0, 20), st.integers(0, 2**32 - 1))
+@settings(max_examples=50)
+def test_a_table_turned_round_has_the_same_bits(n_rows: int, n_bytes: int, seed: int) -> None:
+    rows = np.random.default_rng(seed).integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
+    columns = np.empty((8 * n_bytes, -(-n_rows // 64)), dtype=np.uint64)
+    turn_round(rows, columns)
+    bits = np.unpackbits(rows, axis=1, bitorder="little").view(bool)
+    np.testing.assert_array_equal(unpack_words(columns, n_rows), bits.T)
+
+
+@given(st.integers(0, 60), st.integers(1, 3), st.integers(0, 2**32 - 1))
+@settings(max_examples=50)
+def test_rows_are_numbered_by_their_first_appearance(n_rows: int, n_words: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rows = rng.integers(0, 4, (n_rows, n_words)).astype(np.uint64)
+    mask = rng.integers(0, 4, n_words).astype(np.uint64)
+    slots, number = np.full(256, -1), np.empty(n_rows, dtype=np.int64)
+    n_distinct = number_rows(rows, mask, slots, number)
+    seen = [tuple(row) for row in (rows & mask).tolist()]
+    distinct = list(dict.fromkeys(seen))
+    assert n_distinct == len(distinct)
+    assert number.tolist() == [distinct.index(row) for row in seen]
+    assert slots[:n_distinct].tolist() == [seen.index(row) for row in distinct]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+@settings(max_examples=50)
+def test_poses_are_dominated_as_one_by_one(seed: int, max_units: int) -> None:
+    rng = np.random.default_rng(seed)
+    n_poses, n_sites = 30, 8
+    bits = rng.random((n_poses, 100)) < rng.choice([0.02, 0.05, 0.98])
+    limits = Limits(
+        site_index=rng.integers(0, n_sites, n_poses),
+        site_capacity=rng.integers(1, 4, n_sites),
+        unit_cost_eur=rng.integers(1, 3, n_poses).astype(float),
+        site_cost_eur=rng.integers(0, 2, n_sites).astype(float),
+    )
+    expected = []
+    for pose in range(n_poses):
+        n_at_site = np.zeros(n_sites, dtype=np.int64)
+        for other in range(n_poses):
+            price = limits.unit_cost_eur[other]
+            if limits.site_index[other] != limits.site_index[pose]:
+                price += limits.site_cost_eur[limits.site_index[other]]
+            is_first = (bits[pose].sum(), -limits.unit_cost_eur[pose], -pose) < (
+                bits[other].sum(),
+                -limits.unit_cost_eur[other],
+                -other,
+            )
+            is_above = not (bits[pose] & ~bits[other]).any() and price <= limits.unit_cost_eur[pose]
+            n_at_site[limits.site_index[other]] += is_first and is_above
+        own = limits.site_index[pose]
+        n_blockers = int(np.minimum(n_at_site, limits.site_capacity).sum())
+        expected.append(n_at_site[own] >= limits.site_capacity[own] or n_blockers >= max_units)
+    assert is_dominated(pack_words(bits), limits, max_units=max_units).tolist() == expected
 
 
 def test_dominated_pose_stays_while_its_dominators_can_be_used_up() -> None:

@@ -3,7 +3,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
 from small_tables import avoiding_problem
@@ -24,7 +24,6 @@ def allowed_sets(problem: PlacementProblem) -> list[tuple[int, ...]]:
 
 
 @given(problem=questions())
-@settings(max_examples=100)
 def test_every_layout_costs_one_of_the_levels(problem: PlacementProblem) -> None:
     levels = price_levels_eur(problem.limits)
     assert levels is not None
@@ -39,7 +38,6 @@ def test_every_layout_costs_one_of_the_levels(problem: PlacementProblem) -> None
 
 
 @given(problem=questions(), max_sets=st.sampled_from([10_000, 5]))
-@settings(max_examples=100)
 def test_affordable_sets_are_all_that_the_limits_allow(
     problem: PlacementProblem, max_sets: int
 ) -> None:

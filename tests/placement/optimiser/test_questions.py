@@ -3,7 +3,7 @@
 from itertools import combinations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
 
@@ -57,13 +57,11 @@ def check(problem: PlacementProblem) -> None:
 
 
 @given(problem=questions())
-@settings(max_examples=400)
 def test_every_question_matches_brute_force(problem: PlacementProblem) -> None:
     check(problem)
 
 
 @given(problem=questions())
-@settings(max_examples=200)
 def test_models_answer_every_question_without_enumeration(problem: PlacementProblem) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.stages.best_of_all", lambda *_, **__: None)
@@ -72,7 +70,6 @@ def test_models_answer_every_question_without_enumeration(problem: PlacementProb
 
 
 @given(problem=questions(), solver=st.sampled_from(["greedy", "relax", "exact", "auto"]))
-@settings(max_examples=150)
 def test_no_bound_of_the_first_stage_is_beaten(problem: PlacementProblem, solver: str) -> None:
     best = brute_force(problem)
     if best is None:

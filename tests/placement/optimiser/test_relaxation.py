@@ -46,7 +46,6 @@ def lp_value(coverage: Coverage, max_units: int) -> float:
 
 
 @given(coverages(max_poses=7, max_units=3))
-@settings(max_examples=40)
 def test_repaired_bound_is_never_below_the_best_however_few_steps(coverage: Coverage) -> None:
     relaxation = Relaxation(coverage)
     for max_steps in (1, 50):

@@ -38,7 +38,6 @@ def as_tuples(sets: IntArray) -> list[tuple[int, ...]]:
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=60)
 def test_chains_tell_which_runs_a_set_avoids(problem: PlacementProblem) -> None:
     reduced = presolve(problem)
     n_units = reduced.limits.max_units
@@ -54,7 +53,6 @@ def test_chains_tell_which_runs_a_set_avoids(problem: PlacementProblem) -> None:
 
 
 @given(problem=ANY_PROBLEM, n_failures=st.integers(0, 2), place=st.floats(0.0, 1.0))
-@settings(max_examples=200)
 def test_a_walk_meets_every_set_that_meets_its_needs(
     problem: PlacementProblem, n_failures: int, place: float
 ) -> None:
@@ -95,7 +93,6 @@ def test_a_walk_meets_every_set_that_meets_its_needs(
 
 
 @given(problem=questions())
-@settings(max_examples=200)
 def test_the_best_of_the_tied_sets_is_the_best_of_all(problem: PlacementProblem) -> None:
     reduced = presolve(replace(problem, floors=(), goal="best"))
     if not can_walk(reduced):

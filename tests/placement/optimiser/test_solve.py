@@ -26,7 +26,6 @@ BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=300)
 def test_solve_matches_brute_force_on_small_tables(
     problem: PlacementProblem, best_value: BestValue
 ) -> None:
@@ -49,7 +48,6 @@ def keep_units(
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=200)
 def test_bounds_from_a_poor_start_still_match_brute_force(
     problem: PlacementProblem, best_value: BestValue
 ) -> None:
@@ -66,7 +64,6 @@ def test_bounds_from_a_poor_start_still_match_brute_force(
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=50)
 def test_bound_is_never_below_the_best_when_time_is_up(
     problem: PlacementProblem, best_value: BestValue
 ) -> None:
@@ -82,7 +79,6 @@ def test_bound_is_never_below_the_best_when_time_is_up(
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=50)
 def test_greedy_is_feasible_and_never_better_than_the_proven_best(
     problem: PlacementProblem,
 ) -> None:
@@ -93,7 +89,6 @@ def test_greedy_is_feasible_and_never_better_than_the_proven_best(
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=30)
 def test_one_more_unit_never_makes_the_best_worse(problem: PlacementProblem) -> None:
     values = [
         placement_value(problem, solve_placement(with_budget(problem, k)).pose_index)

@@ -44,7 +44,6 @@ def best_rank(problem: PlacementProblem) -> PlacementValue | None:
 
 
 @given(problem=ANY_PROBLEM, stages=ANY_STAGES)
-@settings(max_examples=35)
 def test_every_point_is_the_best_that_brute_force_finds(
     problem: PlacementProblem, best_value: BestValue, stages: str
 ) -> None:
@@ -67,7 +66,6 @@ def test_every_point_is_the_best_that_brute_force_finds(
 
 
 @given(problem=questions(), stages=ANY_STAGES)
-@settings(max_examples=35)
 def test_wishes_hold_at_every_point_and_refuse_those_that_cannot_meet_them(
     problem: PlacementProblem, stages: str
 ) -> None:
@@ -106,7 +104,6 @@ def test_models_find_the_same_points_without_enumeration(
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=30)
 def test_points_agree_with_separate_solves(problem: PlacementProblem) -> None:
     for point in pareto_front(problem, max_units=3, stages="all").points:
         solution = solve_placement(with_units(problem, point.units))
@@ -116,7 +113,6 @@ def test_points_agree_with_separate_solves(problem: PlacementProblem) -> None:
 
 
 @given(problem=questions(), seconds=st.sampled_from([1e-9, 60.0]), stages=ANY_STAGES)
-@settings(max_examples=35)
 def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
     problem: PlacementProblem, seconds: float, stages: str
 ) -> None:
@@ -141,7 +137,6 @@ def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
 
 
 @given(problem=questions(), stages=ANY_STAGES)
-@settings(max_examples=35)
 def test_where_nothing_grows_nothing_grows(problem: PlacementProblem, stages: str) -> None:
     problem = replace(problem, goal="best", survive=0)
     try:
@@ -160,7 +155,6 @@ def test_where_nothing_grows_nothing_grows(problem: PlacementProblem, stages: st
 
 
 @given(problem=ANY_PROBLEM)
-@settings(max_examples=35)
 def test_no_set_keeps_more_than_all_poses_but_one_reach(problem: PlacementProblem) -> None:
     n_poses = problem.table.n_poses
     limit = one_failed_limit(presolve(with_units(problem, n_poses)))
@@ -175,7 +169,6 @@ def test_no_set_keeps_more_than_all_poses_but_one_reach(problem: PlacementProble
 
 
 @given(problem=ANY_PROBLEM, stages=ANY_STAGES)
-@settings(max_examples=30)
 def test_points_of_large_tables_are_solved_by_themselves_and_never_fall(
     problem: PlacementProblem, stages: str
 ) -> None:
@@ -223,7 +216,6 @@ def test_a_front_asks_for_nothing_but_the_best(
 
 
 @given(problem=questions())
-@settings(max_examples=35)
 def test_a_front_below_a_solution_is_the_front_up_to_it(problem: PlacementProblem) -> None:
     problem = with_units(replace(problem, goal="best", survive=0), 3)
     try:

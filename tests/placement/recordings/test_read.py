@@ -166,7 +166,7 @@ def test_a_recording_in_which_nobody_meets_is_refused_with_what_was_left_out(
     )
 
 
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.sampled_from(["0/3_9.txt", "WorldData/3_9.txt", "Eval/3_9.txt"]),
     st.one_of(

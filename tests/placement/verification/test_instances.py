@@ -22,9 +22,7 @@ from placement.verification.instances import (
 )
 from scenarios.aeb import AebRule
 
-SHARED_FOLDER = settings(
-    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100
-)
+SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
 
@@ -61,7 +61,6 @@ def test_the_checker_calls_nothing_of_the_optimiser():
 
 
 @given(problem=questions(), size=st.integers(0, 4))
-@settings(max_examples=80)
 def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> None:
     sets = sets_of(problem, size)
     problem = replace(problem, survive=2)
@@ -94,7 +93,6 @@ def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> N
 
 
 @given(problem=questions())
-@settings(max_examples=50)
 def test_small_blocks_change_nothing(problem: PlacementProblem) -> None:
     sets = sets_of(problem, min(2, problem.table.n_poses))
     names = stage_names(problem)
@@ -106,7 +104,6 @@ def test_small_blocks_change_nothing(problem: PlacementProblem) -> None:
 
 
 @given(problem=questions())
-@settings(max_examples=100)
 def test_no_set_is_better_than_the_simple_limits(problem: PlacementProblem) -> None:
     limits = recomputation.simple_limits(problem, ())
     usable = recomputation.usable_poses(problem)
@@ -123,7 +120,6 @@ def test_no_set_is_better_than_the_simple_limits(problem: PlacementProblem) -> N
 
 
 @given(problem=questions())
-@settings(max_examples=100)
 def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(
     problem: PlacementProblem,
 ) -> None:
@@ -140,7 +136,6 @@ def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(
 
 
 @given(problem=questions())
-@settings(max_examples=60)
 def test_neighbours_are_all_sets_that_differ_in_one_unit(problem: PlacementProblem) -> None:
     rows = list(recomputation.usable_poses(problem)[:3])
     if not rows:
@@ -163,7 +158,6 @@ def test_neighbours_are_all_sets_that_differ_in_one_unit(problem: PlacementProbl
 
 
 @given(problem=questions())
-@settings(max_examples=60)
 def test_all_sets_are_all_that_may_be_allowed(problem: PlacementProblem) -> None:
     found = {
         frozenset(poses) for sets in recomputation.all_sets(problem) for poses in sets.tolist()

@@ -50,7 +50,7 @@ def failed(found: Verification) -> set[str]:
 
 
 @given(problem=questions())
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_what_the_solver_proves_is_verified(problem: PlacementProblem, tmp_path: Path) -> None:
     try:
         solution = solve_placement(problem)
@@ -64,7 +64,7 @@ def test_what_the_solver_proves_is_verified(problem: PlacementProblem, tmp_path:
 
 
 @given(problem=questions())
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_what_greedy_search_leaves_open_is_verified_as_open(
     problem: PlacementProblem, tmp_path: Path
 ) -> None:

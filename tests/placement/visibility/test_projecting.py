@@ -14,7 +14,7 @@ from geometry.poses import Pose
 from placement.detectors import GeometricDetector, load_planning_detector
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
-from placement.visibility.projecting import _limits, pack_frames
+from placement.visibility.projecting import pack_frames
 from placement.visibility.sensing import build_sensing
 
 WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
@@ -148,14 +148,6 @@ def test_any_camera_gets_the_verdicts_of_numpy(world, mount, camera, yaw_deg, pi
     sensing = _sensing(world, [look], DETECTORS["far-sighted"])
     expected = NumpySensing(sensing).detected(look)
     assert np.array_equal(sensing.detected([look])[0], expected)
-
-
-@given(st.lists(st.floats(width=32, allow_nan=False), min_size=1, max_size=40))
-def test_the_limits_of_numbers_are_found_by_their_bits(values):
-    numbers_32 = np.array(values, dtype=np.float32)
-    limits = np.empty(2, dtype=np.float32)
-    _limits(numbers_32.view(np.int32), len(numbers_32), limits.view(np.int32))
-    assert limits.tolist() == [numbers_32.min(), numbers_32.max()]
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 70))

@@ -114,16 +114,17 @@ def _evidence_of_frames(scene, runs, candidate, detector):
     position, pose, camera = candidate.pose.position_m, candidate.pose, candidate.sensor
     sight = cast_sight(world, position, near_m=camera.near_m, max_distance_m=1000.0)
     made = build_sensing(world, sight, position, detector)
-    ((_, evidence),) = made.evidence([candidate])
-    row_of_entry = np.full(len(sight.view_index) + 1, -1)
-    row_of_entry[evidence.draw_index] = np.arange(len(evidence))
-    frames = np.flatnonzero(row_of_entry[sight.entry_of_frame] >= 0)
-    rows = row_of_entry[sight.entry_of_frame[frames]]
+    (_, whole), (_, part) = made.evidence([candidate])
     fields = (
         *("visible_px", "amodal_px", "visible_share", "inside_share", "aspect_deg"),
         *("vru_class", "draw_index"),
     )
-    by_points = replace(evidence, **{name: getattr(evidence, name)[rows] for name in fields})
+    every = {n: np.concatenate([getattr(whole, n), getattr(part, n)]) for n in fields}
+    row_of_entry = np.full(len(sight.view_index) + 1, -1)
+    row_of_entry[every["draw_index"]] = np.arange(len(every["draw_index"]))
+    frames = np.flatnonzero(row_of_entry[sight.entry_of_frame] >= 0)
+    rows = row_of_entry[sight.entry_of_frame[frames]]
+    by_points = replace(whole, **{name: values[rows] for name, values in every.items()})
     by_points = replace(by_points, contrast=made.contrast[0, by_points.draw_index])
     by_pixels = perceive_from_roadside(build_surroundings(scene, runs).take(frames), pose, camera)
     return by_points, by_pixels

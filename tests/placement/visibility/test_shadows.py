@@ -3,7 +3,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.actors import PlacedActor
@@ -110,7 +110,6 @@ def test_from_within_the_box_of_a_parked_body_all_rays_are_cast(
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=60)
 def test_a_point_that_a_triangle_hides_is_never_clear(seed):
     """Triangles of all sizes, near and far, above and below, round the eye and beside it."""
     rng = np.random.default_rng(seed)

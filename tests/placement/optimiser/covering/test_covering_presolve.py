@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from covering_oracle import EverySet, instances
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser.covering.instance import build_covering_instance
@@ -27,7 +27,6 @@ def least_cost(instance):
 
 
 @given(instance=instances())
-@settings(max_examples=200)
 def test_reducing_a_full_cover_changes_no_optimum(instance):
     reduced = presolve_full_cover(instance)
     left = reduced.instance
@@ -49,7 +48,6 @@ def test_reducing_a_full_cover_changes_no_optimum(instance):
     share=st.floats(0.0, 1.0),
     minds_cost=st.booleans(),
 )
-@settings(max_examples=200)
 def test_reducing_a_weighted_cover_changes_no_optimum(instance, units, share, minds_cost):
     money = share * float(instance.cost.sum()) if minds_cost else np.inf
     reduced = presolve_weighted_cover(instance, minds_cost=minds_cost, money=money)

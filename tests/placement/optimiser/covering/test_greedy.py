@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from covering_oracle import EverySet, instances
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser.covering.instance import CoveringBudget, build_covering_instance
@@ -15,7 +15,6 @@ from placement.optimiser.covering.search import (
 
 
 @given(instance=instances(), share=st.floats(0.0, 1.0), n_rounds=st.integers(0, 5))
-@settings(max_examples=100)
 def test_a_cheap_cover_covers_enough_and_needs_all_its_columns(instance, share, n_rounds):
     needed = share * instance.coverable_weight
     chosen = cover_cheaply(
@@ -39,7 +38,6 @@ def test_a_cheap_cover_covers_enough_and_needs_all_its_columns(instance, share, 
     units=st.none() | st.integers(1, 5),
     share=st.none() | st.floats(0.0, 1.0),
 )
-@settings(max_examples=100)
 def test_much_is_covered_within_the_budget_and_no_exchange_covers_more(instance, units, share):
     if units is None and share is None:
         units = 3

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from covering_oracle import EverySet, instances, steiner_instance
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from placement.optimiser.covering.instance import CoveringInstance, build_covering_instance
@@ -35,7 +35,6 @@ def search(instance, n_slices=5, work=2_000, seed=1):
 
 
 @given(instance=full_covers())
-@settings(max_examples=50)
 def test_the_search_finds_the_optimum_of_small_instances(instance):
     found = search(instance)
     assert instance.covered_weight(found.best) == instance.n_rows
@@ -44,7 +43,6 @@ def test_the_search_finds_the_optimum_of_small_instances(instance):
 
 
 @given(instance=full_covers(), work=st.integers(1, 300), seed=st.integers(0, 5))
-@settings(max_examples=60)
 def test_what_the_search_keeps_up_to_date_is_what_it_would_be_counted_anew(instance, work, seed):
     found = search(instance, n_slices=1, work=work, seed=seed)
     state, covers = found._state, instance.covers.toarray()
@@ -64,7 +62,6 @@ def test_what_the_search_keeps_up_to_date_is_what_it_would_be_counted_anew(insta
 
 
 @given(instance=full_covers(), excess=st.floats(0.0, 2.0))
-@settings(max_examples=40)
 def test_prices_of_rows_bound_every_cover_and_every_cover_with_a_column(instance, excess):
     optimum = least_cost(instance)
     relaxed = lagrangian_bound(

@@ -3,7 +3,7 @@ import time
 import numpy as np
 import pytest
 from covering_oracle import EverySet, instances
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser.covering import search
@@ -20,7 +20,6 @@ def random_instance(seed, n_columns=12, n_rows=30, density=0.25, is_whole=True):
 
 
 @given(instance=instances(), n_units=st.integers(1, 6))
-@settings(max_examples=200)
 def test_search_matches_brute_force(instance, n_units):
     # Fewer columns than units: nothing to look for.
     n_units = min(n_units, instance.n_columns)

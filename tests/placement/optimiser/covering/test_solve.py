@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from covering_oracle import EverySet, instances
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
@@ -35,7 +35,6 @@ def check(solution: CoveringSolution, optimum: float, *, is_exact: bool, sign: f
 
 
 @given(instance=instances(), solver=st.sampled_from(["auto", "HIGHS", "greedy"]))
-@settings(max_examples=60)
 def test_covering_everything_matches_brute_force(instance, solver):
     solution = solve_lscp(instance, solver=solver)
     every = EverySet(instance)
@@ -46,7 +45,6 @@ def test_covering_everything_matches_brute_force(instance, solver):
 
 
 @given(instance=instances(), share=st.floats(0.0, 1.0), solver=EXACT)
-@settings(max_examples=60)
 def test_covering_a_share_matches_brute_force(instance, share, solver):
     target = share * instance.coverable_weight / max(instance.weight.sum(), 1.0)
     solution = solve_lscp(instance, target=target, solver=solver)
@@ -60,7 +58,6 @@ def test_covering_a_share_matches_brute_force(instance, share, solver):
     units=st.integers(1, 8),
     solver=st.sampled_from(["auto", "HIGHS", "greedy"]),
 )
-@settings(max_examples=60)
 def test_most_coverage_by_a_number_of_columns_matches_brute_force(instance, units, solver):
     solution = solve_mclp(instance, budget_units=units, solver=solver)
     assert len(solution.chosen) <= units
@@ -78,7 +75,6 @@ def test_most_coverage_by_a_number_of_columns_matches_brute_force(instance, unit
     units=st.none() | st.integers(1, 4),
     solver=EXACT,
 )
-@settings(max_examples=60)
 def test_most_coverage_for_money_matches_brute_force(instance, share, units, solver):
     money = share * float(instance.cost.sum())
     useful = instance.cost[instance.covers @ instance.weight > 0.0]

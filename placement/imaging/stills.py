@@ -1,0 +1,413 @@
+"""Many pictures by one camera that hangs still: what stands still is drawn once.
+
+In each frame only those pixels are drawn anew that what moves can change: it is seen there, throws
+a shadow there, is mirrored there, or its headlights shine there. What can be changed is found by
+boxes around the bodies, which hold more than the bodies do; the picture is the one that
+:func:`placement.imaging.draw_picture` draws.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.kernels import kernel
+from geometry.lidar import LidarModel
+from geometry.poses import Pose
+from geometry.raycast import FloatRays
+from geometry.sensors import CameraModel
+from geometry.weather import Weather
+from scenarios.runs import Run
+
+from ..compute import DEFAULT_COMPUTE, Compute
+from .exposure import find_edges
+from .light import HeadLamp, add_headlights
+from .materials import Hits
+from .mesh import (
+    Mesh,
+    PointCloud,
+    add_moving_meshes,
+    build_moving_meshes,
+    place_mesh,
+    scan_mesh,
+)
+from .picture import (
+    Backdrop,
+    Picture,
+    Shades,
+    Shot,
+    Surfaces,
+    build_shot,
+    expose_image,
+    ground_albedo,
+    names_of,
+    ray_parts,
+    shade_rays,
+    shade_surfaces,
+    smooth_image,
+    start_pool,
+)
+
+_MARGIN_M = 0.15  # added to boxes: more than a pixel's smoothing reaches at 150 m
+_CHUNK = 40_000  # pixels drawn at a time: fit into a cache
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Still:
+    """What a camera sees of what stands still, in one weather; drawn by :func:`draw_still`."""
+
+    backdrop: Backdrop
+    pose: Pose
+    shot: Shot
+    raw: Shades  # (h, w): through the middles of the pixels
+    surfaces: Surfaces | None  # (h, w, 3), where headlights may shine
+    is_edge: BoolArray  # (h, w): pixels that are smoothed
+    smooth: FloatRays  # (h, w, 3): radiance with smooth edges, cd/m^2
+    mirrors: IntArray  # (n,): pixels with a mirrored ray, row * w + column
+    mirrored: FloatRays  # (n, 3): where it goes
+
+
+def draw_still(
+    backdrop: Backdrop,
+    pose: Pose,
+    camera: CameraModel,
+    *,
+    weather: Weather,
+    compute: Compute = DEFAULT_COMPUTE,
+) -> Still:
+    """Draw what stands still, for many frames by :func:`draw_onto`."""
+    mesh = place_mesh(backdrop.mesh, pose.position_m)
+    shot = build_shot(backdrop, mesh, pose, camera, weather)
+    with start_pool(compute) as pool:
+        raw, surfaces = shade_surfaces(shot, pool)
+        is_edge = find_edges(raw.radiance)
+        smooth = raw.radiance.copy()
+        smooth_image(shot, smooth, np.flatnonzero(is_edge), pool)
+    mirrored = surfaces.mirrored.reshape(-1, 3)
+    mirrors = np.flatnonzero(mirrored.any(axis=1))
+    return Still(
+        backdrop=backdrop,
+        pose=pose,
+        shot=shot,
+        raw=raw,
+        surfaces=surfaces if weather.has_lamps else None,
+        is_edge=is_edge,
+        smooth=smooth,
+        mirrors=mirrors,
+        mirrored=mirrored[mirrors],
+    )
+
+
+def scan_onto(
+    still: Still, run: Run, frame_index: int, lidar: LidarModel, *, seed: int
+) -> PointCloud:
+    """Scan a frame of a run by a LiDAR that hangs where a still's camera does."""
+    moving = build_moving_meshes(run, frame_index, with_vut=True)
+    return scan_mesh(
+        add_moving_meshes(still.shot.mesh, moving),
+        run,
+        still.pose,
+        lidar,
+        weather=still.shot.weather,
+        seed=[seed, frame_index],
+    )
+
+
+def draw_onto(
+    still: Still, run: Run, frame_index: int, *, compute: Compute = DEFAULT_COMPUTE
+) -> Picture:
+    """Draw what moves in a frame of a run onto a still, whose obstruction must be the run's.
+
+    Where headlights shine on an edge of what stands still, their light is that on the pixel's
+    middle; all else is as in :func:`placement.imaging.draw_picture`.
+    """
+    base = still.shot
+    moving = build_moving_meshes(run, frame_index, with_vut=True)
+    shot = build_shot(
+        still.backdrop,
+        add_moving_meshes(base.mesh, moving),
+        still.pose,
+        base.camera,
+        base.weather,
+        run=run,
+        frame_index=frame_index,
+    )
+    right, ahead = ray_parts(shot, slice(0, base.camera.height_px), slice(0, base.camera.width_px))
+    changed = _find_changed(still, shot, moving, right, ahead)
+    raw = still.raw
+    image = Shades(raw.radiance.copy(), raw.instance.copy(), raw.depth_m.copy())
+    radiance, smooth = image.radiance.reshape(-1, 3), still.smooth.copy()
+
+    def rays(part: IntArray) -> FloatRays:
+        rows, columns = np.divmod(part, base.camera.width_px)
+        ways: FloatRays = ahead[rows] + right[columns]
+        return ways
+
+    def shade(part: IntArray) -> None:
+        shades, _ = shade_rays(shot, rays(part))
+        for whole, values in zip(image, shades, strict=True):
+            whole.reshape(-1, *whole.shape[2:])[part] = values
+
+    def shine(part: IntArray) -> None:
+        more = _headlight_radiance(still, shot, part, rays(part))
+        radiance[part] += more
+        smooth.reshape(-1, 3)[part] += more
+
+    with start_pool(compute) as pool:
+        _in_parts(pool, shade, np.flatnonzero(changed))
+        lit = _find_lit(still, shot, changed, right, ahead)
+        _in_parts(pool, shine, np.flatnonzero(lit))
+        around = _grown(changed)
+        smooth[around] = image.radiance[around]
+        unlike = around | (lit & ~still.is_edge)  # what the still says nothing of
+        smooth_image(shot, smooth, np.flatnonzero(unlike & find_edges(image.radiance)), pool)
+        rgb = expose_image(shot, smooth, still.pose, [compute.seed, frame_index], pool)
+    return Picture(
+        rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(shot.mesh)
+    )
+
+
+def _in_parts(pool: ThreadPoolExecutor, work: Callable[[IntArray], None], pixels: IntArray) -> None:
+    if len(pixels):
+        list(pool.map(work, np.array_split(pixels, 1 + len(pixels) // _CHUNK)))
+
+
+def _headlights(shot: Shot) -> list[HeadLamp]:
+    return [lamp for lamp in shot.lamps if isinstance(lamp, HeadLamp)]
+
+
+def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, ways: FloatRays) -> FloatRays:
+    """What headlights add to the radiance of pixels (n,) of a still, (n, 3)."""
+    assert still.surfaces is not None
+    surfaces = Surfaces(*(array.reshape(-1, 3)[pixels] for array in still.surfaces))
+    local = ways * still.raw.depth_m.reshape(-1)[pixels, None]
+    origin = shot.mesh.origin_m.astype(np.float32)
+    distance = np.sqrt(np.einsum("ij,ij->i", local, local))
+    lux = surfaces.lux.copy()
+    add_headlights(
+        lux,
+        Hits(
+            points_m=local + origin,
+            normals=surfaces.normals,
+            thing=np.zeros(len(local), dtype=np.int32),
+            distance_m=distance,
+            pixel_m=distance,
+        ),
+        _headlights(shot),
+        caster=shot.mesh.caster,
+        origin_m=origin,
+        ground_albedo=ground_albedo(),
+    )
+    lux -= surfaces.lux
+    lux *= surfaces.albedo
+    lux *= (np.exp(np.float32(-shot.sky.extinction_per_m) * distance) / np.float32(np.pi))[:, None]
+    return lux
+
+
+def _grown(mask: BoolArray) -> BoolArray:
+    """A mask (h, w) and the pixels beside it, above and below."""
+    grown = mask.copy()
+    grown[1:] |= mask[:-1]
+    grown[:-1] |= mask[1:]
+    grown[:, 1:] |= mask[:, :-1]
+    grown[:, :-1] |= mask[:, 1:]
+    return grown
+
+
+def _find_changed(
+    still: Still, shot: Shot, moving: Sequence[Mesh], right: FloatRays, ahead: FloatRays
+) -> BoolArray:
+    """Pixels (h, w) that what moves may change, but for the light of its headlights."""
+    boxes = np.stack([_box(mesh, shot.mesh.origin_m) for mesh in moving])
+    lamps = [
+        [*(lamp.position_m - shot.mesh.origin_m), lamp.reach_m]
+        for lamp in shot.lamps
+        if not isinstance(lamp, HeadLamp)
+    ]
+    has_sun = bool(shot.sky.sun_lux.any()) and shot.sky.to_sun[2] > 0.0
+    changed = np.zeros(still.raw.depth_m.shape, dtype=np.bool_)
+    _mark(
+        changed,
+        still.raw.depth_m,
+        right,
+        ahead,
+        boxes,
+        shot.sky.to_sun if has_sun else np.zeros(3),
+        np.array(lamps).reshape(-1, 4),
+    )
+    _mark_mirrored(
+        changed.reshape(-1),
+        still.raw.depth_m.reshape(-1),
+        right,
+        ahead,
+        boxes,
+        still.mirrors,
+        still.mirrored,
+    )
+    return changed
+
+
+def _find_lit(
+    still: Still, shot: Shot, changed: BoolArray, right: FloatRays, ahead: FloatRays
+) -> BoolArray:
+    """Pixels (h, w) of a still on which headlights may shine."""
+    lit = np.zeros(changed.shape, dtype=np.bool_)
+    heads = [
+        [*(lamp.position_m - shot.mesh.origin_m), lamp.reach_m, *lamp.R_world_lamp[:, 0]]
+        for lamp in _headlights(shot)
+    ]
+    if heads:
+        _mark_lit(lit, changed, still.raw.depth_m, right, ahead, np.array(heads))
+    return lit
+
+
+def _box(mesh: Mesh, origin_m: FloatArray) -> FloatArray:
+    """The box around a body, (9,): middle, cosine and sine of its yaw, half sizes, radius ** 2."""
+    yaw = math.radians(mesh.things[0].pose.yaw_deg)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    local = (mesh.vertices_m - origin_m) @ turn
+    low, high = local.min(axis=0) - _MARGIN_M, local.max(axis=0) + _MARGIN_M
+    middle, half = turn @ (0.5 * (low + high)), 0.5 * (high - low)
+    box: FloatArray = np.concatenate([middle, turn[:2, 0], half, [half @ half]])
+    return box
+
+
+# ---------- kernels
+
+
+@kernel
+def _meets(
+    box: FloatArray,
+    px: float,
+    py: float,
+    pz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    most: float,
+) -> bool:
+    """Whether a ray from p along v meets a box before `most` times v."""
+    dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
+    # First the sphere around the box.
+    along = dx * vx + dy * vy + dz * vz
+    away = dx * dx + dy * dy + dz * dz - box[8]
+    if away > 0.0 and (along < 0.0 or away * (vx * vx + vy * vy + vz * vz) > along * along):
+        return False
+    cos, sin = box[3], box[4]
+    near, far = 0.0, most
+    for axis in range(3):
+        if axis == 0:
+            middle, way = cos * dx + sin * dy, cos * vx + sin * vy
+        elif axis == 1:
+            middle, way = cos * dy - sin * dx, cos * vy - sin * vx
+        else:
+            middle, way = dz, vz
+        half = box[5 + axis]
+        if abs(way) < 1e-12:
+            if abs(middle) > half:
+                return False
+            continue
+        first, second = (middle - half) / way, (middle + half) / way
+        if first > second:
+            first, second = second, first
+        near, far = max(near, first), min(far, second)
+        if near > far:
+            return False
+    return True
+
+
+@kernel
+def _mark(
+    changed: BoolArray,
+    depth_m: FloatRays,
+    right: FloatRays,
+    ahead: FloatRays,
+    boxes: FloatArray,
+    to_sun: FloatArray,
+    lamps: FloatArray,
+) -> None:
+    """Mark pixels where a box is seen, or throws a shadow of sun or lamp."""
+    n_boxes = len(boxes)
+    has_sun = to_sun[2] > 0.0
+    for row in range(changed.shape[0]):
+        for column in range(changed.shape[1]):
+            vx = float(ahead[row, 0]) + right[column, 0]
+            vy = float(ahead[row, 1]) + right[column, 1]
+            vz = float(ahead[row, 2]) + right[column, 2]
+            depth = float(depth_m[row, column])
+            found = False
+            for index in range(n_boxes):
+                found = found or _meets(boxes[index], 0.0, 0.0, 0.0, vx, vy, vz, depth)
+            if found or math.isinf(depth):
+                changed[row, column] = found
+                continue
+            x, y, z = vx * depth, vy * depth, vz * depth
+            if has_sun:
+                for index in range(n_boxes):
+                    found = found or _meets(
+                        boxes[index], x, y, z, to_sun[0], to_sun[1], to_sun[2], math.inf
+                    )
+            for lamp in range(len(lamps)):
+                lx, ly, lz = lamps[lamp, 0] - x, lamps[lamp, 1] - y, lamps[lamp, 2] - z
+                if found or lx * lx + ly * ly + lz * lz > lamps[lamp, 3] ** 2:
+                    continue
+                for index in range(n_boxes):
+                    found = found or _meets(boxes[index], x, y, z, lx, ly, lz, 1.0)
+            changed[row, column] = found
+
+
+@kernel
+def _mark_lit(
+    lit: BoolArray,
+    changed: BoolArray,
+    depth_m: FloatRays,
+    right: FloatRays,
+    ahead: FloatRays,
+    heads: FloatArray,
+) -> None:
+    """Mark pixels that are not changed and lie before a headlight, in its reach."""
+    for row in range(lit.shape[0]):
+        for column in range(lit.shape[1]):
+            depth = float(depth_m[row, column])
+            if changed[row, column] or math.isinf(depth):
+                continue
+            x = (float(ahead[row, 0]) + right[column, 0]) * depth
+            y = (float(ahead[row, 1]) + right[column, 1]) * depth
+            z = (float(ahead[row, 2]) + right[column, 2]) * depth
+            for lamp in range(len(heads)):
+                dx, dy, dz = x - heads[lamp, 0], y - heads[lamp, 1], z - heads[lamp, 2]
+                along = dx * heads[lamp, 4] + dy * heads[lamp, 5] + dz * heads[lamp, 6]
+                if along > 0.0 and dx * dx + dy * dy + dz * dz < heads[lamp, 3] ** 2:
+                    lit[row, column] = True
+
+
+@kernel
+def _mark_mirrored(
+    changed: BoolArray,
+    depth_m: FloatRays,
+    right: FloatRays,
+    ahead: FloatRays,
+    boxes: FloatArray,
+    mirrors: IntArray,
+    mirrored: FloatRays,
+) -> None:
+    """Mark pixels whose mirrored ray meets a box."""
+    width = len(right)
+    for number in range(len(mirrors)):
+        pixel = mirrors[number]
+        if changed[pixel]:
+            continue
+        row, column = pixel // width, pixel % width
+        depth = float(depth_m[pixel])
+        x = (float(ahead[row, 0]) + right[column, 0]) * depth
+        y = (float(ahead[row, 1]) + right[column, 1]) * depth
+        z = (float(ahead[row, 2]) + right[column, 2]) * depth
+        way = mirrored[number]
+        for index in range(len(boxes)):
+            if _meets(boxes[index], x, y, z, float(way[0]), float(way[1]), float(way[2]), math.inf):
+                changed[pixel] = True
+                break

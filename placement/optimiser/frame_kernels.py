@@ -1,0 +1,140 @@
+"""Machine code on merged frames: which windows of chains sets of poses see, and are live.
+
+Everything here works on plain arrays; :mod:`placement.optimiser.presolve` says what they hold.
+"""
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.kernels import kernel
+
+from .presolve import Chains, WordArray
+
+
+@kernel
+def look_through(
+    union: WordArray,
+    window_frames: IntArray,
+    window: IntArray,
+    start: IntArray,
+    tail_frame: IntArray,
+    tail_links: IntArray,
+    tail_start: IntArray,
+    order: IntArray,
+    lost: FloatArray,
+    most_lost: float,
+    first: IntArray,
+) -> int:
+    """First live windows of chains in some order, until too much is lost: how many that took.
+
+    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one of a
+    union of merged frames; it has no rows if nothing can be lost. ``first[g]`` is the number of the
+    chain's windows where none is live.
+    """
+    total = 0.0
+    for rank in range(len(order)):
+        chain = order[rank]
+        place, end = start[chain], start[chain + 1]
+        for tail in range(tail_start[chain], tail_start[chain + 1]):
+            frame = tail_frame[tail]
+            if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) == 0:
+                place += tail_links[tail]
+                break
+        while place < end:
+            is_seen = np.uint64(1)
+            for number in range(window_frames.shape[1]):
+                frame = window_frames[window[place], number]
+                is_seen &= union[frame >> 6] >> np.uint64(frame & 63)
+            if is_seen:
+                break
+            place += 1
+        first[chain] = place - start[chain]
+        if len(lost):
+            total += lost[chain, first[chain]]
+            if total > most_lost:
+                return rank
+    return len(order)
+
+
+@kernel
+def first_live_windows(unions: WordArray, chains: Chains, first: IntArray) -> None:
+    """First live window of each chain for each union of merged frames, (n_unions, n_chains)."""
+    order, nothing = np.arange(len(chains.start) - 1), np.empty((0, 0))
+    for row in range(len(unions)):
+        look_through(
+            unions[row],
+            chains.window_frames,
+            chains.window,
+            chains.start,
+            chains.tail_frame,
+            chains.tail_links,
+            chains.tail_start,
+            order,
+            nothing,
+            0.0,
+            first[row],
+        )
+
+
+@kernel
+def drop_lost_windows(seen: WordArray, frames: WordArray, chains: Chains) -> None:
+    """Clear windows that are not live; bits along sets: (n_links, n_words), (n_frames, n_words)."""
+    held = np.empty(seen.shape[1], dtype=np.uint64)
+    for chain in range(len(chains.start) - 1):
+        held[:] = ~np.uint64(0)
+        tail, last = chains.tail_start[chain], chains.tail_start[chain + 1]
+        for number in range(chains.start[chain + 1] - chains.start[chain] - 1, -1, -1):
+            while tail < last and chains.tail_links[tail] > number:
+                held &= frames[chains.tail_frame[tail]]
+                tail += 1
+            seen[chains.start[chain] + number] &= held
+
+
+@kernel
+def lose_little(
+    words: WordArray,
+    sets: IntArray,
+    with_failures: bool,
+    chains: Chains,
+    lost: FloatArray,
+    most_lost: float,
+    kept: BoolArray,
+) -> None:
+    """Whether sets lose no more than so much: all their units, or whichever one of them fails.
+
+    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one. Few
+    sets are looked at as a whole: the chains at which others before failed come first.
+    """
+    n_chains = len(chains.start) - 1
+    order, first = np.arange(n_chains), np.empty(n_chains, dtype=np.int64)
+    union = np.empty(words.shape[1], dtype=np.uint64)
+    for row in range(len(sets)):
+        kept[row] = most_lost >= 0.0
+        for case in range(sets.shape[1] if with_failures else 1):
+            failed = case if with_failures else -1
+            for word in range(len(union)):
+                union[word] = 0
+            for unit in range(sets.shape[1]):
+                if unit != failed:
+                    of_unit = words[sets[row, unit]]
+                    for word in range(len(union)):
+                        union[word] |= of_unit[word]
+            rank = look_through(
+                union,
+                chains.window_frames,
+                chains.window,
+                chains.start,
+                chains.tail_frame,
+                chains.tail_links,
+                chains.tail_start,
+                order,
+                lost,
+                most_lost,
+                first,
+            )
+            if rank < n_chains:
+                kept[row] = False
+                before = rank // 2  # nearer to the front, not all the way: some fail by chance
+                order[rank], order[before] = order[before], order[rank]
+            if not kept[row]:
+                break

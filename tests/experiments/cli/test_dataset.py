@@ -1,0 +1,292 @@
+"""The command `dataset`: what it writes, that it goes on where it stopped, and what it refuses."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from experiments.export.json import to_json
+from experiments.jobs import dataset as job
+from experiments.study.layout import load_carlancap_layout
+from geometry.sensors import CameraModel
+
+ASKED = ("--cases", "CPNC-50", "--approaches", "east", "--speeds", "40", "--along-arms", "0")
+
+
+@pytest.fixture
+def dataset(run, tmp_path):
+    """The command, for two small cameras of the study: exit code, stdout, stderr."""
+    study = load_carlancap_layout()
+    small = CameraModel(
+        name="small",
+        width_px=640,
+        height_px=360,
+        horizontal_fov_deg=90.0,
+        frame_rate_hz=10.0,
+        near_m=0.1,
+        price_eur=0.0,
+    )
+    by_id = {unit.id: unit for unit in study.units}
+    sharp = tuple(by_id[name] for name in ("RSU2", "RSU8"))
+    (tmp_path / "sharp.json").write_text(to_json(replace(study, units=sharp)))
+    units = tuple(replace(by_id[name], sensor=small) for name in ("RSU3", "RSU8"))
+    (tmp_path / "two.json").write_text(to_json(replace(study, units=units)))
+
+    def run_dataset(*more, out="data", every=40, layout="two.json", units="RSU3,RSU8"):
+        return run(
+            *("dataset", "--layout", tmp_path / layout, *ASKED, "--units", units),
+            *("--every", every, "--workers", 1, "--out", out, *more),
+        )
+
+    return run_dataset
+
+
+def _files(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in Path(folder).rglob("*")
+        if path.is_file()
+    }
+
+
+def test_pictures_clouds_labels_and_a_manifest_are_written(dataset):
+    code, out, err = dataset("--masks", "--depth", "--json")
+    assert code == 0, err
+    summary, manifest = json.loads(out), json.loads(Path("data/dataset.json").read_text())
+    frames = [drive["frames"] for drive in manifest["drives"]]
+    n_each = sum(len(range(0, n, 40)) for n in frames)
+    assert (summary["pictures"], summary["drawn"]) == (2 * n_each, 2 * n_each)
+    assert summary["frames"] == sum(frames)
+    assert [unit["id"] for unit in manifest["units"]] == ["RSU3", "RSU8"]
+    for folder in ("0", "1"):
+        assert len(list(Path("data", folder).glob("*.png"))) == n_each
+        assert len(list(Path("data", folder).glob("*.bin"))) == n_each
+        assert len(list(Path("data", folder).glob("*.txt"))) == sum(frames)
+        assert len(list(Path("data/depth", folder).glob("*.png"))) == n_each
+    with Image.open("data/0/0_0.png") as picture, Image.open("data/instances/0/0_0.png") as masks:
+        assert picture.size == masks.size == (640, 360)
+    cloud = np.fromfile("data/0/0_0.bin", dtype="<f4").reshape(-1, 4)
+    assert np.isfinite(cloud).all()
+    assert len(cloud) > 1000
+
+
+def test_a_calibration_projects_the_vru_into_its_label(dataset):
+    from geometry.scene_files import load_study_scene
+    from placement.question import Question
+    from placement.setting import build_setting
+
+    assert dataset("--lidar", "none", every=10**6)[0] == 0
+    manifest = json.loads(Path("data/dataset.json").read_text())
+    setting = build_setting(
+        Question(cases="CPNC-50", approaches="east", speeds="40", along_arms="0"),
+        load_study_scene(),
+    )
+    unit, n_seen = manifest["units"][0], 0
+    for run, drive in zip(setting.runs, manifest["drives"], strict=True):
+        for frame in range(drive["frames"]):
+            number = drive["first_number"] + frame
+            text = Path(f"data/0/{drive['scenario']}_{number}.txt").read_text().split()
+            if not text:
+                continue
+            middle = np.append(run.vru_position_m[frame], 0.5 * run.encounter.vru.height_m)
+            seen = np.array(unit["camera_matrix"]) @ (
+                np.array(unit["world_to_camera"]) @ middle + unit["translation_m"]
+            )
+            x, y = seen[:2] / seen[2]
+            x_min, y_min, x_max, y_max = map(float, text[1:5])
+            slack = 2.0 + 0.5 * (x_max - x_min)  # parts may be hidden, or cut off
+            assert x_min - slack < x < x_max + slack
+            assert y_min - (y_max - y_min) - 2.0 < y < y_max + (y_max - y_min) + 2.0
+            n_seen += 1
+    assert n_seen > 10
+
+
+def test_read_back_it_gives_the_evaluators_verdicts(dataset, run, tmp_path):
+    seen = dataset("--lidar", "none", every=10**6, layout="sharp.json", units="RSU2,RSU8")
+    assert seen[0] == 0
+    recorded = json.loads(run("evaluate", "--recording", "data", "--json")[1])
+    judged = json.loads(
+        run(
+            *("evaluate", "--layout", tmp_path / "sharp.json", *ASKED),
+            *("--track-memory", "inf", "--json"),
+        )[1]
+    )
+    told = {name: party["all"] for name, party in recorded["evaluation"]["units"].items()}
+    known = {name: party["all"] for name, party in judged["evaluation"]["units"].items()}
+    assert list(told.values()) == list(known.values())
+    assert recorded["evaluation"]["rsu_all"]["all"] == judged["evaluation"]["rsu_all"]["all"]
+    assert any(told.values())
+
+
+def test_coco_is_read_by_its_own_library(dataset, capsys):
+    coco = pytest.importorskip("pycocotools.coco")
+    assert dataset("--format", "coco", "--lidar", "none")[0] == 0
+    labels = coco.COCO("data/coco.json")
+    images = labels.loadImgs(labels.getImgIds())
+    assert all(Path("data", image["file_name"]).exists() for image in images)
+    assert {category["name"] for category in labels.loadCats(labels.getCatIds())} == {
+        "pedestrian",
+        "cyclist",
+    }
+    for found in labels.loadAnns(labels.getAnnIds()):
+        x, y, width, height = found["bbox"]
+        assert 0 <= x < x + width <= 640
+        assert 0 <= y < y + height <= 360
+    assert labels.getAnnIds()
+    assert not list(Path("data").rglob("*.txt"))
+
+
+def test_it_goes_on_where_it_stopped_and_writes_nothing_twice(dataset):
+    assert dataset("--lidar", "none")[0] == 0
+    whole = _files("data")
+    pictures = sorted(name for name in whole if name.endswith(".png"))
+    lost = pictures[1::2]
+    for name in lost:
+        Path("data", name).unlink()
+    stamps = {name: Path("data", name).stat().st_mtime_ns for name in pictures[::2]}
+    code, out, err = dataset("--lidar", "none", "--json")
+    assert code == 0
+    assert json.loads(out)["drawn"] == len(lost)
+    assert f"{len(pictures) - len(lost)} are there already" in err
+    assert _files("data") == whole
+    assert {name: Path("data", name).stat().st_mtime_ns for name in stamps} == stamps
+
+
+def test_other_processes_draw_the_same(dataset):
+    assert dataset("--lidar", "none", out="one")[0] == 0
+    assert dataset("--lidar", "none", "--workers", 2, out="two")[0] == 0
+    assert _files("one") == _files("two")
+
+
+def test_tasks_of_a_process_that_dies_are_drawn_by_another(dataset, monkeypatch, tmp_path):
+    # A process that finds the file dies, once.
+    mark = tmp_path / "die"
+    mark.write_text("")
+    monkeypatch.setattr(job, "draw_task", _die_once)
+    monkeypatch.setenv("PLACE_RSUS_TEST_MARK", str(mark))
+    code, out, err = dataset("--lidar", "none", "--workers", 2, "--json")
+    assert code == 0, err
+    assert not mark.exists()
+    assert len(list(Path("data/0").glob("*.png"))) == json.loads(out)["pictures"] / 2
+
+
+def _die_once(task):
+    mark = Path(os.environ["PLACE_RSUS_TEST_MARK"])
+    if mark.exists():
+        mark.unlink(missing_ok=True)
+        os.kill(os.getpid(), signal.SIGKILL)
+    return _draw_task(task)
+
+
+_draw_task = job.draw_task
+
+
+def test_killed_in_the_middle_it_goes_on(dataset, tmp_path):
+    command = [
+        *(sys.executable, "-m", "experiments.cli.main", "dataset"),
+        *("--layout", str(tmp_path / "two.json"), *ASKED, "--units", "RSU3,RSU8"),
+        *("--every", "4", "--lidar", "none", "--workers", "1", "--out", "data", "--quiet"),
+    ]
+    root = Path(job.__file__).parents[2]
+    process = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(root)})
+    while process.poll() is None and len(list(Path("data").rglob("*.png"))) < 3:
+        time.sleep(0.02)
+    process.kill()
+    process.wait()
+    n_there = len(list(Path("data").rglob("[0-9]*.png")))
+    assert n_there >= 3
+    code, out, _ = dataset("--lidar", "none", "--json", every=4)
+    summary = json.loads(out)
+    assert (code, summary["drawn"]) == (0, summary["pictures"] - n_there)
+    for path in Path("data").rglob("*.png"):
+        with Image.open(path) as picture:
+            picture.verify()
+    assert not list(Path("data").rglob("*.tmp"))
+
+
+def test_a_full_disk_stops_it_and_leaves_what_is_drawn(dataset, monkeypatch):
+    n_written = 0
+    write = job.write_atomically
+
+    def fill(path, content):
+        nonlocal n_written
+        n_written += 1
+        if n_written > 2:
+            raise OSError(28, "No space left on device", str(path))
+        write(path, content)
+
+    monkeypatch.setattr(job, "write_atomically", fill)
+    code, out, err = dataset("--lidar", "none")
+    assert (code, out) == (2, "")
+    assert "No space left on device" in err.splitlines()[-1]
+    assert len(list(Path("data").rglob("*.png"))) == 2
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (
+            ("--units", "RSU2"),
+            "--units: got 'RSU2'; expected cameras of the layout: RSU3, RSU8, VUT",
+        ),
+        (("--every", "0"), "--every: got '0'; expected a number of frames, at least 1"),
+        (("--lidar", "radar"), "--lidar: got 'radar'; expected one of"),
+        (("--detector", "net.onnx"), "net.onnx"),
+    ],
+)
+def test_what_cannot_be_written_is_said_in_a_line(dataset, more, message):
+    code, out, err = dataset(*more)
+    assert (code, out) == (2, "")
+    assert message in err.splitlines()[-1]
+    assert not Path("data").exists()
+
+
+def test_a_folder_of_another_dataset_or_of_something_else_is_left_alone(dataset):
+    assert dataset("--lidar", "none")[0] == 0
+    before = _files("data")
+    code, _, err = dataset("--lidar", "none", "--seed", 1)
+    assert code == 2
+    assert err.splitlines()[-1] == (
+        "place-rsus: --out: got data, a dataset with seed 0; expected a new folder, or the same "
+        "dataset"
+    )
+    assert _files("data") == before
+    Path("mine").mkdir()
+    Path("mine/letter.txt").write_text("mine")
+    code, _, err = dataset("--lidar", "none", out="mine")
+    assert (code, _files("mine")) == (2, {"letter.txt": b"mine"})
+    assert "a folder that is not empty" in err.splitlines()[-1]
+
+
+def test_a_scheduler_that_does_not_answer_is_named(dataset):
+    pytest.importorskip("distributed")
+    code, _, err = dataset("--lidar", "none", "--scheduler", "nowhere:1")
+    assert code == 2
+    assert "--scheduler: got nowhere:1" in err.splitlines()[-1]
+
+
+def test_without_dask_its_name_is_said(dataset, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    code, _, err = dataset("--lidar", "none", "--scheduler", "tcp://127.0.0.1:1")
+    assert code == 2
+    assert err.splitlines()[-1].endswith("pip install 'place-rsus[cluster]'")
+
+
+def test_workers_of_a_dask_cluster_draw_and_one_may_die(dataset, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, protocol="tcp"
+    ) as cluster:
+        pid = next(iter(cluster.workers.values())).pid
+        os.kill(pid, signal.SIGKILL)
+        code, out, err = dataset("--lidar", "none", "--scheduler", cluster.scheduler_address)
+    assert code == 0, err
+    assert len(list(Path("data").rglob("*.png"))) == int(out.split()[0])

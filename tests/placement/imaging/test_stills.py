@@ -1,0 +1,65 @@
+"""What moves, drawn onto a still, against the whole picture drawn anew."""
+
+import numpy as np
+import pytest
+
+from geometry.poses import Pose
+from geometry.scene_files import load_study_scene
+from geometry.weather import load_weathers
+from placement.compute import Compute
+from placement.imaging import build_backdrop, draw_picture
+from placement.imaging.stills import draw_onto, draw_still
+
+CORNER = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
+COMPUTE = Compute(seed=2, workers=1)
+
+
+@pytest.fixture(scope="module")
+def backdrop(study_run):
+    return build_backdrop(load_study_scene(), study_run.obstruction)
+
+
+@pytest.fixture(scope="module", params=["day", "night", "rain"])
+def pictures(request, backdrop, study_run, small):
+    """Three frames in a weather: anew, and onto a still."""
+    weather = load_weathers()[request.param]
+    still = draw_still(backdrop, CORNER, small, weather=weather, compute=COMPUTE)
+    n_frames = len(study_run.time_s)
+    return request.param, [
+        (
+            draw_picture(
+                backdrop, study_run, frame, CORNER, small, weather=weather, compute=COMPUTE
+            ),
+            draw_onto(still, study_run, frame, compute=COMPUTE),
+        )
+        for frame in (n_frames - 30, n_frames - 13, n_frames - 1)
+    ]
+
+
+def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(pictures):
+    weather, pairs = pictures
+    for anew, onto in pairs:
+        assert np.array_equal(onto.depth_m, anew.depth_m)
+        assert onto.names == anew.names
+        levels = np.abs(onto.rgb.astype(int) - anew.rgb.astype(int)).max(axis=2)
+        if weather == "night":  # headlights on edges are those on the pixels' middles
+            assert (levels > 1).mean() < 0.02
+        else:
+            assert (levels > 1).mean() < 1e-3
+
+
+def test_the_road_users_are_in_both_at_the_same_pixels(pictures):
+    _, pairs = pictures
+    for anew, onto in pairs:
+        for name in ("vru", "vut"):
+            index = anew.names.index(name)
+            assert np.array_equal(onto.instance == index, anew.instance == index)
+    assert any((onto.instance == onto.names.index("vru")).any() for _, onto in pairs)
+
+
+def test_most_of_a_still_is_kept(backdrop, study_run, small):
+    still = draw_still(backdrop, CORNER, small, weather=load_weathers()["day"], compute=COMPUTE)
+    before = still.smooth.copy()
+    onto = draw_onto(still, study_run, len(study_run.time_s) - 1, compute=COMPUTE)
+    assert np.array_equal(still.smooth, before)
+    assert 0.0 < (onto.instance != still.raw.instance).mean() < 0.5
