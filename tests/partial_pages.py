@@ -1,10 +1,40 @@
 """Sections of the report by themselves, as the page shows them."""
 
-import msgspec
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from zlib import crc32
 
+import msgspec
+import pytest
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from PIL import Image
+
+from experiments.figures.axes import root_figure
+from experiments.report import section
 from experiments.report.section import Bullets, Picture, Section, Table
 from experiments.results.result import Result
+
+
+def blank_png(drawn: Axes | Figure) -> bytes:
+    """A picture as large as a figure, of one colour that is told by the words in it."""
+    figure = root_figure(drawn)
+    words = " ".join(text.get_text() for text in figure.findobj(Text))
+    size = tuple(round(inches * figure.dpi) for inches in figure.get_size_inches())
+    file = BytesIO()
+    Image.new("RGB", size, tuple(crc32(words.encode()).to_bytes(4)[1:])).save(file, format="png")
+    return file.getvalue()
+
+
+@contextmanager
+def blank_pictures() -> Iterator[None]:
+    """Reports have blank pictures: drawing takes long, and most tests look at words."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(section, "to_png", blank_png)
+        yield
 
 
 def render_section(section: Section | None) -> str:

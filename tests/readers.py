@@ -681,7 +681,53 @@ def _demands() -> Mapping[str, tuple[str, Files]]:
     return {"default": _one("a.toml", source.read_bytes().decode())}
 
 
+def _manifests() -> Mapping[str, tuple[str, Files]]:
+    from msgspec import json
+
+    from experiments.jobs.dataset import MANIFEST, DatasetDrive, DatasetRecord, DatasetUnit
+
+    rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    unit = DatasetUnit(
+        folder="0",
+        id="U1",
+        width_px=4,
+        height_px=3,
+        camera_matrix=rows,
+        world_to_camera=rows,
+        translation_m=(0.0, 0.0, 0.0),
+    )
+    drive = DatasetDrive(
+        run="CBLA/east/40",
+        weather="day",
+        scenario=0,
+        first_number=0,
+        frames=9,
+        last_brake_time_s=None,
+    )
+    record = DatasetRecord(
+        schema="place-rsus/dataset/1",
+        format="coco",
+        scene="town05",
+        detector="geometric",
+        every=1,
+        lidar="none",
+        masks=False,
+        depth=False,
+        seed=0,
+        units=(unit,),
+        drives=(drive,),
+    )
+    return {"manifest": _one(MANIFEST, json.encode(record))}
+
+
+def _read_manifest(path: Path) -> Any:
+    from experiments.jobs.dataset import load_manifest
+
+    return load_manifest(path)
+
+
 READERS: Mapping[str, Reader] = {
+    "datasets": Reader(_read_manifest, _manifests, ("experiments.jobs.dataset.load_manifest",)),
     "traffic": Reader(
         _read_traffic, _traffic, ("placement.sampling.moving.fcd.load_fcd",), share=2
     ),

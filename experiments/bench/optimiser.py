@@ -316,6 +316,8 @@ _RELAXATION_TIME_S = 60.0
 _MCLP_POSES, _MCLP_ROWS, _MCLP_UNITS = 1500, 4000, 3
 _MCLP_RADIUS = 0.1  # of the unit square
 _STEINER_POINTS = 243
+_TRACK_MEMORIES_S = (np.inf, 1.0)
+_BUDGETS = (2, 3, 4, 5)
 _LARGE_UNITS, _LARGE_GAP, _LARGE_TIME_S = 6, 0.01, 300.0
 
 
@@ -358,10 +360,31 @@ def measure_optimiser(
         name = f"optimiser: front K = 1..{_FRONT_UNITS}, {what}"
         figures[f"{name}: seconds (under 60)"] = time.perf_counter() - began_s
         figures[f"{name}: proven"] = front.is_proven
+    figures |= measure_budgets(problem)
     wider = replace(problem, limits=replace(problem.limits, budget_units=budget + 1))
     figures |= measure_relaxation(wider)
     single = build_problem(setting, candidates, table, wishes=wishes, fusion="single")
     return figures | _measure_single(single, table)
+
+
+def measure_budgets(
+    problem: PlacementProblem, *, units: Sequence[int] = _BUDGETS, time_limit_s: float = 180.0
+) -> Figures:
+    """Presolve and all stages for growing budgets, with tracks that live on and that end."""
+    figures: Figures = {}
+    for memory_s in _TRACK_MEMORIES_S:
+        for budget in units:
+            asked = replace(
+                problem,
+                rule=replace(problem.rule, track_memory_s=memory_s),
+                limits=replace(problem.limits, budget_units=budget),
+            )
+            began_s = time.perf_counter()
+            solution = solve_placement(asked, effort=Effort(time_limit_s=time_limit_s))
+            name = f"optimiser: track memory {memory_s:g} s, K = {budget}"
+            figures[f"{name}: seconds, presolve and all stages"] = time.perf_counter() - began_s
+            figures[f"{name}: proven"] = solution.certificate.is_proven
+    return figures
 
 
 def measure_relaxation(problem: PlacementProblem) -> Figures:

@@ -26,11 +26,12 @@ from numpy.typing import NDArray
 from geometry.arrays import FloatArray
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
+from geometry.files import MAX_TEXT_BYTES, check_file, write_atomically
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
+from geometry.terrain import on_ground
 from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.detectors import Evidence, is_matched, load_min_iou
@@ -365,15 +366,20 @@ def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
 
 
+def load_manifest(path: Path) -> DatasetRecord:
+    """Read ``dataset.json``; InputError if it is something else."""
+    check_file(path, max_bytes=MAX_TEXT_BYTES)
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=DatasetRecord)
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(str(path), Unquoted(error), "a manifest of place-rsus dataset") from None
+
+
 def _is_begun(out: Path, record: DatasetRecord) -> bool:
     """Whether a folder holds this dataset, or a part of it; InputError if it holds another one."""
-    path = out / MANIFEST
-    if not path.exists():
+    if not (out / MANIFEST).exists():
         return False
-    try:
-        found = msgspec.json.decode(path.read_bytes(), type=DatasetRecord)
-    except (OSError, msgspec.DecodeError) as error:
-        raise InputError(str(path), Unquoted(error), "a manifest of place-rsus dataset") from None
+    found = load_manifest(out / MANIFEST)
     for name in DatasetRecord.__struct_fields__:
         other = getattr(found, name)
         if other != getattr(record, name):
@@ -481,9 +487,8 @@ def _drives(
 
 
 def _away(run: Run, pose: Pose) -> FloatArray:
-    distance: FloatArray = np.hypot(
-        np.linalg.norm(run.vru_position_m - pose.position_m[:2], axis=1), pose.position_m[2]
-    )
+    feet_m = on_ground(run.vru_position_m, run.terrain)
+    distance: FloatArray = np.linalg.norm(feet_m - pose.position_m, axis=1)
     return distance
 
 

@@ -273,7 +273,7 @@ def look_at_node(forest: Forest, walk: Walk, n_failures: int) -> bool:
             return False
         if check == 0:
             # What is left after failures has prices that tell.
-            is_saturated = n_failures == 0 and 2.0 * bound > forest.weight.sum() + walk.needs[0]
+            is_saturated = 2.0 * bound > forest.weight.sum() + walk.needs[0]
         others, _ = pick_best(gain, n, candidate, forest.site, walk.room[depth], left - 1, picked)
         if check < 2:
             walk.fixed[depth, check] = fixed

@@ -23,8 +23,8 @@ from ..evaluator.surroundings import draw_index
 from ..setting import Setting
 from ..visibility import build_detection_table, load_table, save_table, table_fingerprint
 from ..visibility.build import N_POINTS
-from ..visibility.casting import World, build_world, cast_sight
-from ..visibility.sensing import build_sensing, has_lidar, reach_m
+from ..visibility.casting import World, build_world
+from ..visibility.sensing import build_sensing, cast_for
 from .moving import TrafficCount
 from .uncertainty import Uncertainty
 from .worlds import Luck, Sample, draw_samples, pose_key
@@ -154,14 +154,8 @@ def _limits(
     """
     from scipy.special import ndtri
 
-    position_m, near_m = candidates[0].pose.position_m, candidates[0].sensor.near_m
-    sight = cast_sight(
-        world,
-        position_m,
-        near_m=near_m,
-        max_distance_m=max(reach_m(c.sensor, detector, world) for c in candidates),
-        for_lidar=has_lidar(candidates),
-    )
+    position_m = candidates[0].pose.position_m
+    sight = cast_for(world, position_m, [(candidate, detector) for candidate in candidates])
     sensing = build_sensing(world, sight, position_m, detector)
     limits = np.full((len(candidates), *sensing.contrast.shape), -np.inf)
     lidars = [i for i, c in enumerate(candidates) if isinstance(c.sensor, LidarModel)]

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from geometry.actors import Actor
-from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.catalogue import Sensor
+from geometry.arrays import BoolArray, IntArray
 from geometry.files import writable_by_others, write_atomically
 from geometry.lidar import LidarModel, load_lidar_detection
-from geometry.poses import body_rotation
 from geometry.scene import Scene
 from geometry.weather import pick_weather
 from scenarios.runs import FrameAxis, Run
@@ -28,8 +26,8 @@ from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..detectors import PlanningDetector
 from ..setting import Setting
-from .casting import World, build_world, cast_sight
-from .sensing import build_sensing, has_lidar, max_distance_m, reach_m
+from .casting import World, build_world
+from .sensing import build_sensing, cast_for
 
 N_POINTS = 160  # per VRU: neighbouring points are about 10 cm apart
 
@@ -85,31 +83,14 @@ def _mount_rows(
     world: World, candidates: Sequence[CandidatePose], detector: PlanningDetector
 ) -> NDArray[np.uint8]:
     """Packed rows of all candidates of one mount position."""
-    position_m, near_m = candidates[0].pose.position_m, candidates[0].sensor.near_m
-    # To the nearest point; to the middle of the footprint it is at most a body's extent more.
-    reach_m = 2.0 * world.radius_m + max(
-        _reach_m(candidate.sensor, detector, world) for candidate in candidates
-    )
-    sight = cast_sight(
-        world,
-        position_m,
-        near_m=near_m,
-        max_distance_m=reach_m,
-        for_lidar=has_lidar(candidates),
-    )
+    position_m = candidates[0].pose.position_m
+    sight = cast_for(world, position_m, [(candidate, detector) for candidate in candidates])
     return build_sensing(world, sight, position_m, detector).packed(candidates)
-
-
-def _reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
-    if isinstance(sensor, LidarModel):
-        return sensor.range_m
-    return max_distance_m(sensor, detector, vru_height_m=2.0 * world.radius_m)
 
 
 # ---------- a few poses, each with a detector of its own
 
 
-_MARGIN_RAD = 1.0e-3  # for the rounding of single precision
 Look = tuple[CandidatePose, PlanningDetector]
 
 
@@ -146,34 +127,11 @@ def _fill(
     here = [looks[row] for row in rows]
     first, detector = here[0]
     position_m = first.pose.position_m
-    farthest_m = max(reach_m(unit.sensor, detector, world) for unit, detector in here)
-    offset_m = world.views.middle_m - (position_m - world.origin_m)
-    seen = _in_view(world, offset_m, [unit for unit, _ in here])
-    # What is nowhere is not near: no ray is cast to what no look from here has in its view.
-    views = replace(world.views, position_m=np.where(seen[:, None], world.views.position_m, np.nan))
-    sight = cast_sight(
-        replace(world, views=views),
-        position_m,
-        near_m=first.sensor.near_m,
-        max_distance_m=farthest_m,
-        for_lidar=has_lidar([unit for unit, _ in here]),
-    )
+    sight = cast_for(world, position_m, here)
     sensing = build_sensing(world, sight, position_m, detector)
     for row, (unit, detector) in zip(rows, here, strict=True):
         bits = replace(sensing, detector=detector).packed([unit])[0]
         frames[row] = np.unpackbits(bits, count=frames.shape[1], bitorder="little")
-
-
-def _in_view(world: World, offset_m: FloatArray, units: Sequence[CandidatePose]) -> BoolArray:
-    """Road users, by their middles relative to a mount, that any unit there has in its view."""
-    distance_m = np.maximum(np.linalg.norm(offset_m, axis=1), 1.0e-6)
-    half_angle = np.arcsin(np.minimum(1.0, world.radius_m / distance_m)) + _MARGIN_RAD
-    is_seen = np.zeros(len(offset_m), dtype=bool)
-    for unit in units:
-        ahead = body_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg)[:, 0]
-        off_axis = np.arccos(np.clip(offset_m @ ahead / distance_m, -1.0, 1.0))
-        is_seen |= off_axis <= np.radians(0.5 * unit.sensor.diagonal_fov_deg) + half_angle
-    return is_seen
 
 
 # ---------- tables on disk, under a hash of everything that went into them

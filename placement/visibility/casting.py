@@ -377,23 +377,26 @@ def cast_sight(
     position_m: FloatArray,
     *,
     near_m: float,
-    max_distance_m: float,
+    max_distance_m: float = np.inf,
+    is_asked: BoolArray | None = None,
     for_lidar: bool = True,
 ) -> Sight:
     """Find what is seen from a mount position; entries without any visible point are left out.
 
-    What is nearer than `near_m` to the lens hides nothing; VRUs farther than `max_distance_m` are
-    not looked at. Rays are cast where something may stand in their way. What a body hides of itself
-    is of no account for a camera as long as nothing else hides anything: with `for_lidar` false, no
-    rays are cast for it, and all points of such a body are taken to be visible.
+    What is nearer than `near_m` to the lens hides nothing; VRUs farther than `max_distance_m`, and
+    views that are not asked for, (n_views,), are not looked at. Rays are cast where something may
+    stand in their way. What a body hides of itself is of no account for a camera as long as nothing
+    else hides anything: with `for_lidar` false, no rays are cast for it, and all points of such a
+    body are taken to be visible.
     """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
     ground_distance = np.hypot(*(views.position_m - eye[:2]).T)
-    near_views = np.flatnonzero(np.hypot(ground_distance, eye[2] - views.up_m) <= max_distance_m)
-    blocked = _is_blocked_by_static(
-        world, eye, near_views, near_m=near_m, max_distance_m=max_distance_m
-    )
+    distance = np.hypot(ground_distance, eye[2] - views.up_m)
+    is_near = distance <= max_distance_m
+    near_views = np.flatnonzero(is_near if is_asked is None else is_near & is_asked)
+    farthest_m = float(distance[near_views].max(initial=0.0))
+    blocked = _is_blocked_by_static(world, eye, near_views, near_m=near_m, farthest_m=farthest_m)
     n_blocked = np.count_nonzero(blocked, axis=1)
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
@@ -404,10 +407,10 @@ def cast_sight(
     )
     rows = row_of_frame[frames]
 
-    is_asked = is_left & (for_lidar | (n_blocked > 0) | _is_close(world, eye, near_views))
-    is_asked[rows] = True
+    is_cast = is_left & (for_lidar | (n_blocked > 0) | _is_close(world, eye, near_views))
+    is_cast[rows] = True
     faces_eye = np.ones(blocked.shape, dtype=bool)
-    asked = np.flatnonzero(is_asked)
+    asked = np.flatnonzero(is_cast)
     faces_eye[asked] = _is_self_visible(world, eye, near_views[asked])
 
     is_visible = faces_eye & ~blocked
@@ -460,9 +463,7 @@ def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> B
         rows = np.flatnonzero(surface == index)
         asked = np.ones((len(rows), points.shape[1]), dtype=bool)
         starts, vectors = (np.empty((asked.size, 3), np.float32) for _ in range(2))
-        fill_own_rays(
-            points, surface[rows], eye_body[rows], asked, _OFF_SURFACE_M, starts, vectors
-        )
+        fill_own_rays(points, surface[rows], eye_body[rows], asked, _OFF_SURFACE_M, starts, vectors)
         visible[rows] = ~body.is_blocked(starts, vectors).reshape(asked.shape)
     return visible
 
@@ -473,7 +474,7 @@ def _is_blocked_by_static(
     view_index: IntArray,
     *,
     near_m: float,
-    max_distance_m: float,
+    farthest_m: float,
 ) -> BoolArray:
     """Points hidden by the scene or the case's obstruction, (n, n_points)."""
     from .shadows import N_AROUND, N_UP, find_points_behind, find_unclear_points, mark_nearest
@@ -483,7 +484,7 @@ def _is_blocked_by_static(
     if len(view_index) == 0:
         return blocked
     # Things farther than this are behind all bodies: footprints' middles are what is near enough.
-    far_m = max_distance_m + 2.0 * world.radius_m + 1.0
+    far_m = farthest_m + 2.0 * world.radius_m + 1.0
     nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
     mark_nearest(nearest, world.scene_m, eye_m, near_m, far_m, *world.height_limits_m)
     find_unclear_points(

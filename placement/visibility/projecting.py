@@ -24,6 +24,7 @@ _LEFT, _TOP, _RIGHT, _BOTTOM, _DEPTH = (LANES * number for number in range(5))
 _SEEN, _ALL = 0, 4  # where the box of what is visible and that of all begin
 _FAR = np.float32(3.0e38)
 _NEARLY = 0.999  # for the rounding of single precision
+_SLACK_PX = 0.01
 _SLACK_M = np.float32(1.0e-3)  # of a sphere in single precision: nobody at the edge is left out
 
 
@@ -46,19 +47,66 @@ def pack_lenses(rotation: FloatArray, focal_px: FloatArray, size_px: FloatArray)
 
 
 @kernel
-def _is_any_near(x: Any, y: Any, z: Any, radius: Any, lens: Array, n: int, is_near: Array) -> bool:
-    """Set `is_near` (LANES,) where a sphere reaches between the sides of a camera's image."""
+def _is_any_near(
+    x: Any, y: Any, z: Any, radius: Any, lens: Array, n: int, least_px: Any, is_near: Array
+) -> bool:
+    """Set `is_near` (LANES,) where a sphere may be so high in a camera's image.
+
+    The rows that it reaches lie between the tangents from the eye; beside and behind the lens it
+    may reach any.
+    """
     for j in range(LANES):
         right = x * lens[_X0 + j] + y * lens[_Y0 + j] + z * lens[_Z0 + j]
         down = x * lens[_X1 + j] + y * lens[_Y1 + j] + z * lens[_Z1 + j]
         ahead = x * lens[_X2 + j] + y * lens[_Y2 + j] + z * lens[_Z2 + j]
         across = abs(right) * lens[_COS_ACROSS + j] - ahead * lens[_SIN_ACROSS + j]
         up = abs(down) * lens[_COS_UP + j] - ahead * lens[_SIN_UP + j]
-        is_near[j] = (across <= radius) & (up <= radius)
+        half = radius / np.sqrt(down * down + ahead * ahead - radius * radius)  # tangents
+        middle = down / ahead
+        focal, half_height = lens[_FOCAL + j], lens[_HALF_HEIGHT + j]
+        top = focal * (middle - half) / (np.float32(1.0) + middle * half)
+        bottom = focal * (middle + half) / (np.float32(1.0) - middle * half)
+        top = top if top > -half_height else -half_height
+        bottom = bottom if bottom < half_height else half_height
+        is_low = (ahead > radius) & (bottom - top < least_px)
+        is_near[j] = (across <= radius) & (up <= radius) & (not is_low)
     found = False
     for j in range(n):
         found |= is_near[j]
     return found
+
+
+@kernel
+def _least(min_height_px: float) -> Any:
+    """Height in single precision below which nothing is near `min_height_px`."""
+    return np.float32(_NEARLY * min_height_px - _SLACK_PX)
+
+
+@kernel
+def find_views(
+    middle: Array,
+    radius: Array,
+    eye: Array,
+    lenses: Array,
+    n_cameras: int,
+    min_height_px: float,
+    found: Array,
+) -> None:
+    """Set `found` (n_views,) where a body may be `min_height_px` high in a camera's image.
+
+    The others are as for :func:`box_bodies`.
+    """
+    is_near, least_px = np.empty(LANES, np.bool_), _least(min_height_px)
+    for view in range(len(middle)):
+        x = np.float32(middle[view, 0] - eye[0])
+        y = np.float32(middle[view, 1] - eye[1])
+        z = np.float32(middle[view, 2] - eye[2])
+        reach = np.float32(radius[view]) + _SLACK_M
+        for block in range(len(lenses)):
+            n = min(LANES, n_cameras - block * LANES)
+            if _is_any_near(x, y, z, reach, lenses[block], n, least_px, is_near):
+                found[view] = True
+                break
 
 
 @kernel
@@ -217,7 +265,7 @@ def box_bodies(
     offsets = np.empty((-(-n_points // LANES), 3 * LANES), np.float32)
     every = np.ones((len(offsets), LANES), np.bool_)
     shown = np.zeros_like(every)
-    zero = np.float32(0.0)
+    zero, least_px = np.float32(0.0), _least(min_height_px)
     n_plain = n_part = 0
     for entry in range(len(view_of_entry)):
         view = view_of_entry[entry]
@@ -229,7 +277,7 @@ def box_bodies(
         for block in range(len(lenses)):
             lens = lenses[block]
             n = min(LANES, n_cameras - block * LANES)
-            if not _is_any_near(x, y, z, reach, lens, n, is_near):
+            if not _is_any_near(x, y, z, reach, lens, n, least_px, is_near):
                 continue
             _project_into_all(hull, view, eye, lens, min_depth_m, limits)
             for j in range(n):

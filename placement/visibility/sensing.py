@@ -15,7 +15,7 @@ from geometry.sensors import CameraModel
 
 from ..candidates import CandidatePose
 from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vru_class
-from .casting import Sight, World
+from .casting import Sight, World, cast_sight
 
 _MIN_DEPTH_M = 0.01  # points beside or behind the lens are projected far outside the image
 _SLACK = 1.0e-6  # of a cosine: nobody at the edge is left out
@@ -145,6 +145,39 @@ def build_sensing(
     )
 
 
+def cast_for(
+    world: World,
+    position_m: FloatArray,
+    looks: Sequence[tuple[CandidatePose, PlanningDetector]],
+) -> Sight:
+    """What sensors at one mount see of all that any of them may detect, each with its detector."""
+    views = world.views
+    eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
+    is_asked = np.zeros(len(views.yaw_deg), dtype=bool)
+    least_px: dict[float, list[CandidatePose]] = {}
+    for candidate, detector in looks:
+        if isinstance(candidate.sensor, LidarModel):
+            across = np.hypot(*(views.position_m - eye[:2]).T)
+            distance = np.hypot(across, eye[2] - views.up_m)
+            is_asked |= distance <= 2.0 * world.radius_m + candidate.sensor.range_m
+        else:
+            least_px.setdefault(detector.min_box_height_px, []).append(candidate)
+    for height_px, candidates in least_px.items():
+        from .projecting import find_views
+
+        find_views(
+            *(views.middle_m, views.radius_m, eye.astype(np.float32)),
+            *(_lenses(candidates), len(candidates), height_px, is_asked),
+        )
+    return cast_sight(
+        world,
+        position_m,
+        near_m=looks[0][0].sensor.near_m,
+        is_asked=is_asked,
+        for_lidar=has_lidar([candidate for candidate, _ in looks]),
+    )
+
+
 def has_lidar(candidates: Sequence[CandidatePose]) -> bool:
     """Whether a LiDAR is among the sensors: it counts the points that a camera need not know."""
     return any(isinstance(candidate.sensor, LidarModel) for candidate in candidates)
@@ -195,12 +228,10 @@ class _Boxes:
 
 def _box(sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray) -> _Boxes:
     """Boxes in some of the candidates, all of them cameras."""
-    from .projecting import box_bodies, pack_lenses
+    from .projecting import box_bodies
 
     views, sight = sensing.world.views, sensing.sight
     chosen = [candidates[row] for row in rows.tolist()]
-    cameras = [c.sensor for c in chosen if isinstance(c.sensor, CameraModel)]
-    poses = [candidate.pose for candidate in chosen]
     n = len(chosen) * len(sight.view_index)
     plain, part = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
     plain_px, part_px = np.empty((n, 4), np.float32), np.empty((n, 8), np.float32)
@@ -208,11 +239,7 @@ def _box(sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray) 
     n_plain, n_part = box_bodies(
         *(views.axes_m, views.hull_m, views.middle_m, views.radius_m),
         *(sensing.eye_m.astype(np.float32), sight.view_index, sight.is_visible, sight.is_whole),
-        pack_lenses(
-            camera_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]),
-            np.array([camera.focal_length_px for camera in cameras]),
-            np.array([(camera.width_px, camera.height_px) for camera in cameras]),
-        ),
+        _lenses(chosen),
         len(chosen),
         np.float32(_MIN_DEPTH_M),
         sensing.detector.min_box_height_px,
@@ -226,6 +253,19 @@ def _box(sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray) 
         visible_px=part_px[:n_part, :4].astype(np.float64),
         amodal_px=part_px[:n_part, 4:].astype(np.float64),
         inside_share=inside_share[:n_part].copy(),
+    )
+
+
+def _lenses(candidates: Sequence[CandidatePose]) -> NDArray[np.float32]:
+    """Cameras as ``projecting.box_bodies`` takes them."""
+    from .projecting import pack_lenses
+
+    cameras = [c.sensor for c in candidates if isinstance(c.sensor, CameraModel)]
+    poses = [candidate.pose for candidate in candidates]
+    return pack_lenses(
+        camera_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]),
+        np.array([camera.focal_length_px for camera in cameras]),
+        np.array([(camera.width_px, camera.height_px) for camera in cameras]),
     )
 
 

@@ -2,9 +2,9 @@
 
 All directions from the eye are sorted into cells: azimuth by the diamond angle, elevation by its
 sine, so that no trigonometric function is needed. Each cell knows how near the nearest thing in it
-may be. Triangles are cut into pieces of some degrees, and each piece counts in all cells between its
-least and greatest azimuth and elevation: a cell never knows too little, and where it knows nothing
-nearer than a point, the ray to that point would meet nothing.
+may be. Triangles are cut into pieces of some degrees, and each piece counts in all cells between
+its least and greatest azimuth and elevation: a cell never knows too little, and where it knows
+nothing nearer than a point, the ray to that point would meet nothing.
 """
 
 from typing import Any

@@ -1,15 +1,13 @@
 """A small version of the study: the same steps in a second or two."""
 
 from functools import partial
-from io import BytesIO
 
 import pytest
-from PIL import Image
+from partial_pages import blank_pictures
 from small_results import build_small_baseline, build_small_grid, build_small_setting
 
 from experiments.cli import main
 from experiments.jobs import placement, writing
-from experiments.report import section
 from geometry.poses import Pose
 from placement import planning
 from placement.candidates import CandidatePose
@@ -67,11 +65,10 @@ def without_figures(monkeypatch):
 
 
 @pytest.fixture
-def with_blank_pictures(monkeypatch):
-    """Pictures of a report are one pixel each: drawing takes long, and tests of words need none."""
-    file = BytesIO()
-    Image.new("RGB", (1, 1)).save(file, format="png")
-    monkeypatch.setattr(section, "to_png", lambda drawn: file.getvalue())
+def with_blank_pictures():
+    """Pictures of a report are blank: drawing takes long, and tests of words need none."""
+    with blank_pictures():
+        yield
 
 
 @pytest.fixture

@@ -4,18 +4,17 @@ import shutil
 import subprocess
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from browser_pages import open_page, start_browser
 from interactive_pages import EVIL, build_evaluation, build_layout, with_evil_names
-from partial_pages import build_result
+from partial_pages import blank_pictures, build_result
+from small_results import build_small_grid
 
 from experiments.jobs import placement
 from experiments.progress import StageProgress
 from experiments.report.page import write_report
 from experiments.study.layout import load_carlancap_layout
 from placement import planning
-from placement.candidates import load_candidate_grid
 from placement.compute import Compute
 from placement.layout import Layout, layout_records
 from placement.question import Question
@@ -40,12 +39,6 @@ def browser():
 def addresses(small_setting, tmp_path_factory):
     """Reports of every kind, by name: files."""
     folder = tmp_path_factory.mktemp("reports")
-    grid = replace(
-        load_candidate_grid(),
-        heights_m=np.array([6.0]),
-        yaw_step_deg=90.0,
-        pitches_deg=np.array([-20.0]),
-    )
     common = {"compute": Compute(workers=2), "command": "place-rsus", "progress": StageProgress()}
     units = load_carlancap_layout().units
     few = Layout(name="few", units=units[1:4])
@@ -53,24 +46,26 @@ def addresses(small_setting, tmp_path_factory):
     away = Layout(name="away", units=(replace(units[0], pose=turned),))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(placement, "build_setting", lambda question, scene: small_setting)
-        patch.setattr(planning, "load_candidate_grid", lambda: grid)
+        patch.setattr(planning, "load_candidate_grid", build_small_grid)
         question = Question()
         placement.run_placement(
             replace(question, budget=2, time_limit_s=60.0),
             out=folder / "placement",
             **common,
         )
-        placement.run_evaluation(question, layout=away, out=folder / "missed", **common)
-        placement.run_comparison(
-            question, layouts=[few, away], samples=3, out=folder / "comparison", **common
-        )
+        with blank_pictures():
+            placement.run_evaluation(question, layout=away, out=folder / "missed", **common)
+            placement.run_comparison(
+                question, layouts=[few, away], samples=3, out=folder / "comparison", **common
+            )
     name = EVIL.replace("\u2028", "")
     setting = with_evil_names(small_setting)
     layout = build_layout(200, name=name, ids=[f"{name}{index}" for index in range(200)])
     evaluation = build_evaluation(setting, layout, share=0.05)
     result = build_result(name, layout_records(layout), runs=len(setting.runs))
     (folder / "many").mkdir()
-    write_report(folder / "many", result, setting, {name: evaluation}, command=EVIL)
+    with blank_pictures():
+        write_report(folder / "many", result, setting, {name: evaluation}, command=EVIL)
     return {kind: folder / kind / "report.html" for kind in KINDS}
 
 

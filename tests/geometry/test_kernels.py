@@ -1,6 +1,7 @@
 """Machine code in the user's cache, by processes of their own: what is loaded stays loaded."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -32,22 +33,31 @@ def total(x, n):
 """
 
 
-@pytest.fixture
-def start(tmp_path):
+@pytest.fixture(scope="module")
+def start(tmp_path_factory):
     """Start a program that sums; folder of the cache, and what goes before the program."""
-    (tmp_path / "summing.py").write_text(_MODULE)
+    place = tmp_path_factory.mktemp("program")
+    (place / "summing.py").write_text(_MODULE)
 
     def build(folder, before=""):
         return subprocess.Popen(
             [sys.executable, "-c", before + _PROGRAM],
             env=os.environ
-            | {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}", "NUMBA_CACHE_DIR": str(folder)},
+            | {"PYTHONPATH": f"{ROOT}{os.pathsep}{place}", "NUMBA_CACHE_DIR": str(folder)},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
 
     return build
+
+
+@pytest.fixture(scope="module")
+def compiled(start, tmp_path_factory):
+    """What the first program leaves in its folder: to be copied."""
+    folder = tmp_path_factory.mktemp("first") / "compiled"
+    assert _end(start(folder)) == (0, COMPILING)
+    return folder
 
 
 def _end(process):
@@ -73,9 +83,8 @@ def test_code_is_compiled_once_and_said_so_also_by_two_processes_at_once(start, 
 @pytest.mark.parametrize(
     ("pattern", "harm"), [("*.nbi", "cut"), ("*.nbi", "flipped"), ("*.nbc", "flipped")]
 )
-def test_damaged_code_is_compiled_anew(start, tmp_path, pattern, harm):
-    folder = tmp_path / "compiled"
-    _end(start(folder))
+def test_damaged_code_is_compiled_anew(start, compiled, tmp_path, pattern, harm):
+    folder = Path(shutil.copytree(compiled, tmp_path / "compiled"))
     files = list(folder.rglob(pattern))
     assert files
     for file in files:
@@ -110,9 +119,8 @@ def test_where_no_folder_can_be_made_each_process_compiles(start, tmp_path):
         assert _end(start(folder)) == (0, told)
 
 
-def test_code_of_a_folder_into_which_others_may_write_is_not_run(start, tmp_path):
-    folder = tmp_path / "compiled"
-    assert _end(start(folder)) == (0, COMPILING)
+def test_code_of_a_folder_into_which_others_may_write_is_not_run(start, compiled, tmp_path):
+    folder = Path(shutil.copytree(compiled, tmp_path / "compiled"))
     folder.chmod(0o777)
     told = f"compiling in every call, some seconds: {folder} can be written to by other users"
     assert _end(start(folder)) == (0, [told])

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace as replace_fields
-from partial_pages import build_result
+from partial_pages import blank_pictures, build_result
 
 from experiments.figures.evaluation import pick_heatmap_runs
 from experiments.report.page import render_report, write_report
@@ -173,13 +173,15 @@ def placement_page(placement_result, setting, evaluations):
 @pytest.fixture(scope="module")
 def comparison_page(setting, evaluations):
     pair = {name: evaluations[name] for name in ("found", "carlancap-12")}
-    return render_report(plain_result(pair["found"]), setting, pair, command=COMMAND)
+    with blank_pictures():
+        return render_report(plain_result(pair["found"]), setting, pair, command=COMMAND)
 
 
 @pytest.fixture(scope="module")
 def evaluation_page(setting, evaluations):
     one = {"found": evaluations["found"]}
-    return render_report(plain_result(one["found"]), setting, one, command=COMMAND)
+    with blank_pictures():
+        return render_report(plain_result(one["found"]), setting, one, command=COMMAND)
 
 
 @pytest.fixture(params=["placement_page", "comparison_page", "evaluation_page"])
@@ -317,6 +319,7 @@ def test_comparison_shows_both_layouts(comparison_page, evaluations):
     assert all(f"RSU{index}" in parsed.words for index in range(12))
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_names_are_escaped(setting, evaluations):
     unit = load_carlancap_layout().units[0]
     layout = Layout(
@@ -360,6 +363,7 @@ def test_unknown_run_is_named(setting, evaluations):
     assert str(caught.value) == "heatmap run: got 'CPNC-50/east/56'; expected the id of a run"
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_write_report_writes_the_page(tmp_path, setting, evaluations, evaluation_page):
     one = {"found": evaluations["found"]}
     path = write_report(tmp_path, plain_result(one["found"]), setting, one, command=COMMAND)

@@ -48,7 +48,6 @@ def test_packing_words_loses_nothing(n_bits: int, seed: int) -> None:
 
 
 @given(st.integers(0, 150), st.integers(0, 20), st.integers(0, 2**32 - 1))
-@settings(max_examples=50)
 def test_a_table_turned_round_has_the_same_bits(n_rows: int, n_bytes: int, seed: int) -> None:
     rows = np.random.default_rng(seed).integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
     columns = np.empty((8 * n_bytes, -(-n_rows // 64)), dtype=np.uint64)
@@ -58,7 +57,6 @@ def test_a_table_turned_round_has_the_same_bits(n_rows: int, n_bytes: int, seed:
 
 
 @given(st.integers(0, 60), st.integers(1, 3), st.integers(0, 2**32 - 1))
-@settings(max_examples=50)
 def test_rows_are_numbered_by_their_first_appearance(n_rows: int, n_words: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows = rng.integers(0, 4, (n_rows, n_words)).astype(np.uint64)
@@ -73,7 +71,6 @@ def test_rows_are_numbered_by_their_first_appearance(n_rows: int, n_words: int, 
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
-@settings(max_examples=50)
 def test_poses_are_dominated_as_one_by_one(seed: int, max_units: int) -> None:
     rng = np.random.default_rng(seed)
     n_poses, n_sites = 30, 8

@@ -15,7 +15,7 @@ from placement.detectors import GeometricDetector, load_planning_detector
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.projecting import pack_frames
-from placement.visibility.sensing import build_sensing
+from placement.visibility.sensing import build_sensing, cast_for
 
 WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
 DETECTORS = {
@@ -138,6 +138,22 @@ def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
     part = ~some.sight.is_whole
     assert np.array_equal(some.sight.is_visible[part], every.sight.is_visible[part])
     assert some.sight.is_visible.sum() > every.sight.is_visible.sum()
+
+
+@pytest.mark.parametrize("detector", DETECTORS)
+@pytest.mark.parametrize("seed", range(3))
+def test_no_view_is_left_out_that_a_sensor_detects(world, mount, small_camera, detector, seed):
+    looks = _random_looks(mount, np.random.default_rng(20 + seed), small_camera, 5)
+    lidar = load_lidars()["carla-ncap-lidar"]
+    looks.insert(2, replace(looks[0], sensor=replace(lidar, near_m=small_camera.near_m)))
+    detector, position_m = DETECTORS[detector], looks[0].pose.position_m
+    for some in (looks, looks[:1]):
+        sight = cast_for(world, position_m, [(look, detector) for look in some])
+        every = _sensing(world, some, detector, for_lidar=True)
+        found = build_sensing(world, sight, position_m, detector).packed(some)
+        assert np.array_equal(found, every.packed(some))
+        assert found.any()
+    assert len(sight.view_index) < len(every.sight.view_index)  # one camera looks one way
 
 
 @given(cameras(), angles_deg, pitches_deg, numbers(0.3, 12.0))
