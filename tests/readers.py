@@ -726,7 +726,33 @@ def _read_manifest(path: Path) -> Any:
     return load_manifest(path)
 
 
+_CORNER_M = (400_000.0, 5_800_000.0)
+
+
+def _rasters() -> Mapping[str, tuple[str, Files]]:
+    import rasterio
+
+    def write(folder: Path) -> None:
+        with rasterio.open(
+            *(folder / "a.tif", "w"),
+            driver="GTiff",
+            **{"height": 40, "width": 40, "count": 1, "dtype": "float32", "nodata": -9999.0},
+            crs="EPSG:32633",
+            transform=rasterio.Affine(2.0, 0.0, _CORNER_M[0] - 40, 0.0, -2.0, _CORNER_M[1] + 40),
+        ) as raster:
+            raster.write(np.linspace(0.0, 5.0, 1600, dtype=np.float32).reshape(40, 40), 1)
+
+    return {"GeoTIFF": _one("a.tif", _written(write)["a.tif"])}
+
+
+def _read_raster(path: Path) -> Any:
+    from geometry.maps.elevation import read_elevation
+
+    return read_elevation(path, crs="EPSG:32633", middle_m=np.array(_CORNER_M), half_m=30.0)
+
+
 READERS: Mapping[str, Reader] = {
+    "heights": Reader(_read_raster, _rasters, ("geometry.maps.elevation.read_elevation",)),
     "datasets": Reader(_read_manifest, _manifests, ("experiments.jobs.dataset.load_manifest",)),
     "traffic": Reader(
         _read_traffic, _traffic, ("placement.sampling.moving.fcd.load_fcd",), share=2

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pyproj.exceptions import ProjError
 
 from ..arrays import FloatArray
 from ..errors import InputError, MissingExtraError, Unquoted
@@ -60,7 +61,7 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
     try:
         with rasterio.open(path) as raster:
             points = _read(raster, str(path), crs, middle_m, half_m)
-    except rasterio.errors.RasterioError as error:
+    except (rasterio.errors.RasterioError, ProjError) as error:
         why = " ".join(str(error).split())
         raise InputError(str(path), Unquoted(why), "a raster of heights, such as GeoTIFF") from None
     return Elevation(name=path.name, points_m=points)
@@ -73,6 +74,9 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
     if raster.crs is None:
         raise InputError(where, Unquoted("no coordinate reference system"), "a raster with one")
     own_crs = raster.crs.to_wkt()
+    grid = raster.transform
+    if not np.linalg.det([[grid.a, grid.b], [grid.d, grid.e]]):
+        raise InputError(where, Unquoted("pixels without area"), "a raster that lies on the map")
     sides = np.linspace(-half_m, half_m, 9)
     lattice = middle_m + np.stack(np.meshgrid(sides, sides), axis=-1).reshape(-1, 2)
     to_pixel = ~raster.transform

@@ -150,7 +150,8 @@ def test_a_real_raster_is_read_as_it_was_written(tmp_path):
     wanted = plane()
     path = tmp_path / "dem.tif"
     profile = {"driver": "GTiff", "count": 1, "dtype": "float32", "crs": UTM}
-    place = rasterio.transform.from_origin(wanted.transform.c, wanted.transform.f, 2.0, 2.0)
+    at = wanted.transform
+    place = rasterio.Affine(at.a, at.b, at.c, at.d, at.e, at.f)
     size = {"width": wanted.width, "height": wanted.height, "transform": place}
     with rasterio.open(path, "w", **profile, **size) as raster:
         raster.write(wanted.heights.astype(np.float32), 1)
