@@ -1,11 +1,13 @@
 """What map files give, from import to placement: ``python -m experiments.bench.imports FOLDER``.
 
-Writes ``imports.md`` and a plan of each junction: arms, lanes, things, sites, runs, APR, seconds.
+Writes ``imports.md`` and a plan of each junction: arms, lanes, things, sites, runs, what of the
+possible runs is driven, APR, seconds. With ``--budget 0`` nothing is placed: a minute or two.
 Files without roads - buildings, city models - are put beside a junction of another file, into the
 quadrant between its north and its east arm: where they really stand, nobody says.
 """
 
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +33,7 @@ from placement.evaluator import evaluate_layout
 from placement.pipeline import place
 from placement.planning import build_plan
 from placement.question import Question
-from placement.setting import build_setting
+from placement.setting import Setting, build_setting
 
 from ..figures.axes import to_png
 from ..figures.scene import plot_scene_plan
@@ -41,7 +43,8 @@ _WORKERS = 2
 _NO_MAPS = ("_16mm.json", "_8mm.json", ".boundary.geojson")  # calibrations, outlines
 _BESIDE_M = 14.0  # from the middle of the junction to the corner of the houses
 _HEADS = (
-    *("file", "junction", "arms", "lanes", "things", "sites", "of them kerb", "runs"),
+    *("file", "junction", "arms", "lanes", "things", "sites", "of them kerb", "runs", "driven"),
+    "most often refused",
     *("APR of the car", "APR of the units", "proven", "read and cut (s)", "place and judge (s)"),
 )
 
@@ -64,7 +67,7 @@ class _Task:
     metavar="NAME",
     help="Road map in FOLDER beside whose junction files without roads are put.",
 )
-@click.option("--budget", default=2, show_default=True, help="Units to place.")
+@click.option("--budget", default=2, show_default=True, help="Units to place; 0: only import.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True)
 def main(folder: Path, beside: str, budget: int, out: Path) -> None:
     """Import every map file below FOLDER, place units at its largest junction, judge them."""
@@ -126,12 +129,6 @@ def _run(task: _Task, budget: int, pictures: Path) -> list[str]:
     (pictures / f"{stem}.png").write_bytes(to_png(plot_scene_plan(scene)))
     began_s = time.perf_counter()
     setting = build_setting(Question(), scene)
-    plan = build_plan(Question(budget=budget), scene, study=load_carlancap_layout())
-    compute = Compute(workers=_WORKERS)
-    placement = place(
-        setting, plan.candidates, wishes=plan.wishes, effort=plan.effort, compute=compute
-    )
-    evaluation = evaluate_layout(placement.layout, setting, compute=compute)
     arms = build_junction(scene).arms
     n_lanes = sum(len(arm.entry_lanes) + len(arm.exit_lanes) for arm in arms.values())
     return [
@@ -143,11 +140,36 @@ def _run(task: _Task, budget: int, pictures: Path) -> list[str]:
         str(len(scene.sites)),
         str(sum(site.kind == "kerb" for site in scene.sites)),
         str(setting.axis.n_runs),
+        *_driven(setting),
+        *(_place(setting, budget) if budget else ["-"] * 3),
+        f"{cut_s:.1f}",
+        f"{time.perf_counter() - began_s:.1f}",
+    ]
+
+
+def _driven(setting: Setting) -> tuple[str, str]:
+    """Share of the possible runs that are driven, and the reason that keeps the most from it."""
+    refused: Counter[str] = Counter()
+    for refusal in setting.refusals:
+        if refusal.is_possible:
+            refused[refusal.reason] += len(refusal.speeds_kmh)
+    share = setting.axis.n_runs / (setting.axis.n_runs + refused.total())
+    most = [f"{reason} ({count})" for reason, count in refused.most_common(1)]
+    return f"{100.0 * share:.0f} %", (most or ["-"])[0]
+
+
+def _place(setting: Setting, budget: int) -> list[str]:
+    """APR of the VUT alone and of the units that are placed, and whether these are proven best."""
+    plan = build_plan(Question(budget=budget), setting.scene, study=load_carlancap_layout())
+    compute = Compute(workers=_WORKERS)
+    placement = place(
+        setting, plan.candidates, wishes=plan.wishes, effort=plan.effort, compute=compute
+    )
+    evaluation = evaluate_layout(placement.layout, setting, compute=compute)
+    return [
         f"{100.0 * apr(evaluation.vut, setting.axis):.1f} %",
         f"{100.0 * apr(evaluation.rsu_all, setting.axis):.1f} %",
         "yes" if placement.certificate.is_proven else "no",
-        f"{cut_s:.1f}",
-        f"{time.perf_counter() - began_s:.1f}",
     ]
 
 
