@@ -66,6 +66,7 @@ _TRIES = 3  # of a task whose worker dies
 _BYTES_PER_PIXEL = 1.75  # of a PNG with sensor noise, as measured by day
 _BYTES_PER_POINT = 16
 _MAX_CM = 65535  # what 16 bits hold
+_ANSWER_S = 10.0  # of a scheduler, at most
 _STAGE = "draw"
 
 
@@ -740,7 +741,7 @@ def _dask_client(address: str) -> Any:
             "--scheduler", address, "dask installed: pip install 'place-rsus[cluster]'"
         ) from None
     try:
-        return Client(address, timeout="10s", set_as_default=False)
+        return Client(address, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(

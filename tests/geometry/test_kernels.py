@@ -35,15 +35,15 @@ def total(x, n):
 
 @pytest.fixture(scope="module")
 def start(tmp_path_factory):
-    """Start a program that sums; folder of the cache, and what goes before the program."""
+    """Start a program that sums, by the modules of a folder, with another one as the cache."""
     place = tmp_path_factory.mktemp("program")
     (place / "summing.py").write_text(_MODULE)
 
-    def build(folder, before=""):
+    def build(folder, before="", modules=place):
         return subprocess.Popen(
             [sys.executable, "-c", before + _PROGRAM],
             env=os.environ
-            | {"PYTHONPATH": f"{ROOT}{os.pathsep}{place}", "NUMBA_CACHE_DIR": str(folder)},
+            | {"PYTHONPATH": f"{ROOT}{os.pathsep}{modules}", "NUMBA_CACHE_DIR": str(folder)},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -106,9 +106,9 @@ def test_code_is_compiled_anew_when_kernels_beside_it_change(start, tmp_path):
         f"from geometry.kernels import kernel\nfrom doubling_kernels import twice\n\n"
         f"@kernel\ndef total{total}"
     )
-    assert [_end(start(tmp_path / "cache"))[0] for _ in range(2)] == [0, 1]
+    assert [_end(start(tmp_path / "cache", modules=tmp_path))[0] for _ in range(2)] == [0, 1]
     (tmp_path / "doubling_kernels.py").write_text(twice.replace("x + x", "2.0 * x"))
-    assert [_end(start(tmp_path / "cache"))[0] for _ in range(2)] == [0, 1]
+    assert [_end(start(tmp_path / "cache", modules=tmp_path))[0] for _ in range(2)] == [0, 1]
 
 
 def test_where_no_folder_can_be_made_each_process_compiles(start, tmp_path):
