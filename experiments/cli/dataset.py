@@ -23,7 +23,7 @@ from .running import load_one_layout, print_result
 from .terminal import sentences
 
 if TYPE_CHECKING:
-    from ..jobs.dataset import DatasetSummary
+    from ..results.datasets import DatasetSummary
 
 _ASKED = tuple(
     name

@@ -1,38 +1,29 @@
 """A dataset for training and testing detectors: pictures, point clouds and labels of many runs.
 
 The text files of the folder (labels, motion, perfect detections, manifest) are written first, whole
-or not at all; pictures and clouds follow, each whole or not at all. What is there already is not
-drawn again: the same call goes on where another one stopped.
+or not at all; pictures and clouds follow (:mod:`.drawing`). What is there already is not drawn
+again: the same call goes on where another one stopped.
 """
 
 import itertools
 import json
-import multiprocessing
 import os
 import shutil
-import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from geometry.arrays import FloatArray
+from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, check_file, write_atomically
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
-from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.terrain import on_ground
-from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.detectors import Evidence, is_matched, load_min_iou
 from placement.evaluator import (
@@ -41,147 +32,34 @@ from placement.evaluator import (
     perceive_from_roadside,
     perceive_from_vut,
 )
-from placement.evaluator.watch import VUT_KEY, build_rng, vut_camera_pose
-from placement.imaging import Picture, PointCloud, build_backdrop, draw_picture, scan_cloud
+from placement.evaluator.watch import VUT_KEY, build_rng
 from placement.layout import Layout
 from placement.question import Question
-from placement.recordings import FrameKey, WrittenDrive, load_format, write_folder, write_recording
+from placement.recordings import WrittenDrive, load_format, write_folder, write_recording
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
 from ..export.calibration import calibrations
 from ..progress import StageProgress
-from ..results.record import Record
-from .render import VUT_UNIT, instance_colours
+from ..results.datasets import (
+    MANIFEST,
+    SCHEMA,
+    DatasetDrive,
+    DatasetRecord,
+    DatasetSummary,
+    DatasetUnit,
+    load_manifest,
+)
+from .drawing import DEPTHS, DRAW, MASKS, DrawTask, Viewer, draw_all, start_executors
+from .render import VUT_UNIT
 
-MANIFEST = "dataset.json"
-_SCHEMA = "place-rsus/dataset/1"
 FORMATS = ("carlancap", "coco")
 NO_LIDAR = "none"
 _COCO_FILE = "coco.json"
 _COCO_CLASSES = ("pedestrian", "cyclist")
-_MASKS, _DEPTHS = "instances", "depth"
 _TASK_PICTURES = 60  # drawn by one worker before it gives word
-_TRIES = 3  # of a task whose worker dies
 _BYTES_PER_PIXEL = 1.75  # of a PNG with sensor noise, as measured by day
 _BYTES_PER_POINT = 16
-_MAX_CM = 65535  # what 16 bits hold
-_ANSWER_S = 10.0  # of a scheduler, at most
-_STAGE = "draw"
-
-
-class DatasetUnit(Record, frozen=True):
-    """A unit of a dataset: its folder, and its camera's calibration as OpenCV has it.
-
-    Attributes
-    ----------
-    folder : str
-        Name of its folder.
-    id : str
-        Of the unit in its layout, or "VUT".
-    width_px, height_px : int
-        Size of the pictures.
-    camera_matrix : tuple
-        K; the middle of the first pixel is (0, 0). [px]
-    world_to_camera, translation_m : tuple or None
-        R and t, x_camera = R x_world + t; None of the VUT's camera, which drives.
-    """
-
-    folder: str
-    id: str
-    width_px: int
-    height_px: int
-    camera_matrix: tuple[tuple[float, ...], ...]
-    world_to_camera: tuple[tuple[float, ...], ...] | None
-    translation_m: tuple[float, ...] | None
-
-
-class DatasetDrive(Record, frozen=True):
-    """A run as part of a dataset: files of its frames are called SCENARIO_NUMBER.
-
-    Attributes
-    ----------
-    run : str
-        Id.
-    weather : str
-        Of the run.
-    scenario, first_number, frames : int
-        Of the names of its files; numbers run on.
-    last_brake_time_s : float or None
-        Relative to the impact, which is the last frame; None: braking cannot help. [s]
-    """
-
-    run: str
-    weather: str
-    scenario: int
-    first_number: int
-    frames: int
-    last_brake_time_s: float | None
-
-
-class DatasetRecord(Record, frozen=True):
-    """``dataset.json``: what a dataset holds; a folder with another one is not added to.
-
-    Attributes
-    ----------
-    schema : str
-        Name and version of the file's format.
-    format : str
-        One of ``FORMATS``.
-    scene : str
-        Name of the junction.
-    detector : str
-        Whose detections are in ``Eval``.
-    every : int
-        Pictures are of every so many frames of a run.
-    lidar : str
-        Model of the LiDAR beside each camera; "none" for none.
-    masks, depth : bool
-        Whether there are pictures of instances and of depths.
-    seed : int
-        Of noise, of what is left to chance.
-    units, drives : tuple
-        Who looks, and at what.
-    """
-
-    schema: str
-    format: str
-    scene: str
-    detector: str
-    every: int
-    lidar: str
-    masks: bool
-    depth: bool
-    seed: int
-    units: tuple[DatasetUnit, ...]
-    drives: tuple[DatasetDrive, ...]
-
-
-class DatasetSummary(Record, frozen=True):
-    """What a call has done.
-
-    Attributes
-    ----------
-    folder : str
-        Where the dataset is.
-    pictures, drawn : int
-        In it, and of these drawn by this call.
-    frames, runs, units : int
-        Of the dataset.
-    size_bytes : int
-        Of pictures and clouds drawn by this call.
-    seconds : float
-        For drawing.
-    """
-
-    folder: str
-    pictures: int
-    drawn: int
-    frames: int
-    runs: int
-    units: int
-    size_bytes: int
-    seconds: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,16 +89,6 @@ class DatasetWish:
     masks: bool = False
     depth: bool = False
     scheduler: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Viewer:
-    """A camera of the dataset: a roadside unit, or the VUT's."""
-
-    folder: str
-    id: str
-    pose: Pose | None  # None: on the VUT
-    camera: CameraModel
 
 
 def run_dataset(
@@ -263,7 +131,7 @@ def run_dataset(
     lidar = None if wish.lidar == NO_LIDAR else pick_sensor(wish.lidar, "--lidar", kind="lidar")
     assert lidar is None or isinstance(lidar, LidarModel)
     viewers = _pick_viewers(layout, wish.units)
-    with _executors(wish.scheduler, compute.workers) as new_executor:
+    with start_executors(wish.scheduler, compute.workers) as new_executor:
         progress("lay the runs", 0, 0)
         setting = build_setting(question)
         record = _build_record(setting, layout, viewers, wish, compute.seed)
@@ -271,11 +139,11 @@ def run_dataset(
             _write_texts(out, setting, viewers, record, compute, progress)
         progress.kept = f"the dataset in {out} is not complete; the same command goes on with it"
         tasks = list(_tasks(out, setting, viewers, record, lidar))
-        n_each = sum(len(_pictured(drive, record.every)) for drive in record.drives)
+        n_each = sum(len(drive.pictured(record.every)) for drive in record.drives)
         n_pictures = n_each * len(viewers)
         n_missing = sum(len(task.frames) for task in tasks)
         tell(_size_sentence(n_pictures, n_missing, out, tasks, lidar))
-        n_bytes = _draw_all(tasks, new_executor, progress)
+        n_bytes = draw_all(tasks, new_executor, progress)
     progress.kept = f"the dataset is in {out}"
     seconds = progress.finish()
     return DatasetSummary(
@@ -286,21 +154,21 @@ def run_dataset(
         runs=len(setting.runs),
         units=len(viewers),
         size_bytes=n_bytes,
-        seconds=seconds.get(_STAGE, 0.0),
+        seconds=seconds.get(DRAW, 0.0),
     )
 
 
-def _pick_viewers(layout: Layout, names: str) -> tuple[_Viewer, ...]:
+def _pick_viewers(layout: Layout, names: str) -> tuple[Viewer, ...]:
     """Cameras by name; folders count the layout's units from 0, as the study does."""
     form = load_format()
     mount = load_vut_camera()
-    known: dict[str, _Viewer] = {}
+    known: dict[str, Viewer] = {}
     for number, unit in enumerate(layout.units):
         if isinstance(unit.sensor, CameraModel):
-            known[unit.id] = _Viewer(
+            known[unit.id] = Viewer(
                 folder=str(number), id=unit.id, pose=unit.pose, camera=unit.sensor
             )
-    known[VUT_UNIT] = _Viewer(folder=form.vut_folder, id=VUT_UNIT, pose=None, camera=mount.camera)
+    known[VUT_UNIT] = Viewer(folder=form.vut_folder, id=VUT_UNIT, pose=None, camera=mount.camera)
     if not names:
         return tuple(known.values())
     wanted = [name.strip() for name in names.split(",")]
@@ -311,7 +179,7 @@ def _pick_viewers(layout: Layout, names: str) -> tuple[_Viewer, ...]:
 
 
 def _build_record(
-    setting: Setting, layout: Layout, viewers: Sequence[_Viewer], wish: DatasetWish, seed: int
+    setting: Setting, layout: Layout, viewers: Sequence[Viewer], wish: DatasetWish, seed: int
 ) -> DatasetRecord:
     cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
     by_id = {found.id: found for found in calibrations(layout, "dataset")} if cameras else {}
@@ -349,7 +217,7 @@ def _build_record(
         )
     ]
     return DatasetRecord(
-        schema=_SCHEMA,
+        schema=SCHEMA,
         format=wish.format,
         scene=setting.scene.name,
         detector=setting.detector.name,
@@ -365,15 +233,6 @@ def _build_record(
 
 def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
-
-
-def load_manifest(path: Path) -> DatasetRecord:
-    """Read ``dataset.json``; InputError if it is something else."""
-    check_file(path, max_bytes=MAX_TEXT_BYTES)
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=DatasetRecord)
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(str(path), Unquoted(error), "a manifest of place-rsus dataset") from None
 
 
 def _is_begun(out: Path, record: DatasetRecord) -> bool:
@@ -399,7 +258,7 @@ def _is_begun(out: Path, record: DatasetRecord) -> bool:
 def _write_texts(
     out: Path,
     setting: Setting,
-    viewers: Sequence[_Viewer],
+    viewers: Sequence[Viewer],
     record: DatasetRecord,
     compute: Compute,
     progress: StageProgress,
@@ -420,7 +279,7 @@ def _write_texts(
     also = {MANIFEST: msgspec.json.format(msgspec.json.encode(record)).decode() + "\n"}
     folders = [
         f"{kind}/{viewer.folder}"
-        for kind, is_wanted in ((_MASKS, record.masks), (_DEPTHS, record.depth))
+        for kind, is_wanted in ((MASKS, record.masks), (DEPTHS, record.depth))
         for viewer in viewers
         if is_wanted
     ]
@@ -438,9 +297,7 @@ def _write_texts(
         (out / name).mkdir(parents=True, exist_ok=True)
 
 
-def _detected(
-    setting: Setting, viewer: _Viewer, evidence: Evidence, seed: int
-) -> NDArray[np.bool_]:
+def _detected(setting: Setting, viewer: Viewer, evidence: Evidence, seed: int) -> BoolArray:
     """Frames in which the question's detector finds the VRU, as the evaluator has it."""
     detector = setting.detector
     if detector.needs_pictures:
@@ -457,10 +314,10 @@ def _detected(
 
 def _drives(
     setting: Setting,
-    viewers: Sequence[_Viewer],
+    viewers: Sequence[Viewer],
     record: DatasetRecord,
     evidence: Mapping[str, Evidence],
-    detected: Mapping[str, NDArray[np.bool_]],
+    detected: Mapping[str, BoolArray],
 ) -> list[WrittenDrive]:
     drives = []
     for index, (run, drive) in enumerate(zip(setting.runs, record.drives, strict=True)):
@@ -499,7 +356,7 @@ def _is_cyclist(run: Run) -> bool:
 
 def _coco(
     setting: Setting,
-    viewers: Sequence[_Viewer],
+    viewers: Sequence[Viewer],
     record: DatasetRecord,
     evidence: Mapping[str, Evidence],
 ) -> dict[str, Any]:
@@ -508,11 +365,11 @@ def _coco(
     annotations: list[dict[str, Any]] = []
     for viewer, (index, drive) in itertools.product(viewers, enumerate(record.drives)):
         seen, start = evidence[viewer.folder], setting.axis.frames_of(index).start
-        for frame in _pictured(drive, record.every):
+        for frame in drive.pictured(record.every):
             images.append(
                 {
                     "id": len(images) + 1,
-                    "file_name": f"{viewer.folder}/{_stem(drive, frame)}.png",
+                    "file_name": f"{viewer.folder}/{drive.stem(frame)}.png",
                     "width": viewer.camera.width_px,
                     "height": viewer.camera.height_px,
                     "run": drive.run,
@@ -543,47 +400,13 @@ def _coco(
     }
 
 
-# ---------- pictures and clouds
-
-
-def _pictured(drive: DatasetDrive, every: int) -> range:
-    return range(0, drive.frames, every)
-
-
-def _stem(drive: DatasetDrive, frame: int) -> str:
-    return FrameKey(drive.scenario, drive.first_number + frame).file_name.removesuffix(".txt")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DrawTask:
-    """Frames that one camera sees in one weather, beside the same parked vehicles."""
-
-    out: Path
-    scene: Scene
-    runs: tuple[Run, ...]
-    frames: tuple[tuple[int, int, str], ...]  # index of the run, frame, name of the files
-    viewer: _Viewer
-    lidar: LidarModel | None
-    masks: bool
-    depth: bool
-    seed: int
-
-    def files(self, stem: str) -> dict[str, Path]:
-        """Files of a frame, by kind; the picture comes last: where it is, all are."""
-        folder = self.viewer.folder
-        wanted = {
-            "cloud": self.lidar is not None and self.out / folder / f"{stem}.bin",
-            "masks": self.masks and self.out / _MASKS / folder / f"{stem}.png",
-            "depth": self.depth and self.out / _DEPTHS / folder / f"{stem}.png",
-            "picture": self.out / folder / f"{stem}.png",
-        }
-        return {kind: path for kind, path in wanted.items() if path}
+# ---------- what is to be drawn
 
 
 def _tasks(
     out: Path,
     setting: Setting,
-    viewers: Sequence[_Viewer],
+    viewers: Sequence[Viewer],
     record: DatasetRecord,
     lidar: LidarModel | None,
 ) -> Iterator[DrawTask]:
@@ -593,8 +416,8 @@ def _tasks(
         groups: dict[tuple[object, ...], list[tuple[int, int, str]]] = {}
         for index, (run, drive) in enumerate(zip(setting.runs, record.drives, strict=True)):
             key = (run.weather, *(parked.key for parked in run.obstruction))
-            for frame in _pictured(drive, record.every):
-                stem = _stem(drive, frame)
+            for frame in drive.pictured(record.every):
+                stem = drive.stem(frame)
                 if f"{stem}.png" not in there:
                     groups.setdefault(key, []).append((index, frame, stem))
         for frames in groups.values():
@@ -612,80 +435,6 @@ def _tasks(
                     depth=record.depth,
                     seed=record.seed,
                 )
-
-
-def draw_task(task: DrawTask) -> int:
-    """Draw what is missing of a task; the number of bytes written.
-
-    Raises
-    ------
-    OSError
-        Something cannot be written.
-    """
-    parent = os.getppid()
-    draw = _drawer(task)
-    n_bytes = 0
-    for index, frame, stem in task.frames:
-        if os.getppid() != parent:  # whoever asked for it is gone
-            break
-        files = task.files(stem)
-        if files["picture"].exists():
-            continue
-        picture, cloud = draw(task.runs[index], frame)
-        for kind, content in _contents(picture, cloud):
-            if kind in files:
-                write_atomically(files[kind], content)
-                n_bytes += files[kind].stat().st_size
-    return n_bytes
-
-
-def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | None]]:
-    """What draws and scans a frame: from the VUT all anew, from a roadside unit onto a still."""
-    from placement.imaging.stills import draw_onto, draw_still, scan_onto  # loads the compiler
-
-    first, pose, lidar = task.runs[0], task.viewer.pose, task.lidar
-    compute = Compute(seed=task.seed, workers=1)
-    weather = pick_weather(first.weather, "weather")
-    backdrop = build_backdrop(task.scene, first.obstruction)
-    if pose is not None:
-        still = draw_still(backdrop, pose, task.viewer.camera, weather=weather, compute=compute)
-        return lambda run, frame: (
-            draw_onto(still, run, frame, compute=compute),
-            scan_onto(still, run, frame, lidar, seed=task.seed) if lidar else None,
-        )
-    mount = load_vut_camera()
-
-    def draw(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
-        at = vut_camera_pose(mount, run, frame)
-        options: dict[str, Any] = {"weather": weather, "with_vut": False}
-        picture = draw_picture(
-            backdrop, run, frame, at, task.viewer.camera, compute=compute, **options
-        )
-        if lidar is None:
-            return picture, None
-        return picture, scan_cloud(task.scene, run, frame, at, lidar, seed=task.seed, **options)
-
-    return draw
-
-
-def _contents(
-    picture: Picture, cloud: PointCloud | None
-) -> Iterator[tuple[str, Callable[[BinaryIO], object]]]:
-    """What the files of a frame hold, by kind, in the order of :meth:`DrawTask.files`."""
-    if cloud is not None:
-        points = np.column_stack([cloud.points_m, cloud.intensity]).astype("<f4").tobytes()
-        yield "cloud", lambda file: file.write(points)
-    yield "masks", _png(instance_colours(picture.names)[picture.instance])
-    centimetres = np.where(np.isfinite(picture.depth_m), picture.depth_m * 100.0, 0.0)
-    yield "depth", _png(np.clip(np.rint(centimetres), 0, _MAX_CM).astype(np.uint16))
-    yield "picture", _png(picture.rgb)
-
-
-def _png(pixels: NDArray[Any]) -> Callable[[BinaryIO], object]:
-    from PIL import Image
-
-    # Noise does not shrink: more effort makes files 7 % smaller in three times the time.
-    return lambda file: Image.fromarray(pixels).save(file, format="PNG", compress_level=1)
 
 
 def _size_sentence(
@@ -709,88 +458,3 @@ def _size_sentence(
     if n_bytes > free:
         sentence += f". {out} has room for {free / 1e9:.1f} GB only"
     return sentence + "."
-
-
-# ---------- workers
-
-
-NewExecutor = Callable[[], Executor]
-
-
-@contextmanager
-def _executors(scheduler: str, workers: int) -> Iterator[NewExecutor | None]:
-    """What makes executors, anew if one breaks; None: all is drawn in this process."""
-    if scheduler:
-        with _dask_client(scheduler) as client:
-            yield lambda: client.get_executor(retries=_TRIES - 1, pure=False)
-    elif workers == 1:
-        yield None
-    else:
-        yield lambda: ProcessPoolExecutor(
-            workers,
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=_leave_signals_to_parent,
-        )
-
-
-def _dask_client(address: str) -> Any:
-    try:
-        from distributed import Client
-    except ImportError:
-        raise InputError(
-            "--scheduler", address, "dask installed: pip install 'place-rsus[cluster]'"
-        ) from None
-    try:
-        return Client(address, timeout=_ANSWER_S, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(
-            "--scheduler",
-            Unquoted(f"{address}: {reason}"),
-            "the address of a running dask scheduler, such as tcp://10.0.0.1:8786",
-        ) from None
-
-
-def _leave_signals_to_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _draw_all(
-    tasks: Sequence[DrawTask], new_executor: NewExecutor | None, progress: StageProgress
-) -> int:
-    """Draw all tasks; those of workers that die are drawn again, by others. Bytes written."""
-    n_all, n_drawn, n_bytes = sum(len(task.frames) for task in tasks), 0, 0
-    progress(_STAGE, 0, n_all)
-
-    def note(task: DrawTask, size: int) -> None:
-        nonlocal n_drawn, n_bytes
-        n_drawn += len(task.frames)
-        n_bytes += size
-        progress(_STAGE, n_drawn, n_all)
-
-    if new_executor is None:
-        for task in tasks:
-            note(task, draw_task(task))
-        return n_bytes
-    left = dict(enumerate(tasks))
-    for attempt in range(1, _TRIES + 1):
-        executor = new_executor()
-        pending: dict[Future[int], int] = {}
-        try:
-            pending = {executor.submit(draw_task, task): key for key, task in left.items()}
-            for future in as_completed(pending):
-                note(left[pending[future]], future.result())
-                del left[pending[future]]
-            return n_bytes
-        except BrokenProcessPool:
-            if attempt == _TRIES:
-                raise InputError(
-                    "--workers",
-                    Unquoted(f"a process that was killed, {_TRIES} times"),
-                    "enough memory for each: fewer workers",
-                ) from None
-        finally:
-            for future in pending:
-                future.cancel()
-            executor.shutdown(wait=False)
-    return n_bytes

@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from experiments.export.json import to_json
-from experiments.jobs import dataset as job
+from experiments.jobs import drawing as job
 from experiments.study.layout import load_carlancap_layout
 from geometry.sensors import CameraModel
 
