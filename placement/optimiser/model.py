@@ -9,6 +9,7 @@ avoided, so that at the largest values they can take they are zeros and ones the
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -328,9 +329,12 @@ def solve_window_model(
     For ``Objective.MEAN_MARGIN`` the sum of weights times margins is maximised: at a given APR that
     is the same. Requirements hold before units fail; what holds after failures is left to cuts.
     The bound is in the objective's own unit: from above for what is maximised, else from below.
+    Where stating the model has taken half of the time, nothing is found: the solver is handed it in
+    as long again, and would be cut off.
     """
     import cvxpy as cp
 
+    begun_s = time.monotonic()
     limits = reduced.limits
     x = cp.Variable(reduced.n_poses, boolean=True)
     o = cp.Variable(limits.n_sites, bounds=[0.0, 1.0])
@@ -370,8 +374,11 @@ def solve_window_model(
     if cuts:
         constraints.append(cut_constraint(x, cuts))
     problem = cp.Problem(cp.Maximize(goal), constraints)
-    answer = run_solver(problem, time_limit_s=time_limit_s)
     sign = -1.0 if objective is not None and objective.is_minimised else 1.0
+    spent_s = time.monotonic() - begun_s
+    if spent_s > 0.5 * time_limit_s:
+        return MilpResult(units=None, bound=sign * np.inf, is_finished=False)
+    answer = run_solver(problem, time_limit_s=time_limit_s - spent_s)
     return MilpResult(
         units=np.flatnonzero(x.value > 0.5) if answer.is_found else None,
         bound=sign * answer.bound * unit,
