@@ -177,7 +177,7 @@ def _page(rows: Sequence[Sequence[str]], notes: Sequence[str], command: str) -> 
     lines = [
         "# Maps that others made, from file to placement",
         "",
-        f"Made by `{command}`, at the largest junction of each file, the study's cases, the "
+        f"Made by `{command}`, at the largest junction of each file, the default cases, the "
         "default camera; plans in `imports/`.",
         "",
         "| " + " | ".join(_HEADS) + " |",
