@@ -32,7 +32,7 @@ from placement.evaluator import (
     perceive_from_roadside,
     perceive_from_vut,
 )
-from placement.evaluator.watch import VUT_KEY, build_rng
+from placement.evaluator.watch import VUT_KEY, build_rng, unit_key
 from placement.layout import Layout
 from placement.question import Question
 from placement.recordings import WrittenDrive, load_format, write_folder, write_recording
@@ -166,9 +166,15 @@ def _pick_viewers(layout: Layout, names: str) -> tuple[Viewer, ...]:
     for number, unit in enumerate(layout.units):
         if isinstance(unit.sensor, CameraModel):
             known[unit.id] = Viewer(
-                folder=str(number), id=unit.id, pose=unit.pose, camera=unit.sensor
+                folder=str(number),
+                id=unit.id,
+                key=unit_key(unit),
+                pose=unit.pose,
+                camera=unit.sensor,
             )
-    known[VUT_UNIT] = Viewer(folder=form.vut_folder, id=VUT_UNIT, pose=None, camera=mount.camera)
+    known[VUT_UNIT] = Viewer(
+        folder=form.vut_folder, id=VUT_UNIT, key=VUT_KEY, pose=None, camera=mount.camera
+    )
     if not names:
         return tuple(known.values())
     wanted = [name.strip() for name in names.split(",")]
@@ -304,11 +310,7 @@ def _detected(setting: Setting, viewer: Viewer, evidence: Evidence, seed: int) -
         raise InputError(
             "--detector", detector.name, "one that needs no pictures: box or response, or a table"
         )
-    key: tuple[object, ...] = VUT_KEY
-    if viewer.pose is not None:
-        pose = viewer.pose
-        key = (*pose.position_m.tolist(), pose.yaw_deg, pose.pitch_deg, viewer.camera)
-    found = detector.detect(evidence, build_rng(seed, key))
+    found = detector.detect(evidence, build_rng(seed, viewer.key))
     return is_matched(found, evidence.visible_px, min_iou=load_min_iou())
 
 

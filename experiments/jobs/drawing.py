@@ -6,7 +6,7 @@ Each file is written whole or not at all, and what is there already is not drawn
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
 from numpy.typing import NDArray
 
 from geometry.errors import InputError, Unquoted
@@ -26,12 +25,13 @@ from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.evaluator import load_vut_camera
-from placement.evaluator.watch import vut_camera_pose
-from placement.imaging import Picture, PointCloud, build_backdrop, draw_picture, scan_cloud
+from placement.evaluator.watch import UnitKey, vut_camera_pose
+from placement.imaging import Picture, PointCloud, build_backdrop, draw_picture
+from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
 
 from ..progress import StageProgress
-from .render import instance_colours
+from .render import cloud_bytes, depth_image, instance_image
 
 DRAW = "draw"
 """The stage in which pictures are drawn."""
@@ -40,7 +40,6 @@ MASKS, DEPTHS = "instances", "depth"
 """Folders of the pictures beside those in colour."""
 
 _TRIES = 3  # of a task whose worker dies
-_MAX_CM = 65535  # what 16 bits hold
 _ANSWER_S = 10.0  # of a scheduler, at most
 
 
@@ -50,6 +49,7 @@ class Viewer:
 
     folder: str
     id: str
+    key: UnitKey  # with which the evaluator draws its luck
     pose: Pose | None  # None: on the VUT
     camera: CameraModel
 
@@ -98,10 +98,9 @@ def draw_task(task: DrawTask) -> int:
         if files["picture"].exists():
             continue
         picture, cloud = draw(task.runs[index], frame)
-        for kind, content in _contents(picture, cloud):
-            if kind in files:
-                write_atomically(files[kind], content)
-                n_bytes += files[kind].stat().st_size
+        for kind, content in _contents(picture, cloud, files):
+            write_atomically(files[kind], content)
+            n_bytes += files[kind].stat().st_size
     return n_bytes
 
 
@@ -123,27 +122,31 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 
     def draw(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
         at = vut_camera_pose(mount, run, frame)
-        options: dict[str, Any] = {"weather": weather, "with_vut": False}
         picture = draw_picture(
-            backdrop, run, frame, at, task.viewer.camera, compute=compute, **options
+            *(backdrop, run, frame, at, task.viewer.camera),
+            weather=weather,
+            with_vut=False,
+            compute=compute,
         )
         if lidar is None:
             return picture, None
-        return picture, scan_cloud(task.scene, run, frame, at, lidar, seed=task.seed, **options)
+        mesh = build_frame_mesh(backdrop.mesh, run, frame, at.position_m, with_vut=False)
+        return picture, scan_mesh(mesh, run, at, lidar, weather=weather, seed=task.seed)
 
     return draw
 
 
 def _contents(
-    picture: Picture, cloud: PointCloud | None
+    picture: Picture, cloud: PointCloud | None, kinds: Collection[str]
 ) -> Iterator[tuple[str, Callable[[BinaryIO], object]]]:
     """What the files of a frame hold, by kind, in the order of :meth:`DrawTask.files`."""
     if cloud is not None:
-        points = np.column_stack([cloud.points_m, cloud.intensity]).astype("<f4").tobytes()
+        points = cloud_bytes(cloud)
         yield "cloud", lambda file: file.write(points)
-    yield "masks", _png(instance_colours(picture.names)[picture.instance])
-    centimetres = np.where(np.isfinite(picture.depth_m), picture.depth_m * 100.0, 0.0)
-    yield "depth", _png(np.clip(np.rint(centimetres), 0, _MAX_CM).astype(np.uint16))
+    if "masks" in kinds:
+        yield "masks", _png(instance_image(picture))
+    if "depth" in kinds:
+        yield "depth", _png(depth_image(picture))
     yield "picture", _png(picture.rgb)
 
 

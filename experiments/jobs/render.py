@@ -230,7 +230,7 @@ def save_cloud(path: Path, cloud: PointCloud) -> tuple[Path]:
     import trimesh
 
     if path.suffix.lower() == ".bin":
-        content = np.column_stack([cloud.points_m, cloud.intensity]).astype("<f4").tobytes()
+        content = cloud_bytes(cloud)
     else:
         colours = instance_colours(cloud.names)[cloud.instance]
         content = trimesh.PointCloud(cloud.points_m, colours).export(file_type="ply")
@@ -261,9 +261,6 @@ def save_picture(path: Path, picture: Picture) -> tuple[Path, Path, Path]:
     """
     from PIL import Image
 
-    colours = instance_colours(picture.names)[picture.instance]
-    centimetres = np.where(np.isfinite(picture.depth_m), picture.depth_m * 100.0, 0.0)
-    depth = np.clip(np.rint(centimetres), 0, _MAX_CM).astype(np.uint16)
     as_jpeg = path.suffix.lower() != ".png"
     colour_options: dict[str, Any] = {"format": "PNG"}
     if as_jpeg:
@@ -274,7 +271,7 @@ def save_picture(path: Path, picture: Picture) -> tuple[Path, Path, Path]:
         path.with_name(f"{path.stem}-depth.png"),
     )
     options = (colour_options, {"format": "PNG"}, {"format": "PNG"})
-    images: tuple[NDArray[Any], ...] = (picture.rgb, colours, depth)
+    images: tuple[NDArray[Any], ...] = (picture.rgb, instance_image(picture), depth_image(picture))
     for file, image, how in zip(paths, images, options, strict=True):
         write_atomically(file, _writer(Image.fromarray(image), how))
     return paths
@@ -282,6 +279,22 @@ def save_picture(path: Path, picture: Picture) -> tuple[Path, Path, Path]:
 
 def _writer(image: Any, options: dict[str, Any]) -> Callable[[BinaryIO], object]:
     return lambda file: image.save(file, **options)
+
+
+def cloud_bytes(cloud: PointCloud) -> bytes:
+    """A point cloud as the study releases them: float32 x, y, z, intensity."""
+    return np.column_stack([cloud.points_m, cloud.intensity]).astype("<f4").tobytes()
+
+
+def instance_image(picture: Picture) -> NDArray[np.uint8]:
+    """A colour for each thing, (h, w, 3)."""
+    return instance_colours(picture.names)[picture.instance]
+
+
+def depth_image(picture: Picture) -> NDArray[np.uint16]:
+    """Depths in centimetres, 0 where nothing is hit, (h, w)."""
+    centimetres = np.where(np.isfinite(picture.depth_m), picture.depth_m * 100.0, 0.0)
+    return np.clip(np.rint(centimetres), 0, _MAX_CM).astype(np.uint16)
 
 
 def instance_colours(names: tuple[str, ...]) -> NDArray[np.uint8]:
