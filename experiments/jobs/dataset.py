@@ -39,7 +39,7 @@ from placement.recordings import WrittenDrive, load_format, write_folder, write_
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
-from ..export.calibration import calibrations
+from ..export.calibration import calibrations, camera_matrix
 from ..progress import StageProgress
 from ..results.datasets import (
     MANIFEST,
@@ -192,15 +192,13 @@ def _build_record(
     units = []
     for viewer in viewers:
         found, camera = by_id.get(viewer.id), viewer.camera
-        focal = camera.focal_length_px
-        middle = (0.5 * camera.width_px - 0.5, 0.5 * camera.height_px - 0.5)
         units.append(
             DatasetUnit(
                 folder=viewer.folder,
                 id=viewer.id,
                 width_px=camera.width_px,
                 height_px=camera.height_px,
-                camera_matrix=((focal, 0.0, middle[0]), (0.0, focal, middle[1]), (0.0, 0.0, 1.0)),
+                camera_matrix=_rows(camera_matrix(camera)),
                 world_to_camera=_rows(found.world_to_camera) if found else None,
                 translation_m=tuple(found.translation_m.tolist()) if found else None,
             )
