@@ -14,12 +14,12 @@ import click
 
 from placement.candidates import CandidatePose
 from placement.compute import Compute
+from placement.pipeline import obtain_table
 from placement.planning import build_plan
 from placement.question import Question
 from placement.sampling.tables import sampled_table
 from placement.sampling.uncertainty import load_uncertainty
 from placement.setting import Setting, build_setting
-from placement.visibility import build_detection_table
 from scenarios.exposure import weight_per_run
 from scenarios.runs import WEATHERS, build_frame_axis
 
@@ -119,16 +119,7 @@ def plot_growth(growth: Growth, path: Path) -> None:
 
 def _seconds(setting: Setting, candidates: Sequence[CandidatePose], compute: Compute) -> float:
     """Processor time of a table."""
-    return _timed(
-        lambda: build_detection_table(
-            setting.scene,
-            candidates,
-            setting.runs,
-            setting.axis,
-            detector=setting.planner,
-            compute=compute,
-        )
-    )
+    return _timed(lambda: obtain_table(setting, candidates, compute=compute))
 
 
 def _timed(work: Callable[[], object]) -> float:
