@@ -205,7 +205,11 @@ def placement_text(result: "Result", out: Path) -> str:
         f"(fusion {result.fusion}):",
         *unit_lines(result.layout),
         cost_line(result),
-        *(line for text in result.assumed_prices for line in sentences(text, indent=2, hanging=2)),
+        *(
+            line
+            for text in result.assumed_prices or ()
+            for line in sentences(text, indent=2, hanging=2)
+        ),
         "",
         *table(["on the detection table", "found", "bound", "gap"], stages),
         "",

@@ -141,7 +141,7 @@ def run_placement(
         result,
         explained=explained,
         assumed_prices=(
-            () if plan.wishes.prices is None else assumed_prices(plan.wishes.prices, scene.sites)
+            UNSET if plan.wishes.prices is None else assumed_prices(plan.wishes.prices, scene.sites)
         ),
         baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
         next_unit=UNSET if next_unit is None else next_unit,

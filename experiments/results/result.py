@@ -285,12 +285,15 @@ class Result(Record, frozen=True, kw_only=True):
         Annotated[float, says("Units, and sites once, as the optimiser counts them, in EUR.")]
         | UnsetType
     ) = UNSET
-    assumed_prices: Annotated[
-        tuple[str, ...],
-        says(
-            "What is assumed of sites of which no price is told, in sentences; where money counts."
-        ),
-    ] = ()
+    assumed_prices: (
+        Annotated[
+            tuple[str, ...],
+            says(
+                "What is assumed of sites without a price, in sentences; only where money counts."
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
     stages: (
         Annotated[
             tuple[StageRecord, ...], says("Objectives in order, with their proof.", min_length=1)

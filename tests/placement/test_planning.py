@@ -13,6 +13,8 @@ from placement.prices import load_prices
 from placement.question import Question
 from placement.wishes import build_limits
 
+KINDS = ("lamp post", "traffic light", "mast arm")  # of the sites of the study's junction
+
 
 @pytest.fixture
 def coarse(monkeypatch):
@@ -106,11 +108,14 @@ def test_prices_of_sites_are_assumed_only_where_money_is_asked_about(coarse):
     def cost_eur(question):
         plan = build_plan(question, scene)
         limits = build_limits(plan.wishes, scene, plan.candidates)
-        names = {one.site_id: index for one, index in zip(plan.candidates, limits.site_index)}
+        names = {
+            one.site_id: index
+            for one, index in zip(plan.candidates, limits.site_index, strict=True)
+        }
         return {site.kind: limits.site_cost_eur[names[site.id]] for site in scene.sites}
 
     prices = load_prices()
-    assumed = {kind: sum(prices.of_kind(kind).values()) for kind in ("lamp post", "traffic light")}
+    assumed = {kind: sum(prices.of_kind(kind).values()) for kind in KINDS}
     assert set(cost_eur(Question(budget=1)).values()) == {0.0}
     assert set(cost_eur(Question(budget=1, target="0.9")).values()) == {0.0}
     assert cost_eur(Question(budget_cost=9000.0)) == assumed
