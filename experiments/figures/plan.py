@@ -17,7 +17,7 @@ from geometry.arrays import FloatArray
 from geometry.footprints import footprint_corners
 from geometry.poses import camera_rotation
 from geometry.scene import Lane, Scene, thing_footprint
-from placement.candidates import CandidatePose, is_ring
+from placement.candidates import CandidatePose, above_ground, is_ring
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.positions import AT_ZERO
@@ -295,7 +295,7 @@ def plot_plan(
     _draw_paths(axes, setting.runs)
     for other in others:
         _draw_other(axes, other)
-    _draw_units(axes, layout, max_range_m)
+    _draw_units(axes, layout, setting.scene, max_range_m)
     show_square(axes, middle, half_size_m)
     axes.set_xlabel("east (m)")
     axes.set_ylabel("north (m)")
@@ -382,15 +382,16 @@ _IMPACT_STYLE: Style = {
 }
 
 
-def _draw_units(axes: Axes, layout: Layout, max_range_m: float) -> None:
+def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) -> None:
     labels = unit_labels(layout)
     is_labelled = len(labels) <= MAX_LABELLED_UNITS
     for index, unit in enumerate(layout.units):
         colour = _UNIT_COLOURS[index % len(_UNIT_COLOURS)]
         position = unit.pose.position_m[:2]
-        corners = ground_footprint(unit, max_range_m=max_range_m)
+        level = above_ground(unit, scene)
+        corners = ground_footprint(level, max_range_m=max_range_m)
         if len(corners):
-            shape = ring_path(corners, blind_footprint(unit, max_range_m=max_range_m))
+            shape = ring_path(corners, blind_footprint(level, max_range_m=max_range_m))
             axes.add_patch(
                 PathPatch(shape, facecolor=colour, alpha=0.6 / (len(labels) + 3.0), zorder=2.5)
             )

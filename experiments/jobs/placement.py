@@ -20,6 +20,7 @@ from placement.layout import Layout, check_layout
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Placement, place
 from placement.planning import Plan, build_plan
+from placement.prices import assumed_prices
 from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
@@ -139,6 +140,9 @@ def run_placement(
     result = replace_fields(
         result,
         explained=explained,
+        assumed_prices=(
+            UNSET if plan.wishes.prices is None else assumed_prices(plan.wishes.prices, scene.sites)
+        ),
         baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
         next_unit=UNSET if next_unit is None else next_unit,
         study_cases=_on_study_cases(question, scene, setting, evaluations, compute),
@@ -190,6 +194,7 @@ def run_placement(
             placement.layout,
             scene,
             site_cost_eur=question.site_cost_eur,
+            prices=plan.wishes.prices,
             kept_ids=plan.wishes.kept,
         ),
         sampled_figure=sampled_figure,

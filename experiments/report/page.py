@@ -158,7 +158,7 @@ def _build_report(
         pictures["sampled_apr"] = sampled
 
     sections = [
-        units_section(layouts, plans),
+        units_section(layouts, plans, setting.scene),
         proof_section(result),
         front_section(result.front),
         *explanation_sections(result.explained, labels),

@@ -14,7 +14,7 @@ too large for models. ``threads`` shares work out.
 """
 
 from .greedy import solve_greedy
-from .limits import Limits, cost_eur, is_allowed
+from .limits import Failing, Limits, cost_eur, is_allowed
 from .model import Effort
 from .objectives import Goal, Objective
 from .presolve import PresolveStatistics, ReducedProblem, presolve
@@ -36,6 +36,7 @@ from .solve import Solution, UnmetError, solve_placement
 
 __all__ = [
     "Effort",
+    "Failing",
     "Floor",
     "Fusion",
     "Goal",

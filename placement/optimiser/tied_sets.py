@@ -8,7 +8,6 @@ tree, too; few sets are best in both.
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from geometry.arrays import FloatArray, IntArray
 from geometry.clock import now_s
 
 from .bitsets import BestSet, SetValues, set_values
+from .failures import least_left, least_left_with_each
 from .limits import fitting, is_allowed
 from .objectives import TOLERANCE
 from .presolve import ReducedProblem
@@ -102,15 +102,14 @@ class SetSearch:
 
     def left_with_each(self, units: IntArray, n_failures: int, poses: IntArray) -> FloatArray:
         """APR that a set with each of some poses keeps when its worst units fail, (n_poses,)."""
-        if n_failures > len(units):
-            return np.zeros(len(poses))
-        left = np.full(len(poses), np.inf)
-        for failed in combinations(range(len(units)), n_failures):
-            left = np.minimum(left, self.shares_with_each(np.delete(units, failed), poses))
-        if n_failures:
-            for failed in combinations(range(len(units)), n_failures - 1):
-                left = np.minimum(left, self.shares(np.delete(units, failed)[None, :])[0])
-        return left
+        return least_left_with_each(
+            self.reduced.limits,
+            units,
+            n_failures,
+            poses=poses,
+            with_each=lambda left: self.shares_with_each(left, poses),
+            alone=lambda left: float(self.shares(left[None, :])[0]),
+        )
 
     def shares(self, sets: IntArray, *, left_out: int = -1) -> FloatArray:
         """APR of sets, (n_sets,), without one of their units if that is not negative."""
@@ -123,18 +122,11 @@ class SetSearch:
 
     def left(self, sets: IntArray, n_failures: int) -> FloatArray:
         """APR that sets keep when their worst units fail, (n_sets,)."""
-        n_units = sets.shape[1]
-        if n_failures > n_units:
-            return np.zeros(len(sets))
-        if n_failures == 1:
-            kept = [self.shares(sets, left_out=unit) for unit in range(n_units)]
-        else:
-            kept = [
-                self.shares(np.delete(sets, failed, axis=1))
-                for failed in combinations(range(n_units), n_failures)
-            ]
-        smallest: FloatArray = np.min(kept, axis=0)
-        return smallest
+        if n_failures == 1 and self.reduced.limits.failing == "unit" and sets.shape[1]:
+            kept = [self.shares(sets, left_out=unit) for unit in range(sets.shape[1])]
+            smallest: FloatArray = np.min(kept, axis=0)
+            return smallest
+        return least_left(self.reduced.limits, sets, n_failures, self.shares)
 
     # ---------- exchanges
 
