@@ -2,7 +2,7 @@
 
 import hashlib
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -72,18 +72,15 @@ def save_arrays(
     `what` is their name in messages, `kind` that of the file's format.
     """
     save = np.savez_compressed if is_compressed else np.savez
+    content: dict[str, Any] = {
+        "format": kind,
+        "fingerprint": fingerprint,
+        "content": content_hash(arrays, fingerprint),
+        **arrays,
+    }
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_atomically(
-            path,
-            lambda file: save(
-                file,
-                format=kind,
-                fingerprint=fingerprint,
-                content=content_hash(arrays.values(), fingerprint),
-                **arrays,
-            ),
-        )
+        write_atomically(path, lambda file: save(file, **content))
     except OSError as error:
         _log.warning("%s not cached: %s: %s", what, path, error.strerror or error)
 
@@ -98,7 +95,7 @@ def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays
             content = str(stored["content"])
             names = [name for name in stored.files if name not in _OWN]
             arrays = {name: stored[name] for name in names}
-            if content != content_hash(arrays.values(), fingerprint):
+            if content != content_hash(arrays, fingerprint):
                 raise ValueError("its content is not what was written")
         _tell_if_shared(path.parent)
     except FileNotFoundError:
@@ -118,11 +115,11 @@ def tell_unused(path: Path, error: Exception, *, what: str) -> None:
     _log.warning("cached %s not used, made anew: %s: %s", what, path, error)
 
 
-def content_hash(arrays: Iterable[NDArray[Any]], fingerprint: str) -> str:
+def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
     """Hash of what arrays hold, which fits one fingerprint only: 64 hexadecimal digits."""
     digest = hashlib.blake2b(key=fingerprint.encode(), digest_size=32)
-    for array in arrays:
-        digest.update(f"{array.dtype} {array.shape}\0".encode())
+    for name, array in arrays.items():
+        digest.update(f"{name} {array.dtype} {array.shape}\0".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 

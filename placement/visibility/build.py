@@ -158,7 +158,7 @@ def _fill(
 
 # ---------- tables on disk, under a hash of everything that went into them
 
-_FORMAT = "place-rsus/table/5"  # raise it whenever the same inputs give another table
+_FORMAT = "place-rsus/table/6"  # raise it whenever the same inputs give another table
 _WHAT = "detection table"
 _T = TypeVar("_T")
 

@@ -196,7 +196,7 @@ def _turned(arrays):
         {"packed": lambda arrays: arrays["packed"][::-1]},
         {
             "packed": _turned,
-            "content": lambda arrays: content_hash([_turned(arrays)], "f" * 32),
+            "content": lambda arrays: content_hash({"packed": _turned(arrays)}, "f" * 32),
         },
     ],
     ids=["zeros", "a bit", "rows", "the hash of another fingerprint"],
