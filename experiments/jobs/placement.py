@@ -9,12 +9,14 @@ from pathlib import Path
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace as replace_fields
 
+from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.compute import Compute
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
+from placement.explain import find_other_sensors
 from placement.explain.sensitivity import find_sensitivity
 from placement.layout import Layout, check_layout
 from placement.optimiser.front import Front, front_below
@@ -30,7 +32,12 @@ from ..progress import StageProgress
 from ..report.bill_of_materials import build_bill
 from ..report.comparison import EXPERT, GREEDY
 from ..report.sampled_worlds import plot_sampled_apr
-from ..results.baselines import StudyCasesRecord, build_next_unit_record
+from ..results.baselines import (
+    ExchangeRecord,
+    StudyCasesRecord,
+    build_exchange_records,
+    build_next_unit_record,
+)
 from ..results.explanations import (
     PrivateGroundRecord,
     build_explained_record,
@@ -141,6 +148,7 @@ def run_placement(
         explained=explained,
         baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
         next_unit=UNSET if next_unit is None else next_unit,
+        other_sensors=_other_sensors(placement, plan, setting, question, compute),
         study_cases=_on_study_cases(question, scene, setting, evaluations, compute),
         front=(
             UNSET
@@ -194,6 +202,23 @@ def run_placement(
         ),
         sampled_figure=sampled_figure,
     )
+
+
+def _other_sensors(
+    placement: Placement, plan: Plan, setting: Setting, question: Question, compute: Compute
+) -> tuple[ExchangeRecord, ...] | UnsetType:
+    """Other cameras at the same mounts, and LiDARs where the question has some; UNSET: none."""
+    asked = {unit.sensor.name: unit.sensor for unit in plan.candidates}
+    found = find_other_sensors(
+        setting,
+        placement.layout.units,
+        models=[*{**load_cameras(), **asked}.values()],
+        kept=plan.wishes.kept,
+        fusion=question.fusion,
+        may_look=plan.may_look,
+        compute=compute,
+    )
+    return UNSET if found is None else build_exchange_records(placement.layout, found)
 
 
 def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:
