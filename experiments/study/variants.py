@@ -146,6 +146,8 @@ def _detect_from(setting: Setting, height_px: float) -> Setting:
 
 ADDITIONAL_CASES = ("CPNCO-50", "CPLA-50", "CBTAno-50", "CBTAfo-50")
 TURNING = ("CBTAno-50", "CBTAfo-50")
+LARGE_BOX = "smallest box 60 px"
+BEFORE = "15 m before the crosswalk"
 BEHIND = "cyclist comes from behind"
 BEHIND_NARROW = "cyclist comes from behind, field of view 90 deg"
 FARTHEST = "met 30 m farther out on the exit arm, no buildings"
@@ -169,7 +171,7 @@ def build_additional_variants() -> tuple[Variant, ...]:
     settings = {
         "as it is": base,
         f"a track lives for {live.rule.track_memory_s:g} s": live,
-        "smallest box 60 px": _detect_from(base, 60.0),
+        LARGE_BOX: _detect_from(base, 60.0),
         **{
             f"recordings of the last {last_s:g} s before the impact": _shorten(base, last_s)
             for last_s in (5.0, 3.0, 1.0, 0.6)
