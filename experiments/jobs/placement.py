@@ -9,12 +9,14 @@ from pathlib import Path
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace as replace_fields
 
+from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.compute import Compute
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
+from placement.explain import find_other_sensors
 from placement.explain.sensitivity import find_sensitivity
 from placement.layout import Layout, check_layout
 from placement.optimiser.front import Front, front_below
@@ -35,6 +37,12 @@ from ..report.coverage import coverage_section
 from ..report.sampled_worlds import plot_sampled_apr
 from ..report.units import build_plans
 from ..results.baselines import StudyCasesRecord, build_next_unit_record
+from ..results.baselines import (
+    ExchangeRecord,
+    StudyCasesRecord,
+    build_exchange_records,
+    build_next_unit_record,
+)
 from ..results.explanations import (
     PrivateGroundRecord,
     build_explained_record,
@@ -119,6 +127,58 @@ def run_placement(
         poses = plan.candidates if refinement is None else refinement.candidates
         explained = build_explained_record(
             placement,
+        placement = refinement.placement
+    progress("explain", 0, 0)
+    poses = plan.candidates if refinement is None else refinement.candidates
+    explained = build_explained_record(
+        placement,
+        setting,
+        poses,
+        n_pool=question.pool,
+        compute=compute,
+    )
+    front = _front_below(placement, plan, progress)
+    compared = compare_placement(placement, poses, setting, seed=compute.seed)
+    named = {
+        placement.layout.name: placement.layout,
+        GREEDY: placement.greedy,
+        EXPERT: compared.expert,
+        **({} if study is None else {study.name: study}),
+    }
+    layouts = {name: layout for name, layout in named.items() if layout is not None}
+    verdicts = evaluate_layouts([*layouts.values()], setting, compute=compute)
+    evaluations = dict(zip(layouts, verdicts, strict=True))
+    found, greedy = evaluations[placement.layout.name], evaluations[GREEDY]
+    baseline = None if study is None else evaluations[study.name]
+    next_unit = build_next_unit_record(placement, poses)
+    result = build_placement_result(
+        placement, setting, found=found, greedy=greedy, baseline=baseline
+    )
+    result = replace_fields(
+        result,
+        explained=explained,
+        baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
+        next_unit=UNSET if next_unit is None else next_unit,
+        other_sensors=_other_sensors(placement, plan, setting, question, compute),
+        study_cases=_on_study_cases(question, scene, setting, evaluations, compute),
+        front=(
+            UNSET
+            if front is None
+            else describe_front(front, placement.problem, poses, n_kept=len(plan.wishes.kept))
+        ),
+        sensitivity=build_sensitivity_record(
+            find_sensitivity(setting, placement.layout, fusion=question.fusion, compute=compute)
+        ),
+        private_ground=(
+            UNSET
+            if plan.private_ground is None
+            else build_private_ground_record(placement.layout.units, scene, plan.private_ground)
+        ),
+        refinement=UNSET if refinement is None else build_refinement_record(refinement),
+    )
+    sampled_figure = None
+    if question.samples:
+        judged = out_of_sample_layouts(
             setting,
             poses,
             n_pool=question.pool,
@@ -218,6 +278,23 @@ _LARGE_RUNS = 100
 def _is_large(setting: Setting, compute: Compute) -> bool:
     """Whether it takes longer to answer and draw than to start a process that helps to draw."""
     return compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
+
+
+def _other_sensors(
+    placement: Placement, plan: Plan, setting: Setting, question: Question, compute: Compute
+) -> tuple[ExchangeRecord, ...] | UnsetType:
+    """Other cameras at the same mounts, and LiDARs where the question has some; UNSET: none."""
+    asked = {unit.sensor.name: unit.sensor for unit in plan.candidates}
+    found = find_other_sensors(
+        setting,
+        placement.layout.units,
+        models=[*{**load_cameras(), **asked}.values()],
+        kept=plan.wishes.kept,
+        fusion=question.fusion,
+        may_look=plan.may_look,
+        compute=compute,
+    )
+    return UNSET if found is None else build_exchange_records(placement.layout, found)
 
 
 def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:
