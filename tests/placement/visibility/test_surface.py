@@ -5,7 +5,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from geometry.actors import load_actors
 from placement.visibility.build import N_POINTS
-from placement.visibility.casting import build_surface
+from placement.visibility.surfaces import build_surface
 from placement.visibility.spreading import farthest_samples
 
 BODIES = (("adult", 0), ("adult", 2), ("child", 3), ("cyclist", 1))
