@@ -1,4 +1,4 @@
-"""What layouts are compared with: random ones, and an expert's rule of thumb."""
+"""Baselines that layouts are compared with: random ones, and an expert's rule of thumb."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What a command writes into a folder of results: layout, certificate, tables, report."""
+"""Write a folder of results: layout, certificate, tables, report."""
 
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence

@@ -422,8 +422,8 @@ def _is_blocked_by_static(
     heights = world.height_limits_m
     mark_nearest(nearest, world.scene_m, eye_m, near_m, far_m, *heights)
     covered = np.full_like(nearest, np.inf)
-    rows = _rows_of_interest(world, eye_m, view_index)
-    mark_covered(covered, world.scene_m, eye_m, near_m, *heights, rows)
+    of_interest = _rows_of_interest(world, eye_m, view_index)
+    mark_covered(covered, world.scene_m, eye_m, near_m, *heights, of_interest)
     bodies = (views.axes_m, views.middle_m, views.radius_m, eye_m)
     unclear = np.zeros_like(blocked)
     find_unclear_points(nearest, covered, *bodies, view_index, blocked, unclear)
