@@ -348,10 +348,10 @@ def run_comparison(
         is_comparison = len(layouts) > 1
         compared = compare_layout(layouts[0], setting, compute=compute) if is_comparison else None
         if compared is not None and compared.expert is not None:
-            beside = _with_distinct_names([*layouts, compared.expert])
+            everyone = _with_distinct_names([*layouts, compared.expert])
         else:
-            beside = layouts
-        judged_all = evaluate_layouts(beside, setting, compute=compute)
+            everyone = layouts
+        judged_all = evaluate_layouts(everyone, setting, compute=compute)
         verdicts, of_expert = judged_all[: len(layouts)], judged_all[len(layouts) :]
         seen: list[PrivateGroundRecord | UnsetType] = [
             UNSET
@@ -381,7 +381,7 @@ def run_comparison(
         if samples:
             judged = out_of_sample_layouts(
                 setting,
-                beside,
+                everyone,
                 drawn,
                 n_samples=samples,
                 compute=compute,
