@@ -28,6 +28,7 @@ class ObstructionRules:
     max_nearer_m: float
     max_back_m: float
     step_m: float
+    island_m: float
 
 
 @cache

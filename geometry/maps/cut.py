@@ -51,6 +51,7 @@ class Surroundings:
     skipped: tuple[Skipped, ...]
     roads: tuple[LeadingRoad, ...] = ()  # that lead to the junction
     terrain: Terrain | None = None  # the ground, 0 in the junction's middle; None: a plane
+    zero_height_m: float | None = None  # of the middle, as the map counts heights
 
 
 def cut_out(
@@ -129,6 +130,7 @@ def cut_out(
         skipped=tuple(skipped),
         roads=tuple(_taken(road, frame, roads) for road in junction.roads),
         terrain=relief.terrain,
+        zero_height_m=None if relief.terrain is None else round(relief.zero_m, 3),
     )
 
 
@@ -181,6 +183,7 @@ def build_scene(
         keeps_left=surroundings.keeps_left,
         source_crs=source_crs,
         source_origin_m=surroundings.frame.origin_m,
+        zero_height_m=surroundings.zero_height_m,
     )
     return replace(scene, lanes=(*scene.lanes, *_lead_on(scene, reach_m=half)))
 
