@@ -306,7 +306,9 @@ def lane_length_m(lane: Lane) -> float:
 
 
 def curve_between(before: Line, after: Line) -> FloatArray:
-    """Points (n, 2) from one line's point to another's, with their directions: a cubic Hermite curve.
+    """Points (n, 2) from one line's point to another's: a cubic Hermite curve.
+
+    At its ends it has the lines' directions.
 
     Raises
     ------

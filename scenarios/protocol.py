@@ -186,10 +186,7 @@ def _gentlest(
         free_m = 0.5 * (min(entry_lane.width_m, lane.width_m) - vut.width_m)
         try:
             eased = eased_way_across(
-                entry_lane,
-                lane,
-                max_bend_m=rules.max_lane_bend_m,
-                max_aside_m=min(rules.max_ease_aside_m, max(free_m, 0.0)),
+                entry_lane, lane, max_aside_m=min(rules.max_ease_aside_m, max(free_m, 0.0))
             )
         except CannotCarryError:
             continue

@@ -12,7 +12,7 @@ from geometry.errors import InputError
 from geometry.junction import Line, curve_between, lane_length_m, lane_line
 from geometry.scene import Lane
 
-from .courses import Course, follow_lane, follow_lanes
+from .courses import Course, ease_joint, follow_lane, follow_lanes
 from .paths import CoursePath, Path, StraightPath, TowedPath
 from .staging import CannotCarryError
 
@@ -20,9 +20,10 @@ STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
 DO_NOT_MEET = "the VUT's way and the VRU's do not meet"
 _MAX_STEPS = 60
 _MEETS_M = 1.0e-3
-_MAX_EASE_M = 20.0
-_EASE_STEP_M = 1.0
-_END_M = 5.0  # of a lane, whose direction there counts
+_EASING_M = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)  # smoothing of a joint, from tight to gentle
+_MOUTH_M = 5.0  # of the lanes beside a joint, where their bends count as its own
+_LOOKED_AT_M = 40.0
+_STRIDE = 20  # points of a course: every 20 cm
 
 
 class Way(Protocol):
@@ -217,14 +218,13 @@ class WayAcross:
 
 
 def way_across(
-    entry: Lane, leaving: Lane, connection: Lane | None, *, max_bend_m: float, ease_m: float = 0.0
+    entry: Lane, leaving: Lane, connection: Lane | None, *, max_bend_m: float
 ) -> WayAcross:
     """The way from a lane into the junction straight on into a lane out of it.
 
     Straight, where all its lanes stay within `max_bend_m` of the first one's line; else along the
     lanes' bends, and between them on the junction's own lane `connection`, or, where the map has
-    none, on a cubic curve with the lanes' directions at its ends. That one begins `ease_m` before
-    the end of the lane in, and ends as far behind the begin of the lane out.
+    none, on a cubic curve with the lanes' directions at its ends.
 
     Raises
     ------
@@ -240,83 +240,77 @@ def way_across(
         way = StraightWay(line=Line(point_m=line.at(mouth_m), direction=line.direction))
         begin_m = -mouth_m - lane_length_m(entry)
         return WayAcross(way=way, entry=entry, leaving=leaving, begin_m=begin_m)
-    if connection is not None:
-        between = connection.centreline_m
-        course = follow_lanes([np.concatenate([*chains[:2]]), leaving.centreline_m])
-    else:
-        between = _curve_between(entry, leaving, ease_m)
-        before = _shortened(entry.centreline_m[::-1], ease_m)[::-1]
-        after = _shortened(leaving.centreline_m, ease_m)
-        course = follow_lanes([np.concatenate([before, between]), after])
+    between = _curve_between(entry, leaving) if connection is None else connection.centreline_m
+    course = follow_lanes([np.concatenate([entry.centreline_m, between]), leaving.centreline_m])
     across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
-    swerve_per_m = course.between(-across_m, 0.0).max_bend_per_m if connection is None else 0.0
-    if ease_m:
-        mouth_m = course.station_of(leaving.centreline_m[0])
-        course = replace(course, begin_m=course.begin_m - mouth_m)
-        across_m += mouth_m - ease_m
     return WayAcross(
         way=CurvedWay(course=course),
         entry=entry,
         leaving=leaving,
         begin_m=-across_m - lane_length_m(entry),
-        swerve_per_m=swerve_per_m,
+        swerve_per_m=course.between(-across_m, 0.0).max_bend_per_m if connection is None else 0.0,
     )
 
 
 @lru_cache(maxsize=64)  # every case and speed asks for the same few
-def eased_way_across(
-    entry: Lane, leaving: Lane, *, max_bend_m: float, max_aside_m: float
-) -> WayAcross:
-    """The gentlest way across without a lane of the map: it leaves the lanes near their mouths.
+def eased_way_across(entry: Lane, leaving: Lane, *, max_aside_m: float) -> WayAcross:
+    """The gentlest way across where the map has no lane: it leaves the lanes near their mouths.
 
-    As :func:`way_across`, on the longest curve that stays within `max_aside_m` of the middles of
-    the lanes beside it.
+    It bends least of those that stay within `max_aside_m` of the lanes' middles.
+
+    Raises
+    ------
+    CannotCarryError
+        The lane out of the junction does not lie ahead.
     """
-    best = way_across(entry, leaving, None, max_bend_m=max_bend_m)
-    longest_m = min(_MAX_EASE_M, lane_length_m(entry) - 1.0, lane_length_m(leaving) - 1.0)
-    for ease_m in np.arange(_EASE_STEP_M, longest_m, _EASE_STEP_M):
-        try:
-            curve = _curve_between(entry, leaving, float(ease_m))
-        except CannotCarryError:
-            break
-        if max(_aside_m(curve, entry, is_in=True), _aside_m(curve, leaving, is_in=False)) > (
-            max_aside_m
-        ):
-            break
-        eased = way_across(entry, leaving, None, max_bend_m=max_bend_m, ease_m=float(ease_m))
-        best = min(best, eased, key=lambda across: across.swerve_per_m)
+    between = _curve_between(entry, leaving)
+    across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
+    before = follow_lane(entry.centreline_m, is_in=True)
+    after = follow_lane(leaving.centreline_m, is_in=False)
+    lengths_m = lane_length_m(entry), lane_length_m(leaving)
+    best = None
+    for smoothing_m in _EASING_M:
+        course = ease_joint(before, between, after, lengths_m=lengths_m, smoothing_m=smoothing_m)
+        swerve_per_m = course.between(-across_m - _MOUTH_M, _MOUTH_M).max_bend_per_m
+        aside_m = max(
+            _aside_m(course, before, entry, is_in=True),
+            _aside_m(course, after, leaving, is_in=False),
+        )
+        if best is not None and (aside_m > max_aside_m or swerve_per_m > best.swerve_per_m):
+            continue
+        best = WayAcross(
+            way=CurvedWay(course=course),
+            entry=entry,
+            leaving=leaving,
+            begin_m=-across_m - lengths_m[0],
+            swerve_per_m=swerve_per_m,
+        )
+    assert best is not None
     return best
 
 
-def _aside_m(curve_m: FloatArray, lane: Lane, *, is_in: bool) -> float:
-    """How far points beside a lane lie from its middle: before its end, or behind its begin."""
+def _aside_m(course: Course, middle: Course, lane: Lane, *, is_in: bool) -> float:
+    """How far a course leaves the middle of a lane: up to its end, or from its begin on."""
     import shapely
 
-    end = lane_line(lane, is_in=is_in, length_m=_END_M)[0]
-    ahead_m = end.coordinates(curve_m)[:, 0]
-    beside = curve_m[ahead_m < 0.0 if is_in else ahead_m > 0.0]
-    distance = shapely.distance(shapely.points(beside), shapely.LineString(lane.centreline_m))
-    return float(np.max(distance, initial=0.0))
+    length_m = min(lane_length_m(lane), _LOOKED_AT_M)
+    stations = np.linspace(-length_m, 0.0, 60) if is_in else np.linspace(0.0, length_m, 60)
+    driven = shapely.LineString(course.points_m[::_STRIDE])
+    return float(shapely.distance(shapely.points(middle.at(stations)[0]), driven).max())
 
 
-def _curve_between(entry: Lane, leaving: Lane, ease_m: float) -> FloatArray:
-    """Points (n, 2) of a curve from one lane into another one, some metres longer at both ends."""
-    before = follow_lane(entry.centreline_m, is_in=True).tangent(-ease_m)
-    after = follow_lane(leaving.centreline_m, is_in=False).tangent(ease_m)
-    if not ease_m:  # smoothed, a lane's end need not be where the map has it
-        before = replace(before, point_m=entry.centreline_m[-1])
-        after = replace(after, point_m=leaving.centreline_m[0])
+def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
+    """Points (n, 2) from the end of a lane to the begin of another one."""
+    before = follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
+    after = follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
     try:
-        return curve_between(before, after)
+        return curve_between(
+            replace(before, point_m=entry.centreline_m[-1]),
+            replace(after, point_m=leaving.centreline_m[0]),
+        )
     except ValueError:
         why = f"lane {leaving.id} does not lie ahead of lane {entry.id}"
         raise CannotCarryError(why) from None
-
-
-def _shortened(points_m: FloatArray, metres: float) -> FloatArray:
-    """A line without some metres at its begin."""
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T)))
-    return points_m[along > metres] if metres else points_m
 
 
 def reversed_way(way: Way) -> Way:
