@@ -200,8 +200,8 @@ class Lane:
     id : str
         Name in the source.
     kind : str
-        "driving", "parking", "cycling", or "connecting": through the junction, from the end of one
-        lane to the begin of another.
+        "driving", "parking", "cycling"; "connecting": through a junction, from the end of one lane
+        to the begin of another; or "assumed": straight on from beyond the map to the begin of one.
     width_m : float
         Full width. [m]
     centreline_m : (n, 2) float

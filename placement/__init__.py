@@ -1,4 +1,4 @@
-"""What to mount: question -> plan -> detection table -> optimiser -> layout -> evaluation.
+"""Choose what to mount: question -> plan -> detection table -> optimiser -> layout -> evaluation.
 
 ``build_setting()`` lays what is driven, ``build_plan()`` says what may be mounted and what is
 wanted, ``place()`` goes all the way to a proven layout, ``refine()`` looks between the poses of the

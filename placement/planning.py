@@ -3,12 +3,15 @@
 import os
 import re
 from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress
 from pathlib import Path
 
 import numpy as np
 
+from geometry.arrays import BoolArray
 from geometry.catalogue import Sensor, load_catalogue, pick_sensor
 from geometry.errors import InputError, Unquoted
 from geometry.files import pick
@@ -44,6 +47,8 @@ class Plan:
         What hangs there already.
     private_ground : PrivateGround, optional
         What cameras must not look into.
+    may_look : function of poses, optional
+        Which of them respect private ground, (n,) bool; None: all.
     """
 
     wishes: Wishes
@@ -51,6 +56,7 @@ class Plan:
     candidates: tuple[CandidatePose, ...]
     kept: Layout | None
     private_ground: PrivateGround | None = None
+    may_look: Callable[[Sequence[CandidatePose]], BoolArray] | None = None
 
 
 def build_plan(question: Question, scene: Scene, *, study: Layout | None = None) -> Plan:
@@ -95,14 +101,13 @@ def build_plan(question: Question, scene: Scene, *, study: Layout | None = None)
         is_at_home = study is not None and study.scene_name == scene.name
         extra = _distinct([study if is_at_home else None, kept])
         candidates = build_candidates(scene, build_grid(question.sensors), extra=extra)
-    private_ground = None
+    private_ground, may_look = None, None
     if question.no_look:
         private_ground = load_private_ground(Path(question.no_look), scene)
-        may_stay = respects_private_ground(
-            private_shares(scene, candidates, private_ground),
-            max_share=question.no_look_share or 0.0,
+        may_look = partial(
+            _respects, scene=scene, ground=private_ground, max_share=question.no_look_share or 0.0
         )
-        candidates = tuple(compress(candidates, may_stay))
+        candidates = tuple(compress(candidates, may_look(candidates)))
         if kept is not None:  # what hangs there hangs there
             candidates = tuple(_distinct([Layout(name="all", units=candidates), kept]))
     survive, failing = _failures(question.survive)
@@ -134,7 +139,14 @@ def build_plan(question: Question, scene: Scene, *, study: Layout | None = None)
         candidates=candidates,
         kept=kept,
         private_ground=private_ground,
+        may_look=may_look,
     )
+
+
+def _respects(
+    candidates: Sequence[CandidatePose], *, scene: Scene, ground: PrivateGround, max_share: float
+) -> BoolArray:
+    return respects_private_ground(private_shares(scene, candidates, ground), max_share=max_share)
 
 
 def build_effort(question: Question) -> Effort:

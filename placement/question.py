@@ -336,9 +336,9 @@ class Question:
         Option(
             section=DRIVEN,
             help="run: every run counts the same; case: every case, and within it every approach, "
-            "then every position, then every run; euroncap-rating-2026: by its points; or a CSV "
-            "file with case, approach, weight, and if wanted position and weather; default: case, "
-            "and run for --cases study.",
+            "then every position, then every run; fhwa-crash-types: by how often cars hit people "
+            "so; euroncap-rating-2026: by its points; or a CSV file with case, approach, weight, "
+            "and if wanted position and weather; default: case, and run for --cases study.",
             metavar="HOW",
         ),
     ] = ""

@@ -10,6 +10,7 @@ import numpy as np
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.footprints import footprint_corners
+from geometry.junction import CONNECTING
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene, thing_footprint
 from geometry.terrain import GROUND, on_ground, terrain_of
@@ -138,7 +139,7 @@ def _carriageway(scene: Scene) -> Any:
             0.5 * lane.width_m - _MAY_OVERLAP_M, cap_style="flat"
         )
         for lane in scene.lanes
-        if lane.kind == "driving" and len(lane.centreline_m) > 1
+        if lane.kind in ("driving", CONNECTING) and len(lane.centreline_m) > 1
     ]
     inside = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_INSIDE_OUTLINE_M)
     area = shapely.union_all([inside, *lanes])

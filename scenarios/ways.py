@@ -1,6 +1,7 @@
 """The ways of road users along a lane: straight on, or round its bends."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.junction import Line, lane_length_m, lane_line
+from geometry.junction import Line, curve_between, lane_length_m, lane_line
 from geometry.scene import Lane
 
 from .courses import Course, follow_lane, follow_lanes
@@ -19,6 +20,9 @@ STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
 DO_NOT_MEET = "the VUT's way and the VRU's do not meet"
 _MAX_STEPS = 60
 _MEETS_M = 1.0e-3
+_MAX_EASE_M = 20.0
+_EASE_STEP_M = 1.0
+_END_M = 5.0  # of a lane, whose direction there counts
 
 
 class Way(Protocol):
@@ -49,10 +53,12 @@ class Way(Protocol):
         """The point some metres to the left of a station, (2,)."""
         ...
 
-    def beside(self, left_m: float, station_m: float, *, back_m: float) -> "tuple[Way, float]":
+    def beside(
+        self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
+    ) -> "tuple[Way, float]":
         """The way some metres to the left of it, and where one of its stations lies on that way.
 
-        It is needed from the station on and so far back; farther back it may go straight.
+        It is needed so far back from the station and so far ahead; beyond it may go straight.
         """
         ...
 
@@ -91,7 +97,9 @@ class StraightWay:
         """See :meth:`Way.point`."""
         return self.line.at(station_m, left_m)
 
-    def beside(self, left_m: float, station_m: float, *, back_m: float) -> "tuple[Way, float]":
+    def beside(
+        self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
+    ) -> "tuple[Way, float]":
         """See :meth:`Way.beside`."""
         beside = Line(point_m=self.line.at(station_m, left_m), direction=self.line.direction)
         return StraightWay(line=beside), 0.0
@@ -131,10 +139,13 @@ class CurvedWay:
         """See :meth:`Way.point`."""
         return self.course.tangent(station_m).at(0.0, left_m)
 
-    def beside(self, left_m: float, station_m: float, *, back_m: float) -> "tuple[Way, float]":
+    def beside(
+        self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
+    ) -> "tuple[Way, float]":
         """See :meth:`Way.beside`."""
         try:
-            near = self.course.between(station_m - back_m, self.course.end_m)
+            end_m = min(station_m + ahead_m, self.course.end_m)
+            near = self.course.between(station_m - back_m, end_m)
             course = near.beside(left_m)
         except InputError:
             raise CannotCarryError(
@@ -190,6 +201,8 @@ class WayAcross:
     ----------
     way : Way
         Its stations count from the mouth of the lane that leads out.
+    entry, leaving : Lane
+        The lanes.
     begin_m : float
         Station at which the first lane begins. [m]
     swerve_per_m : float
@@ -197,18 +210,21 @@ class WayAcross:
     """
 
     way: Way
+    entry: Lane
+    leaving: Lane
     begin_m: float
     swerve_per_m: float = 0.0
 
 
 def way_across(
-    entry: Lane, leaving: Lane, connection: Lane | None, *, max_bend_m: float
+    entry: Lane, leaving: Lane, connection: Lane | None, *, max_bend_m: float, ease_m: float = 0.0
 ) -> WayAcross:
     """The way from a lane into the junction straight on into a lane out of it.
 
     Straight, where all its lanes stay within `max_bend_m` of the first one's line; else along the
     lanes' bends, and between them on the junction's own lane `connection`, or, where the map has
-    none, on a cubic curve with the lanes' directions at its ends.
+    none, on a cubic curve with the lanes' directions at its ends. That one begins `ease_m` before
+    the end of the lane in, and ends as far behind the begin of the lane out.
 
     Raises
     ------
@@ -222,34 +238,87 @@ def way_across(
     if np.abs(line.coordinates(np.concatenate(chains))[:, 1]).max() <= max_bend_m:
         mouth_m = float(line.coordinates(leaving.centreline_m[0])[0])
         way = StraightWay(line=Line(point_m=line.at(mouth_m), direction=line.direction))
-        return WayAcross(way=way, begin_m=-mouth_m - lane_length_m(entry))
-    between = _curve_between(entry, leaving) if connection is None else connection.centreline_m
-    course = follow_lanes([np.concatenate([entry.centreline_m, between]), leaving.centreline_m])
+        begin_m = -mouth_m - lane_length_m(entry)
+        return WayAcross(way=way, entry=entry, leaving=leaving, begin_m=begin_m)
+    if connection is not None:
+        between = connection.centreline_m
+        course = follow_lanes([np.concatenate([*chains[:2]]), leaving.centreline_m])
+    else:
+        between = _curve_between(entry, leaving, ease_m)
+        before = _shortened(entry.centreline_m[::-1], ease_m)[::-1]
+        after = _shortened(leaving.centreline_m, ease_m)
+        course = follow_lanes([np.concatenate([before, between]), after])
     across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
+    swerve_per_m = course.between(-across_m, 0.0).max_bend_per_m if connection is None else 0.0
+    if ease_m:
+        mouth_m = course.station_of(leaving.centreline_m[0])
+        course = replace(course, begin_m=course.begin_m - mouth_m)
+        across_m += mouth_m - ease_m
     return WayAcross(
         way=CurvedWay(course=course),
+        entry=entry,
+        leaving=leaving,
         begin_m=-across_m - lane_length_m(entry),
-        swerve_per_m=course.between(-across_m, 0.0).max_bend_per_m if connection is None else 0.0,
+        swerve_per_m=swerve_per_m,
     )
 
 
-def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
-    """Points (n, 2) from the end of a lane to the begin of another one: a cubic Hermite curve."""
-    before = follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
-    after = follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
-    begin, end = entry.centreline_m[-1], leaving.centreline_m[0]
-    chord = end - begin
-    length_m = float(np.hypot(*chord))
-    if min(chord @ before.direction, chord @ after.direction) <= 0.5 * length_m:
-        raise CannotCarryError(f"lane {leaving.id} does not lie ahead of lane {entry.id}")
-    share = np.linspace(0.0, 1.0, max(8, int(length_m)))[:, None]
-    curve: FloatArray = (
-        (2.0 * share**3 - 3.0 * share**2 + 1.0) * begin
-        + (share**3 - 2.0 * share**2 + share) * length_m * before.direction
-        + (3.0 * share**2 - 2.0 * share**3) * end
-        + (share**3 - share**2) * length_m * after.direction
-    )
-    return curve
+@lru_cache(maxsize=64)  # every case and speed asks for the same few
+def eased_way_across(
+    entry: Lane, leaving: Lane, *, max_bend_m: float, max_aside_m: float
+) -> WayAcross:
+    """The gentlest way across without a lane of the map: it leaves the lanes near their mouths.
+
+    As :func:`way_across`, on the longest curve that stays within `max_aside_m` of the middles of
+    the lanes beside it.
+    """
+    best = way_across(entry, leaving, None, max_bend_m=max_bend_m)
+    longest_m = min(_MAX_EASE_M, lane_length_m(entry) - 1.0, lane_length_m(leaving) - 1.0)
+    for ease_m in np.arange(_EASE_STEP_M, longest_m, _EASE_STEP_M):
+        try:
+            curve = _curve_between(entry, leaving, float(ease_m))
+        except CannotCarryError:
+            break
+        if max(_aside_m(curve, entry, is_in=True), _aside_m(curve, leaving, is_in=False)) > (
+            max_aside_m
+        ):
+            break
+        eased = way_across(
+            entry, leaving, None, max_bend_m=max_bend_m, ease_m=float(ease_m)
+        )
+        best = min(best, eased, key=lambda across: across.swerve_per_m)
+    return best
+
+
+def _aside_m(curve_m: FloatArray, lane: Lane, *, is_in: bool) -> float:
+    """How far points beside a lane lie from its middle: before its end, or behind its begin."""
+    import shapely
+
+    end = lane_line(lane, is_in=is_in, length_m=_END_M)[0]
+    ahead_m = end.coordinates(curve_m)[:, 0]
+    beside = curve_m[ahead_m < 0.0 if is_in else ahead_m > 0.0]
+    distance = shapely.distance(shapely.points(beside), shapely.LineString(lane.centreline_m))
+    return float(np.max(distance, initial=0.0))
+
+
+def _curve_between(entry: Lane, leaving: Lane, ease_m: float) -> FloatArray:
+    """Points (n, 2) of a curve from one lane into another one, some metres longer at both ends."""
+    before = follow_lane(entry.centreline_m, is_in=True).tangent(-ease_m)
+    after = follow_lane(leaving.centreline_m, is_in=False).tangent(ease_m)
+    if not ease_m:  # smoothed, a lane's end need not be where the map has it
+        before = replace(before, point_m=entry.centreline_m[-1])
+        after = replace(after, point_m=leaving.centreline_m[0])
+    try:
+        return curve_between(before, after)
+    except ValueError:
+        why = f"lane {leaving.id} does not lie ahead of lane {entry.id}"
+        raise CannotCarryError(why) from None
+
+
+def _shortened(points_m: FloatArray, metres: float) -> FloatArray:
+    """A line without some metres at its begin."""
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T)))
+    return points_m[along > metres] if metres else points_m
 
 
 def reversed_way(way: Way) -> Way:

@@ -35,7 +35,7 @@ def problems(draw: st.DrawFn) -> PlacementProblem:
         run_start=np.cumsum([0, *n_frames]),
         time_s=np.concatenate([np.arange(1 - n, 1) / 10.0 for n in n_frames]),
     )
-    n_poses = draw(st.sampled_from([8, 7, 6, 5, 4, 3, 2, 1]))
+    n_poses = draw(st.sampled_from([6, 5, 4, 3, 2, 1]))
     detected = rng.random((n_poses, n_frames.sum())) < draw(st.sampled_from([0.6, 0.8, 0.4]))
     n_sites = draw(st.sampled_from(sorted({n_poses, 1 + n_poses // 2, 1})))
     site_index = rng.integers(n_sites, size=n_poses)

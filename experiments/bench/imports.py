@@ -1,4 +1,4 @@
-"""What map files give, from import to placement: ``python -m experiments.bench.imports FOLDER``.
+"""Try map files from import to placement: ``python -m experiments.bench.imports FOLDER``.
 
 Writes ``imports.md`` and a plan of each junction: arms, lanes, things, sites, runs, what of the
 possible runs is driven, APR, seconds. With ``--budget 0`` nothing is placed: a minute or two.

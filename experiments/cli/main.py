@@ -12,6 +12,7 @@ from click.shell_completion import get_completion_class
 from ..progress import Interrupted, StageProgress, StderrLog, ending_on_signals
 from .compare import compare
 from .dataset import dataset
+from .detector import detector
 from .doctor import doctor
 from .evaluate import evaluate
 from .export import export
@@ -76,7 +77,19 @@ def completion(context: click.Context, *, shell: str) -> None:
 
 
 for _command in (
-    *(compare, completion, dataset, doctor, evaluate, export, latency, pareto, render, retrofit),
+    *(
+        compare,
+        completion,
+        dataset,
+        detector,
+        doctor,
+        evaluate,
+        export,
+        latency,
+        pareto,
+        render,
+        retrofit,
+    ),
     *(scenarios, scene, sheet, solve, verify),
 ):
     cli.add_command(_command)

@@ -6,11 +6,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+import shapely
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
+from shapely.ops import unary_union
 
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
@@ -160,34 +162,47 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
     axes.add_patch(Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1))
     for index, instance in enumerate(scene.instances):
         if instance.class_name in CLASS_STYLES:
-            path = _footprint_path(scene, index)
+            path = _outline(thing_footprint(scene, index))
             axes.add_patch(PathPatch(path, zorder=6.5, **CLASS_STYLES[instance.class_name]))
     sites = np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
     axes.plot(*sites.T, linestyle="none", zorder=5, **SITE_STYLE)
 
 
 def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
-    """Draw bodies that belong to single cases: footprints, each once."""
-    for body in {body.key: body for body in bodies}.values():
-        corners = footprint_corners(
+    """Draw bodies that belong to single cases: what they cover, and each once its outline."""
+    corners = [
+        footprint_corners(
             body.pose.position_m[:2],
             body.pose.yaw_deg,
             length_m=body.actor.length_m,
             width_m=body.actor.width_m,
         )
-        axes.add_patch(Polygon(corners, zorder=2.2, **PARKED_STYLE))
-
-
-def _footprint_path(scene: Scene, index: int) -> Path:
-    """What a thing covers, courtyards left out."""
-    shape = thing_footprint(scene, index)
-    rings = [
-        np.asarray(ring.coords)
-        for part in getattr(shape, "geoms", [shape])
-        if part.geom_type == "Polygon"
-        for ring in (part.exterior, *part.interiors)
+        for body in {body.key: body for body in bodies}.values()
     ]
-    return Path.make_compound_path(*(Path(ring, closed=True) for ring in rings if len(ring)))
+    if not corners:
+        return
+    # All in one: a hatch takes as long as a hundred outlines.
+    covered = _outline(unary_union([shapely.Polygon(ring) for ring in corners]))
+    axes.add_patch(PathPatch(covered, zorder=2.2, **PARKED_STYLE))
+    outlines = Path.make_compound_path(*(_ring(ring) for ring in corners))
+    axes.add_patch(PathPatch(outlines, zorder=2.2, **PARKED_STYLE | {"fill": False, "hatch": ""}))
+
+
+def _outline(shape: shapely.Geometry) -> Path:
+    """Polygons as a path, courtyards left out."""
+    return Path.make_compound_path(
+        *(
+            _ring(np.asarray(ring.coords)[:-1])
+            for part in getattr(shape, "geoms", [shape])
+            if part.geom_type == "Polygon"
+            for ring in (part.exterior, *part.interiors)
+            if len(ring.coords)
+        )
+    )
+
+
+def _ring(corners: FloatArray) -> Path:
+    return Path(np.concatenate([corners, corners[:1]]), closed=True)
 
 
 def _lane_polygon(lane: Lane) -> FloatArray:
@@ -339,16 +354,23 @@ _PATH_STYLES: dict[str, tuple[str, Style]] = {
 
 def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     firsts = {(run.case.name, run.approach, run.position): run for run in reversed(runs)}
+    ways: dict[str, list[FloatArray]] = {name: [] for name in _PATH_STYLES}
     for run in firsts.values():
-        for body, positions in (
-            ("vut", run.vut_position_m),
-            (run.case.vru.class_name, run.vru_position_m),
-        ):
-            _, style = _PATH_STYLES.get(body, _PATH_STYLES["pedestrian"])
-            axes.plot(*positions.T, zorder=3, **style)
-        axes.plot(*run.vru_position_m[-1], zorder=4, **_IMPACT_STYLE)
+        vru = run.case.vru.class_name
+        ways["vut"].append(run.vut_position_m)
+        ways[vru if vru in ways else "pedestrian"].append(run.vru_position_m)
+    for name, (_, style) in _PATH_STYLES.items():
+        axes.plot(*_end_to_end(ways[name]).T, zorder=3, **style)
+    impacts = np.array([run.vru_position_m[-1] for run in firsts.values()]).reshape(-1, 2)
+    axes.plot(*impacts.T, zorder=4, **_IMPACT_STYLE)
     if len({run.position for run in runs}) > 1:
         _label_positions(axes, runs)
+
+
+def _end_to_end(ways: Sequence[FloatArray]) -> FloatArray:
+    """Points of several lines as those of one with gaps, which is drawn in one go."""
+    gap = np.full((1, 2), np.nan)
+    return np.concatenate([gap, *(part for way in ways for part in (way, gap))])
 
 
 def _label_positions(axes: Axes, runs: Sequence[Run]) -> None:

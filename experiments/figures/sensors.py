@@ -1,4 +1,4 @@
-"""What is drawn and said of sensors that look to no side: LiDARs that scan all round."""
+"""Draw and describe sensors that look to no particular side: LiDARs that scan all round."""
 
 import numpy as np
 from matplotlib.path import Path

@@ -1,1 +1,1 @@
-"""What each command does, from its options to its result."""
+"""The work behind each command, from its options to its result."""

@@ -1,4 +1,4 @@
-"""What ``place-rsus latency`` does: evaluate a layout once, read its APR off for every latency."""
+"""``place-rsus latency``: evaluate a layout once, read its APR off for every latency."""
 
 from collections.abc import Mapping
 from pathlib import Path

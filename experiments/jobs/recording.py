@@ -1,4 +1,4 @@
-"""What the commands do with a recording: judge its units, or choose the best of them."""
+"""Recordings in place of simulated runs: judge their units, or choose the best of them."""
 
 import math
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""What ``place-rsus retrofit`` does: the best change of every kind, priced."""
+"""``place-rsus retrofit``: find the best change of every kind, with its price."""
 
 from collections.abc import Sequence
 from dataclasses import replace

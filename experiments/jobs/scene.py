@@ -1,4 +1,4 @@
-"""What ``place-rsus scene`` does: import, show, check."""
+"""``place-rsus scene``: import scenes, show them, check them."""
 
 import hashlib
 import tempfile

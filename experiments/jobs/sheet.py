@@ -1,4 +1,4 @@
-"""What ``place-rsus sheet`` does: tolerances, then a page for each unit."""
+"""``place-rsus sheet``: find the tolerances of mounting, then draw a page for each unit."""
 
 import io
 import math

@@ -1,4 +1,4 @@
-"""What ``place-rsus solve`` does: read an instance, solve and prove it, tell what was found."""
+"""``place-rsus solve``: read an instance, solve it, prove the answer, tell what was found."""
 
 import time
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What ``place-rsus verify`` does: a folder of results, checked without the optimiser."""
+"""``place-rsus verify``: check a folder of results without the optimiser."""
 
 import json
 from collections.abc import Mapping

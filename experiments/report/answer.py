@@ -20,6 +20,7 @@ from ..results.dangers import DangerGroupRecord, DangersRecord, avoided_runs
 from ..results.numbers import NOTHING, count_runs, joined, number, or_nan, percent, several
 from ..results.record import StageRecord
 from ..results.result import Result
+from .next_unit import next_unit_sentence
 from .private_ground import private_ground_sentences
 from .refinement import refinement_sentences
 from .sampled_worlds import uncertainty_sentences
@@ -132,20 +133,6 @@ def _most_left(
     ]
     n_others = sum(group.not_avoided for group in left[_MAX_GROUPS:])
     return joined([*words, *([f"{others} {n_others}"] if n_others else [])])
-
-
-def next_unit_sentence(result: Result) -> str:
-    """What one more unit would buy; empty where nothing was optimised, or none fits."""
-    if not result.next_unit:
-        return ""
-    unit = result.next_unit
-    how = "on the detection table, by greedy choice"
-    if unit.gain < 0.5e-9:
-        return f"One more unit among the candidates would avoid nothing more ({how})"
-    return (
-        f"One more unit would add {100.0 * unit.gain:.1f} points of APR: {percent(unit.apr)} with "
-        f"{unit.pose} ({how})"
-    )
 
 
 def _baselines(result: Result) -> list[str]:

@@ -1,4 +1,4 @@
-"""What happens when units or poles fail: in sentences and tables."""
+"""Failures of units and poles, in sentences and tables."""
 
 import math
 from collections.abc import Mapping, Sequence

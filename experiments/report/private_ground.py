@@ -1,4 +1,4 @@
-"""What units see of private ground: in a sentence, and as a section of the report."""
+"""Private ground that units see, in a sentence and as a section of the report."""
 
 from collections.abc import Mapping
 

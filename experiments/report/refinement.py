@@ -1,4 +1,4 @@
-"""What refinement between the poses of the grid changed, in sentences."""
+"""Gains of refinement between the poses of the grid, in sentences."""
 
 from placement.optimiser.objectives import Objective
 

@@ -1,4 +1,4 @@
-"""What layouts are worth in sampled worlds: in sentences, as text for a terminal, drawn."""
+"""APR of layouts in sampled worlds: in sentences, as text for a terminal, drawn."""
 
 from collections.abc import Sequence
 

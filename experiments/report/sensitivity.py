@@ -1,4 +1,4 @@
-"""What if an assumption is wrong: in sentences, tables, figures, and as a section."""
+"""Sensitivity to assumptions ("what if"): in sentences, tables, figures, and as a section."""
 
 from operator import attrgetter
 

@@ -6,7 +6,6 @@ from functools import partial
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
 from placement.candidates import above_ground
-from placement.evaluation import Evaluation
 from placement.layout import Layout, layout_records
 from placement.setting import Setting
 
@@ -66,32 +65,25 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
 
 
 def build_plans(
-    setting: Setting, detailed: Mapping[str, Evaluation], others: Sequence[Evaluation]
+    setting: Setting, detailed: Mapping[str, Layout], others: Sequence[Layout]
 ) -> list[Picture]:
     """A plan of each layout, drawn narrower where several stand side by side."""
-    draw = partial(
-        plot_plan,
-        setting,
-        others=[other.layout for other in others],
-        max_range_m=_PLAN_RANGE_M,
-    )
-    are_few = all(len(item.layout.units) <= _MAX_NARROW_UNITS for item in detailed.values())
+    draw = partial(plot_plan, setting, others=others, max_range_m=_PLAN_RANGE_M)
+    are_few = all(len(layout.units) <= _MAX_NARROW_UNITS for layout in detailed.values())
     are_side_by_side = len(detailed) > 1 and are_few
     return [
         build_picture(
-            draw(item.layout, width_in=NARROW_IN if are_side_by_side else WIDTH_IN),
-            narrow=draw(item.layout, width_in=NARROW_IN)
-            if are_few and not are_side_by_side
-            else None,
+            draw(layout, width_in=NARROW_IN if are_side_by_side else WIDTH_IN),
+            narrow=draw(layout, width_in=NARROW_IN) if are_few and not are_side_by_side else None,
             title=f"Plan of {setting.scene.name} with {name}",
             caption=(
                 "Coloured outlines: the ground in each sensor's field of view, up to "
                 f"{_PLAN_RANGE_M:g} m; they see farther. Walls and parked cars hide parts "
                 "of it, which is taken into account in the numbers but not drawn here."
             ),
-            alt="Plan of the junction, north up. " + _units_in_words(item.layout),
+            alt="Plan of the junction, north up. " + _units_in_words(layout),
         )
-        for name, item in detailed.items()
+        for name, layout in detailed.items()
     ]
 
 

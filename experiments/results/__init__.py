@@ -1,1 +1,1 @@
-"""What a job returns, and how it is written to a folder and read back."""
+"""Results of jobs as frozen values, and how they are written to a folder and read back."""

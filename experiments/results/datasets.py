@@ -1,4 +1,4 @@
-"""What a dataset holds, as ``dataset.json`` says it, and what the command that writes it tells."""
+"""Contents of a dataset, as ``dataset.json`` lists them, and the summary of the command."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a result was found on: cases, weathers, perception, refusals, and versions of programs."""
+"""The basis of a result: cases, weathers, perception, refused runs, versions of programs."""
 
 import platform
 from collections.abc import Iterator, Mapping, Sequence

@@ -28,7 +28,7 @@ from placement.pipeline import Placement
 from placement.setting import Setting
 from scenarios.aeb import AebRule
 
-from .baselines import BaselinesRecord, NextUnitRecord, StudyCasesRecord
+from .baselines import BaselinesRecord, ExchangeRecord, NextUnitRecord, StudyCasesRecord
 from .dangers import DangersRecord, avoided_runs, build_dangers_record
 from .drives import RefusalRecord, build_drives_record, versions
 from .explanations import (
@@ -188,6 +188,7 @@ class Result(Record, frozen=True, kw_only=True):
             "front": ["stages"],
             "refinement": ["stages"],
             "next_unit": ["stages"],
+            "other_sensors": ["stages"],
             "compared": [
                 "baseline_name",
                 "baseline_layout",
@@ -371,6 +372,16 @@ class Result(Record, frozen=True, kw_only=True):
             says(
                 "What one more unit would gain on the detection table, chosen greedily, budgets "
                 "aside; missing where none fits."
+            ),
+        ]
+        | UnsetType
+    ) = UNSET
+    other_sensors: (
+        Annotated[
+            tuple[ExchangeRecord, ...],
+            says(
+                "Other models at the same mounts, on the detection table, the one that gains most "
+                "first; missing where no unit can be exchanged."
             ),
         ]
         | UnsetType

@@ -1,4 +1,4 @@
-"""What is told of a scene or a map: what it has, and what a check finds."""
+"""Summaries of scenes and maps: what they contain, and what a check finds."""
 
 import numpy as np
 from msgspec import UNSET, UnsetType

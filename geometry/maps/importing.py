@@ -14,6 +14,7 @@ from ..files import check_file
 from ..junction import LeadingRoad
 from ..scene import Scene
 from ..untrusted_files import local_name, read_xml_root, unpacked
+from ..scene_checks import arms_that_end
 from .cut import LANES_BEYOND_M, build_scene, cut_out
 from .junctions import Surveyed, choose_junction, survey_junctions
 from .site_places import settle_poles
@@ -362,6 +363,7 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
         radius_m=options.radius_m,
     )
     skipped = [(skip.what, skip.why) for skip in (*surroundings.skipped, *settled, *told)]
+    skipped += [(f"arm {name}", why) for name, why in arms_that_end(scene)]
     if len(junctions) > 1 and not options.junction and options.at is None:
         skipped.append(
             (

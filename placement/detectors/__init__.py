@@ -2,7 +2,8 @@
 
 ``evidence`` says what they get and give. ``built_in`` has one that looks at boxes alone and one
 that misses with a probability, and finds detectors by name or file. ``network`` shows rendered
-pictures to an ONNX file, whose outputs ``onnx_exports`` recognises.
+pictures to an ONNX file, whose outputs ``onnx_exports`` recognises. ``fitting`` makes a response
+table of what a detector really found, which ``sightings`` gathers from boxes and labels.
 """
 
 from .box_rule import GeometricDetector, is_matched, load_min_iou

@@ -68,7 +68,7 @@ def recognise_export(
         shapes = ", ".join(f"{name} {value.shape}" for name, value in outputs.items())
         raise InputError(str(path), Unquoted(f"outputs {shapes}"), _EXPECTED)
     if not export.kinds:
-        expected = "among them one of " + ", ".join(sorted(_kind_of_name()))
+        expected = "among them one of " + ", ".join(sorted(kind_of_name()))
         raise InputError(where, names, expected)
     return export
 
@@ -218,11 +218,11 @@ def _read_names(text: str, where: str) -> _Numbering | None:
     words = {key: str(name).strip().lower() for key, name in value.items()}
     if all(word == str(key) for key, word in words.items()):
         return None
-    known = _kind_of_name()
+    known = kind_of_name()
     kinds = {key: known[word] for key, word in words.items() if word in known}
     return _Numbering(n_classes=len(words), kinds=kinds)
 
 
-def _kind_of_name() -> dict[str, str]:
+def kind_of_name() -> dict[str, str]:
     """The meaning of class names."""
     return {word: kind for kind, words in onnx_setting("names").items() for word in words}

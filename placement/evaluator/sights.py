@@ -1,4 +1,4 @@
-"""What goes into the drawing of many frames, and what comes out: tuples for compiled code."""
+"""Inputs and outputs of the drawing of many frames, as tuples for compiled code."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""What more money buys: from the cheapest useful layout upwards, each step with its proof."""
+"""The front of APR against cost: ever more money, each layout with its proof."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

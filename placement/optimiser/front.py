@@ -1,4 +1,4 @@
-"""What more units or more money buy: a front of layouts, each with its proof; fronts by units.
+"""Fronts: the best layouts for more and more units or money, each with its proof; fronts by units.
 
 A point is solved from the one before it: what was found for less is feasible for more. The best
 values therefore never fall from point to point, and what no layout with more can exceed, none with

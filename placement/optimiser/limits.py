@@ -1,4 +1,4 @@
-"""What may be mounted together, whatever it detects: units, money, sites, wishes."""
+"""Limits on what may be mounted together, whatever it detects: units, money, sites, wishes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

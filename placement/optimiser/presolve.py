@@ -1,4 +1,4 @@
-"""What does not matter drops out: frames, windows, runs and poses; and the way back.
+"""Presolve: leave out frames, windows, runs and poses that do not matter; and the way back.
 
 Both kinds of fusion become one problem here. With "any", a frame is seen if a chosen pose
 detects in it, and a window needs all its frames. With "single", the frames of the reduced problem

@@ -1,4 +1,4 @@
-"""What sets promise: limits of their worth by relaxation, and all sets that promise more."""
+"""Upper bounds of the worth of sets by relaxation, and all sets whose bound is high enough."""
 
 from collections.abc import Callable
 from dataclasses import replace

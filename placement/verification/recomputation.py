@@ -1,4 +1,4 @@
-"""What sets of poses are worth, recomputed from a saved problem without the optimiser's code.
+"""Recompute the worth of sets of poses from a saved problem, without the optimiser's code.
 
 Nothing here is shared with :mod:`placement.optimiser` but the problem itself, as it lies in a file
 (the table's bits, the limits and the weights), and the names of the objectives. Frames are gone

@@ -1,0 +1,521 @@
+"""``place-rsus detector fit``: a response table from what a detector really finds.
+
+Three sources: a network that looks at rendered pictures, a recording in the study's format, and
+COCO's files of labels and results. Each gives labelled pictures; what follows is the same.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from msgspec.structs import replace as replace_fields
+
+from geometry.arrays import FloatArray
+from geometry.errors import InputError, Unquoted
+from geometry.files import check_file, read_table
+from geometry.image_boxes import iou
+from geometry.scene_files import load_scene
+from geometry.sensors import CameraModel
+from placement.compute import Compute
+from placement.detectors import VRU_CLASSES, Evidence, load_detector
+from placement.detectors.fitting import ResponseFit, fit_response
+from placement.detectors.network import NetworkDetector, vru_boxes
+from placement.detectors.onnx_exports import kind_of_name
+from placement.detectors.sightings import LabelledPicture, gather_sightings
+from placement.evaluator import build_surroundings, load_vut_camera
+from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
+from placement.evaluator.watch import PictureSource
+from placement.layout import Layout, check_layout
+from placement.question import Question
+from placement.recordings import Recording, load_format, read_recording
+from placement.setting import Setting, build_rule, build_setting
+
+from ..export.json import to_json_text
+from ..progress import WRITING, StageProgress
+from ..results.detectors import DetectorFitResult, build_alarms_record, build_fit_records
+from ..results.drives import versions
+from ..results.folders import check_folder, write_files
+
+if TYPE_CHECKING:
+    from placement.evaluator.watch import PictureOfFrame
+
+LOOK, FIT = "look", "fit"
+TABLE_NAME, JSON_NAME, PNG_NAME = "response.toml", "fit.json", "calibration.png"
+
+_BLOCK = 5  # consecutive frames: enough to see what carries over, and false tracks
+_MAX_BYTES = 2**30
+_PEDESTRIAN, _CYCLIST = VRU_CLASSES.index("pedestrian"), VRU_CLASSES.index("cyclist")
+_FROM_THE_SIDE_DEG = 90.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitWish:
+    """What a response table is fitted to: exactly one of the three sources.
+
+    Attributes
+    ----------
+    layout : Layout, optional
+        Whose cameras, and the VUT's, show rendered pictures to the question's network.
+    pictures : int
+        How many of these.
+    recording : Path, optional
+        Folder in the study's format, with labels and detections.
+    labels, results : Path, optional
+        COCO's files of annotations and of results.
+    min_confidence : float
+        Boxes below do not count.
+    """
+
+    layout: Layout | None = None
+    pictures: int = 1000
+    recording: Path | None = None
+    labels: Path | None = None
+    results: Path | None = None
+    min_confidence: float = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Source:
+    """Labelled pictures, what they are, and what they do not tell."""
+
+    words: str
+    pictures: Iterator[LabelledPicture]
+    unknown: tuple[str, ...] = ()
+
+
+def run_detector_fit(
+    question: Question,
+    *,
+    wish: FitWish,
+    out: Path | None,
+    command: str,
+    compute: Compute,
+    progress: StageProgress,
+) -> DetectorFitResult:
+    """Fit a response table to what a detector finds; table, figure and numbers to `out`.
+
+    Parameters
+    ----------
+    question : Question
+        What is driven where pictures are rendered, and the network; how many frames confirm.
+    wish : FitWish
+        The source.
+    out : Path, optional
+        Folder that gets ``response.toml``, ``fit.json`` and ``calibration.png``.
+    command : str
+        How this was called.
+    compute : Compute
+        Seed of the choice of pictures, of noise and of the bootstrap; threads.
+    progress : StageProgress
+        Is given the stages.
+
+    Raises
+    ------
+    InputError
+        A source is not what it should be, there are too few frames, or `out` cannot be written.
+    """
+    if out is not None:
+        check_folder(out)
+        progress.kept = f"nothing was written to {out}"
+    source = _open_source(question, wish, compute, progress)
+    rule = build_rule(question)
+    sightings, alarms = gather_sightings(source.pictures, n_confirmations=rule.n_confirmations)
+    fit = fit_response(
+        sightings,
+        name=TABLE_NAME if out is None else str(out / TABLE_NAME),
+        seed=compute.seed,
+        progress=lambda done, total: progress(FIT, done, total),
+    )
+    unknown = source.unknown
+    if not fit.is_contrast_fitted and "contrast" not in unknown:
+        unknown = (*unknown, "contrast")
+    table, groups, calibration = build_fit_records(fit)
+    result = DetectorFitResult(
+        name=fit.detector.name,
+        source=source.words,
+        frames=fit.frames,
+        found=fit.found,
+        tracks=fit.tracks,
+        unknown=unknown,
+        table=table,
+        groups=groups,
+        calibration=calibration,
+        false_alarms=build_alarms_record(alarms, rule.frame_rate_hz),
+        command=command,
+        seconds={},
+        versions=versions(),
+    )
+    if out is not None:
+        from ..figures.axes import to_png
+        from ..figures.calibration import plot_calibration
+
+        progress(WRITING, 0, 0)
+        files = {
+            TABLE_NAME: table_text(fit, result).encode(),
+            PNG_NAME: to_png(plot_calibration(result)),
+        }
+        result = replace_fields(result, seconds=progress.finish())
+        write_files(out, {**files, JSON_NAME: to_json_text(result).encode()})
+        progress.kept = f"the results are in {out}"
+        return result
+    return replace_fields(result, seconds=progress.finish())
+
+
+def _open_source(
+    question: Question, wish: FitWish, compute: Compute, progress: StageProgress
+) -> _Source:
+    if wish.recording is not None:
+        progress("read", 0, 0)
+        return _from_recording(read_recording(wish.recording), wish.min_confidence)
+    if wish.labels is not None and wish.results is not None:
+        progress("read", 0, 0)
+        return _from_coco(wish.labels, wish.results, wish.min_confidence)
+    assert wish.layout is not None
+    return _from_network(question, wish.layout, wish, compute, progress)
+
+
+# ---------- a network, shown rendered pictures
+
+
+def _from_network(
+    question: Question, layout: Layout, wish: FitWish, compute: Compute, progress: StageProgress
+) -> _Source:
+    network = load_detector(question.detector, where="--detector")
+    if not isinstance(network, NetworkDetector):
+        raise InputError("--detector", question.detector, "an .onnx file, whose table is fitted")
+    progress("setting", 0, 0)
+    setting = build_setting(question, load_scene(question.scene))
+    check_layout(layout, setting.scene)
+    words = (
+        f"{network.name} on up to {wish.pictures} rendered pictures by the cameras of "
+        f"{layout.name} and the VUT's, of {len(setting.runs)} runs at {setting.scene.name}"
+    )
+    return _Source(words=words, pictures=_look(setting, layout, network, wish, compute, progress))
+
+
+def _look(
+    setting: Setting,
+    layout: Layout,
+    network: NetworkDetector,
+    wish: FitWish,
+    compute: Compute,
+    progress: StageProgress,
+) -> Iterator[LabelledPicture]:
+    """Pictures of blocks of consecutive frames, drawn at random, as many by each camera."""
+    surroundings = build_surroundings(setting.scene, setting.runs)
+    source = PictureSource(setting.scene, setting.runs, seed=compute.seed)
+    least_px = network.min_box_height_px
+    views: list[tuple[Evidence, PictureOfFrame]] = []
+    cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
+    for number, unit in enumerate(cameras):
+        progress("label", number, len(cameras) + 1)
+        assert isinstance(unit.sensor, CameraModel)
+        evidence = perceive_from_roadside(
+            surroundings, unit.pose, unit.sensor, min_height_px=least_px
+        )
+        views.append((evidence, source.from_roadside(unit.pose, unit.sensor)))
+    progress("label", len(cameras), len(cameras) + 1)
+    mount = load_vut_camera()
+    views.append(
+        (perceive_from_vut(surroundings, mount, min_height_px=least_px), source.from_vut(mount))
+    )
+    rng = np.random.default_rng([compute.seed, len(views)])
+    shares = _share_out(wish.pictures, [int((_heights(one) > 0.0).sum()) for one, _ in views])
+    n_drawn = 0
+    for number, (evidence, picture) in enumerate(views):
+        for run, frame, row in _pick_frames(setting, evidence, shares[number], rng):
+            progress(LOOK, n_drawn, sum(shares))
+            n_drawn += 1
+            found = network.model.detect(picture(row))
+            is_sure = found.confidence >= wish.min_confidence
+            boxes = vru_boxes(found)
+            kind = int(np.broadcast_to(evidence.vru_class, len(evidence))[row])
+            of_class = boxes.cyclists if kind == _CYCLIST else boxes.persons
+            box = evidence.visible_px[row]
+            # What it finds of a road user that is too small to count is no false alarm.
+            is_alone = np.isin(found.class_ids, list(found.kinds)) & (iou(found.boxes_px, box) == 0)
+            n_labels = int(box[3] - box[1] >= max(least_px, 1.0))
+            yield LabelledPicture(
+                track=number * len(setting.runs) + run,
+                frame=frame,
+                label_px=box[None][:n_labels],
+                label_class=np.full(n_labels, kind),
+                seen_share=_row(evidence.visible_share * evidence.inside_share, row, n_labels),
+                contrast=_row(evidence.contrast, row, n_labels),
+                aspect_deg=_row(evidence.aspect_deg, row, n_labels),
+                found_px=of_class.boxes_px[of_class.confidence >= wish.min_confidence],
+                alone_px=found.boxes_px[is_sure & is_alone],
+            )
+
+
+def _heights(evidence: Evidence) -> FloatArray:
+    height: FloatArray = evidence.visible_px[:, 3] - evidence.visible_px[:, 1]
+    return height
+
+
+def _share_out(n_wanted: int, n_there: Sequence[int]) -> list[int]:
+    """How many of each; as even as those allow that have few."""
+    shares, left = [0] * len(n_there), n_wanted
+    order = sorted(range(len(n_there)), key=lambda index: n_there[index])
+    for done, index in enumerate(order):
+        shares[index] = min(n_there[index], left // (len(order) - done))
+        left -= shares[index]
+    return shares
+
+
+def _row(values: FloatArray, row: int, n_labels: int) -> FloatArray:
+    """Value of a row of evidence, which may have one for all; nothing if there is no label."""
+    return np.atleast_1d(values)[[row if len(np.atleast_1d(values)) > 1 else 0]][:n_labels]
+
+
+def _pick_frames(
+    setting: Setting, evidence: Evidence, n_wanted: int, rng: np.random.Generator
+) -> list[tuple[int, int, int]]:
+    """Run, frame and row of blocks of frames that begin where the road user is large enough."""
+    chosen: dict[int, tuple[int, int, int]] = {}
+    for row in rng.permutation(np.flatnonzero(_heights(evidence) > 0.0)).tolist():
+        if len(chosen) >= n_wanted:
+            break
+        run = int(np.searchsorted(setting.axis.run_start, row, side="right")) - 1
+        frames = setting.axis.frames_of(run)
+        for other in range(row, min(row + _BLOCK, frames.stop)):
+            chosen[other] = (run, other - frames.start, other)
+    return [chosen[row] for row in sorted(chosen)][:n_wanted]
+
+
+# ---------- recordings
+
+
+def _from_recording(recording: Recording, min_confidence: float) -> _Source:
+    return _Source(
+        words=f"the detections of {recording.folder}, {recording.n_frames} frames",
+        pictures=_recorded_pictures(recording, min_confidence),
+        unknown=("share that is seen", "contrast", "aspect"),
+    )
+
+
+def _recorded_pictures(recording: Recording, min_confidence: float) -> Iterator[LabelledPicture]:
+    names = [*recording.units, *([load_format().vut_folder] if recording.has_vut else [])]
+    for number, name in enumerate(names):
+        all_labels, all_found = recording.labels[name], recording.detections[name]
+        for index, drive in enumerate(recording.drives):
+            for frame, key in enumerate(drive.frames):
+                labels = [one for one in all_labels.get(key, ()) if one.class_name in _RECORDED]
+                found = [
+                    one
+                    for one in all_found.get(key, ())
+                    if one.confidence >= min_confidence and one.class_name in _RECORDED
+                ]
+                classes = [_RECORDED[one.class_name] for one in labels]
+                yield _plain_picture(
+                    track=number * len(recording.drives) + index,
+                    frame=frame,
+                    label_px=[one.box_px for one in labels],
+                    label_class=classes,
+                    seen_share=[1.0] * len(labels),
+                    found_px=[one.box_px for one in found],
+                    # A rider may be found as a pedestrian, as the study's evaluation allows.
+                    finds=[
+                        [kind == _CYCLIST or one.class_name == "pedestrian" for one in found]
+                        for kind in classes
+                    ],
+                )
+
+
+_RECORDED = {"pedestrian": _PEDESTRIAN, "bicycle": _CYCLIST}
+
+
+def _plain_picture(
+    *,
+    track: int,
+    frame: int,
+    label_px: Sequence[Sequence[float]],
+    label_class: Sequence[int],
+    seen_share: Sequence[float],
+    found_px: Sequence[Sequence[float]],
+    finds: Sequence[Sequence[bool]],
+) -> LabelledPicture:
+    """A picture of which neither contrast nor aspect is known."""
+    n_labels = len(label_px)
+    return LabelledPicture(
+        track=track,
+        frame=frame,
+        label_px=np.array(label_px, dtype=np.float64).reshape(-1, 4),
+        label_class=np.array(label_class, dtype=np.int64),
+        seen_share=np.array(seen_share, dtype=np.float64),
+        contrast=np.ones(n_labels),
+        aspect_deg=np.full(n_labels, _FROM_THE_SIDE_DEG),
+        found_px=np.array(found_px, dtype=np.float64).reshape(-1, 4),
+        finds=np.array(finds, dtype=bool).reshape(n_labels, len(found_px)),
+    )
+
+
+# ---------- COCO's files
+
+
+class _Image(msgspec.Struct, frozen=True):
+    id: int
+    run: str = ""
+    frame: int = 0
+    file_name: str = ""
+
+
+class _Category(msgspec.Struct, frozen=True):
+    id: int
+    name: str
+
+
+_CornerAndSize = tuple[float, float, Annotated[float, Meta(ge=0)], Annotated[float, Meta(ge=0)]]
+
+
+class _Annotation(msgspec.Struct, frozen=True):
+    image_id: int
+    category_id: int
+    bbox: _CornerAndSize
+    iscrowd: int = 0
+    visible_share: Annotated[float, Meta(ge=0, le=1.000001)] | None = None
+
+
+class _Result(msgspec.Struct, frozen=True):
+    image_id: int
+    category_id: int
+    bbox: _CornerAndSize
+    score: Annotated[float, Meta(ge=0, le=1)]
+
+
+class _Labels(msgspec.Struct, frozen=True):
+    images: tuple[_Image, ...]
+    annotations: tuple[_Annotation, ...]
+    categories: tuple[_Category, ...]
+
+
+def _from_coco(labels_path: Path, results_path: Path, min_confidence: float) -> _Source:
+    labels = read_table(_load_json(labels_path), _Labels, str(labels_path))
+    results = read_table(_load_json(results_path), tuple[_Result, ...], str(results_path))
+    kinds = {one.id: kind_of_name().get(one.name.lower()) for one in labels.categories}
+    if not any(kinds.values()):
+        got = ", ".join(one.name for one in labels.categories) or "none"
+        raise InputError(
+            f"{labels_path}: categories",
+            Unquoted(got),
+            "among them one of " + ", ".join(sorted(kind_of_name())),
+        )
+    known = {image.id for image in labels.images}
+    for path, rows in ((labels_path, labels.annotations), (results_path, results)):
+        stray = next((row.image_id for row in rows if row.image_id not in known), None)
+        if stray is not None:
+            raise InputError(f"{path}: image_id", stray, f"an image of {labels_path}")
+    shares = [one.visible_share for one in labels.annotations]
+    unknown = () if shares and None not in shares else ("share that is seen",)
+    return _Source(
+        words=f"{results_path} on the {len(known)} pictures of {labels_path}",
+        pictures=_coco_pictures(labels, results, kinds, min_confidence),
+        unknown=(*unknown, "contrast", "aspect"),
+    )
+
+
+def _load_json(path: Path) -> Any:
+    check_file(path, max_bytes=_MAX_BYTES)
+    try:
+        return msgspec.json.decode(path.read_bytes())
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise InputError(str(path), Unquoted(reason or "unreadable"), "a JSON file") from None
+
+
+def _coco_pictures(
+    labels: _Labels,
+    results: Sequence[_Result],
+    kinds: dict[int, str | None],
+    min_confidence: float,
+) -> Iterator[LabelledPicture]:
+    of_image: dict[int, tuple[list[_Annotation], list[_Result]]] = {
+        image.id: ([], []) for image in labels.images
+    }
+    for label in labels.annotations:
+        if kinds.get(label.category_id) and not label.iscrowd:
+            of_image[label.image_id][0].append(label)
+    for one in results:
+        if kinds.get(one.category_id) and one.score >= min_confidence:
+            of_image[one.image_id][1].append(one)
+    tracks: dict[tuple[object, ...], int] = {}
+    for image in sorted(labels.images, key=lambda image: (image.run, image.file_name, image.id)):
+        # Pictures of no run are tracks of their own.
+        key = (image.run, Path(image.file_name).parent) if image.run else (image.id,)
+        wanted, found = of_image[image.id]
+        classes = [
+            _PEDESTRIAN if kinds[one.category_id] == "person" else _CYCLIST for one in wanted
+        ]
+        yield _plain_picture(
+            track=tracks.setdefault(key, len(tracks)),
+            frame=image.frame,
+            label_px=[_corners(one.bbox) for one in wanted],
+            label_class=classes,
+            seen_share=[
+                1.0 if one.visible_share is None else min(one.visible_share, 1.0) for one in wanted
+            ],
+            found_px=[_corners(one.bbox) for one in found],
+            finds=[
+                [kind == _CYCLIST or kinds[one.category_id] == "person" for one in found]
+                for kind in classes
+            ],
+        )
+
+
+def _corners(bbox: _CornerAndSize) -> tuple[float, float, float, float]:
+    left, top, width, height = bbox
+    return left, top, left + width, top + height
+
+
+# ---------- the table as a file
+
+
+_NOTES = {
+    "seen_share": "share of the road user that is seen, and recall; straight lines between",
+    "height_half_px": "factor 1 / (1 + (half / height)^steepness) of the visible box",
+    "min_box_height_px": "the lowest box that was found",
+    "pedestrian": "factor by class, relative to the class that is found best",
+    "cyclist_end_on": "factor of a cyclist seen from straight behind or ahead; 1 from the side",
+    "contrast_half": "factor 1 / (1 + (half / contrast)^steepness), 1 at full contrast",
+    "box_noise_share": "standard deviation of the sides of boxes, by the median error",
+    "frame_correlation": "of what decides a frame, how much carries over from the frame before",
+    "plan_probability": "the detection table counts a frame from this probability on",
+}
+
+
+def table_text(fit: ResponseFit, result: DetectorFitResult) -> str:
+    """The table as TOML, for ``--detector FILE``; each figure with its 95 % interval."""
+    detector, intervals = fit.detector, fit.intervals
+    lines = [
+        f"# Response table fitted to {result.source}:",
+        f"# {result.frames} frames with a road user, {result.found} found, "
+        f"{result.tracks} cameras and runs.",
+        f"# {result.command}",
+    ]
+    if result.unknown:
+        lines.append(f"# Not told by them, and as built in: {', '.join(result.unknown)}.")
+    lines += ["", "[response]"]
+
+    def add(key: str, value: object, *names: str) -> None:
+        ranges = [intervals[name] for name in names if intervals[name].low < intervals[name].high]
+        words = "; ".join(f"95 %: {one.low:.3g} to {one.high:.3g}" for one in ranges)
+        if key in _NOTES:
+            lines.append(f"# {_NOTES[key]}")
+        lines.append(f"{key} = {value}" + (f" # {words}" if words else ""))
+
+    add("seen_share", [round(value, 6) for value in detector.seen_share.tolist()])
+    recalls = detector.recall.tolist()
+    add("recall", [round(value, 6) for value in recalls], f"recall[{len(recalls) - 1}]")
+    for key in ("height_half_px", "height_steepness", "min_box_height_px"):
+        add(key, f"{getattr(detector, key):.6g}", key)
+    for kind, factor in zip(VRU_CLASSES, detector.class_factor.tolist(), strict=True):
+        add(kind, f"{factor:.6g}", kind)
+    for key in ("cyclist_end_on", "contrast_half", "contrast_steepness", "box_noise_share"):
+        add(key, f"{getattr(detector, key):.6g}", key)
+    add("frame_correlation", f"{detector.frame_correlation:.6g}", "frame_correlation")
+    add("plan_probability", f"{detector.plan_probability:g}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,410 @@
+"""Response tables fitted to what a detector really found.
+
+The probabilities of :class:`ResponseDetector` are fitted by maximum likelihood to frames in which
+a road user could be detected, and was or was not. Frames of one camera and one run resemble one
+another, so that intervals count such tracks, not frames.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.errors import InputError, Unquoted
+
+from .built_in import ResponseDetector, load_planning_detector
+from .evidence import VRU_CLASSES, Evidence
+from .sightings import Interval, Sightings, wilson
+
+SEEN_KNOTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of the road user that are seen, between which recall is linear; 0 at 0."""
+
+_LEAST_FRAMES = 50
+_LEAST_OF_EACH = 5  # frames found, and frames missed
+_DRAWS = 400  # of parameters
+_MOST_DRAWS = 60  # of tracks
+_STEP = 1.0e-4  # for slopes
+_OTHERS = ("min_box_height_px", "box_noise_share", "frame_correlation")
+_MOST_PER_DRAW = 20_000  # frames
+_PRIOR_FRAMES = 2.0  # how many frames the built-in table weighs: decides what no frame tells
+# How far parameters may go from the built-in table: logits of shares, logarithms of the others.
+_REACH = np.array([6.0] * 5 + [1.5] * 2 + [3.0] * 3 + [1.5] * 2)
+_CONTRAST_SPREAD = 0.02  # contrasts that differ less say nothing about contrast
+_PROBABILITY = (1.0e-4, 1.0 - 1.0e-4)  # no frame is impossible: a label may be wrong
+_MAX_CORRELATION = 0.98
+_INTERVAL = (0.025, 0.975)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """Frames that have something in common: how many there are, how many were found."""
+
+    name: str
+    frames: int
+    found: int
+    recall: Interval  # Wilson's interval, as if frames were independent
+    expected: float  # mean probability of the fitted table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ResponseFit:
+    """A fitted response table, how sure it is, and how well it predicts."""
+
+    detector: ResponseDetector
+    intervals: Mapping[str, Interval]  # by the table's keys; recall as "recall[2]" and so on
+    calibration: tuple[Group, ...]  # by predicted probability
+    groups: Mapping[str, tuple[Group, ...]]  # by height, seen share, class, aspect, contrast
+    frames: int
+    found: int
+    tracks: int
+    is_contrast_fitted: bool  # otherwise the built-in figures stand: all frames had one contrast
+
+
+def fit_response(
+    sightings: Sightings,
+    *,
+    name: str,
+    seed: int = 0,
+    draws: int = _DRAWS,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> ResponseFit:
+    """Fit a response table to what was found.
+
+    Parameters
+    ----------
+    sightings : Sightings
+        At least 50 frames, at least five found and five missed.
+    name : str
+        Of the new table.
+    seed : int
+        Of the bootstrap.
+    draws : int
+        How many sets of figures are drawn for the intervals.
+    progress : callable
+        Called with the number of fits done, and of all.
+
+    Returns
+    -------
+    fit : ResponseFit
+        What no frame tells about, such as a class that never appears, is as in the built-in table,
+        which weighs as much as two frames.
+
+    Raises
+    ------
+    InputError
+        There are too few frames.
+    """
+    n_found = int(sightings.is_found.sum())
+    least = min(n_found, len(sightings) - n_found)
+    if len(sightings) < _LEAST_FRAMES or least < _LEAST_OF_EACH:
+        raise InputError(
+            "frames with a road user",
+            Unquoted(f"{len(sightings)}, {n_found} of them found"),
+            f"at least {_LEAST_FRAMES}, with {_LEAST_OF_EACH} found and {_LEAST_OF_EACH} missed",
+        )
+    free = _free(sightings)
+    progress(0, 2)
+    best = _fit(sightings, free)
+    detector = _finish(_detector(best, name), sightings)
+    progress(1, 2)
+    rng = np.random.default_rng(seed)
+    values = _numbers(detector)
+    spread = _table_spread(sightings, best, free, draws, rng)
+    spread |= _other_spread(sightings, detector, draws, rng)
+    progress(2, 2)
+    probability = detector.probability(sightings.evidence())
+    return ResponseFit(
+        detector=detector,
+        intervals={
+            key: Interval(value, *_quantiles(spread.get(key, np.zeros(0)), value))
+            for key, value in values.items()
+        },
+        calibration=_by_bins(
+            "", probability, np.linspace(0.0, 1.0, 11), sightings.is_found, probability
+        ),
+        groups=_groups(sightings, probability),
+        frames=len(sightings),
+        found=n_found,
+        tracks=len(np.unique(sightings.track)),
+        is_contrast_fitted=bool(free[-1]),
+    )
+
+
+def _quantiles(values: FloatArray, value: float) -> tuple[float, float]:
+    if not len(values):
+        return value, value
+    low, high = np.quantile(values, _INTERVAL).tolist()
+    return min(low, value), max(high, value)
+
+
+# ---------- maximum likelihood
+
+
+def _free(sightings: Sightings) -> BoolArray:
+    """Parameters (see :func:`_detector`) about which the frames tell something."""
+    free = np.ones(len(_prior()), dtype=bool)
+    is_there = np.isin(np.arange(len(VRU_CLASSES)), sightings.vru_class)
+    free[4] = is_there[VRU_CLASSES.index("cyclist")]
+    free[7:10] = is_there & (is_there.sum() > 1)  # factors are relative to one another
+    free[10:] = float(np.std(sightings.contrast)) > _CONTRAST_SPREAD
+    return free
+
+
+def _fit(sightings: Sightings, free: BoolArray) -> FloatArray:
+    """Parameters (see :func:`_detector`) that make what was found most likely."""
+    from scipy.optimize import minimize
+
+    evidence, found, prior = sightings.evidence(), sightings.is_found, _prior()
+
+    def unlikeliness(values: FloatArray) -> float:
+        away = values - prior[free]
+        doubt = 0.5 * _PRIOR_FRAMES / len(prior) * float(away @ away)
+        return doubt - float(_log_chance(_whole(values, free), evidence, found).sum())
+
+    bounds = zip((prior - _REACH)[free], (prior + _REACH)[free], strict=True)
+    result = minimize(unlikeliness, prior[free], method="L-BFGS-B", bounds=list(bounds))
+    return _whole(result.x, free)
+
+
+def _whole(values: FloatArray, free: BoolArray) -> FloatArray:
+    """All parameters, of those that are free and the built-in ones."""
+    whole = _prior().copy()
+    whole[free] = values
+    return whole
+
+
+def _log_chance(values: FloatArray, evidence: Evidence, found: BoolArray) -> FloatArray:
+    """Logarithm of the probability of what happened in each frame, (n,)."""
+    probability = np.clip(_detector(values, "").probability(evidence), *_PROBABILITY)
+    return np.log(np.where(found, probability, 1.0 - probability))
+
+
+# ---------- how sure the figures are
+
+
+def _table_spread(
+    sightings: Sightings,
+    best: FloatArray,
+    free: BoolArray,
+    draws: int,
+    rng: np.random.Generator,
+) -> dict[str, FloatArray]:
+    """Figures of the table for parameters drawn around the best ones, by name.
+
+    References
+    ----------
+    .. [1] H. White, "Maximum likelihood estimation of misspecified models", 1982: the sandwich of
+       curvature and of the scores' spread, whose scores are summed up by track.
+    """
+    evidence, found = sightings.evidence(), sightings.is_found
+    columns = []
+    for index in np.flatnonzero(free).tolist():
+        step = np.zeros(len(best))
+        step[index] = _STEP
+        above, below = (_log_chance(best + way * step, evidence, found) for way in (1.0, -1.0))
+        columns.append((above - below) / (2.0 * _STEP))
+    score = np.stack(columns, axis=1)
+    bread = score.T @ score + _PRIOR_FRAMES / len(best) * np.eye(score.shape[1])
+    by_track = np.zeros((int(sightings.track.max()) + 1, score.shape[1]))
+    np.add.at(by_track, sightings.track, score)
+    inverse = np.linalg.inv(bread)
+    covariance = inverse @ (by_track.T @ by_track) @ inverse
+    drawn = rng.multivariate_normal(best[free], covariance, size=draws, method="eigh")
+    low, high = (_prior() - _REACH)[free], (_prior() + _REACH)[free]
+    numbers = [_numbers(_detector(_whole(row, free), "")) for row in np.clip(drawn, low, high)]
+    return {key: np.array([one[key] for one in numbers]) for key in (numbers or [{}])[0]}
+
+
+def _other_spread(
+    sightings: Sightings, detector: ResponseDetector, draws: int, rng: np.random.Generator
+) -> dict[str, FloatArray]:
+    """Figures that are no parameters, for tracks drawn with repetition (bootstrap), by name."""
+    numbers = []
+    for _ in range(min(draws, _MOST_DRAWS)):
+        chosen = sightings.take(_draw_tracks(sightings.track, rng))
+        if chosen.is_found.any():
+            numbers.append(_numbers(_finish(detector, chosen)))
+    return {key: np.array([one[key] for one in numbers]) for key in _OTHERS if numbers}
+
+
+def _prior() -> FloatArray:
+    """The parameters of the built-in table."""
+    table = load_planning_detector("response")
+    assert isinstance(table, ResponseDetector)
+    recall = np.interp(SEEN_KNOTS[1:], table.seen_share, table.recall)
+    ratios = recall / np.append(recall[1:], 1.0)
+    factors = np.maximum(table.class_factor, 1.0e-3)
+    shares = np.clip(np.array([*ratios, table.cyclist_end_on]), 1.0e-3, 1.0 - 1.0e-3)
+    return np.concatenate(
+        [
+            np.log(shares / (1.0 - shares)),
+            np.log([table.height_half_px, table.height_steepness]),
+            np.log(factors / factors.max()),
+            np.log([table.contrast_half, table.contrast_steepness]),
+        ]
+    )
+
+
+def _detector(values: FloatArray, name: str) -> ResponseDetector:
+    """The table of parameters: logits of ratios of recalls and of the end-on factor, logarithms."""
+    table = load_planning_detector("response")
+    assert isinstance(table, ResponseDetector)
+    shares = 1.0 / (1.0 + np.exp(-values[:5]))
+    # Each recall is a share of the next one, so that recall never falls with what is seen.
+    recall = np.cumprod(shares[:4][::-1])[::-1]
+    half_px, steepness = np.exp(values[5:7]).tolist()
+    factor = np.exp(values[7:10] - values[7:10].max())
+    contrast_half, contrast_steepness = np.exp(values[10:12]).tolist()
+    return replace(
+        table,
+        name=name,
+        seen_share=np.array(SEEN_KNOTS),
+        recall=np.append(0.0, recall),
+        height_half_px=half_px,
+        height_steepness=steepness,
+        class_factor=factor,
+        cyclist_end_on=float(shares[4]),
+        contrast_half=contrast_half,
+        contrast_steepness=contrast_steepness,
+    )
+
+
+def _finish(detector: ResponseDetector, sightings: Sightings) -> ResponseDetector:
+    """With the noise of boxes, the correlation of frames, and the least height found."""
+    errors = sightings.box_error[sightings.is_found]
+    middle = np.median(errors, axis=0)
+    noise = 1.4826 * float(np.median(np.abs(errors - middle)))  # of a normal distribution
+    probability = detector.probability(sightings.evidence())
+    return replace(
+        detector,
+        box_noise_share=min(noise, 1.0),
+        frame_correlation=_frame_correlation(sightings, probability),
+        min_box_height_px=max(1.0, float(sightings.height_px[sightings.is_found].min())),
+    )
+
+
+def _numbers(detector: ResponseDetector) -> dict[str, float]:
+    """Fitted figures by their names in the table."""
+    keys = (
+        *("height_half_px", "height_steepness", "min_box_height_px", "cyclist_end_on"),
+        *("contrast_half", "contrast_steepness", "box_noise_share", "frame_correlation"),
+    )
+    recall = {f"recall[{index}]": value for index, value in enumerate(detector.recall.tolist())}
+    classes = dict(zip(VRU_CLASSES, detector.class_factor.tolist(), strict=True))
+    return recall | classes | {key: float(getattr(detector, key)) for key in keys}
+
+
+def _draw_tracks(track: IntArray, rng: np.random.Generator) -> IntArray:
+    """Rows of as many tracks as there are, drawn with repetition; at most so many rows."""
+    order = np.argsort(track, kind="stable")
+    _, starts, counts = np.unique(track[order], return_index=True, return_counts=True)
+    drawn = rng.integers(len(starts), size=len(starts))
+    ends = np.cumsum(counts[drawn])
+    drawn = drawn[: max(1, int(np.searchsorted(ends, _MOST_PER_DRAW, side="right")))]
+    return np.concatenate([order[starts[one] : starts[one] + counts[one]] for one in drawn])
+
+
+# ---------- correlation of consecutive frames
+
+
+def _frame_correlation(sightings: Sightings, probability: FloatArray) -> float:
+    """Correlation of the normal numbers behind consecutive frames that explains found pairs.
+
+    As :class:`ResponseDetector` draws them; 0 where no frames are consecutive.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import ndtri
+
+    order = np.lexsort((sightings.frame, sightings.track))
+    same = np.diff(sightings.track[order]) == 0
+    next_ = same & (np.diff(sightings.frame[order]) == 1)
+    first, second = order[:-1][next_], order[1:][next_]
+    if not len(first):
+        return 0.0
+    levels = ndtri(np.clip(probability, *_PROBABILITY))
+    both = float((sightings.is_found[first] & sightings.is_found[second]).sum())
+
+    def surplus(correlation: float) -> float:
+        joint = joint_normal(levels[first], levels[second], correlation)
+        return float(joint.sum()) - both
+
+    if surplus(0.0) >= 0.0:
+        return 0.0
+    if surplus(_MAX_CORRELATION) <= 0.0:
+        return _MAX_CORRELATION
+    return float(brentq(surplus, 0.0, _MAX_CORRELATION, xtol=1.0e-4))
+
+
+def joint_normal(first: FloatArray, second: FloatArray, correlation: float) -> FloatArray:
+    """Probability that two correlated standard normal numbers lie below `first` and `second`.
+
+    References
+    ----------
+    .. [1] Z. Drezner, G. Wesolowsky, "On the computation of the bivariate normal integral", 1990:
+       the integral of the density over the correlation.
+    """
+    from scipy.special import ndtr
+
+    nodes, weights = leggauss(20)
+    # Over the arc sine of the correlation the integrand is smooth up to a correlation of 1.
+    angle = np.arcsin(correlation)
+    sine = np.sin(0.5 * angle * (nodes + 1.0))
+    a, b = first[:, None], second[:, None]
+    density = np.exp(-0.5 * (a**2 - 2.0 * sine * a * b + b**2) / (1.0 - sine**2))
+    joint: FloatArray = ndtr(first) * ndtr(second) + density @ weights * angle / (4.0 * np.pi)
+    return joint
+
+
+# ---------- recall by group
+
+
+_HEIGHT_EDGES_PX = (0.0, 20.0, 30.0, 40.0, 60.0, 80.0, 120.0, np.inf)
+_SHARE_EDGES = (0.0, 0.25, 0.5, 0.75, 0.95, 1.0)
+_ASPECT_EDGES_DEG = (0.0, 22.5, 45.0, 67.5, 90.0)
+_CONTRAST_EDGES = (0.0, 0.1, 0.3, 0.6, np.inf)
+
+
+def _groups(sightings: Sightings, probability: FloatArray) -> dict[str, tuple[Group, ...]]:
+    found = sightings.is_found
+    by_class = [
+        _group(kind, sightings.vru_class == number, found, probability)
+        for number, kind in enumerate(VRU_CLASSES)
+    ]
+    return {
+        "height": _by_bins(" px", sightings.height_px, _HEIGHT_EDGES_PX, found, probability),
+        "seen": _by_bins("", sightings.seen_share, _SHARE_EDGES, found, probability),
+        "class": tuple(group for group in by_class if group.frames),
+        "aspect": _by_bins(" deg", sightings.aspect_deg, _ASPECT_EDGES_DEG, found, probability),
+        "contrast": _by_bins("", sightings.contrast, _CONTRAST_EDGES, found, probability),
+    }
+
+
+def _by_bins(
+    unit: str,
+    values: FloatArray,
+    edges: tuple[float, ...] | FloatArray,
+    found: BoolArray,
+    probability: FloatArray,
+) -> tuple[Group, ...]:
+    """Groups between edges, the last one with its upper edge; empty ones are left out."""
+    bounds = [float(edge) for edge in edges]
+    which = np.clip(np.searchsorted(bounds, values, side="right") - 1, 0, len(bounds) - 2)
+    groups = []
+    for number, (low, high) in enumerate(pairwise(bounds)):
+        words = f"{low:g}{unit} and more" if np.isinf(high) else f"{low:g} to {high:g}{unit}"
+        groups.append(_group(words, which == number, found, probability))
+    return tuple(group for group in groups if group.frames)
+
+
+def _group(name: str, rows: BoolArray, found: BoolArray, probability: FloatArray) -> Group:
+    n, k = int(rows.sum()), int(found[rows].sum())
+    return Group(
+        name=name,
+        frames=n,
+        found=k,
+        recall=wilson(k, n),
+        expected=float(probability[rows].mean()) if n else 0.0,
+    )

@@ -1,0 +1,281 @@
+"""The command `detector fit`: its three sources, what it writes, and what it refuses."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.export.json import to_json
+from experiments.jobs import detector as job
+from experiments.study.layout import load_carlancap_layout
+from placement.compute import Compute
+from placement.detectors import load_detector
+from placement.detectors.network import ImageBoxes, NetworkDetector
+from placement.question import Question
+from placement.recordings import WrittenDrive, write_recording
+from placement.setting import build_setting
+
+N_FRAMES = 60
+ASKED = ("--cases", "CPNC-50", "--approaches", "east", "--speeds", "40", "--along-arms", "0")
+
+
+def _boxes(rng):
+    """Boxes (n, 4) of all heights, and whether they are found: half of them at 35 px."""
+    height = np.exp(rng.uniform(np.log(15.0), np.log(120.0), N_FRAMES))
+    left = rng.uniform(0.0, 900.0, N_FRAMES)
+    boxes = np.stack([left, left * 0 + 100.0, left + 0.4 * height, 100.0 + height], axis=1)
+    return boxes, rng.random(N_FRAMES) < 1.0 / (1.0 + (35.0 / height) ** 4)
+
+
+@pytest.fixture
+def recording(tmp_path):
+    rng = np.random.default_rng(1)
+    drives = []
+    for scenario in range(6):
+        labels, found = {}, {}
+        for unit in ("0", "1", "car"):
+            labels[unit], is_found = _boxes(rng)
+            found[unit] = labels[unit] * is_found[:, None]
+        drives.append(
+            WrittenDrive(
+                scenario=scenario,
+                vru_class="pedestrian",
+                vut_speed_mps=10.0,
+                vru_speed_mps=1.4,
+                distance_m=2.0 + np.arange(N_FRAMES)[::-1],
+                labels_px=labels,
+                detections_px=found,
+                label_distance_m={unit: np.full(N_FRAMES, 20.0) for unit in labels},
+            )
+        )
+    write_recording(tmp_path / "ncap_data", drives)
+    return tmp_path / "ncap_data"
+
+
+@pytest.fixture
+def coco(tmp_path):
+    """Labels and results of 300 pictures, a false alarm in every third."""
+    rng = np.random.default_rng(2)
+    images, annotations, results = [], [], []
+    for run in range(5):
+        boxes, is_found = _boxes(rng)
+        for frame, (box, found) in enumerate(zip(boxes.tolist(), is_found, strict=True)):
+            bbox = [box[0], box[1], box[2] - box[0], box[3] - box[1]]
+            name = f"0/{run}_{frame}.png"
+            images.append({"id": len(images), "run": f"r{run}", "frame": frame, "file_name": name})
+            here = {"image_id": images[-1]["id"], "category_id": 1 + run % 2}
+            annotations.append({**here, "id": len(annotations), "bbox": bbox, "visible_share": 1.0})
+            if found:
+                results.append({**here, "bbox": bbox, "score": 0.9})
+            results.append({**here, "bbox": bbox, "score": 0.3})
+            if frame % 3 == 0:
+                results.append({**here, "bbox": [1500.0, 800.0, 20.0, 50.0], "score": 0.8})
+    names = [{"id": 1, "name": "pedestrian"}, {"id": 2, "name": "cyclist"}]
+    labels = {"images": images, "annotations": annotations, "categories": names}
+    paths = tmp_path / "coco.json", tmp_path / "found.json"
+    for path, content in zip(paths, (labels, results), strict=True):
+        path.write_text(json.dumps(content))
+    return paths
+
+
+def test_a_table_fitted_to_a_recording_is_a_detector(run, recording):
+    code, out, err = run("detector", "fit", "--recording", recording, "--out", "mine")
+    assert code == 0, err
+    assert {path.name for path in Path("mine").iterdir()} == {
+        "response.toml",
+        "fit.json",
+        "calibration.png",
+    }
+    table = load_detector("mine/response.toml")
+    assert table.height_half_px == pytest.approx(35.0, rel=0.15)
+    assert table.height_steepness == pytest.approx(4.0, rel=0.3)
+    text = " ".join(out.split())
+    assert "of 1080 frames with a road user are detected" in text
+    assert "Not told by them, and as in the built-in table: share that is seen, contrast" in text
+    told = json.loads(Path("mine/fit.json").read_text())
+    assert told["table"]["height_half_px"]["value"] == pytest.approx(table.height_half_px, rel=1e-5)
+    assert told["false_alarms"]["alarms"] == 0
+
+
+@pytest.mark.parametrize(
+    ("wanted", "there", "shares"),
+    [(10, [9, 9], [5, 5]), (10, [2, 9, 9], [2, 4, 4]), (10, [1, 2, 3], [1, 2, 3]), (0, [4], [0])],
+)
+def test_pictures_are_shared_out_evenly(wanted, there, shares):
+    assert job._share_out(wanted, there) == shares
+
+
+def test_the_same_call_gives_the_same_table(run, recording):
+    for out in ("first", "second"):
+        assert run("detector", "fit", "--recording", recording, "--out", out, "--quiet")[0] == 0
+    first, second = (Path(out, "fit.json").read_text() for out in ("first", "second"))
+    assert json.loads(first)["table"] == json.loads(second)["table"]
+
+
+def test_a_table_is_fitted_to_files_of_coco(run, coco):
+    labels, results = coco
+    code, out, err = run(
+        "detector", "fit", "--labels", labels, "--results", results, "--json", "--quiet"
+    )
+    assert (code, err) == (0, "")
+    told = json.loads(out)
+    assert told["frames"] == 5 * N_FRAMES
+    assert told["found"] == sum(one["score"] == 0.9 for one in json.loads(results.read_text()))
+    assert told["tracks"] == 5
+    assert told["unknown"] == ["contrast", "aspect"]
+    assert told["false_alarms"]["alarms"] == 5 * N_FRAMES // 3
+    assert told["false_alarms"]["confirmed"] == 0  # never in two frames in a row
+    assert [group["name"] for group in told["groups"]["class"]] == ["pedestrian", "cyclist"]
+    assert list(Path().glob("response.toml")) == []
+
+
+def test_confidence_decides_what_counts(run, coco):
+    labels, results = coco
+    code, _, err = run(
+        *("detector", "fit", "--labels", labels, "--results", results, "--min-confidence", "0.2")
+    )
+    assert code == 2
+    assert "got 300, 300 of them found; expected at least 50, with 5 found and 5 missed" in err
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"categories": [{"id": 1, "name": "car"}]}, "coco.json: categories: got car; expected"),
+        ({"annotations": [{"image_id": 999, "category_id": 1, "bbox": [0, 0, 1, 1]}]}, "got 999"),
+        (
+            {"annotations": [{"image_id": 1, "category_id": 1, "bbox": [0, 0, -1, 1]}]},
+            "bbox[2]: got -1",
+        ),
+        ({"images": 3}, "images: got 3"),
+    ],
+)
+def test_files_of_coco_that_are_wrong_are_refused(run, coco, change, line):
+    labels, results = coco
+    labels.write_text(json.dumps(json.loads(labels.read_text()) | change))
+    code, out, err = run("detector", "fit", "--labels", labels, "--results", results)
+    assert (code, out) == (2, "")
+    assert line in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("content", ["", "[", "{}", '[{"image_id": 1}]', "\x00"])
+def test_results_that_are_wrong_are_refused(run, coco, content):
+    labels, results = coco
+    results.write_text(content)
+    code, out, err = run("detector", "fit", "--labels", labels, "--results", results)
+    assert (code, out) == (2, "")
+    assert "found.json" in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ([], "got no source; expected one of"),
+        (["--recording", "a", "--labels", "b", "--results", "c"], "got --recording and --labels"),
+        (["--labels", "b"], "--labels: got it without --results"),
+        (["--results", "b"], "--results: got it without --labels"),
+        (["--recording", "nowhere"], "nowhere"),
+        (["--layout", "carlancap-12"], "--detector: got 'geometric'; expected an .onnx file"),
+        (
+            ["--recording", "a", "--pictures", "3"],
+            "--pictures: got '3'; expected a number of pictures",
+        ),
+    ],
+)
+def test_contradictory_options_are_refused(run, options, line):
+    code, out, err = run("detector", "fit", *options)
+    assert (code, out) == (2, "")
+    assert line in err.splitlines()[-1]
+
+
+class _Oracle:
+    """Reads from a picture which row it is, and finds the road user in two rows of three."""
+
+    def __init__(self, boxes_px):
+        self.boxes_px = boxes_px
+
+    def detect(self, image):
+        view, row = int(image[0, 0, 0]), int(image[0, 0, 1]) * 256 + int(image[0, 0, 2])
+        box = self.boxes_px[view][row]
+        boxes = [box] if row % 3 and box[3] > box[1] else []
+        return ImageBoxes(
+            boxes_px=np.array([*boxes, [1.0, 1.0, 5.0, 9.0]]),
+            class_ids=np.zeros(len(boxes) + 1, dtype=int),
+            confidence=np.ones(len(boxes) + 1),
+            kinds={0: "person"},
+        )
+
+
+def test_a_network_is_shown_the_frames_that_its_labels_are_of(tmp_path, monkeypatch):
+    question = Question(cases="CPNC-50", approaches="east", speeds="40", along_arms="0")
+    layout = load_carlancap_layout()
+    layout = replace(layout, units=layout.units[2:4])
+    boxes_px = []
+    for name in ("perceive_from_roadside", "perceive_from_vut"):
+        look = getattr(job, name)
+
+        def perceive(*args, look=look, **values):
+            evidence = look(*args, **values)
+            boxes_px.append(evidence.visible_px)
+            return evidence
+
+        monkeypatch.setattr(job, name, perceive)
+
+    class Numbered:
+        """Pictures of one pixel: number of the view, and of the row."""
+
+        def __init__(self, *args, **values):
+            self.n_views = 0
+
+        def from_roadside(self, *args):
+            view, self.n_views = self.n_views, self.n_views + 1
+            return lambda row: np.array([[[view, row // 256, row % 256]]], dtype=np.uint8)
+
+        from_vut = from_roadside
+
+    monkeypatch.setattr(job, "PictureSource", Numbered)
+    network = NetworkDetector(
+        name="net", model=_Oracle(boxes_px), min_box_height_px=12.0, min_confidence=0.5
+    )
+    setting = build_setting(question)
+    wish = job.FitWish(layout=layout, pictures=90)
+    pictures = list(
+        job._look(setting, layout, network, wish, Compute(workers=1), lambda *told: None)
+    )
+    assert len(pictures) == 90
+    seen, alarms = job.gather_sightings(pictures, n_confirmations=3)
+    assert 0.4 < seen.is_found.mean() < 0.9
+    np.testing.assert_allclose(seen.box_error[seen.is_found], 0.0)
+    assert alarms.alarms == 90  # the same corner in every picture
+    assert alarms.confirmed > 0
+    assert len(np.unique(seen.track)) == 3
+
+
+def test_a_network_that_finds_nothing_is_told_in_a_line(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(job, "load_detector", lambda *a, **k: network)
+    monkeypatch.setattr(
+        job.PictureSource,
+        "_draw",
+        lambda self, *a, **k: np.zeros((36, 64, 3), dtype=np.uint8),
+    )
+    network = NetworkDetector(
+        name="net", model=_Blind(), min_box_height_px=12.0, min_confidence=0.5
+    )
+    (tmp_path / "two.json").write_text(to_json(load_carlancap_layout()))
+    code, _, err = run(
+        *("detector", "fit", "--layout", tmp_path / "two.json", "--pictures", "60", *ASKED)
+    )
+    assert code == 2
+    assert "0 of them found; expected at least 50, with 5 found" in err.splitlines()[-1]
+
+
+class _Blind:
+    def detect(self, image):
+        return ImageBoxes(
+            boxes_px=np.zeros((0, 4)),
+            class_ids=np.zeros(0, dtype=int),
+            confidence=np.zeros(0),
+            kinds={0: "person"},
+        )

@@ -1,0 +1,142 @@
+"""A response table fitted to detections that were drawn from a known one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+from scipy.stats import multivariate_normal
+
+from geometry.errors import InputError
+from placement.detectors import load_planning_detector
+from placement.detectors.built_in import _linked_noise
+from placement.detectors.fitting import fit_response, joint_normal
+from placement.detectors.sightings import Sightings
+
+N_TRACKS, N_FRAMES = 250, 30
+TRUTH = replace(
+    load_planning_detector("response"),
+    seen_share=np.array([0.0, 0.25, 0.5, 0.75, 1.0]),
+    recall=np.array([0.0, 0.3, 0.6, 0.9, 0.95]),
+    height_half_px=35.0,
+    height_steepness=4.0,
+    min_box_height_px=1.0,
+    class_factor=np.array([1.0, 0.8, 0.9]),
+    cyclist_end_on=0.7,
+    frame_correlation=0.6,
+    box_noise_share=0.04,
+)
+
+
+def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2), contrasts=(0.1, 0.3, 1.0)):
+    """Sightings of many road users that come nearer, drawn from a table."""
+    rng = np.random.default_rng(seed)
+    n = N_TRACKS * N_FRAMES
+    track, frame = np.repeat(np.arange(N_TRACKS), N_FRAMES), np.tile(np.arange(N_FRAMES), N_TRACKS)
+    height = np.exp(rng.uniform(np.log(12), np.log(180), N_TRACKS))[track] * (1 + 0.01 * frame)
+    seen = np.clip(rng.uniform(0.0, 1.8, N_TRACKS)[track] + rng.normal(0, 0.05, n), 0.0, 1.0)
+    sightings = Sightings(
+        height_px=height,
+        seen_share=seen,
+        contrast=rng.choice(contrasts, N_TRACKS)[track],
+        aspect_deg=rng.uniform(0.0, 90.0, N_TRACKS)[track],
+        vru_class=rng.choice(classes, N_TRACKS)[track],
+        is_found=np.zeros(n, dtype=bool),
+        box_error=np.full((n, 4), np.nan),
+        track=track,
+        frame=frame,
+    )
+    noise = _linked_noise(frame + track * (N_FRAMES + 1), truth.frame_correlation, rng)
+    is_found = ndtr(noise) < truth.probability(sightings.evidence())
+    error = rng.normal(0.0, truth.box_noise_share, (n, 4))
+    return replace(
+        sightings, is_found=is_found, box_error=np.where(is_found[:, None], error, np.nan)
+    )
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return fit_response(drawn(), name="mine", draws=8)
+
+
+def test_the_table_that_was_drawn_from_is_found_again(fit):
+    found = fit.detector
+    np.testing.assert_allclose(found.recall, TRUTH.recall, atol=0.09)
+    np.testing.assert_allclose(found.class_factor, TRUTH.class_factor, atol=0.1)
+    assert found.height_half_px == pytest.approx(35.0, rel=0.1)
+    assert found.height_steepness == pytest.approx(4.0, rel=0.2)
+    assert found.cyclist_end_on == pytest.approx(0.7, abs=0.15)
+    assert found.frame_correlation == pytest.approx(0.6, abs=0.08)
+    assert found.box_noise_share == pytest.approx(0.04, rel=0.1)
+    assert found.name == "mine"
+
+
+def test_its_probabilities_are_those_of_the_truth(fit):
+    evidence = drawn(seed=2).evidence()
+    off = fit.detector.probability(evidence) - TRUTH.probability(evidence)
+    assert np.abs(off).mean() < 0.03
+
+
+def test_calibration_counts_every_frame_and_fits(fit):
+    assert sum(group.frames for group in fit.calibration) == fit.frames == N_TRACKS * N_FRAMES
+    assert sum(group.found for group in fit.calibration) == fit.found
+    for group in fit.calibration:
+        assert group.recall.value == pytest.approx(group.expected, abs=0.12)
+
+
+@pytest.mark.parametrize("kind", ["height", "seen", "class", "aspect", "contrast"])
+def test_groups_count_every_frame_once(fit, kind):
+    assert sum(group.frames for group in fit.groups[kind]) == fit.frames
+    assert sum(group.found for group in fit.groups[kind]) == fit.found
+
+
+def test_intervals_hold_their_figures(fit):
+    for interval in fit.intervals.values():
+        assert interval.low <= interval.value <= interval.high
+    assert fit.intervals["height_half_px"].low < fit.intervals["height_half_px"].high
+
+
+def test_the_same_seed_gives_the_same_table():
+    few = drawn().take(np.arange(1500))
+    first, second = (fit_response(few, name="a", draws=2, seed=4) for _ in range(2))
+    assert first.intervals == second.intervals
+
+
+def test_classes_and_light_that_never_appear_are_as_built_in():
+    fit = fit_response(drawn(classes=(0,), contrasts=(1.0,)), name="a", draws=0)
+    built_in = load_planning_detector("response")
+    np.testing.assert_allclose(fit.detector.class_factor, 1.0)
+    assert not fit.is_contrast_fitted
+    assert fit.detector.contrast_half == pytest.approx(built_in.contrast_half)
+    assert fit.detector.contrast_steepness == pytest.approx(built_in.contrast_steepness)
+    assert [group.name for group in fit.groups["class"]] == ["pedestrian"]
+
+
+def test_frames_drawn_apart_show_no_correlation():
+    apart = replace(TRUTH, frame_correlation=0.0)
+    fit = fit_response(drawn(apart), name="a", draws=0)
+    assert fit.detector.frame_correlation < 0.06
+
+
+def test_frames_that_are_not_consecutive_tell_no_correlation():
+    sightings = drawn()
+    spread = replace(sightings, frame=2 * sightings.frame)
+    assert fit_response(spread, name="a", draws=0).detector.frame_correlation == 0.0
+
+
+@pytest.mark.parametrize("kept", [10, 400])
+def test_too_few_frames_are_refused(kept):
+    sightings = drawn().take(np.arange(kept))
+    nothing = replace(
+        sightings, is_found=np.zeros(kept, dtype=bool), box_error=np.full((kept, 4), np.nan)
+    )
+    with pytest.raises(InputError, match=rf"got {kept}, 0 of them found; expected at least 50"):
+        fit_response(nothing, name="a")
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.3, 0.9, 0.98])
+def test_joint_probabilities_are_those_of_scipy(correlation):
+    first, second = np.array([-2.0, 0.0, 0.5, 1.5]), np.array([0.3, 0.0, -1.0, 1.4])
+    law = multivariate_normal(cov=[[1.0, correlation], [correlation, 1.0]])
+    expected = [law.cdf(pair) for pair in zip(first, second, strict=True)]
+    np.testing.assert_allclose(joint_normal(first, second, correlation), expected, atol=1e-5)
