@@ -197,9 +197,7 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
         for lane in mapped
     ]
     hit, which = shapely.STRtree(lanes).query(shapely.points(feet), predicate="within")
-    in_lane = {
-        int(index): mapped[int(lane)].id for index, lane in zip(hit, which, strict=True)
-    }
+    in_lane = {int(index): mapped[int(lane)].id for index, lane in zip(hit, which, strict=True)}
     in_middle = shapely.intersects_xy(junction, *feet.T)
     for index, site in enumerate(sites):
         if in_middle[index] or index in in_lane:

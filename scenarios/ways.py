@@ -283,9 +283,7 @@ def eased_way_across(
             max_aside_m
         ):
             break
-        eased = way_across(
-            entry, leaving, None, max_bend_m=max_bend_m, ease_m=float(ease_m)
-        )
+        eased = way_across(entry, leaving, None, max_bend_m=max_bend_m, ease_m=float(ease_m))
         best = min(best, eased, key=lambda across: across.swerve_per_m)
     return best
 
