@@ -2,7 +2,6 @@
 
 import os
 import re
-from collections.abc import Sequence
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -146,7 +146,7 @@ SITE_STYLE: Style = {
 
 
 def draw_scene(axes: Axes, scene: Scene) -> None:
-    """Draw lanes, crosswalks, sites, buildings and walls; later things go on top up to zorder 6.5."""
+    """Draw lanes, crosswalks, sites and things; what comes later goes on top up to zorder 6.5."""
     axes.set_facecolor("#f4f2ee")
     for lane in scene.lanes:
         is_parking = lane.kind == "parking"

@@ -13,8 +13,8 @@ from ..errors import InputError, Unquoted
 from ..files import check_file
 from ..junction import LeadingRoad
 from ..scene import Scene
-from ..untrusted_files import local_name, read_xml_root, unpacked
 from ..scene_checks import arms_that_end
+from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
 from .junctions import Surveyed, choose_junction, survey_junctions
 from .site_places import settle_poles
