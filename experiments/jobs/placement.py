@@ -36,7 +36,6 @@ from ..report.comparison import EXPERT, GREEDY
 from ..report.coverage import coverage_section
 from ..report.sampled_worlds import plot_sampled_apr
 from ..report.units import build_plans
-from ..results.baselines import StudyCasesRecord, build_next_unit_record
 from ..results.baselines import (
     ExchangeRecord,
     StudyCasesRecord,
@@ -127,58 +126,6 @@ def run_placement(
         poses = plan.candidates if refinement is None else refinement.candidates
         explained = build_explained_record(
             placement,
-        placement = refinement.placement
-    progress("explain", 0, 0)
-    poses = plan.candidates if refinement is None else refinement.candidates
-    explained = build_explained_record(
-        placement,
-        setting,
-        poses,
-        n_pool=question.pool,
-        compute=compute,
-    )
-    front = _front_below(placement, plan, progress)
-    compared = compare_placement(placement, poses, setting, seed=compute.seed)
-    named = {
-        placement.layout.name: placement.layout,
-        GREEDY: placement.greedy,
-        EXPERT: compared.expert,
-        **({} if study is None else {study.name: study}),
-    }
-    layouts = {name: layout for name, layout in named.items() if layout is not None}
-    verdicts = evaluate_layouts([*layouts.values()], setting, compute=compute)
-    evaluations = dict(zip(layouts, verdicts, strict=True))
-    found, greedy = evaluations[placement.layout.name], evaluations[GREEDY]
-    baseline = None if study is None else evaluations[study.name]
-    next_unit = build_next_unit_record(placement, poses)
-    result = build_placement_result(
-        placement, setting, found=found, greedy=greedy, baseline=baseline
-    )
-    result = replace_fields(
-        result,
-        explained=explained,
-        baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
-        next_unit=UNSET if next_unit is None else next_unit,
-        other_sensors=_other_sensors(placement, plan, setting, question, compute),
-        study_cases=_on_study_cases(question, scene, setting, evaluations, compute),
-        front=(
-            UNSET
-            if front is None
-            else describe_front(front, placement.problem, poses, n_kept=len(plan.wishes.kept))
-        ),
-        sensitivity=build_sensitivity_record(
-            find_sensitivity(setting, placement.layout, fusion=question.fusion, compute=compute)
-        ),
-        private_ground=(
-            UNSET
-            if plan.private_ground is None
-            else build_private_ground_record(placement.layout.units, scene, plan.private_ground)
-        ),
-        refinement=UNSET if refinement is None else build_refinement_record(refinement),
-    )
-    sampled_figure = None
-    if question.samples:
-        judged = out_of_sample_layouts(
             setting,
             poses,
             n_pool=question.pool,
@@ -215,6 +162,7 @@ def run_placement(
             ),
             baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
             next_unit=UNSET if next_unit is None else next_unit,
+            other_sensors=_other_sensors(placement, plan, setting, question, compute),
             study_cases=_on_study_cases(question, scene, setting, evaluations, compute),
             front=(
                 UNSET
@@ -400,10 +348,10 @@ def run_comparison(
         is_comparison = len(layouts) > 1
         compared = compare_layout(layouts[0], setting, compute=compute) if is_comparison else None
         if compared is not None and compared.expert is not None:
-            beside = _with_distinct_names([*layouts, compared.expert])
+            everyone = _with_distinct_names([*layouts, compared.expert])
         else:
-            beside = layouts
-        judged_all = evaluate_layouts(beside, setting, compute=compute)
+            everyone = layouts
+        judged_all = evaluate_layouts(everyone, setting, compute=compute)
         verdicts, of_expert = judged_all[: len(layouts)], judged_all[len(layouts) :]
         seen: list[PrivateGroundRecord | UnsetType] = [
             UNSET
@@ -433,7 +381,7 @@ def run_comparison(
         if samples:
             judged = out_of_sample_layouts(
                 setting,
-                beside,
+                everyone,
                 drawn,
                 n_samples=samples,
                 compute=compute,

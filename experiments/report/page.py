@@ -178,7 +178,6 @@ def _build_report(
         units_section(layouts, plans.result(), setting.scene),
         proof_section(result),
         front.result(),
-        front_section(result.front),
         next_unit_section(result),
         *explanation_sections(result.explained, labels),
         accidents_section(evaluations, of_apr.result(), is_optimised=bool(result.stages)),

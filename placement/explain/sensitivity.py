@@ -342,7 +342,7 @@ def find_sensitivity(
     with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         try:
             hashes = Fingerprints()
-            others = {
+            rules = {
                 hashes.of(other): other
                 for value in values.get("deceleration_mps2", ())
                 for other in [replace(rule, deceleration_mps2=value)]
@@ -350,7 +350,7 @@ def find_sensitivity(
             kept = _open_last_brake_times(setting, compute)
             last_brake_s = {
                 name: pool.submit(_last_brake_times_s, setting, other)
-                for name, other in others.items()
+                for name, other in rules.items()
                 if name not in kept.arrays
             }
             frames = detected_frames(
@@ -362,7 +362,7 @@ def find_sensitivity(
             kept.add({name: found.result() for name, found in last_brake_s.items()})
             axes = {
                 other.deceleration_mps2: replace(setting.axis, last_brake_time_s=kept.arrays[name])
-                for name, other in others.items()
+                for name, other in rules.items()
             }
         except BaseException:
             pool.shutdown(cancel_futures=True)
