@@ -146,7 +146,7 @@ SITE_STYLE: Style = {
 
 
 def draw_scene(axes: Axes, scene: Scene) -> None:
-    """Draw lanes, sites, buildings and walls; later things go on top up to zorder 6.5."""
+    """Draw lanes, crosswalks, sites and things; what comes later goes on top up to zorder 6.5."""
     axes.set_facecolor("#f4f2ee")
     for lane in scene.lanes:
         is_parking = lane.kind == "parking"
@@ -160,6 +160,10 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
             )
         )
     axes.add_patch(Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1))
+    for ends in scene.crosswalks_m:
+        # Grey below the white bars: beside the road they would not be seen on a white ground.
+        axes.plot(*ends.T, color="#8c8c8c", linewidth=6.0, solid_capstyle="butt", zorder=1.8)
+        axes.plot(*ends.T, color="white", linewidth=5.0, linestyle=(0, (0.6, 0.6)), zorder=1.9)
     for index, instance in enumerate(scene.instances):
         if instance.class_name in CLASS_STYLES:
             path = _outline(thing_footprint(scene, index))
