@@ -1,6 +1,7 @@
 """From a question to a plan: candidate poses, wishes, and how hard the optimiser tries."""
 
 import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,7 +18,8 @@ from geometry.scene import Scene
 
 from .candidates import CandidateGrid, CandidatePose, build_candidates, load_candidate_grid
 from .layout import Layout, check_layout, load_layout
-from .optimiser import Effort
+from .optimiser import Effort, Failing
+from .prices import load_prices
 from .private_ground import (
     PrivateGround,
     load_private_ground,
@@ -107,18 +109,21 @@ def build_plan(question: Question, scene: Scene, *, study: Layout | None = None)
         candidates = tuple(compress(candidates, may_look(candidates)))
         if kept is not None:  # what hangs there hangs there
             candidates = tuple(_distinct([Layout(name="all", units=candidates), kept]))
+    survive, failing = _failures(question.survive)
     wishes = Wishes(
         budget_units=question.budget,
         budget_eur=question.budget_cost,
         target=_target(question.target),
         saves=question.least,
         min_case_apr=question.min_case_apr,
-        survive=question.survive,
+        survive=survive,
+        failing=failing,
         kept=() if kept is None else tuple(unit.id for unit in kept.units),
         forced_sites=_words(question.force_site),
         forbidden_sites=_words(question.forbid_site),
         site_capacity=question.site_capacity,
         site_cost_eur=question.site_cost_eur,
+        prices=load_prices() if question.site_cost_eur is None and _asks_money(question) else None,
         separation_m=question.separation_m,
         tail=_tail(question.risk, question.samples),
     )
@@ -200,6 +205,21 @@ def _target(text: str) -> float | None:
     if text == "max":
         return np.inf
     return _number("--target", text, "a share of the runs from 0 to 1, or max", 0.0, 1.0)
+
+
+def _asks_money(question: Question) -> bool:
+    """Whether prices of sites decide about anything but ties."""
+    return question.budget_cost is not None or bool(question.target and question.least == "cost")
+
+
+def _failures(text: str) -> tuple[int, Failing]:
+    """How many of what may fail: "2", "unit", "site", "2 sites"."""
+    words = re.fullmatch(r"([0-9]{1,4})? ?(?:(unit|site)s?)?", text.strip())
+    if not text.strip() or words is None:
+        expected = "how many units may fail, at least 0, or unit, site, such as '2 sites'"
+        raise InputError("--survive", text, expected)
+    count, what = words.groups()
+    return 1 if count is None else int(count), "site" if what == "site" else "unit"
 
 
 def _tail(risk: str, n_samples: int) -> float:

@@ -46,7 +46,7 @@ Examples:
 @recording_options
 @folder_option("a report")
 @question_options("no_look", *JUDGED)
-@job_options()
+@job_options(has_cache=True)
 @click.pass_obj
 def evaluate(
     progress: StageProgress,

@@ -237,14 +237,14 @@ def proof_section(result: Result) -> Section | None:
     """The optimiser's objectives with their proof; None where nothing was optimised."""
     if not result.stages:
         return None
-    is_open = [Objective(stage.name).label for stage in result.stages if stage.gap != 0.0]
+    is_open = [_label(stage.name, result) for stage in result.stages if stage.gap != 0.0]
     proof = "Yes: every objective's gap is closed."
     if is_open:
         proof = f"Not in full: proven are all objectives but {', '.join(is_open)}."
     table = Table(
         caption="Objectives in order: each is optimised without giving up any before it",
         columns=["objective", "this layout", "no layout can exceed", "gap", "time (s)"],
-        rows=[_stage_row(stage) for stage in result.stages],
+        rows=[[_label(stage.name, result), *_stage_row(stage)] for stage in result.stages],
         numeric=range(1, 5),
     )
     note = (
@@ -253,6 +253,12 @@ def proof_section(result: Result) -> Section | None:
         "other choice among them is better."
     )
     return Section("proof", "How good is it, and is that proven?", [proof, table, note])
+
+
+def _label(name: str, result: Result) -> str:
+    """Name of an objective; what fails is a pole where that was asked."""
+    label = Objective(name).label
+    return label if result.apr_without_worst_site is UNSET else label.replace(" unit", " pole")
 
 
 def _stage_row(stage: StageRecord) -> list[str]:
@@ -265,7 +271,6 @@ def _stage_row(stage: StageRecord) -> list[str]:
 
     gap = stage.gap
     return [
-        Objective(stage.name).label,
         shown(stage.objective),
         shown(stage.bound),
         NOTHING if gap is None or not math.isfinite(gap) else percent(gap),
