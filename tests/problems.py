@@ -86,6 +86,8 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
         )
     floors: list[Floor] = []
     n_failures = draw(st.integers(0, 3)) if "failures" in kinds else 0
+    if n_failures:
+        limits = replace(limits, failing=draw(st.sampled_from(["unit", "site"])))
     if "floors" in kinds:
         floors.append(
             Floor(name="--target", share=rng.choice([1.0, 0.75, 0.5]), n_failures=n_failures)

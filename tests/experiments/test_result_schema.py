@@ -246,7 +246,14 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     summary = with_first_of_each(summary)
     assert messages(summary) == []
     optional = {"front", "private_ground", "refinement", "sampled", "sensitivity"}
-    optional |= {"track_memory_s", "dangers", "next_unit", "baselines", "study_cases"}
+    optional |= {
+        "track_memory_s",
+        "dangers",
+        "next_unit",
+        "other_sensors",
+        "baselines",
+        "study_cases",
+    }
     for key in summary:
         less = {name: value for name, value in summary.items() if name != key}
         assert bool(messages(less)) != (key in optional - {"sensitivity"}), key

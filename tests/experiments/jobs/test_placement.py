@@ -74,6 +74,7 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
         "start",
         *stages,
         "evaluate",
+        "other lenses",
         "what if",
         "write results",
         "total",
