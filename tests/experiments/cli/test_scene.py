@@ -293,6 +293,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     monkeypatch.setattr(planning, "load_candidate_grid", lambda: grid)
     results = tmp_path / "results"
     question = ["--cases", "CPNA-25,CBNA,CPTAfs-50", "--speeds", "20,40", "--approaches", "north"]
+    question += ["--along-arms", "0"]
     result = command(
         *("--scene", str(out), "--budget", "1", *question, "--json", "--quiet"),
         *("--out", str(results)),
