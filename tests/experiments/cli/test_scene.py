@@ -37,6 +37,8 @@ class Result(NamedTuple):
 @pytest.fixture
 def command(run, monkeypatch):
     """Runs a command without spending time on pictures of scenes."""
+    for name in ("plan", "view"):
+        monkeypatch.setattr(f"experiments.jobs.scene.plot_scene_{name}", lambda scene: None)
     monkeypatch.setattr("experiments.jobs.scene.to_png", lambda figure: b"picture")
     return lambda *arguments: Result(*run(*arguments))
 
