@@ -1,6 +1,7 @@
 """Progress on stderr, and an orderly end when the user or the system asks for one."""
 
 import logging
+import multiprocessing
 import os
 import signal
 import sys
@@ -192,6 +193,19 @@ def ending_on_signals(progress: StageProgress) -> Iterator[None]:
         os.close(write_end)  # the watch reads the end
         watch.join()
         os.close(read_end)
+
+
+def follow_parent() -> None:
+    """In a process of workers: leave Ctrl-C to the parent, and end when it does, however."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: Any) -> NoReturn:
+    parent.join()
+    os._exit(1)
 
 
 @contextmanager

@@ -43,7 +43,8 @@ class Compute:
     workers : int
         Threads, at least 1; by default one per processor.
     cache_folder : Path, optional
-        Where detection tables are kept for the next call; by default nowhere.
+        Where detection tables, and what units detect, are kept for the next call; by default
+        nowhere.
     progress : Progress
         Is told the stages; by default nobody is.
     rays : str

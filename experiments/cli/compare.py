@@ -51,7 +51,7 @@ Examples:
     help="Folder for a report; else none.",
 )
 @question_options("samples", "uncertainty", "traffic", "traffic_offset", "no_look", *JUDGED)
-@job_options()
+@job_options(has_cache=True)
 @click.pass_obj
 def compare(
     progress: StageProgress,

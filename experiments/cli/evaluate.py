@@ -46,7 +46,7 @@ Examples:
 @recording_options
 @folder_option("a report")
 @question_options("no_look", *JUDGED)
-@job_options()
+@job_options(has_cache=True)
 @click.pass_obj
 def evaluate(
     progress: StageProgress,
@@ -209,16 +209,17 @@ def study_cases_lines(record: "StudyCasesRecord | UnsetType") -> list[str]:
 def additions(result: "Result") -> list[str]:
     """What a result has beside layout, proof and evaluation, each part before an empty line.
 
-    First of all how many runs are not avoided, and what one more unit would buy.
+    First of all how many runs are not avoided, and what one more unit or another lens would buy.
     """
-    from ..report.answer import danger_sentences, next_unit_sentence
+    from ..report.answer import danger_sentences
+    from ..report.next_unit import next_unit_sentence, other_sensor_sentence
     from ..report.private_ground import private_ground_sentences
     from ..report.refinement import refinement_sentences
     from .explanations import explanation_text, uncertainty_text
 
     parts: list[list[str]] = [driven_lines(result.driven)] if result.driven else []
-    further = next_unit_sentence(result)
-    head = sentences(*danger_sentences(result), f"{further}." if further else "")
+    further = [f"{said}." for said in (next_unit_sentence(result), other_sensor_sentence(result))]
+    head = sentences(*danger_sentences(result), *(said for said in further if said != "."))
     parts += [head] if head else []
     if result.front is not UNSET:
         said = sentences(*result.front.sentences, indent=2, hanging=2)

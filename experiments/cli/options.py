@@ -380,7 +380,7 @@ _cache_option = option(
     show_default=True,
     section=PROGRAM,
     is_common=False,
-    help="Keep detection tables between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
+    help="Keep what sensors detect between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
 )
 
 
@@ -446,7 +446,7 @@ def folder_option(files: str) -> Decorator:
 
 
 def cache_folder() -> Path:
-    """Where detection tables are kept: PLACE_RSUS_CACHE, or the user's cache folder."""
+    """Where detections are kept: PLACE_RSUS_CACHE, or the user's cache folder."""
     folder = os.environ.get("PLACE_RSUS_CACHE")
     if folder:
         return Path(folder)

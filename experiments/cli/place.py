@@ -181,7 +181,7 @@ def placement_text(result: "Result", out: Path) -> str:
     assert result.disagreements is not UNSET
     stages = [
         [
-            _OBJECTIVES[stage.name][0],
+            _label(stage.name, result),
             _value(stage.name, stage.objective),
             _value(stage.name, stage.bound),
             "proven" if stage.gap == 0.0 else _gap(stage.gap),
@@ -205,6 +205,11 @@ def placement_text(result: "Result", out: Path) -> str:
         f"(fusion {result.fusion}):",
         *unit_lines(result.layout),
         cost_line(result),
+        *(
+            line
+            for text in result.assumed_prices or ()
+            for line in sentences(text, indent=2, hanging=2)
+        ),
         "",
         *table(["on the detection table", "found", "bound", "gap"], stages),
         "",
@@ -234,6 +239,12 @@ _OBJECTIVES: dict[str, tuple[str, Callable[[float], str]]] = {
     "mean_margin_s": ("mean margin", _seconds),
     "cost_eur": ("cost, EUR", "{:,.0f}".format),
 }
+
+
+def _label(name: str, result: "Result") -> str:
+    label = _OBJECTIVES[name][0]
+    by_site = result.apr_without_worst_site is not UNSET
+    return label.replace("one fails", "pole fails").replace("ones", "poles") if by_site else label
 
 
 def _value(objective: str, value: float | None) -> str:

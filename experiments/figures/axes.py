@@ -86,10 +86,14 @@ def root_figure(drawn: Axes | Figure) -> Figure:
 def to_png(drawn: Axes | Figure) -> bytes:
     """A figure, or the one that some axes are in, as a PNG file; equal ones give equal bytes."""
     figure = root_figure(drawn)
+    engine = figure.get_layout_engine()
     buffer = BytesIO()
     with warnings.catch_warnings():
         # A name in a script that the font lacks is drawn as boxes; the report spells it out.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        if engine is not None:  # matplotlib would draw everything twice to lay it out
+            engine.execute(figure)
+            figure.set_layout_engine("none")
         figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
 

@@ -6,18 +6,20 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+import shapely
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
+from shapely.ops import unary_union
 
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
 from geometry.footprints import footprint_corners
 from geometry.poses import camera_rotation
 from geometry.scene import Lane, Scene, thing_footprint
-from placement.candidates import CandidatePose, is_ring
+from placement.candidates import CandidatePose, above_ground, is_ring
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.positions import AT_ZERO
@@ -144,7 +146,7 @@ SITE_STYLE: Style = {
 
 
 def draw_scene(axes: Axes, scene: Scene) -> None:
-    """Draw lanes, sites, buildings and walls; later things go on top up to zorder 6.5."""
+    """Draw lanes, crosswalks, sites and things; what comes later goes on top up to zorder 6.5."""
     axes.set_facecolor("#f4f2ee")
     for lane in scene.lanes:
         is_parking = lane.kind == "parking"
@@ -158,36 +160,53 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
             )
         )
     axes.add_patch(Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1))
+    for ends in scene.crosswalks_m:
+        # Grey below the white bars: beside the road they would not be seen on a white ground.
+        axes.plot(*ends.T, color="#8c8c8c", linewidth=6.0, solid_capstyle="butt", zorder=1.8)
+        axes.plot(*ends.T, color="white", linewidth=5.0, linestyle=(0, (0.6, 0.6)), zorder=1.9)
     for index, instance in enumerate(scene.instances):
         if instance.class_name in CLASS_STYLES:
-            path = _footprint_path(scene, index)
+            path = _outline(thing_footprint(scene, index))
             axes.add_patch(PathPatch(path, zorder=6.5, **CLASS_STYLES[instance.class_name]))
     sites = np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
     axes.plot(*sites.T, linestyle="none", zorder=5, **SITE_STYLE)
 
 
 def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
-    """Draw bodies that belong to single cases: footprints, each once."""
-    for body in {body.key: body for body in bodies}.values():
-        corners = footprint_corners(
+    """Draw bodies that belong to single cases: what they cover, and each once its outline."""
+    corners = [
+        footprint_corners(
             body.pose.position_m[:2],
             body.pose.yaw_deg,
             length_m=body.actor.length_m,
             width_m=body.actor.width_m,
         )
-        axes.add_patch(Polygon(corners, zorder=2.2, **PARKED_STYLE))
-
-
-def _footprint_path(scene: Scene, index: int) -> Path:
-    """What a thing covers, courtyards left out."""
-    shape = thing_footprint(scene, index)
-    rings = [
-        np.asarray(ring.coords)
-        for part in getattr(shape, "geoms", [shape])
-        if part.geom_type == "Polygon"
-        for ring in (part.exterior, *part.interiors)
+        for body in {body.key: body for body in bodies}.values()
     ]
-    return Path.make_compound_path(*(Path(ring, closed=True) for ring in rings if len(ring)))
+    if not corners:
+        return
+    # All in one: a hatch takes as long as a hundred outlines.
+    covered = _outline(unary_union([shapely.Polygon(ring) for ring in corners]))
+    axes.add_patch(PathPatch(covered, zorder=2.2, **PARKED_STYLE))
+    outlines = Path.make_compound_path(*(_ring(ring) for ring in corners))
+    axes.add_patch(PathPatch(outlines, zorder=2.2, **PARKED_STYLE | {"fill": False, "hatch": ""}))
+
+
+def _outline(shape: shapely.Geometry) -> Path:
+    """Polygons as a path, courtyards left out."""
+    return Path.make_compound_path(
+        *(
+            _ring(np.asarray(ring.coords)[:-1])
+            for part in getattr(shape, "geoms", [shape])
+            if part.geom_type == "Polygon"
+            for ring in (part.exterior, *part.interiors)
+            if len(ring.coords)
+        )
+    )
+
+
+def _ring(corners: FloatArray) -> Path:
+    return Path(np.concatenate([corners, corners[:1]]), closed=True)
 
 
 def _lane_polygon(lane: Lane) -> FloatArray:
@@ -295,7 +314,7 @@ def plot_plan(
     _draw_paths(axes, setting.runs)
     for other in others:
         _draw_other(axes, other)
-    _draw_units(axes, layout, max_range_m)
+    _draw_units(axes, layout, setting.scene, max_range_m)
     show_square(axes, middle, half_size_m)
     axes.set_xlabel("east (m)")
     axes.set_ylabel("north (m)")
@@ -339,16 +358,23 @@ _PATH_STYLES: dict[str, tuple[str, Style]] = {
 
 def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     firsts = {(run.case.name, run.approach, run.position): run for run in reversed(runs)}
+    ways: dict[str, list[FloatArray]] = {name: [] for name in _PATH_STYLES}
     for run in firsts.values():
-        for body, positions in (
-            ("vut", run.vut_position_m),
-            (run.case.vru.class_name, run.vru_position_m),
-        ):
-            _, style = _PATH_STYLES.get(body, _PATH_STYLES["pedestrian"])
-            axes.plot(*positions.T, zorder=3, **style)
-        axes.plot(*run.vru_position_m[-1], zorder=4, **_IMPACT_STYLE)
+        vru = run.case.vru.class_name
+        ways["vut"].append(run.vut_position_m)
+        ways[vru if vru in ways else "pedestrian"].append(run.vru_position_m)
+    for name, (_, style) in _PATH_STYLES.items():
+        axes.plot(*_end_to_end(ways[name]).T, zorder=3, **style)
+    impacts = np.array([run.vru_position_m[-1] for run in firsts.values()]).reshape(-1, 2)
+    axes.plot(*impacts.T, zorder=4, **_IMPACT_STYLE)
     if len({run.position for run in runs}) > 1:
         _label_positions(axes, runs)
+
+
+def _end_to_end(ways: Sequence[FloatArray]) -> FloatArray:
+    """Points of several lines as those of one with gaps, which is drawn in one go."""
+    gap = np.full((1, 2), np.nan)
+    return np.concatenate([gap, *(part for way in ways for part in (way, gap))])
 
 
 def _label_positions(axes: Axes, runs: Sequence[Run]) -> None:
@@ -382,15 +408,16 @@ _IMPACT_STYLE: Style = {
 }
 
 
-def _draw_units(axes: Axes, layout: Layout, max_range_m: float) -> None:
+def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) -> None:
     labels = unit_labels(layout)
     is_labelled = len(labels) <= MAX_LABELLED_UNITS
     for index, unit in enumerate(layout.units):
         colour = _UNIT_COLOURS[index % len(_UNIT_COLOURS)]
         position = unit.pose.position_m[:2]
-        corners = ground_footprint(unit, max_range_m=max_range_m)
+        level = above_ground(unit, scene)
+        corners = ground_footprint(level, max_range_m=max_range_m)
         if len(corners):
-            shape = ring_path(corners, blind_footprint(unit, max_range_m=max_range_m))
+            shape = ring_path(corners, blind_footprint(level, max_range_m=max_range_m))
             axes.add_patch(
                 PathPatch(shape, facecolor=colour, alpha=0.6 / (len(labels) + 3.0), zorder=2.5)
             )

@@ -11,9 +11,8 @@ from placement.compute import Compute
 from placement.evaluation import Evaluation, apr_one_failed
 from placement.layout import Layout
 from placement.optimiser import apr
-from placement.pipeline import Placement, pick_layout
+from placement.pipeline import Placement, obtain_table, pick_layout
 from placement.setting import Setting
-from placement.visibility import build_detection_table
 from placement.wishes import Wishes, build_limits, build_problem
 
 from ..results.baselines import BaselinesRecord, build_expert_record, build_random_record
@@ -85,14 +84,7 @@ def compare_layout(layout: Layout, setting: Setting, *, compute: Compute) -> Com
         return None
     compute.progress(STAGE, 0, 0)
     drawn = [candidates[row] for row in rows]
-    table = build_detection_table(
-        scene,
-        drawn,
-        setting.runs,
-        setting.axis,
-        detector=setting.planner,
-        compute=compute.within(STAGE),
-    )
+    table = obtain_table(setting, drawn, compute=compute.within(STAGE))
     problem = build_problem(setting, drawn, table, wishes=wishes)
     found = judge_proposals(problem, proposals.among(rows))
     on_table = apr(problem, found.expert) if found.expert else 0.0

@@ -5,7 +5,6 @@ Each file is written whole or not at all, and what is there already is not drawn
 
 import multiprocessing
 import os
-import signal
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -30,7 +29,7 @@ from placement.imaging import Picture, PointCloud, build_backdrop, draw_picture
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
 
-from ..progress import StageProgress
+from ..progress import StageProgress, follow_parent
 from .render import cloud_bytes, depth_image, instance_image
 
 DRAW = "draw"
@@ -175,7 +174,7 @@ def start_executors(scheduler: str, workers: int) -> Iterator[NewExecutor | None
         yield lambda: ProcessPoolExecutor(
             workers,
             mp_context=multiprocessing.get_context("spawn"),
-            initializer=_leave_signals_to_parent,
+            initializer=follow_parent,
         )
 
 
@@ -195,10 +194,6 @@ def _dask_client(address: str) -> Any:
             Unquoted(f"{address}: {reason}"),
             "the address of a running dask scheduler, such as tcp://10.0.0.1:8786",
         ) from None
-
-
-def _leave_signals_to_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def draw_all(

@@ -177,7 +177,7 @@ def _check_summary(
         ("apr", "apr", "objective"),
         ("bound", "apr", "bound"),
         ("gap", "apr", "gap"),
-        ("apr_without_worst_unit", "apr_one_failed", "objective"),
+        (f"apr_without_worst_{problem.limits.failing}", "apr_one_failed", "objective"),
         ("spent_eur", "cost_eur", "objective"),
     ):
         if stage in values and key in summary:

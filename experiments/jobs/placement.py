@@ -9,17 +9,20 @@ from pathlib import Path
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace as replace_fields
 
+from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.compute import Compute
 from placement.evaluation import Evaluation, apr
 from placement.evaluator import evaluate_layouts
+from placement.explain import find_other_sensors
 from placement.explain.sensitivity import find_sensitivity
 from placement.layout import Layout, check_layout
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Placement, place
 from placement.planning import Plan, build_plan
+from placement.prices import assumed_prices
 from placement.private_ground import load_private_ground
 from placement.question import Question
 from placement.refinement.refine import refine
@@ -27,10 +30,18 @@ from placement.sampling import load_drawn, out_of_sample_layouts
 from placement.setting import Setting, build_setting
 
 from ..progress import StageProgress
+from ..report.beside import drawing_beside
 from ..report.bill_of_materials import build_bill
 from ..report.comparison import EXPERT, GREEDY
+from ..report.coverage import coverage_section
 from ..report.sampled_worlds import plot_sampled_apr
-from ..results.baselines import StudyCasesRecord, build_next_unit_record
+from ..report.units import build_plans
+from ..results.baselines import (
+    ExchangeRecord,
+    StudyCasesRecord,
+    build_exchange_records,
+    build_next_unit_record,
+)
 from ..results.explanations import (
     PrivateGroundRecord,
     build_explained_record,
@@ -79,121 +90,159 @@ def run_placement(
     progress.kept = left_as_it_was(out)
     progress("setting", 0, 0)
     setting = build_setting(question, scene)
-    study = find_baseline(scene)
-    uncertainty = load_drawn(question, scene, n_samples=question.samples)
-    if question.packet_loss:
-        uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
+    with drawing_beside(_is_large(setting, compute)) as beside:
+        study = find_baseline(scene)
+        uncertainty = load_drawn(question, scene, n_samples=question.samples)
+        if question.packet_loss:
+            uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
 
-    def report(stage: str, done: int, total: int) -> None:
-        cache = compute.cache_folder
-        if stage == "optimise" and cache is not None and any(cache.glob("table-*")):
-            progress.kept += "; the detection table is kept for the next call"
-        progress(stage, done, total)
+        def report(stage: str, done: int, total: int) -> None:
+            cache = compute.cache_folder
+            if stage == "optimise" and cache is not None and any(cache.glob("table-*")):
+                progress.kept += "; the detection table is kept for the next call"
+            progress(stage, done, total)
 
-    placement = place(
-        setting,
-        plan.candidates,
-        wishes=plan.wishes,
-        fusion=question.fusion,
-        effort=plan.effort,
-        uncertainty=uncertainty,
-        n_samples=question.samples,
-        compute=replace(compute, progress=report),
-    )
-    refinement = None
-    if question.refine:
-        refinement = refine(
+        placement = place(
             setting,
-            placement,
             plan.candidates,
-            solver=plan.effort,
+            wishes=plan.wishes,
+            fusion=question.fusion,
+            effort=plan.effort,
+            uncertainty=uncertainty,
+            n_samples=question.samples,
             compute=replace(compute, progress=report),
         )
-        placement = refinement.placement
-    progress("explain", 0, 0)
-    poses = plan.candidates if refinement is None else refinement.candidates
-    explained = build_explained_record(
-        placement,
-        setting,
-        poses,
-        n_pool=question.pool,
-        compute=compute,
-    )
-    front = _front_below(placement, plan, progress)
-    compared = compare_placement(placement, poses, setting, seed=compute.seed)
-    named = {
-        placement.layout.name: placement.layout,
-        GREEDY: placement.greedy,
-        EXPERT: compared.expert,
-        **({} if study is None else {study.name: study}),
-    }
-    layouts = {name: layout for name, layout in named.items() if layout is not None}
-    verdicts = evaluate_layouts([*layouts.values()], setting, compute=compute)
-    evaluations = dict(zip(layouts, verdicts, strict=True))
-    found, greedy = evaluations[placement.layout.name], evaluations[GREEDY]
-    baseline = None if study is None else evaluations[study.name]
-    next_unit = build_next_unit_record(placement, poses)
-    result = build_placement_result(
-        placement, setting, found=found, greedy=greedy, baseline=baseline
-    )
-    result = replace_fields(
-        result,
-        explained=explained,
-        baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
-        next_unit=UNSET if next_unit is None else next_unit,
-        study_cases=_on_study_cases(question, scene, setting, evaluations, compute),
-        front=(
-            UNSET
-            if front is None
-            else describe_front(front, placement.problem, poses, n_kept=len(plan.wishes.kept))
-        ),
-        sensitivity=build_sensitivity_record(
-            find_sensitivity(setting, placement.layout, fusion=question.fusion, compute=compute)
-        ),
-        private_ground=(
-            UNSET
-            if plan.private_ground is None
-            else build_private_ground_record(placement.layout.units, scene, plan.private_ground)
-        ),
-        refinement=UNSET if refinement is None else build_refinement_record(refinement),
-    )
-    sampled_figure = None
-    if question.samples:
-        judged = out_of_sample_layouts(
+        refinement = None
+        if question.refine:
+            refinement = refine(
+                setting,
+                placement,
+                plan.candidates,
+                solver=plan.effort,
+                compute=replace(compute, progress=report),
+            )
+            placement = refinement.placement
+        progress("explain", 0, 0)
+        poses = plan.candidates if refinement is None else refinement.candidates
+        explained = build_explained_record(
+            placement,
             setting,
-            [*layouts.values()],
-            uncertainty,
-            n_samples=max(question.samples, MIN_FRESH_WORLDS),
-            fusion=question.fusion,
+            poses,
+            n_pool=question.pool,
             compute=compute,
         )
-        sampled = build_sampled_record(
-            judged,
-            uncertainty,
-            tail=plan.wishes.tail,
-            seed=compute.seed,
-            planned_apr={item.layout.name: apr(item.rsu_all, item.axis) for item in verdicts},
-            chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
+        subject = placement.layout
+        others = [] if study is None else [study]
+        beside.begin("plans", build_plans, setting, {subject.name: subject}, others)
+        beside.begin("coverage", coverage_section, scene, subject)
+        front = _front_below(placement, plan, progress)
+        compared = compare_placement(placement, poses, setting, seed=compute.seed)
+        named = {
+            placement.layout.name: placement.layout,
+            GREEDY: placement.greedy,
+            EXPERT: compared.expert,
+            **({} if study is None else {study.name: study}),
+        }
+        layouts = {name: layout for name, layout in named.items() if layout is not None}
+        verdicts = evaluate_layouts([*layouts.values()], setting, compute=compute)
+        evaluations = dict(zip(layouts, verdicts, strict=True))
+        found, greedy = evaluations[placement.layout.name], evaluations[GREEDY]
+        baseline = None if study is None else evaluations[study.name]
+        next_unit = build_next_unit_record(placement, poses)
+        result = build_placement_result(
+            placement, setting, found=found, greedy=greedy, baseline=baseline
         )
-        result = replace_fields(result, sampled=sampled)
-        sampled_figure = plot_sampled_apr(judged)
-    return write_results(
-        out,
-        result,
+        result = replace_fields(
+            result,
+            explained=explained,
+            assumed_prices=(
+                UNSET
+                if plan.wishes.prices is None
+                else assumed_prices(plan.wishes.prices, scene.sites)
+            ),
+            baselines=build_baselines_record(compared, evaluations.get(EXPERT), setting),
+            next_unit=UNSET if next_unit is None else next_unit,
+            other_sensors=_other_sensors(placement, plan, setting, question, compute),
+            study_cases=_on_study_cases(question, scene, setting, evaluations, compute),
+            front=(
+                UNSET
+                if front is None
+                else describe_front(front, placement.problem, poses, n_kept=len(plan.wishes.kept))
+            ),
+            sensitivity=build_sensitivity_record(
+                find_sensitivity(setting, placement.layout, fusion=question.fusion, compute=compute)
+            ),
+            private_ground=(
+                UNSET
+                if plan.private_ground is None
+                else build_private_ground_record(placement.layout.units, scene, plan.private_ground)
+            ),
+            refinement=UNSET if refinement is None else build_refinement_record(refinement),
+        )
+        sampled_figure = None
+        if question.samples:
+            judged = out_of_sample_layouts(
+                setting,
+                [*layouts.values()],
+                uncertainty,
+                n_samples=max(question.samples, MIN_FRESH_WORLDS),
+                fusion=question.fusion,
+                compute=compute,
+            )
+            sampled = build_sampled_record(
+                judged,
+                uncertainty,
+                tail=plan.wishes.tail,
+                seed=compute.seed,
+                planned_apr={item.layout.name: apr(item.rsu_all, item.axis) for item in verdicts},
+                chosen_apr={placement.layout.name: placement.certificate.stages[0].objective},
+            )
+            result = replace_fields(result, sampled=sampled)
+            sampled_figure = plot_sampled_apr(judged)
+        return write_results(
+            out,
+            result,
+            setting,
+            evaluations,
+            command=command,
+            progress=progress,
+            placement=placement,
+            candidates=poses,
+            bill=build_bill(
+                placement.layout,
+                scene,
+                site_cost_eur=question.site_cost_eur,
+                prices=plan.wishes.prices,
+                kept_ids=plan.wishes.kept,
+            ),
+            sampled_figure=sampled_figure,
+            beside=beside,
+        )
+
+
+_LARGE_RUNS = 100
+
+
+def _is_large(setting: Setting, compute: Compute) -> bool:
+    """Whether it takes longer to answer and draw than to start a process that helps to draw."""
+    return compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
+
+
+def _other_sensors(
+    placement: Placement, plan: Plan, setting: Setting, question: Question, compute: Compute
+) -> tuple[ExchangeRecord, ...] | UnsetType:
+    """Other cameras at the same mounts, and LiDARs where the question has some; UNSET: none."""
+    asked = {unit.sensor.name: unit.sensor for unit in plan.candidates}
+    found = find_other_sensors(
         setting,
-        evaluations,
-        command=command,
-        progress=progress,
-        placement=placement,
-        candidates=poses,
-        bill=build_bill(
-            placement.layout,
-            scene,
-            site_cost_eur=question.site_cost_eur,
-            kept_ids=plan.wishes.kept,
-        ),
-        sampled_figure=sampled_figure,
+        placement.layout.units,
+        models=[*{**load_cameras(), **asked}.values()],
+        kept=plan.wishes.kept,
+        fusion=question.fusion,
+        may_look=plan.may_look,
+        compute=compute,
     )
+    return UNSET if found is None else build_exchange_records(placement.layout, found)
 
 
 def _front_below(placement: Placement, plan: Plan, progress: StageProgress) -> Front | None:
@@ -294,67 +343,71 @@ def run_comparison(
     layouts = _with_distinct_names(layouts)
     for layout in layouts:
         check_layout(layout, setting.scene)
-    private = load_private_ground(Path(no_look), setting.scene) if no_look else None
-    is_comparison = len(layouts) > 1
-    compared = compare_layout(layouts[0], setting, compute=compute) if is_comparison else None
-    if compared is not None and compared.expert is not None:
-        beside = _with_distinct_names([*layouts, compared.expert])
-    else:
-        beside = layouts
-    judged_all = evaluate_layouts(beside, setting, compute=compute)
-    verdicts, of_expert = judged_all[: len(layouts)], judged_all[len(layouts) :]
-    seen: list[PrivateGroundRecord | UnsetType] = [
-        UNSET
-        if private is None
-        else build_private_ground_record(layout.units, setting.scene, private)
-        for layout in layouts
-    ]
-    if len(verdicts) == 1:
-        result = build_layout_result(setting, verdicts[0])
-    else:
-        result = build_comparison_result(
-            setting, verdicts[0], verdicts[1:], private_ground=seen[1:]
+    with drawing_beside(out is not None and _is_large(setting, compute)) as beside:
+        private = load_private_ground(Path(no_look), setting.scene) if no_look else None
+        is_comparison = len(layouts) > 1
+        compared = compare_layout(layouts[0], setting, compute=compute) if is_comparison else None
+        if compared is not None and compared.expert is not None:
+            everyone = _with_distinct_names([*layouts, compared.expert])
+        else:
+            everyone = layouts
+        judged_all = evaluate_layouts(everyone, setting, compute=compute)
+        verdicts, of_expert = judged_all[: len(layouts)], judged_all[len(layouts) :]
+        seen: list[PrivateGroundRecord | UnsetType] = [
+            UNSET
+            if private is None
+            else build_private_ground_record(layout.units, setting.scene, private)
+            for layout in layouts
+        ]
+        if len(verdicts) == 1:
+            result = build_layout_result(setting, verdicts[0])
+        else:
+            result = build_comparison_result(
+                setting, verdicts[0], verdicts[1:], private_ground=seen[1:]
+            )
+        evaluations = {verdict.layout.name: verdict for verdict in verdicts}
+        evaluations |= dict(zip((EXPERT,), of_expert, strict=False))
+        result = replace_fields(
+            result,
+            private_ground=seen[0],
+            baselines=UNSET
+            if compared is None
+            else build_baselines_record(compared, evaluations.get(EXPERT), setting),
+            study_cases=_on_study_cases(question, scene, setting, evaluations, compute)
+            if is_comparison or out is not None
+            else UNSET,
         )
-    evaluations = {verdict.layout.name: verdict for verdict in verdicts}
-    evaluations |= dict(zip((EXPERT,), of_expert, strict=False))
-    result = replace_fields(
-        result,
-        private_ground=seen[0],
-        baselines=UNSET
-        if compared is None
-        else build_baselines_record(compared, evaluations.get(EXPERT), setting),
-        study_cases=_on_study_cases(question, scene, setting, evaluations, compute)
-        if is_comparison or out is not None
-        else UNSET,
-    )
-    sampled_figure = None
-    if samples:
-        judged = out_of_sample_layouts(
+        sampled_figure = None
+        if samples:
+            judged = out_of_sample_layouts(
+                setting,
+                everyone,
+                drawn,
+                n_samples=samples,
+                compute=compute,
+            )
+            planned = {item.layout.name: apr(item.rsu_all, item.axis) for item in judged_all}
+            sampled = build_sampled_record(
+                judged, drawn, tail=1.0, seed=compute.seed, planned_apr=planned
+            )
+            result = replace_fields(result, sampled=sampled)
+            sampled_figure = plot_sampled_apr(judged)
+        if out is None:
+            return replace_fields(result, seconds=progress.finish())
+        sensitivity = build_sensitivity_record(
+            find_sensitivity(setting, layouts[0], compute=compute)
+        )
+        result = replace_fields(result, sensitivity=sensitivity)
+        return write_results(
+            out,
+            result,
             setting,
-            beside,
-            drawn,
-            n_samples=samples,
-            compute=compute,
+            evaluations,
+            command=command,
+            progress=progress,
+            sampled_figure=sampled_figure,
+            beside=beside,
         )
-        planned = {item.layout.name: apr(item.rsu_all, item.axis) for item in judged_all}
-        sampled = build_sampled_record(
-            judged, drawn, tail=1.0, seed=compute.seed, planned_apr=planned
-        )
-        result = replace_fields(result, sampled=sampled)
-        sampled_figure = plot_sampled_apr(judged)
-    if out is None:
-        return replace_fields(result, seconds=progress.finish())
-    sensitivity = build_sensitivity_record(find_sensitivity(setting, layouts[0], compute=compute))
-    result = replace_fields(result, sensitivity=sensitivity)
-    return write_results(
-        out,
-        result,
-        setting,
-        evaluations,
-        command=command,
-        progress=progress,
-        sampled_figure=sampled_figure,
-    )
 
 
 def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:

@@ -24,6 +24,7 @@ from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
 from ..progress import WRITING, StageProgress
 from ..report import bill_of_materials
+from ..report.beside import Beside
 from ..report.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from ..report.page import write_report
 from ..results.csv_text import csv_text
@@ -44,6 +45,7 @@ def write_results(
     candidates: Sequence[CandidatePose] = (),
     bill: BillOfMaterials | None = None,
     sampled_figure: Axes | None = None,
+    beside: Beside | None = None,
 ) -> Result:
     """Fill a result folder; returns the result with its "seconds", all stages but the writing.
 
@@ -69,6 +71,8 @@ def write_results(
         Of the subject, where more is known of its costs than the scene tells.
     sampled_figure : Axes, optional
         Of the APR in sampled worlds.
+    beside : Beside, optional
+        A second process that helps to draw.
 
     Raises
     ------
@@ -116,6 +120,7 @@ def write_results(
             command=command,
             sampled_figure=sampled_figure,
             bill=bill,
+            beside=beside,
         )
         result = msgspec.structs.replace(result, seconds=progress.finish())
         _write_text(new / MARKER, to_json_text(result))

@@ -20,6 +20,7 @@ from ..results.result import Result
 from .accidents import accidents_section, alone_section, apr_picture
 from .answer import answer, models_section, proof_section, title
 from .assumptions import again_section, assumptions_section
+from .beside import Beside
 from .bill_of_materials import BillOfMaterials, bill_section, build_bill
 from .comparison import EXPERT, GREEDY, comparison_section, study_cases_section
 from .coverage import coverage_section
@@ -28,6 +29,7 @@ from .failures import failures_section
 from .front import front_section
 from .interactive.part import interactive_part
 from .margins import margins_section
+from .next_unit import next_unit_section
 from .positions import positions_section
 from .private_ground import private_ground_section
 from .runs import build_heatmaps, cases_section, heatmaps_section, runs_section
@@ -49,6 +51,7 @@ def write_report(
     heatmap_runs: Sequence[str] = (),
     sampled_figure: Axes | Figure | None = None,
     bill: BillOfMaterials | None = None,
+    beside: Beside | None = None,
 ) -> Path:
     """Write :func:`render_report`'s page to ``report.html`` in `folder`, which must exist.
 
@@ -63,6 +66,7 @@ def write_report(
         heatmap_runs=heatmap_runs,
         sampled_figure=sampled_figure,
         bill=bill,
+        beside=beside,
     )
     for name, picture in pictures.items():
         (folder / f"{name}.png").write_bytes(base64.b64decode(picture.png))
@@ -132,6 +136,7 @@ def _build_report(
     heatmap_runs: Sequence[str],
     sampled_figure: Axes | Figure | None,
     bill: BillOfMaterials | None,
+    beside: Beside | None = None,
 ) -> tuple[str, dict[str, Picture]]:
     """The page, and those of its pictures that are worth a file, by name."""
     if not evaluations:
@@ -145,33 +150,46 @@ def _build_report(
     run_indices = heatmap_indices(subject, setting, heatmap_runs)
     run_ids = [subject.axis.run_ids[index] for index in run_indices]
 
-    plans = build_plans(setting, detailed, [] if is_comparison else [*shown.values()][1:])
-    of_apr = apr_picture(evaluations)
-    heatmaps = build_heatmaps(detailed, run_indices)
+    beside = beside or Beside()
+    others = [] if is_comparison else [item.layout for item in [*shown.values()][1:]]
+    # What takes the longest comes first.
+    plans = beside.begin("plans", build_plans, setting, layouts, others)
+    of_heatmaps = beside.begin("heatmaps", build_heatmaps, detailed, run_indices)
+    dangers = beside.begin("dangers", positions_section, setting, shown, fusion=result.fusion)
+    margins = beside.begin("margins", margins_section, shown)
+    what_if = beside.begin("sensitivity", sensitivity_section, result.sensitivity)
+    of_apr = beside.begin("apr", apr_picture, evaluations)
+    coverage = beside.begin("coverage", coverage_section, setting.scene, subject.layout)
+    front = beside.begin("front", front_section, result.front)
+    interactive = interactive_part(setting, shown, first_runs=run_ids)
+    for part in (front, coverage, of_apr, what_if, margins, dangers, of_heatmaps, plans):
+        part.take()
+    heatmaps = of_heatmaps.result()
     sampled = None
     if result.sampled and sampled_figure is not None:
         sampled = sampled_picture(result.sampled, sampled_figure)
-    pictures = {"plan": plans[0], "apr_by_case": of_apr}
+    pictures = {"plan": plans.result()[0], "apr_by_case": of_apr.result()}
     for run_id, picture in zip(run_ids, heatmaps[subject_name], strict=True):
         pictures[f"heatmap_{run_id.replace('/', '_')}"] = picture
     if sampled is not None:
         pictures["sampled_apr"] = sampled
 
     sections = [
-        units_section(layouts, plans),
+        units_section(layouts, plans.result(), setting.scene),
         proof_section(result),
-        front_section(result.front),
+        front.result(),
+        next_unit_section(result),
         *explanation_sections(result.explained, labels),
-        accidents_section(evaluations, of_apr, is_optimised=bool(result.stages)),
-        positions_section(setting, shown, fusion=result.fusion),
+        accidents_section(evaluations, of_apr.result(), is_optimised=bool(result.stages)),
+        dangers.result(),
         comparison_section(result, evaluations),
         study_cases_section(result.study_cases),
-        margins_section(shown),
+        margins.result(),
         failures_section(subject, setting.rule, labels),
         None if sampled is None else sampled_section(sampled),
-        sensitivity_section(result.sensitivity),
+        what_if.result(),
         alone_section(detailed),
-        coverage_section(setting.scene, subject.layout),
+        coverage.result(),
         heatmaps_section(heatmaps, setting.rule, [*layouts.values()]),
         models_section(result),
     ]
@@ -187,7 +205,7 @@ def _build_report(
         title=title(result, setting, shown),
         answer=answer(result, shown),
         sections=_present(sections),
-        interactive=interactive_part(setting, shown, first_runs=run_ids),
+        interactive=interactive,
         details=_present(details),
     )
     return page, pictures

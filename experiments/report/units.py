@@ -3,7 +3,9 @@
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from placement.evaluation import Evaluation
+from geometry.scene import Scene
+from geometry.terrain import terrain_of
+from placement.candidates import above_ground
 from placement.layout import Layout, layout_records
 from placement.setting import Setting
 
@@ -23,19 +25,20 @@ _COLUMNS = (
 )
 
 
-def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture]) -> Section:
+def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture], scene: Scene) -> Section:
     """Where the units of layouts, by display name, hang and look, with a plan of each."""
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
+    is_flat = terrain_of(scene) is None
+    where = "the road is at height 0" if is_flat else "height is that above the ground below"
     note = (
-        "East, north and height are metres in the junction's own coordinates; the road is at "
-        "height 0. Yaw is counted counter-clockwise from east; pitch is negative where the sensor "
-        "looks down."
+        f"East, north and height are metres in the junction's own coordinates; {where}. Yaw is "
+        "counted counter-clockwise from east; pitch is negative where the sensor looks down."
     )
-    tables = [unit_table(name, layout) for name, layout in layouts.items()]
+    tables = [unit_table(name, layout, scene) for name, layout in layouts.items()]
     return Section("units", "The units", [*tables, note, Box("beside" if is_beside else "", plans)])
 
 
-def unit_table(name: str, layout: Layout) -> Table:
+def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
     """The units of a layout, a row each."""
     labels = unit_labels(layout)
     rows = [
@@ -43,7 +46,7 @@ def unit_table(name: str, layout: Layout) -> Table:
             labels[record["id"]],
             record["id"],
             record["site"] or NOTHING,
-            *(number(record[key]) for key in ("x_m", "y_m", "z_m")),
+            *(number(value) for value in above_ground(unit, scene).pose.position_m.tolist()),
             number(record["yaw_deg"], 1),
             number(record["pitch_deg"], 1),
             compass_word(unit),
@@ -62,32 +65,25 @@ def unit_table(name: str, layout: Layout) -> Table:
 
 
 def build_plans(
-    setting: Setting, detailed: Mapping[str, Evaluation], others: Sequence[Evaluation]
+    setting: Setting, detailed: Mapping[str, Layout], others: Sequence[Layout]
 ) -> list[Picture]:
     """A plan of each layout, drawn narrower where several stand side by side."""
-    draw = partial(
-        plot_plan,
-        setting,
-        others=[other.layout for other in others],
-        max_range_m=_PLAN_RANGE_M,
-    )
-    are_few = all(len(item.layout.units) <= _MAX_NARROW_UNITS for item in detailed.values())
+    draw = partial(plot_plan, setting, others=others, max_range_m=_PLAN_RANGE_M)
+    are_few = all(len(layout.units) <= _MAX_NARROW_UNITS for layout in detailed.values())
     are_side_by_side = len(detailed) > 1 and are_few
     return [
         build_picture(
-            draw(item.layout, width_in=NARROW_IN if are_side_by_side else WIDTH_IN),
-            narrow=draw(item.layout, width_in=NARROW_IN)
-            if are_few and not are_side_by_side
-            else None,
+            draw(layout, width_in=NARROW_IN if are_side_by_side else WIDTH_IN),
+            narrow=draw(layout, width_in=NARROW_IN) if are_few and not are_side_by_side else None,
             title=f"Plan of {setting.scene.name} with {name}",
             caption=(
                 "Coloured outlines: the ground in each sensor's field of view, up to "
                 f"{_PLAN_RANGE_M:g} m; they see farther. Walls and parked cars hide parts "
                 "of it, which is taken into account in the numbers but not drawn here."
             ),
-            alt="Plan of the junction, north up. " + _units_in_words(item.layout),
+            alt="Plan of the junction, north up. " + _units_in_words(layout),
         )
-        for name, item in detailed.items()
+        for name, layout in detailed.items()
     ]
 
 

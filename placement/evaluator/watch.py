@@ -20,7 +20,7 @@ import numpy as np
 from geometry.actors import PlacedActor
 from geometry.arrays import BoolArray, IntArray
 from geometry.image_boxes import box_height_px
-from geometry.lidar import LidarModel
+from geometry.lidar import LidarModel, load_lidar_detection
 from geometry.poses import Pose, to_world
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
@@ -33,10 +33,11 @@ from ..compute import Compute
 from ..detectors import Evidence, is_matched, load_min_iou
 from ..detectors.evidence import Image
 from ..imaging import Backdrop, build_backdrop, draw_picture
+from ..kept import Fingerprints, Kept
 from ..setting import Setting
 from .perceive import perceive_from_roadside, perceive_from_vut
 from .scan import scan_from_roadside, scan_from_vut
-from .surroundings import VutCamera, build_surroundings, load_vut_camera, load_vut_lidar
+from .surroundings import VutCamera, build_surroundings, draw_index, load_vut_camera, load_vut_lidar
 
 # ---------- pictures for networks
 
@@ -152,13 +153,71 @@ def watch(
 
     No message is lost yet. Progress is called from the calling thread: first with poses looked
     from, a quarter of the VUT's frames counting as one; then, where the detector looks at
-    pictures, with pictures.
+    pictures, with pictures. What is kept of an earlier call is not looked at again.
     """
-    watcher = _Watcher(setting, compute)
-    looks, detected = watcher.look(units)
-    found = watcher.find(looks, units)
+    names = _names(setting, units)
+    kept = _open_kept(setting, compute)
+    new = {key: unit for key, unit in units.items() if names[key] not in kept.arrays}
     nothing = np.zeros(setting.axis.n_frames, dtype=bool)
-    return {key: found.get(key, nothing) | detected.get(key, nothing) for key in (VUT_KEY, *units)}
+    if new or names[VUT_KEY] not in kept.arrays:
+        watcher = _Watcher(setting, compute)
+        with_vut = names[VUT_KEY] not in kept.arrays
+        looks, by_lidar = watcher.look(new, with_vut=with_vut)
+        by_camera = watcher.find(looks, new)
+        kept.add(
+            {
+                names[key]: by_camera.get(key, nothing) | by_lidar.get(key, nothing)
+                for key in ((VUT_KEY,) if with_vut else ()) + tuple(new)
+            }
+        )
+    return {key: kept.arrays[name] for key, name in names.items()}
+
+
+# ---------- what is kept for the next call
+
+
+_KIND = "place-rsus/views/1"  # raise it whenever the same inputs give other detections
+
+
+def _names(setting: Setting, units: Mapping[UnitKey, CandidatePose]) -> dict[UnitKey, str]:
+    """Under what the frames are kept in which each unit and the VUT detect."""
+    hashes = Fingerprints()
+    vut = hashes.of(setting.vut_sensors, setting.vut_camera, load_vut_camera(), load_vut_lidar())
+    return {VUT_KEY: f"vut-{vut}"} | {
+        key: f"unit-{hashes.of(unit.pose, unit.sensor)}" for key, unit in units.items()
+    }
+
+
+def _open_kept(setting: Setting, compute: Compute) -> Kept:
+    """Frames that are known already; none where a network looks at pictures."""
+    is_kept = compute.cache_folder is not None and not setting.detector.needs_pictures
+    return Kept(
+        compute.cache_folder if is_kept else None,
+        "views",
+        kind=_KIND,
+        fingerprint=_fingerprint(setting, compute.seed) if is_kept else "",
+    )
+
+
+def _fingerprint(setting: Setting, seed: int) -> str:
+    """Hash of all that detections depend on, but for the units and what the VUT looks with."""
+    scene, runs = setting.scene, setting.runs
+    weathers = dict.fromkeys(run.weather for run in runs)
+    return Fingerprints().of(
+        *(_KIND, seed, setting.detector, load_min_iou(), load_lidar_detection()),
+        *(scene.vertices_m, scene.triangles, scene.triangle_instance),
+        [instance.class_name for instance in scene.instances],
+        [pick_weather(name, "runs: weather") for name in weathers],
+        draw_index(runs),
+        [
+            (
+                *(run.weather, run.encounter.vut, run.encounter.vru, run.obstruction, run.traffic),
+                *(run.terrain, run.time_s, run.vut_position_m, run.vut_yaw_deg),
+                *(run.vru_position_m, run.vru_yaw_deg, run.vru_shape),
+            )
+            for run in runs
+        ],
+    )
 
 
 class _Watcher:
@@ -171,7 +230,7 @@ class _Watcher:
         self._mount = replace(mount, camera=setting.vut_camera or mount.camera)
 
     def look(
-        self, units: Mapping[UnitKey, CandidatePose]
+        self, units: Mapping[UnitKey, CandidatePose], *, with_vut: bool
     ) -> tuple[dict[UnitKey, Evidence], dict[UnitKey, BoolArray]]:
         """Evidence of cameras, and the frames in which LiDARs detect."""
         n_frames = self._setting.axis.n_frames
@@ -180,9 +239,9 @@ class _Watcher:
         scans: dict[UnitKey, Future[BoolArray]] = {}
         by_vut: list[Future[Evidence]] = []
         with _pool(self._compute.workers) as pool:
-            if "camera" in self._setting.vut_sensors:
+            if with_vut and "camera" in self._setting.vut_sensors:
                 by_vut = [pool.submit(self._look_from_vut, frames) for frames in parts]
-            if "lidar" in self._setting.vut_sensors:
+            if with_vut and "lidar" in self._setting.vut_sensors:
                 scans[VUT_KEY] = pool.submit(self._scan_from_vut)
             for key, unit in units.items():
                 if isinstance(unit.sensor, LidarModel):

@@ -25,6 +25,7 @@ from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detectors import GeometricDetector, PlanningDetector, ResponseDetector
 from ..evaluation import leave_each_out
+from ..kept import Fingerprints, Kept
 from ..layout import Layout
 from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.problem import Fusion
@@ -272,6 +273,7 @@ def runs_lost(planned: Outcome, outcome: Outcome) -> list[int]:
 MAX_LOOKED_FROM = 30
 """For layouts with more units, variations that need new looks at the scene are left out."""
 _LOWEST_M = 0.1
+_KIND = "place-rsus/braking/1"  # raise it whenever the same encounters give other brake times
 _MOUNTING = ("yaw_deg", "pitch_deg", "height_m", "position_m")
 _DETECTOR = ("min_box_height_share", "min_iou")
 
@@ -339,11 +341,17 @@ def find_sensitivity(
     compute.progress(STAGE, 0, 0)
     with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
         try:
-            last_brake_s = {
-                value: pool.submit(
-                    _last_brake_times_s, setting, replace(rule, deceleration_mps2=value)
-                )
+            hashes = Fingerprints()
+            rules = {
+                hashes.of(other): other
                 for value in values.get("deceleration_mps2", ())
+                for other in [replace(rule, deceleration_mps2=value)]
+            }
+            kept = _open_last_brake_times(setting, compute)
+            last_brake_s = {
+                name: pool.submit(_last_brake_times_s, setting, other)
+                for name, other in rules.items()
+                if name not in kept.arrays
             }
             frames = detected_frames(
                 setting,
@@ -351,9 +359,10 @@ def find_sensitivity(
                 pool=pool,
                 compute=compute.within(STAGE),
             )
+            kept.add({name: found.result() for name, found in last_brake_s.items()})
             axes = {
-                value: replace(setting.axis, last_brake_time_s=found.result())
-                for value, found in last_brake_s.items()
+                other.deceleration_mps2: replace(setting.axis, last_brake_time_s=kept.arrays[name])
+                for name, other in rules.items()
             }
         except BaseException:
             pool.shutdown(cancel_futures=True)
@@ -439,6 +448,14 @@ def _last_brake_times_s(setting: Setting, rule: AebRule) -> FloatArray:
     encounters = {id(run.encounter): run.encounter for run in setting.runs}
     last_s = {key: last_brake_time_s(encounter, rule) for key, encounter in encounters.items()}
     return np.array([last_s[id(run.encounter)] for run in setting.runs])
+
+
+def _open_last_brake_times(setting: Setting, compute: Compute) -> Kept:
+    """Last brake times that are known already, by braking rule."""
+    fingerprint = ""
+    if compute.cache_folder is not None:
+        fingerprint = Fingerprints().of(_KIND, [run.encounter for run in setting.runs])
+    return Kept(compute.cache_folder, "braking", kind=_KIND, fingerprint=fingerprint)
 
 
 def _looks_at(

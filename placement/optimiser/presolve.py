@@ -219,8 +219,9 @@ def is_dominated(
 
     Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that c
     is not: at the same site its price decides; elsewhere its site may have to be paid, too, and
-    neither site may have rivals or be asked for. Among equal poses the earlier one dominates. Every
-    stage is monotone in what each unit sees: where d can take the place of c, no value gets worse.
+    neither site may have rivals, be asked for, or fail with more than one unit. Among equal poses
+    the earlier one dominates. Every stage is monotone in what each unit sees: where d can take the
+    place of c, no value gets worse.
     So c may go if in every feasible set S with c one of its dominators is outside S and finds room.
     Who wants to prevent that has the other K - 1 units of S to
 
@@ -241,6 +242,8 @@ def is_dominated(
     sites, price = limits.site_index[order], limits.unit_cost_eur[order]
     is_bound_site = limits.is_forced_site.copy()
     is_bound_site[limits.rivals.ravel()] = True
+    if limits.failing == "site":  # a pose would fail together with what else stands there
+        is_bound_site |= limits.site_capacity > 1
     elsewhere = price + limits.site_cost_eur[sites]
     elsewhere[is_bound_site[sites]] = np.inf
     most = np.empty((0, n_words), dtype=np.uint64)

@@ -1,11 +1,9 @@
 """Candidate poses and runs to a detection table, and tables kept on disk."""
 
 import hashlib
-import logging
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, replace
-from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from geometry.actors import Actor
 from geometry.arrays import BoolArray, IntArray
-from geometry.files import writable_by_others, write_atomically
+from geometry.errors import InputError
 from geometry.lidar import LidarModel, load_lidar_detection
 from geometry.scene import Scene
 from geometry.weather import pick_weather
@@ -25,6 +23,7 @@ from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..detectors import PlanningDetector
+from ..kept import Fingerprints, Kept, load_arrays, save_arrays, tell_unused
 from ..setting import Setting
 from .casting import World, build_world
 from .sensing import build_sensing, cast_for
@@ -100,8 +99,31 @@ def detected_frames(
     """Frames in which units detect, each with a detector of its own, (n_looks, n_frames) bool.
 
     These are the rows that :func:`build_detection_table` has for each. Rays are cast once for all
-    from one place, and only to what any of them has in its view.
+    from one place, and only to what any of them has in its view. What is kept of an earlier call
+    is not looked at again.
     """
+    hashes = Fingerprints()
+    names = [
+        hashes.of(unit.pose, unit.sensor, detector.fingerprint(), load_lidar_detection())
+        for unit, detector in looks
+    ]
+    scene_hash = ""
+    if compute.cache_folder is not None:
+        scene_hash = table_fingerprint(
+            setting.scene, (), setting.runs, setting.planner, seed=compute.seed
+        )
+    kept = Kept(compute.cache_folder, "looks", kind=_FORMAT, fingerprint=scene_hash)
+    new = {name: look for name, look in zip(names, looks, strict=True) if name not in kept.arrays}
+    if new:
+        frames = _look_from(setting, [*new.values()], pool=pool, compute=compute)
+        kept.add(dict(zip(new, frames, strict=True)))
+    return np.array([kept.arrays[name] for name in names])
+
+
+def _look_from(
+    setting: Setting, looks: Sequence[Look], *, pool: ThreadPoolExecutor, compute: Compute
+) -> BoolArray:
+    """The same, each look for itself."""
     world = build_world(
         setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
     )
@@ -125,19 +147,20 @@ def _fill(
 ) -> None:
     """Rows of all looks from one place."""
     here = [looks[row] for row in rows]
-    first, detector = here[0]
-    position_m = first.pose.position_m
-    sight = cast_for(world, position_m, here)
-    sensing = build_sensing(world, sight, position_m, detector)
-    for row, (unit, detector) in zip(rows, here, strict=True):
-        bits = replace(sensing, detector=detector).packed([unit])[0]
-        frames[row] = np.unpackbits(bits, count=frames.shape[1], bitorder="little")
+    position_m = here[0][0].pose.position_m
+    sensing = build_sensing(world, cast_for(world, position_m, here), position_m, here[0][1])
+    rows_of: dict[PlanningDetector, list[int]] = {}
+    for row in rows:
+        rows_of.setdefault(looks[row][1], []).append(row)
+    for detector, alike in rows_of.items():
+        bits = replace(sensing, detector=detector).packed([looks[row][0] for row in alike])
+        frames[alike] = np.unpackbits(bits, axis=1, count=frames.shape[1], bitorder="little")
 
 
 # ---------- tables on disk, under a hash of everything that went into them
 
-_FORMAT = "place-rsus/table/5"  # raise it whenever the same inputs give another table
-_log = logging.getLogger(__name__)
+_FORMAT = "place-rsus/table/6"  # raise it whenever the same inputs give another table
+_WHAT = "detection table"
 _T = TypeVar("_T")
 
 
@@ -203,62 +226,20 @@ def _numbered(things: Iterable[_T]) -> dict[_T, int]:
 
 def save_table(path: Path, table: DetectionTable, *, fingerprint: str) -> None:
     """Write a table, whole or not at all; a folder that cannot be written to is only logged."""
-    try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_atomically(
-            path,
-            lambda file: np.savez(
-                file,
-                format=_FORMAT,
-                fingerprint=fingerprint,
-                content=_content_hash(table.packed, fingerprint),
-                packed=table.packed,
-            ),
-        )
-    except OSError as error:
-        _log.warning("detection table not cached: %s: %s", path, error.strerror or error)
+    save_arrays(path, {"packed": table.packed}, what=_WHAT, kind=_FORMAT, fingerprint=fingerprint)
 
 
 def load_table(
     path: Path, *, fingerprint: str, candidates: Sequence[CandidatePose], axis: FrameAxis
 ) -> DetectionTable | None:
     """Read a table of a fingerprint; None, and logged, if the file is damaged or foreign."""
+    arrays = load_arrays(path, what=_WHAT, kind=_FORMAT, fingerprint=fingerprint)
+    if arrays is None:
+        return None
     try:
-        # Opened here: numpy does not close a file that turns out to be no archive.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            if str(stored["format"]) != _FORMAT or str(stored["fingerprint"]) != fingerprint:
-                raise ValueError("made from other inputs")
-            packed = stored["packed"]
-            if str(stored["content"]) != _content_hash(packed, fingerprint):
-                raise ValueError("its content is not what was written")
-            table = DetectionTable(
-                pose_ids=tuple(candidate.id for candidate in candidates), axis=axis, packed=packed
-            )
-        _tell_if_shared(path.parent)
-    except FileNotFoundError:
-        return None
-    except Exception as error:  # damaged archives raise many kinds: zipfile's, zlib's, tokenize's
-        _log.warning("cached detection table not used, made anew: %s: %s", path, error)
-        return None
-    else:
-        return table
-
-
-def _content_hash(packed: NDArray[np.uint8], fingerprint: str) -> str:
-    """Hash of a table's bits, which fits one fingerprint only: 64 hexadecimal digits."""
-    digest = hashlib.blake2b(
-        f"{packed.dtype} {packed.shape}\0".encode(), key=fingerprint.encode(), digest_size=32
-    )
-    digest.update(np.ascontiguousarray(packed).tobytes())
-    return digest.hexdigest()
-
-
-@cache
-def _tell_if_shared(folder: Path) -> None:
-    """Say once that tables of a folder are believed into which other users may write."""
-    if writable_by_others(folder):
-        _log.warning(
-            "detection tables are read from %s, where other users may write: PLACE_RSUS_CACHE "
-            "names another folder, --no-cache uses none",
-            folder,
+        return DetectionTable(
+            pose_ids=tuple(candidate.id for candidate in candidates), axis=axis, **arrays
         )
+    except (InputError, TypeError) as error:  # another number of frames, or other arrays
+        tell_unused(path, error, what=_WHAT)
+        return None

@@ -8,13 +8,12 @@ import pytest
 from browser_pages import open_page, start_browser
 from interactive_pages import EVIL, build_evaluation, build_layout, with_evil_names
 from partial_pages import blank_pictures, build_result
-from small_results import build_small_grid
+from small_results import vary_one_assumption
 
 from experiments.jobs import placement
 from experiments.progress import StageProgress
 from experiments.report.page import write_report
 from experiments.study.layout import load_carlancap_layout
-from placement import planning
 from placement.compute import Compute
 from placement.layout import Layout, layout_records
 from placement.question import Question
@@ -36,7 +35,7 @@ def browser():
 
 
 @pytest.fixture(scope="module")
-def addresses(small_setting, tmp_path_factory):
+def addresses(small_setting, whole_placement, tmp_path_factory):
     """Reports of every kind, by name: files."""
     folder = tmp_path_factory.mktemp("reports")
     common = {"compute": Compute(workers=2), "command": "place-rsus", "progress": StageProgress()}
@@ -46,13 +45,8 @@ def addresses(small_setting, tmp_path_factory):
     away = Layout(name="away", units=(replace(units[0], pose=turned),))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(placement, "build_setting", lambda question, scene: small_setting)
-        patch.setattr(planning, "load_candidate_grid", build_small_grid)
+        vary_one_assumption(patch)
         question = Question()
-        placement.run_placement(
-            replace(question, budget=2, time_limit_s=60.0),
-            out=folder / "placement",
-            **common,
-        )
         with blank_pictures():
             placement.run_evaluation(question, layout=away, out=folder / "missed", **common)
             placement.run_comparison(
@@ -66,7 +60,8 @@ def addresses(small_setting, tmp_path_factory):
     (folder / "many").mkdir()
     with blank_pictures():
         write_report(folder / "many", result, setting, {name: evaluation}, command=EVIL)
-    return {kind: folder / kind / "report.html" for kind in KINDS}
+    placed = {"placement": whole_placement / "results/latest/report.html"}
+    return {kind: folder / kind / "report.html" for kind in KINDS} | placed
 
 
 @pytest.fixture(params=KINDS)

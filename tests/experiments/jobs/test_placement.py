@@ -74,6 +74,7 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
         "start",
         *stages,
         "evaluate",
+        "other lenses",
         "what if",
         "write results",
         "total",
@@ -106,7 +107,8 @@ def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(
     assert "Other layouts as good" in page
 
 
-def test_a_layout_brings_its_own_sensors_along(small_study, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("small_study", "without_figures")
+def test_a_layout_brings_its_own_sensors_along(tmp_path, monkeypatch):
     monkeypatch.setattr(
         placement, "build_plan", lambda asked, scene, study: build_plan(asked, scene)
     )
@@ -168,7 +170,8 @@ def test_layouts_of_the_same_name_are_told_apart(small_study, tmp_path):
     assert all(name in page for name in names)
 
 
-def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(small_study, tmp_path):
+@pytest.mark.usefixtures("small_study", "without_figures")
+def test_a_comparison_in_sampled_worlds_says_how_sure_it_is(tmp_path):
     summary = compare([named("two", 2), named("one", 1)], tmp_path / "out", samples=3)
     gains = {gain["over"]: gain for gain in summary["sampled"]["gains"]}
     assert list(gains) == ["one", "expert-2"]
@@ -193,9 +196,8 @@ def test_every_export_names_every_unit(name):
     assert all(unit.id in text for unit in load_carlancap_layout().units)
 
 
-def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
-    small_study, tmp_path, monkeypatch
-):
+@pytest.mark.usefixtures("small_study", "without_figures")
+def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(tmp_path, monkeypatch):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
     summary = place(tmp_path / "out", samples=2, risk="worst", budget=2)
     sampled = summary["sampled"]

@@ -41,6 +41,12 @@ def scene():
 
 
 @pytest.fixture(scope="module")
+def camera(camera):
+    """A small one: what is asked does not depend on the number of pixels."""
+    return replace(camera, width_px=640, height_px=360)
+
+
+@pytest.fixture(scope="module")
 def last_frames(runs):
     """Runs by name, cut to what happens right before the impact."""
     by_name = {run.id: run for run in runs}

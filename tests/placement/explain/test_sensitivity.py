@@ -11,6 +11,7 @@ from geometry.scene_files import load_study_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
+from placement.explain import sensitivity as sensitivity_module
 from placement.explain.sensitivity import (
     MAX_LOOKED_FROM,
     RANGES,
@@ -22,6 +23,7 @@ from placement.explain.sensitivity import (
 from placement.layout import Layout
 from placement.optimiser import placement_value
 from placement.setting import Setting
+from placement.visibility import build as build_module
 from placement.visibility import build_detection_table
 from placement.visibility.build import detected_frames
 from placement.wishes import Wishes, build_problem
@@ -300,3 +302,31 @@ def test_what_cannot_be_is_refused_where_it_stands(document, where):
     with pytest.raises(InputError) as caught:
         read_assumptions(document, "mine.toml")
     assert where in caught.value.where
+
+
+def test_the_second_call_looks_at_nothing_and_says_the_same(
+    setting, layout, found, tmp_path, monkeypatch
+):
+    compute = Compute(workers=1, cache_folder=tmp_path)
+    kept = find_sensitivity(setting, layout, compute=compute)
+
+    def never(*_, **__):
+        raise AssertionError("looked again")
+
+    monkeypatch.setattr(build_module, "build_world", never)
+    monkeypatch.setattr(sensitivity_module, "last_brake_time_s", never)
+    again = find_sensitivity(setting, layout, compute=compute)
+    for one in (kept, again):
+        for part in one:
+            expected = found[part.assumption.name]
+            assert [v.value for v in part.varied] == [v.value for v in expected.varied]
+            for v, w in zip(part.varied, expected.varied, strict=True):
+                assert (v.outcome.apr, v.outcome.apr_one_failed) == (
+                    w.outcome.apr,
+                    w.outcome.apr_one_failed,
+                )
+                assert v.outcome.smallest_margin_s == w.outcome.smallest_margin_s
+                assert (v.lost_runs, v.unmoved) == (w.lost_runs, w.unmoved)
+    slower = replace(setting, rule=replace(setting.rule, build_up_s=0.3))
+    with pytest.raises(AssertionError, match="looked again"):
+        find_sensitivity(slower, layout, compute=compute)

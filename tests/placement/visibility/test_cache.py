@@ -10,8 +10,10 @@ from geometry.actors import PlacedActor
 from geometry.lidar import load_lidar_detection, load_lidars
 from geometry.poses import Pose
 from geometry.weather import load_weathers
+from placement import kept
 from placement.detection_table import pack_table
 from placement.detectors import GeometricDetector, load_planning_detector
+from placement.kept import content_hash
 from placement.visibility import build as build_module
 from placement.visibility import (
     load_table,
@@ -194,7 +196,7 @@ def _turned(arrays):
         {"packed": lambda arrays: arrays["packed"][::-1]},
         {
             "packed": _turned,
-            "content": lambda arrays: build_module._content_hash(_turned(arrays), "f" * 32),
+            "content": lambda arrays: content_hash({"packed": _turned(arrays)}, "f" * 32),
         },
     ],
     ids=["zeros", "a bit", "rows", "the hash of another fingerprint"],
@@ -216,13 +218,13 @@ def test_a_new_folder_is_the_users_own(stored):
 def test_a_folder_into_which_others_may_write_is_told_once(stored, caplog, mode):
     _, path, _ = stored
     path.parent.chmod(mode)
-    build_module._tell_if_shared.cache_clear()
+    kept._tell_if_shared.cache_clear()
     assert _load(stored) is not None
     assert _load(stored) is not None
     told = [text for text in caplog.messages if "where other users may write" in text]
     assert len(told) == (mode != 0o755)
     assert all(str(path.parent) in text for text in told)
-    build_module._tell_if_shared.cache_clear()
+    kept._tell_if_shared.cache_clear()
 
 
 # Folders that cannot be written to
@@ -249,7 +251,7 @@ def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypa
         file.write(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(build_module.np, "savez", full)
+    monkeypatch.setattr(kept.np, "savez", full)
     save_table(path, table, fingerprint="f" * 32)
     assert caplog.messages == [f"detection table not cached: {path}: No space left on device"]
     assert path.read_bytes() == before

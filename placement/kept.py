@@ -1,0 +1,199 @@
+"""Arrays that are kept on disk for the next call, under a hash of all that they were made from."""
+
+import hashlib
+import logging
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.files import writable_by_others, write_atomically
+
+_log = logging.getLogger(__name__)
+
+Arrays = dict[str, NDArray[Any]]
+
+# ---------- hashes
+
+
+class Fingerprints:
+    """Hashes of values by what they hold; what occurs in several of them is read once."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[object, bytes]] = {}  # the object is held: its id stays its
+
+    def of(self, *values: object) -> str:
+        """Hash of values, 32 hexadecimal digits: dataclasses by their fields, arrays by content."""
+        return self._digest(values).hex()
+
+    def _digest(self, value: object) -> bytes:
+        is_data = is_dataclass(value) and not isinstance(value, type)
+        if is_data and id(value) in self._known:
+            return self._known[id(value)][1]
+        digest = hashlib.blake2b(type(value).__name__.encode() + b"\0", digest_size=16)
+        if isinstance(value, np.ndarray):
+            digest.update(f"{value.dtype}{value.shape}".encode())
+            digest.update(np.ascontiguousarray(value).tobytes())
+        elif is_data:
+            for field in fields(value):  # type: ignore[arg-type]
+                digest.update(field.name.encode() + self._digest(getattr(value, field.name)))
+            self._known[id(value)] = (value, digest.digest())
+        elif isinstance(value, Mapping):
+            for key, item in value.items():
+                digest.update(self._digest(key) + self._digest(item))
+        elif isinstance(value, tuple | list):
+            for item in value:
+                digest.update(self._digest(item))
+        elif value is None or isinstance(value, str | bytes | int | float | np.generic):
+            digest.update(repr(value).encode())
+        else:
+            raise TypeError(f"a value of a kind that has no hash: {value!r}")
+        return digest.digest()
+
+
+# ---------- files
+
+
+def save_arrays(
+    path: Path,
+    arrays: Mapping[str, NDArray[Any]],
+    *,
+    what: str,
+    kind: str,
+    fingerprint: str,
+    is_compressed: bool = False,
+) -> None:
+    """Write arrays, whole or not at all; a folder that cannot be written to is only logged.
+
+    `what` is their name in messages, `kind` that of the file's format.
+    """
+    save = np.savez_compressed if is_compressed else np.savez
+    content: dict[str, Any] = {
+        "format": kind,
+        "fingerprint": fingerprint,
+        "content": content_hash(arrays, fingerprint),
+        **arrays,
+    }
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_atomically(path, lambda file: save(file, **content))
+    except OSError as error:
+        _log.warning("%s not cached: %s: %s", what, path, error.strerror or error)
+
+
+def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays | None:
+    """Read arrays of a fingerprint; None, and logged, if the file is damaged or foreign."""
+    try:
+        # Opened here: numpy does not close a file that turns out to be no archive.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            if str(stored["format"]) != kind or str(stored["fingerprint"]) != fingerprint:
+                raise ValueError("made from other inputs")
+            content = str(stored["content"])
+            names = [name for name in stored.files if name not in _OWN]
+            arrays = {name: stored[name] for name in names}
+            if content != content_hash(arrays, fingerprint):
+                raise ValueError("its content is not what was written")
+        _tell_if_shared(path.parent)
+    except FileNotFoundError:
+        return None
+    except Exception as error:  # damaged archives raise many kinds: zipfile's, zlib's, tokenize's
+        tell_unused(path, error, what=what)
+        return None
+    else:
+        return arrays
+
+
+_OWN = ("format", "fingerprint", "content")
+
+
+def tell_unused(path: Path, error: Exception, *, what: str) -> None:
+    """Log that a file is not used, and why."""
+    _log.warning("cached %s not used, made anew: %s: %s", what, path, error)
+
+
+def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
+    """Hash of what arrays hold, which fits one fingerprint only: 64 hexadecimal digits."""
+    digest = hashlib.blake2b(key=fingerprint.encode(), digest_size=32)
+    for name, array in arrays.items():
+        digest.update(f"{name} {array.dtype} {array.shape}\0".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+@cache
+def _tell_if_shared(folder: Path) -> None:
+    """Say once that files of a folder are believed into which other users may write."""
+    if writable_by_others(folder):
+        _log.warning(
+            "detection tables are read from %s, where other users may write: PLACE_RSUS_CACHE "
+            "names another folder, --no-cache uses none",
+            folder,
+        )
+
+
+# ---------- many small results of one question
+
+
+class Kept:
+    """Small arrays by key that belong to one fingerprint, such as the frames that units detect.
+
+    Without a folder nothing is kept. Where two processes write at once, what one of them found may
+    be lost and made anew later.
+
+    Attributes
+    ----------
+    arrays : dict of str to array
+        What is known, by key.
+    """
+
+    def __init__(self, folder: Path | None, name: str, *, kind: str, fingerprint: str) -> None:
+        self._what, self._kind, self._fingerprint = name, kind, fingerprint
+        self._path = None if folder is None else folder / f"{name}-{fingerprint}.npz"
+        self.arrays = self._load()
+
+    def add(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Keep what is new, too; the oldest is given up where there are many."""
+        if arrays.keys() <= self.arrays.keys():
+            return
+        self.arrays |= arrays
+        if self._path is None:
+            return
+        known = self._load() | self.arrays  # another process may have added some
+        kept = dict([*known.items()][-MAX_KEPT:])
+        save_arrays(
+            *(self._path, kept),
+            what=self._what,
+            kind=self._kind,
+            fingerprint=self._fingerprint,
+            is_compressed=True,
+        )
+        _prune(self._path)
+
+    def _load(self) -> Arrays:
+        if self._path is None:
+            return {}
+        found = load_arrays(
+            self._path, what=self._what, kind=self._kind, fingerprint=self._fingerprint
+        )
+        return found or {}
+
+
+MAX_KEPT = 500
+"""Arrays in a file; a question has some thirty units, each of a few kilobytes."""
+
+MAX_FILES = 100
+"""Files of a name; the oldest are removed."""
+
+
+def _prune(path: Path) -> None:
+    name = path.name.split("-")[0]
+    try:
+        files = sorted(path.parent.glob(f"{name}-*.npz"), key=lambda file: file.stat().st_mtime)
+        for file in files[:-MAX_FILES]:
+            file.unlink(missing_ok=True)
+    except OSError as error:  # somebody else tidies up, or nothing may be removed
+        _log.info("%s: %s", path.parent, error)

@@ -1,0 +1,164 @@
+"""What units detect is kept for the next call: it looks at nothing again, and finds the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.actors import pick_actor
+from geometry.catalogue import pick_camera
+from geometry.lidar import load_lidars
+from geometry.poses import Pose
+from geometry.weather import load_weathers
+from placement.candidates import CandidatePose
+from placement.compute import Compute
+from placement.detectors import load_detector
+from placement.evaluator import evaluate_layout
+from placement.evaluator import watch as watch_module
+from placement.layout import Layout
+
+WALL = ((5.0, 0.2, 0.0), (5.3, 4.0, 3.0))
+
+
+def unit(name, yaw_deg=0.0, sensor=None):
+    return CandidatePose(
+        id=name,
+        site_id="pole",
+        pose=Pose(position_m=[0.0, 0.0, 3.0], yaw_deg=yaw_deg, pitch_deg=-5.0),
+        sensor=sensor or pick_camera("carla-ncap-rgb", "test"),
+    )
+
+
+LAYOUT = Layout(name="two", units=(unit("a"), unit("b", 30.0)))
+
+
+@pytest.fixture
+def runs(build_run):
+    adult = pick_actor("adult", "test")
+    n = 21
+    along = np.column_stack([np.full(n, 12.0), np.linspace(-4.0, 4.0, n), np.full(n, 90.0)])
+    return [build_run(adult, along), replace(build_run(adult, along[::-1]), id="other")]
+
+
+@pytest.fixture
+def setting(build_scene, build_setting, runs):
+    return build_setting(build_scene(WALL), runs)
+
+
+@pytest.fixture
+def looked(monkeypatch):
+    """What was looked from, call by call: the ids of units, and whether the VUT looked, too."""
+    calls = []
+    look = watch_module._Watcher.look
+
+    def noted(self, units, *, with_vut):
+        calls.append((sorted(one.id for one in units.values()), with_vut))
+        return look(self, units, with_vut=with_vut)
+
+    monkeypatch.setattr(watch_module._Watcher, "look", noted)
+    return calls
+
+
+def assert_same(one, other):
+    for name, verdict in (("vut", one.vut), ("rsu_all", one.rsu_all), *one.units.items()):
+        again = {"vut": other.vut, "rsu_all": other.rsu_all, **other.units}[name]
+        for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
+            assert np.array_equal(getattr(verdict, field), getattr(again, field), equal_nan=True)
+
+
+@pytest.mark.parametrize("detector", ["geometric", "response"])
+def test_the_second_call_looks_at_nothing_and_finds_the_same(setting, tmp_path, looked, detector):
+    setting = replace(setting, detector=load_detector(detector))
+    compute = Compute(workers=1, cache_folder=tmp_path)
+    first = evaluate_layout(LAYOUT, setting, compute=compute)
+    assert first.rsu_all.detected.any()
+    assert not first.rsu_all.detected.all()
+    again = evaluate_layout(LAYOUT, setting, compute=compute)
+    assert looked == [(["a", "b"], True)]
+    assert_same(again, first)
+    assert_same(evaluate_layout(LAYOUT, setting, compute=Compute(workers=1)), first)
+    assert len(looked) == 2
+
+
+def test_only_new_poses_are_looked_from(setting, tmp_path, looked):
+    compute = Compute(workers=1, cache_folder=tmp_path)
+    evaluate_layout(LAYOUT, setting, compute=compute)
+    moved = unit("moved", 30.0 + 1.0e-9)
+    lidar = unit("lidar", sensor=load_lidars()["carla-ncap-lidar"])
+    renamed = replace(LAYOUT.units[0], id="renamed")
+    layout = Layout(name="three", units=(moved, lidar, renamed))
+    found = evaluate_layout(layout, setting, compute=compute)
+    assert looked[1:] == [(["lidar", "moved"], False)]
+    assert_same(found, evaluate_layout(layout, setting, compute=Compute(workers=1)))
+
+
+def test_what_the_vut_looks_with_is_looked_with_anew(setting, tmp_path, looked):
+    compute = Compute(workers=1, cache_folder=tmp_path)
+    evaluate_layout(LAYOUT, setting, compute=compute)
+    for change in (
+        {"vut_sensors": ("camera", "lidar")},
+        {"vut_camera": pick_camera("carla-ncap-rgb-90", "test")},
+    ):
+        evaluate_layout(LAYOUT, replace(setting, **change), compute=compute)
+    assert looked[1:] == [([], True)] * 2
+
+
+def _with_run(setting, **changes):
+    first, *others = setting.runs
+    return replace(setting, runs=(replace(first, **changes), *others))
+
+
+CHANGES = {
+    "scene": lambda s: replace(
+        s, scene=replace(s.scene, vertices_m=s.scene.vertices_m + [0.0, 0.0, 1.0e-6])
+    ),
+    "weather": lambda s: _with_run(s, weather="fog"),
+    "VRU's way": lambda s: _with_run(s, vru_position_m=s.runs[0].vru_position_m + 1.0e-6),
+    "VUT's way": lambda s: _with_run(s, vut_yaw_deg=s.runs[0].vut_yaw_deg + 1.0),
+    "shapes": lambda s: _with_run(s, vru_shape=s.runs[0].vru_shape[::-1]),
+    "detector": lambda s: replace(s, detector=replace(s.detector, min_iou=0.51)),
+    "another detector": lambda s: replace(s, detector=load_detector("response")),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_whatever_changes_what_is_seen_is_looked_at_anew(setting, tmp_path, looked, change):
+    compute = Compute(workers=1, cache_folder=tmp_path)
+    evaluate_layout(LAYOUT, setting, compute=compute)
+    evaluate_layout(LAYOUT, CHANGES[change](setting), compute=compute)
+    assert looked == [(["a", "b"], True)] * 2
+
+
+def test_seed_weathers_and_version_are_part_of_the_key(setting, tmp_path, looked, monkeypatch):
+    compute = Compute(workers=1, cache_folder=tmp_path)
+    evaluate_layout(LAYOUT, setting, compute=compute)
+    evaluate_layout(LAYOUT, setting, compute=replace(compute, seed=1))
+    dim = replace(load_weathers()["day"], contrast=0.5)
+    with monkeypatch.context() as patch:
+        patch.setattr(watch_module, "pick_weather", lambda name, where: dim)
+        evaluate_layout(LAYOUT, setting, compute=compute)
+    monkeypatch.setattr(watch_module, "_KIND", "place-rsus/views/0")
+    evaluate_layout(LAYOUT, setting, compute=compute)
+    assert looked == [(["a", "b"], True)] * 4
+
+
+def test_a_damaged_file_is_made_anew(setting, tmp_path, looked, caplog):
+    compute = Compute(workers=1, cache_folder=tmp_path)
+    first = evaluate_layout(LAYOUT, setting, compute=compute)
+    (path,) = tmp_path.glob("views-*.npz")
+    path.write_bytes(path.read_bytes()[:100])
+    assert_same(evaluate_layout(LAYOUT, setting, compute=compute), first)
+    assert "views not used, made anew" in caplog.text
+    evaluate_layout(LAYOUT, setting, compute=compute)
+    assert len(looked) == 2
+
+
+def test_what_a_network_finds_is_not_kept(setting, tmp_path):
+    class Network:
+        needs_pictures = True
+
+    kept = watch_module._open_kept(
+        replace(setting, detector=Network()), Compute(cache_folder=tmp_path)
+    )
+    kept.add({"a": np.zeros(1)})
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,185 @@
+import logging
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from placement import kept
+from placement.kept import MAX_FILES, MAX_KEPT, Fingerprints, Kept
+
+FINGERPRINT = "0123456789abcdef" * 2
+ROWS = {"a": np.array([True, False, True]), "b": np.arange(3.0)}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Thing:
+    name: str
+    part: Any
+
+
+def opened(folder, *, kind="test/1", fingerprint=FINGERPRINT):
+    return Kept(folder, "rows", kind=kind, fingerprint=fingerprint)
+
+
+def file_in(folder):
+    (path,) = folder.glob("*.npz")
+    return path
+
+
+# Hashes
+
+
+VALUES = {
+    "a thing": Thing(name="a", part=np.arange(3)),
+    "another name": Thing(name="b", part=np.arange(3)),
+    "another array": Thing(name="a", part=np.array([0, 1, 3])),
+    "another type": Thing(name="a", part=np.arange(3.0)),
+    "another shape": Thing(name="a", part=np.arange(3)[:, None]),
+    "nothing": Thing(name="a", part=None),
+    "a word": Thing(name="a", part="1"),
+    "a number": Thing(name="a", part=1),
+    "a list": Thing(name="a", part=(1, 2, 3)),
+    "in other parts": Thing(name="a", part=((1, 2), 3)),
+    "a mapping": Thing(name="a", part={"x": 1}),
+    "another key": Thing(name="a", part={"y": 1}),
+}
+
+
+def test_a_hash_tells_apart_whatever_differs():
+    hashes = Fingerprints()
+    found = [hashes.of(value) for value in VALUES.values()]
+    assert len(set(found)) == len(VALUES)
+    assert all(len(text) == 32 for text in found)
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_a_hash_is_that_of_the_content_wherever_it_lies(name):
+    value = VALUES[name]
+    again = replace(value, part=value.part.copy()) if name == "a thing" else replace(value)
+    both = Fingerprints()
+    assert both.of(value, value) == Fingerprints().of(replace(again), again)
+    assert both.of(value) == both.of(again)
+
+
+def test_what_has_no_hash_is_an_error_of_the_program():
+    with pytest.raises(TypeError, match="has no hash"):
+        Fingerprints().of(Thing(name="a", part=object()))
+
+
+# There and back
+
+
+def test_what_is_kept_is_there_for_the_next_call(tmp_path, caplog):
+    opened(tmp_path / "new").add(ROWS)
+    found = opened(tmp_path / "new").arrays
+    assert list(found) == list(ROWS)
+    for name, array in ROWS.items():
+        assert found[name].dtype == array.dtype
+        assert np.array_equal(found[name], array)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    "other", [{"fingerprint": "f" * 32}, {"kind": "test/2"}], ids=["inputs", "version"]
+)
+def test_what_was_made_from_something_else_is_not_found(tmp_path, other):
+    opened(tmp_path).add(ROWS)
+    assert opened(tmp_path, **other).arrays == {}
+
+
+def test_without_a_folder_nothing_is_kept_but_known():
+    notes = opened(None)
+    notes.add(ROWS)
+    assert notes.arrays.keys() == ROWS.keys()
+    assert opened(None).arrays == {}
+
+
+def test_two_processes_that_found_different_things_keep_both(tmp_path):
+    first, second = opened(tmp_path), opened(tmp_path)
+    first.add({"a": ROWS["a"]})
+    second.add({"b": ROWS["b"]})
+    assert opened(tmp_path).arrays.keys() == {"a", "b"}
+    assert second.arrays.keys() == {"b"}
+
+
+def test_what_is_known_already_is_not_written_again(tmp_path):
+    notes = opened(tmp_path)
+    notes.add(ROWS)
+    file_in(tmp_path).unlink()
+    notes.add({"a": ROWS["a"]})
+    assert not list(tmp_path.iterdir())
+
+
+# Damage, and folders that cannot be written to
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_bytes(path.read_bytes()[:-40]),
+        lambda path: np.savez(path, format="test/1", fingerprint=FINGERPRINT, **ROWS),
+        lambda path: np.savez(path, format="test/1", fingerprint="f" * 32, content="", **ROWS),
+    ],
+    ids=["empty", "cut off", "without a hash", "foreign"],
+)
+def test_a_damaged_file_is_told_not_used_and_made_anew(tmp_path, caplog, damage):
+    opened(tmp_path).add(ROWS)
+    path = file_in(tmp_path)
+    damage(path)
+    notes = opened(tmp_path)
+    assert notes.arrays == {}
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+    assert record.getMessage().startswith(f"cached rows not used, made anew: {path}: ")
+    notes.add(ROWS)
+    caplog.clear()
+    assert opened(tmp_path).arrays.keys() == ROWS.keys()
+    assert not caplog.records
+
+
+def test_an_array_that_was_changed_or_renamed_is_not_used(tmp_path, caplog):
+    opened(tmp_path).add(ROWS)
+    path = file_in(tmp_path)
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    for changed in ({"a": ~ROWS["a"]}, {"b": ROWS["a"], "a": ROWS["b"]}):
+        np.savez(path, **{**arrays, **changed})
+        assert opened(tmp_path).arrays == {}
+        assert caplog.messages[-1].endswith(": its content is not what was written")
+
+
+def test_a_folder_that_cannot_be_made_costs_a_line(tmp_path, caplog):
+    in_the_way = tmp_path / "file"
+    in_the_way.write_text("not a folder", encoding="utf-8")
+    notes = opened(in_the_way)
+    caplog.clear()
+    notes.add(ROWS)
+    assert notes.arrays.keys() == ROWS.keys()
+    assert any(message.startswith("rows not cached: ") for message in caplog.messages)
+
+
+# Bounds
+
+
+def test_of_many_arrays_the_oldest_are_given_up(tmp_path):
+    notes = opened(tmp_path)
+    notes.add({f"{number}": np.zeros(1) for number in range(MAX_KEPT)})
+    notes.add({"new": np.zeros(1)})
+    names = list(opened(tmp_path).arrays)
+    assert len(names) == MAX_KEPT
+    assert (names[0], names[-1]) == ("1", "new")
+    assert "0" in notes.arrays  # this call may still need it
+
+
+def test_of_many_files_of_a_name_the_oldest_are_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(kept, "MAX_FILES", 3)
+    assert MAX_FILES > 3
+    other = tmp_path / "table-0.npz"
+    other.write_bytes(b"")
+    for number in range(5):
+        opened(tmp_path, fingerprint=f"{number:032}").add(ROWS)
+    assert other.exists()
+    assert len(list(tmp_path.glob("rows-*.npz"))) == 3
+    assert opened(tmp_path, fingerprint=f"{4:032}").arrays.keys() == ROWS.keys()
