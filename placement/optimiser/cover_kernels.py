@@ -6,16 +6,13 @@ Everything here works on plain arrays; :mod:`placement.optimiser.cover_tree` say
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .chain_kernels import Layout, join, lost_with, lowest_bit
 from .presolve import WordArray
-
-ByteArray = NDArray[np.uint8]
-Float32Array = NDArray[np.float32]
+from .root_kernels import ByteArray, weigh_bytes, weight_of
 
 DONE, PAUSED, FULL, AT_STOP = 0, 1, 2, 3
 
@@ -25,9 +22,8 @@ class Covers(NamedTuple):
 
     covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
     coverers: WordArray  # (n_rows, n_pose_words): poses that cover each row
-    cover: Float32Array  # (n_rows, n_poses): the same, 0 or the weight of the row
+    rows: ByteArray  # (n_poses, n_bytes): `covers` by bytes, lowest bits first
     weight: FloatArray  # (n_rows,)
-    priced: Float32Array  # (n_rows, n_poses): the same, 0 or the price of the row
     price: FloatArray  # (n_rows,): at most the weight
     site: IntArray  # (n_poses,)
     copies: IntArray  # (n_poses,): how often a pose may be chosen
@@ -36,7 +32,7 @@ class Covers(NamedTuple):
 class Walk(NamedTuple):
     """Where a walk stands; arrays have a place for each depth."""
 
-    # (5,): depth; whether its node is new; sets found; candidates looked at; depth behind which the
+    # (5,): depth; whether its node is new; sets found; bytes looked at; depth behind which the
     # walk began.
     where: IntArray
     may_lose: FloatArray  # (2,): weight of rows that all units, and all but the failed, may lose
@@ -50,32 +46,41 @@ class Walk(NamedTuple):
     queue: IntArray  # (n_units, n_poses): candidates that are tried, one after the other
     n_queued: IntArray  # (n_units,)
     position: IntArray  # (n_units,)
-    gain: Float32Array  # (n_poses,): working space
-    beside: Float32Array  # (n_poses,): working space
+    gain: FloatArray  # (n_poses,): working space
+    beside: FloatArray  # (n_poses,): working space
+    table: FloatArray  # (n_bytes, 256): working space
+    used: IntArray  # (n_bytes,): working space
     best: IntArray  # (n_units,): working space
 
 
 @kernel
 def add_gains(
-    cover: Float32Array, weight: FloatArray, rows: WordArray, gain: Float32Array
+    covers: Covers,
+    weight: FloatArray,
+    rows: WordArray,
+    walk: Walk,
+    gain: FloatArray,
 ) -> float:
-    """Add to each pose what it covers of some rows; what they weigh."""
+    """Add to each candidate what it covers of some rows; what they weigh."""
+    is_open = walk.is_open[walk.where[0]]
+    n_used = weigh_bytes(weight, rows, walk.table, walk.used)
+    for pose in range(len(gain)):
+        if is_open[pose]:
+            gain[pose] += weight_of(covers.rows[pose], walk.table, walk.used, n_used)
+            walk.where[3] += n_used
+    walk.where[3] += 64 * n_used
     total = 0.0
     for word in range(len(rows)):
         left = rows[word]
         while left:
-            row = 64 * word + lowest_bit(left)
+            total += weight[64 * word + lowest_bit(left)]
             left &= left - np.uint64(1)
-            total += weight[row]
-            of_row = cover[row]
-            for pose in range(len(gain)):
-                gain[pose] += of_row[pose]
     return total
 
 
 @kernel
 def drop_hopeless(
-    gain: Float32Array, is_open: BoolArray, n_more: int, need: float, best: IntArray
+    gain: FloatArray, is_open: BoolArray, n_more: int, need: float, best: IntArray
 ) -> bool:
     """Drop candidates that cannot gain enough with others; whether some are left.
 
@@ -165,12 +170,11 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
     if lost > walk.may_lose[0]:
         return False
     gain[:] = 0.0
-    total = lost + add_gains(covers.priced, covers.price, rows, gain)
-    walk.where[3] += 2 * len(gain)
+    total = lost + add_gains(covers, covers.price, rows, walk, gain)
     if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
         return False
     gain[:] = 0.0
-    total = lost + add_gains(covers.cover, covers.weight, rows, gain)
+    total = lost + add_gains(covers, covers.weight, rows, walk, gain)
     if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
         return False
     if n_failures > 0:
@@ -183,8 +187,7 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
             for word in range(len(rows)):
                 rows[word] = of_unit[word] & ~walk.twice[depth, word]
             beside[:] = gain
-            walk.where[3] += len(gain)
-            need = total + add_gains(covers.cover, covers.weight, rows, beside) - walk.may_lose[1]
+            need = total + add_gains(covers, covers.weight, rows, walk, beside) - walk.may_lose[1]
             if not drop_hopeless(beside, is_open, left - n_failures + 1, need, walk.best):
                 return False
     queue, n_queued, is_any = walk.queue[depth], 0, False
@@ -192,7 +195,7 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
         if not is_open[pose]:
             continue
         is_any = True
-        if hardest >= 0 and covers.cover[hardest, pose] == 0.0:
+        if hardest >= 0 and (covers.rows[pose, hardest >> 3] >> (hardest & 7)) & 1 == 0:
             continue
         place = n_queued
         while place > 0 and gain[queue[place - 1]] < gain[pose]:

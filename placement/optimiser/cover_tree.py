@@ -19,6 +19,7 @@ a class that is not settled yet see together. A walk that ends has met every set
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,10 +31,13 @@ from .presolve import pack_words, unpack_words
 from .set_tree import Links, Root, chains_hardest_first, failure_limit
 from .threads import WORKERS
 
+if TYPE_CHECKING:
+    from .cover_kernels import Walk
+
 _SLACK = 1.0e-9  # relative: rounding of sums
-_COARSE_SLACK = 1.0e-5  # the same, of single precision: what is near is looked at again
 _OUT_SETS = 1 << 8
-_WORK = 3_000_000  # candidates looked at between two looks at the clock
+_WORK = 30_000_000  # bytes looked at between two looks at the clock
+_TURN_S = 0.1  # of spelling out
 _STOP_DEPTH = 2  # nodes of this depth are handed out to processors
 
 
@@ -76,20 +80,18 @@ class SetWalk:
             ]
         )
         site = limits.site_index[widest]
-        cover = np.ascontiguousarray(rows[widest].T, dtype=np.float32)
-        price = np.minimum(root.price, root.weight)
+        covers = root.covers[widest]
         self.covers = Covers(
-            covers=root.covers[widest],
+            covers=covers,
             coverers=pack_words(np.ascontiguousarray(rows[widest].T)),
-            cover=cover * root.weight[:, None].astype(np.float32),
+            rows=covers.view(np.uint8),
             weight=root.weight,
-            priced=cover * price[:, None].astype(np.float32),
-            price=price,
+            price=np.minimum(root.price, root.weight),
             site=site,
             copies=np.minimum(size, limits.site_capacity[site]),
         )
         self.capacity = limits.site_capacity
-        self.may_lose, self.exactly = np.zeros(2), np.zeros(2)
+        self.may_lose = np.zeros(2)
         self.is_finished = False  # whether all sets were gone through
         self.raise_needs(need, left)
 
@@ -101,9 +103,8 @@ class SetWalk:
     def raise_needs(self, need: float, left: float = 0.0) -> None:
         """Ask for more from here on."""
         scale = max(self.total, 1.0)
-        self.exactly[:] = [self.total - need, self.total - left]
-        self.may_lose[:] = self.exactly + _COARSE_SLACK * scale
-        self.exactly += _SLACK * scale
+        self.may_lose[:] = [self.total - need, self.total - left]
+        self.may_lose += _SLACK * scale
 
     def blocks(self, end_s: float) -> Iterator[IntArray]:
         """Sets that meet the needs, many at a time, until `end_s` on the monotonic clock.
@@ -111,7 +112,8 @@ class SetWalk:
         An empty block says that nothing was found for a while. All processors walk, each behind
         some node near the root at a time: the order of the sets is left to chance.
         """
-        tasks = self._tasks()
+        spare: list[_Task] = []
+        tasks = self._tasks(spare)
         waiting: set[Future[tuple[_Task, list[IntArray]]]] = set()
         with ThreadPoolExecutor(WORKERS) as threads:
             while now_s() < end_s:
@@ -123,22 +125,26 @@ class SetWalk:
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in done:
                     task, found = future.result()
-                    if not task.is_done:
+                    if task.is_done:
+                        spare.append(task)
+                    else:
                         waiting.add(threads.submit(task.go_on))
                     yield np.concatenate([np.empty((0, self.n_units), dtype=np.int64), *found])
 
-    def _tasks(self) -> "Iterator[_Task]":
-        """The nodes near the root, one after the other."""
+    def _tasks(self, spare: "list[_Task]") -> "Iterator[_Task]":
+        """The nodes near the root, one after the other; tasks that are done are taken again."""
         from .cover_kernels import AT_STOP, DONE, grow
 
-        stop = min(_STOP_DEPTH, self.n_units - 1)
+        stop = max(min(_STOP_DEPTH, self.n_units - 2), 1)
         scout = _Task(self)
         while True:
             state = grow(self.covers, scout.walk, self.n_failures, stop, _WORK, scout.out)
             if state == DONE:
                 return
             if state == AT_STOP:
-                yield scout.from_here()
+                task = spare.pop() if spare else _Task(self)
+                task.begin_at(scout.walk)
+                yield task
                 scout.walk.where[0] -= 1
                 scout.walk.where[1] = 0
 
@@ -149,7 +155,8 @@ class _Task:
     def __init__(self, owner: SetWalk) -> None:
         from .cover_kernels import Walk
 
-        self.owner, self.is_done = owner, False
+        self.owner, self.is_done, self.is_walked = owner, False, False
+        self.waiting: list[IntArray] = []  # to be spelled out
         n_units, (n_poses, n_words) = owner.n_units, owner.covers.covers.shape
         of_rows = (n_units + 1, n_words)
         self.out = np.empty((_OUT_SETS, n_units), dtype=np.int64)
@@ -166,30 +173,37 @@ class _Task:
             queue=np.zeros((n_units, n_poses), dtype=np.int64),
             n_queued=np.zeros(n_units, dtype=np.int64),
             position=np.zeros(n_units, dtype=np.int64),
-            gain=np.zeros(n_poses, dtype=np.float32),
-            beside=np.zeros(n_poses, dtype=np.float32),
+            gain=np.zeros(n_poses),
+            beside=np.zeros(n_poses),
+            table=np.zeros((8 * n_words, 256)),
+            used=np.zeros(8 * n_words, dtype=np.int64),
             best=np.zeros(n_units, dtype=np.int64),
         )
 
-    def from_here(self) -> "_Task":
-        """A walk behind the node at hand."""
-        task, depth = _Task(self.owner), int(self.walk.where[0])
-        task.walk.where[[0, 4]] = depth
-        task.walk.chosen[:depth] = self.walk.chosen[:depth]
+    def begin_at(self, walk: "Walk") -> None:
+        """Begin behind the node that another walk stands at."""
+        depth = int(walk.where[0])
+        self.is_done = self.is_walked = False
+        self.walk.where[:] = depth, 1, 0, 0, depth
+        self.walk.chosen[:depth] = walk.chosen[:depth]
         for name in ("once", "twice", "gone", "lost", "is_open", "room"):
-            getattr(task.walk, name)[depth] = getattr(self.walk, name)[depth]
-        return task
+            getattr(self.walk, name)[depth] = getattr(walk, name)[depth]
 
     def go_on(self) -> "tuple[_Task, list[IntArray]]":
-        """Walk on for a while, and spell out what was found."""
+        """Spell out for a while what was found, then walk on."""
         from .cover_kernels import DONE, grow
 
-        owner, self.walk.where[2] = self.owner, 0
-        state = grow(owner.covers, self.walk, owner.n_failures, -1, _WORK, self.out)
-        self.is_done = state == DONE
-        found = []
-        for classes in self.out[: self.walk.where[2]]:
-            found += self._spell_out(np.sort(classes))
+        owner = self.owner
+        found: list[IntArray] = []
+        stop_s = now_s() + _TURN_S
+        while self.waiting and now_s() < stop_s:
+            found += self._spell_out(self.waiting.pop())
+        if not self.waiting and not self.is_walked:
+            self.walk.where[2] = 0
+            state = grow(owner.covers, self.walk, owner.n_failures, -1, _WORK, self.out)
+            self.is_walked = state == DONE
+            self.waiting = [np.sort(classes) for classes in self.out[: self.walk.where[2]]]
+        self.is_done = self.is_walked and not self.waiting
         return self, found
 
     def _spell_out(self, classes: IntArray) -> list[IntArray]:
@@ -206,7 +220,7 @@ class _Task:
                 owner.member,
                 owner.worth,
                 owner.chains,
-                owner.exactly,
+                owner.may_lose,
                 owner.n_failures > 0,
                 classes,
                 place,

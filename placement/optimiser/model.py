@@ -170,7 +170,7 @@ def limit_constraints(x: cp.Variable, o: cp.Variable, limits: Limits) -> list[cp
 
 def seen_constraint(x: cp.Variable, y: cp.Variable, reduced: ReducedProblem) -> cp.Constraint:
     """Frames: y_f <= sum of V[c, f] x_c."""
-    return y <= sp.csr_array(reduced.detected().T.astype(np.float64)) @ x
+    return y <= sp.csr_array(reduced.detected().T).astype(np.float64) @ x
 
 
 def window_constraints(

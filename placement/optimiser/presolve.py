@@ -30,6 +30,7 @@ from .problem import Measure, PlacementProblem, Requirement
 from .threads import WORKERS
 
 WordArray = NDArray[np.uint64]
+_MAX_CELLS = 1 << 28  # poses x merged frames: models take some bytes for each
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,6 +136,11 @@ class ReducedProblem:
         chains = self.chains
         mine = slice(chains.tail_start[chain_index], chains.tail_start[chain_index + 1])
         return chains.tail_frame[mine], chains.tail_links[mine]
+
+    @property
+    def can_unpack(self) -> bool:
+        """Whether models and relaxations may look at all detections one by one."""
+        return self.n_poses * self.n_frames <= _MAX_CELLS
 
     def detected(self) -> BoolArray:
         """V[c, f] on the merged frames, (n_poses, n_frames)."""
@@ -258,9 +264,20 @@ def is_dominated(
     def look_at(poses: IntArray, most: WordArray) -> None:
         def look(begin: int) -> None:
             find_dominated(
-                *(words, columns, poses, most),
-                *(sites, price, elsewhere, price + COST_TOLERANCE_EUR, ~is_bound_site[sites]),
-                *(limits.site_capacity, max_units, begin, WORKERS, dominated),
+                words,
+                columns,
+                poses,
+                most,
+                sites,
+                price,
+                elsewhere,
+                price + COST_TOLERANCE_EUR,
+                ~is_bound_site[sites],
+                limits.site_capacity,
+                max_units,
+                begin,
+                WORKERS,
+                dominated,
             )
 
         with ThreadPoolExecutor(WORKERS) as threads:

@@ -138,7 +138,8 @@ def can_enumerate(reduced: ReducedProblem, n_units: int) -> bool:
     is_monotone = limits.budget_eur is None and not (
         len(limits.rivals) or limits.is_forced_site.any()
     )
-    return is_monotone and 1 <= n_units <= MAX_UNITS and reduced.n_poses <= MAX_POSES
+    is_small = reduced.n_poses <= MAX_POSES and reduced.can_unpack
+    return is_monotone and 1 <= n_units <= MAX_UNITS and is_small
 
 
 def best_beyond(

@@ -11,7 +11,7 @@ from geometry.kernels import kernel
 
 from .presolve import WordArray
 
-Float32Array = NDArray[np.float32]
+ByteArray = NDArray[np.uint8]
 
 _DEFLECTION = 0.7
 _CUT = 0.6
@@ -106,16 +106,37 @@ def ask_for_tails(
 
 
 @kernel
-def price_poses(cover: Float32Array, price: FloatArray, gain: FloatArray) -> None:
-    """Prices of the rows that each pose covers, summed."""
-    n = len(gain)
-    gain[:] = 0.0
-    for row in range(len(price)):
-        if price[row] > 0.0:
-            of_row = cover[row]
-            amount = price[row]
-            for place in range(n):
-                gain[place] += amount * of_row[place]
+def weigh_bytes(weight: FloatArray, rows: WordArray, table: FloatArray, used: IntArray) -> int:
+    """What each byte of bits along rows is worth, (n_bytes, 256), if only some rows count.
+
+    Bytes that are worth something are written to `used`; how many they are. Sums over bits become
+    sums over bytes (Arlazarov, Dinic, Kronrod, Faradzev 1970).
+    """
+    n_used = 0
+    for place in range(len(table)):
+        counted = (rows[place >> 3] >> np.uint64(8 * (place & 7))) & np.uint64(0xFF)
+        if counted == 0:
+            continue
+        used[n_used] = place
+        n_used += 1
+        of_byte = table[place]
+        of_byte[0] = 0.0
+        for bit in range(8):
+            is_counted = (counted >> np.uint64(bit)) & np.uint64(1)
+            amount = weight[8 * place + bit] if is_counted else 0.0
+            for value in range(1 << bit):
+                of_byte[value + (1 << bit)] = of_byte[value] + amount
+    return n_used
+
+
+@kernel
+def weight_of(covers: ByteArray, table: FloatArray, used: IntArray, n_used: int) -> float:
+    """What a pose's bits along rows are worth, by a table of bytes."""
+    total = 0.0
+    for number in range(n_used):
+        place = used[number]
+        total += table[place, covers[place]]
+    return total
 
 
 @kernel
@@ -158,7 +179,7 @@ def row_limit(reward: FloatArray, weight: float, n_units: int, price: float) -> 
 
 @kernel
 def tighten_prices(
-    cover: Float32Array,
+    covers: ByteArray,
     site: IntArray,
     room: IntArray,
     weight: FloatArray,
@@ -170,14 +191,18 @@ def tighten_prices(
 ) -> float:
     """Lower the bound of sets of so many units by subgradient steps on the prices of rows.
 
-    `cover`, (n_rows, n_poses), is 0 or 1. Returns the bound; `price` becomes what proves it, and
-    `share` how often each pose was picked of late.
+    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. Returns the bound; `price`
+    becomes what proves it, and `share` how often each pose was picked of late.
     """
     n_rows = len(price)
     best = np.inf
     best_price = np.empty(n_rows)
     slope, units = np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)
     gain, picked = np.empty(len(share)), np.empty(max(n_units, 1), dtype=np.int64)
+    table, used = np.empty((covers.shape[1], 256)), np.empty(covers.shape[1], dtype=np.int64)
+    every = np.full(-(-covers.shape[1] // 8), ~np.uint64(0))
+    for row in range(n_rows, 64 * len(every)):
+        every[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
     length, idle = 0.7, 0
     for step in range(n_steps + 1):
         total = 0.0
@@ -186,7 +211,9 @@ def tighten_prices(
             price[row] = min(max(price[row], 0.0), most)
             value, units[row] = row_limit(reward, weight[row], n_units, price[row])
             total += value
-        price_poses(cover, price, gain)
+        n_used = weigh_bytes(price, every, table, used)
+        for pose in range(len(gain)):
+            gain[pose] = weight_of(covers[pose], table, used, n_used)
         of_poses, n_picked = pick_best(gain, site, room, n_units, picked)
         total += of_poses
         share *= _MEMORY
@@ -208,7 +235,7 @@ def tighten_prices(
         for row in range(n_rows):
             rise = -float(units[row])
             for number in range(n_picked):
-                rise += cover[row, picked[number]]
+                rise += (covers[picked[number], row >> 3] >> (row & 7)) & 1
             slope[row] = rise + _DEFLECTION * slope[row]
             steepness += slope[row] * slope[row]
         if steepness < 1.0e-12:

@@ -254,7 +254,7 @@ class Search:
         is_minimised = objective is not None and objective.is_minimised
         bound = -np.inf if is_minimised else np.inf
         cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
-        while self.uses_models and self.left_s() > 0.0:
+        while self.uses_models and problem.can_unpack and self.left_s() > 0.0:
             self.proofs[solver_text()] = None
             result = solve_window_model(
                 problem, objective, requirements=demands, cuts=cuts, time_limit_s=self.left_s()

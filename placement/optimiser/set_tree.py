@@ -301,11 +301,17 @@ def _tighten(
     """Better prices for all sets of so many units, by the reward of being covered so often."""
     from .root_kernels import tighten_prices
 
-    cover = np.ascontiguousarray(unpack_words(covers, len(weight)).T, dtype=np.float32)
     price, share = price.copy(), np.zeros(len(covers))
     limit = tighten_prices(
-        *(cover, limits.site_index, limits.site_capacity, weight, reward),
-        *(n_units, price, n_steps, share),
+        covers.view(np.uint8),
+        limits.site_index,
+        limits.site_capacity,
+        weight,
+        reward,
+        n_units,
+        price,
+        n_steps,
+        share,
     )
     share *= n_units / max(float(share.sum()), 1.0e-300)
     return Root(covers=covers, weight=weight, price=price, limit=limit, share=share)

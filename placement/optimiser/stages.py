@@ -194,6 +194,8 @@ class Stages:
             return np.inf
         if can_cover(self.problem, reduced) and self.search.left_s() > 0.0:
             return self._covered(reduced, worth)
+        if not reduced.can_unpack:
+            return np.inf
         limit = relaxed_limit(reduced, worth)
         self.search.proofs[relaxation_text()] = None
         return limit

@@ -33,7 +33,7 @@ from .set_tree import (
 from .threads import share_out
 
 MAX_WALK_UNITS = 16
-_MAX_BYTES = 3 << 28  # of detections by chains
+_MAX_BYTES = 5 << 28  # of detections by chains
 _MAX_TIED = 100_000
 _BLOCK_SETS = 1 << 12
 _MAX_PARTNERS = 32  # that are valued in all objectives

@@ -13,7 +13,7 @@ from geometry.arrays import IntArray
 from geometry.clock import now_s
 from placement.optimiser import PlacementProblem, presolve
 from placement.optimiser.bitsets import left_after_failures, set_values, union_apr, unions_of
-from placement.optimiser.cover_tree import SetWalk
+from placement.optimiser.cover_tree import SetWalk, widest_poses
 from placement.optimiser.limits import are_allowed
 from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.set_tree import (
@@ -139,3 +139,24 @@ def test_a_walk_without_time_proves_nothing_but_its_limit(problem: PlacementProb
     assert tied.sets is None
     assert tied.value == pytest.approx(search.shares(sets[:1])[0])
     assert tied.limit >= search.shares(sets).max() - 1e-9
+
+
+@given(data=st.data(), n_poses=st.integers(1, 12), n_rows=st.integers(1, 10))
+def test_every_pose_covers_no_more_than_the_widest_of_its_class(
+    data: st.DataObject, n_poses: int, n_rows: int
+) -> None:
+    bits = data.draw(st.lists(st.booleans(), min_size=n_poses * n_rows, max_size=n_poses * n_rows))
+    places = data.draw(st.lists(st.integers(0, 2), min_size=n_poses, max_size=n_poses))
+    can = data.draw(st.lists(st.booleans(), min_size=n_poses, max_size=n_poses))
+    rows, site = np.array(bits).reshape(n_poses, n_rows), np.array(places)
+    widest, class_of = widest_poses(rows, site, np.array(can))
+    np.testing.assert_array_equal(class_of >= 0, can)
+    np.testing.assert_array_equal(class_of[widest], np.arange(len(widest)))
+    for pose in np.flatnonzero(can):
+        of_class = widest[class_of[pose]]
+        assert site[of_class] == site[pose]
+        assert not (rows[pose] & ~rows[of_class]).any()
+    for one, other in combinations(widest, 2):
+        if site[one] == site[other]:
+            assert (rows[one] & ~rows[other]).any()
+            assert (rows[other] & ~rows[one]).any()
