@@ -871,5 +871,9 @@ READERS: Mapping[str, Reader] = {
     "results to verify": Reader(
         _read_verified, _result_folders, ("experiments.jobs.verify.run_verification",)
     ),
-    "cached tables": Reader(_read_table, _tables, ("placement.visibility.build.load_table",)),
+    "cached tables": Reader(
+        _read_table,
+        _tables,
+        ("placement.visibility.build.load_table", "placement.kept.load_arrays"),
+    ),
 }
