@@ -125,9 +125,21 @@ def evaluation_text(result: "Result", out: Path | None) -> str:
             }
         ),
         *sentences(f"each unit by itself; {TOGETHER}.", indent=2),
+        *failure_lines(evaluation),
         *written(out),
     ]
     return "\n".join(lines)
+
+
+def failure_lines(evaluation: "EvaluationRecord") -> list[str]:
+    """What is left of the APR of all units when the worst one, or the worst pole, fails."""
+    if len(evaluation.units) == 1:
+        return []
+    text = f"if the worst unit fails, the others have {percent(evaluation.apr_without_worst_unit)}"
+    of_site = evaluation.apr_without_worst_site
+    if of_site is not UNSET:
+        text += f"; if the worst pole fails with all its units, {percent(of_site)}"
+    return sentences(f"{text}.", indent=2)
 
 
 def unit_lines(units: Sequence["UnitRecord"]) -> list[str]:
