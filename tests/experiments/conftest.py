@@ -43,7 +43,8 @@ def few_runs(small_setting, tables, monkeypatch):
 
 @pytest.fixture
 def small_study(few_runs, with_blank_pictures, one_assumption, monkeypatch):
-    """As `few_runs`; compares with two units only, varies one assumption, and draws nothing."""
+    """As `few_runs`; compares with two units, varies one assumption, no other lens, no figures."""
+    monkeypatch.setattr(placement, "load_cameras", dict)
     monkeypatch.setattr(placement, "find_baseline", build_small_baseline)
     return few_runs
 

@@ -74,7 +74,6 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
         "start",
         *stages,
         "evaluate",
-        "other lenses",
         "what if",
         "write results",
         "total",
